@@ -9,69 +9,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
 from joblib import Memory, Parallel, delayed
-from optuna.distributions import BaseDistribution, IntDistribution
+from optuna.distributions import IntDistribution
 
 import egolane_pgm as ego
-from egolane_pgm.experiment import Experiment
 from egolane_pgm.scoring.bootstrap import bootstrap_interval, mean_counts, ratio
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
+from egolane_pgm.types import FloatArray
 
 #: A value for each parameter that is searched.
 Point = Mapping[str, float]
 
-#: (K,): whether the answer is right, or how often with the seeds.
-Right = BoolArray | FloatArray
 
-#: An estimate with its 95 % interval: estimate, low, high.
-Bounds = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class Drive:
-    """A recording with K annotated frames, in memory.
-
-    - scored (K,): their places among the frames of the recording. lane (K,): the true lane.
-    - is_counted (K,): marks those that are not crossing.
-    - before: the accuracy with the experiment's own parameters.
-    """
-
-    experiment: Experiment
-    lines: LineLog
-    scored: IntArray
-    lane: IntArray
-    is_counted: BoolArray
-    before: float
-
-    def right(self, point: Point) -> BoolArray:
-        """(K,): whether the answer with these parameters is right."""
-        given = {f"parameters.{name}": value for name, value in point.items()}
-        run = ego.run(
-            self.experiment,
-            recording=self.lines,
-            ground_truth="none",
-            n_lanes=self.experiment.n_lanes,
-            overrides=given,
-        )
-        return np.asarray(run.assigned_lane[self.scored] == self.lane)
-
-    def held_out(self, points: Sequence[Point]) -> BoolArray:
-        """(K,): the same, each block with the parameters that were found without it."""
-        blocks = np.array_split(np.arange(len(self.lane)), len(points))
-        pairs = zip(points, blocks, strict=True)
-        return np.concatenate([self.right(point)[block] for point, block in pairs])
-
-
-@dataclass(frozen=True)
-class Told:
-    """What is not refuted of a parameter with the other ones held, or searched anew.
-
-    - low, high: the least and the largest value. share: of the values that were tried.
-    """
+class Told(NamedTuple):
+    """The least and the largest value of a parameter that is not refuted, and the share of the
+    values that were tried."""
 
     low: float
     high: float
@@ -84,11 +39,12 @@ class Found:
 
     - members: the recordings that were searched on; they count alike.
     - points: the best ones.
-    - seen, held (S,): accuracy in-sample and held out, mean over the members.
-    - bounds: of the mean of `held`. lost: in-sample less held out.
-    - on: by recording the mean accuracy on it; in-sample for members. held_on: theirs, held out.
-    - trusted: accuracy in-sample and held out where labels in doubt do not count; or None.
-    - told: by parameter, with the others held and with them searched anew.
+    - seen, held (S,): accuracy in-sample and held out. bounds (2,): 95 % of held out.
+    - lost (3,): in-sample less held out, and its bounds. Bounds are means over the seeds.
+    - on: by recording the mean accuracy of the points on it, in-sample for members; held_on: that
+      of members, held out.
+    - trusted: mean accuracy in-sample and held out where labels in doubt do not count; or none.
+    - told: by parameter, with the other ones held and with them searched anew.
     """
 
     name: str
@@ -96,40 +52,19 @@ class Found:
     points: Sequence[Point]
     seen: FloatArray
     held: FloatArray
-    bounds: Bounds
-    lost: Bounds
+    bounds: FloatArray
+    lost: FloatArray
     on: Mapping[str, float]
     held_on: Mapping[str, float]
-    trusted: tuple[float, float] | None
+    trusted: Sequence[float]
     told: Mapping[str, tuple[Told, Told]]
 
 
-def drive_of(file: Path) -> Drive:
-    """Read a recording."""
-    experiment = ego.load_experiment(file)
-    run = ego.run(experiment)
-    assert run.lines is not None
-    k, before = run.scored, run.scores["model"]["accuracy"]
-    return Drive(experiment, run.lines, k, run.true_lane[k], ~run.is_crossing[k], before)
-
-
-def accuracy(
-    drives: Sequence[Drive], right: Sequence[Right], minus: Sequence[Right] | None = None
-) -> Bounds:
-    """The mean accuracy over drives, or a difference. right, minus: per drive (K,)."""
-
-    def counts(side: Sequence[Right]) -> list[FloatArray]:
-        return [mean_counts(r, d.is_counted) for d, r in zip(drives, side, strict=True)]
-
-    found = bootstrap_interval(counts(right), ratio, minus=None if minus is None else counts(minus))
-    return found.estimate, found.low, found.high
-
-
 def measure(
-    files: Sequence[Path], seeds: int, trials: int, profile_trials: int, work: Path, jobs: int
-) -> tuple[list[Found], dict[str, Drive]]:
-    """Search for each file, an experiment or a tuning file of some of these, and score on all
-    recordings what is found. What is done is kept in `work`, and not done again."""
+    files: Sequence[Path], seeds: int, trials: int, walk: int, work: Path, jobs: int
+) -> tuple[list[Found], dict[str, ego.Objective]]:
+    """Search for each file, an experiment or a tuning file, and score what is found on the
+    recordings of all the experiments. What is done is kept in `work`, and not done again."""
     studies = [
         ego.tune(
             [str(file) for file in files],
@@ -142,81 +77,154 @@ def measure(
         ).document["studies"]
         for seed in range(seeds)
     ]
-    read = [drive_of(file) for file in files if members_of(file) == [file]]
-    drives = {drive.experiment.name: drive for drive in read}
+    by_file = list(zip(*studies, strict=True))
     kept = Memory(work, verbose=0).cache(told)
-    pairs = zip(files, zip(*studies, strict=True), strict=True)
+    members = [_members(file) for file in files]
     tasks = [
-        delayed(_found)(mine, drives, kept, members_of(file), profile_trials)
-        for file, mine in pairs
+        delayed(kept)(mine, [study["best"]["point"] for study in found], walk)
+        for mine, found in zip(members, by_file, strict=True)
     ]
     # The longest are last, and are begun first.
-    return Parallel(n_jobs=jobs)(tasks[::-1])[::-1], drives
+    says = Parallel(n_jobs=jobs)(tasks[::-1])[::-1]
+    objectives = [
+        ego.objective(file)
+        for file, mine in zip(files, members, strict=True)
+        if mine == [str(file)]
+    ]
+    on = {objective.problem.plan.name: objective for objective in objectives}
+    return [_found(mine, on, each) for mine, each in zip(by_file, says, strict=True)], on
 
 
-def members_of(file: Path) -> list[Path]:
+def _members(file: Path) -> list[str]:
     """The experiments of a tuning file; an experiment itself."""
     named = yaml.safe_load(file.read_text(encoding="utf-8")).get("experiments")
-    return [(file.parent / each).resolve() for each in named] if named else [file]
+    return [str(file.parent / each) for each in named or [file.name]]
 
 
 def _found(
-    studies: Sequence[Any], drives: Mapping[str, Drive], told: Any, files: list[Path], trials: int
+    studies: Sequence[Any], on: Mapping[str, ego.Objective], told: Mapping[str, tuple[Told, Told]]
 ) -> Found:
     points = [study["best"]["point"] for study in studies]
-    without = [[part["point"] for part in s["held_out"]["studies"]] for s in studies]
     members = tuple(each["name"] for each in studies[0]["experiments"])
-    mine = [drives[name] for name in members]
-    seen = {n: np.stack([drive.right(p) for p in points]) for n, drive in drives.items()}
-    held = {n: np.stack([drives[n].held_out(p) for p in without]) for n in members}
-    in_sample, held_out = ([side[n].mean(axis=0) for n in members] for side in (seen, held))
+    seen, held, lost = (
+        [study[kind]["all_frames"] for study in studies]
+        for kind in ("in_sample", "held_out", "difference")
+    )
+    # What is scored on one recording has no list of them.
+    each = [[r["accuracy"] for r in scores.get("recordings", [scores])] for scores in held]
     trusted = [
-        float(np.mean([s[kind]["without_never_fit"]["accuracy"] for s in studies]))
+        float(np.mean([study[kind]["without_never_fit"]["accuracy"] for study in studies]))
         for kind in ("in_sample", "held_out")
         if "without_never_fit" in studies[0][kind]
     ]
-
-    def by_seed(side: Mapping[str, BoolArray]) -> FloatArray:
-        each = [side[n][:, drives[n].is_counted].mean(axis=1) for n in members]
-        return np.asarray(np.mean(each, axis=0))
-
     return Found(
         studies[0]["name"],
         members,
         points,
-        by_seed(seen),
-        by_seed(held),
-        accuracy(mine, held_out),
-        accuracy(mine, in_sample, held_out),
-        {n: float(right[:, drives[n].is_counted].mean()) for n, right in seen.items()},
-        {n: float(right[:, drives[n].is_counted].mean()) for n, right in held.items()},
-        (trusted[0], trusted[1]) if trusted else None,
-        told([str(file) for file in files], points, trials),
+        np.array([scores["accuracy"] for scores in seen]),
+        np.array([scores["accuracy"] for scores in held]),
+        np.mean([scores["intervals"]["accuracy"] for scores in held], axis=0),
+        np.mean([[d["accuracy"], *d["intervals"]["accuracy"]] for d in lost], axis=0),
+        {name: float(np.mean([score(p) for p in points])) for name, score in on.items()},
+        dict(zip(members, np.mean(each, axis=0).tolist(), strict=True)),
+        trusted,
+        told,
     )
 
 
-# --- what the frames tell of one parameter ------------------------------------------------------
+# --- what the frames tell of one parameter --------------------------------------------------------
 
 
-def values_of(bounds: BaseDistribution) -> list[float]:
+def told(files: Sequence[str], starts: Sequence[Point], walk: int) -> dict[str, tuple[Told, Told]]:
+    """By parameter, the values that the frames of some recordings do not refute, with the other
+    parameters held where the best start has them, and with them searched anew.
+
+    - starts: the best points of the searches.
+    - walk: steps of the search, for each value. It begins at the best of the starts and of what
+      was found for the value before.
+
+    A value is refuted where its accuracy is below the best one's by the whole 95 % interval of
+    their difference.
+    """
+    objectives = [ego.objective(file) for file in files]
+    rights = [_right_of(file) for file in files]
+
+    def score(point: Point) -> float:
+        return float(np.mean([objective(point) for objective in objectives]))
+
+    def right(point: Point) -> list[FloatArray]:
+        return [of_drive(point) for of_drive in rights]
+
+    def not_refuted(name: str, points: Sequence[Point], best: Point) -> Told:
+        of_best = right(best)
+        kept = [
+            point[name]
+            for point in points
+            if bootstrap_interval(of_best, ratio, minus=right(point)).low <= 0
+        ]
+        inside = [*kept, base[name]]
+        return Told(min(inside), max(inside), len(kept) / len(points))
+
+    base = max(starts, key=score)
+    spaces = objectives[0].distributions
+    held = {
+        name: [{**base, name: value} for value in values_of(bounds)]
+        for name, bounds in spaces.items()
+    }
+    anew: dict[str, list[Point]] = {}
+    for name, points in held.items():
+        others = {key: bounds for key, bounds in spaces.items() if key != name}
+        anew[name] = []
+        for point in points:
+            near = [{**start, name: point[name]} for start in [*starts, *anew[name][-1:]]]
+            anew[name].append(_walked(score, max(near, key=score), others, walk))
+    best = max([*starts, *(point for points in anew.values() for point in points)], key=score)
+    return {
+        name: (not_refuted(name, held[name], base), not_refuted(name, anew[name], best))
+        for name in spaces
+    }
+
+
+def _right_of(file: str) -> Callable[[Point], FloatArray]:
+    """What says how often a point is right in each of the K annotated frames of a recording:
+    (K, 2), for `ratio`."""
+    experiment = ego.load_experiment(file)
+    run = ego.run(experiment)
+
+    def right(point: Point) -> FloatArray:
+        """Runs in memory and without scores: that takes a tenth of the time."""
+        found = ego.run(
+            experiment,
+            recording=run.lines,
+            ground_truth="none",
+            n_lanes=experiment.n_lanes,
+            overrides={f"parameters.{name}": value for name, value in point.items()},
+        )
+        is_right = found.assigned_lane == run.true_lane
+        return mean_counts(is_right[run.scored], ~run.is_crossing[run.scored])
+
+    return right
+
+
+def values_of(bounds: Any) -> list[float]:
     """Values over the range of a parameter; standard deviations by equal ratios from 0.03 on."""
     if isinstance(bounds, IntDistribution):
         return [*range(bounds.low, bounds.high + 1)]
-    low, high = bounds.low, bounds.high  # type: ignore[attr-defined]
+    low, high = bounds.low, bounds.high
     values = np.geomspace(0.03, high, 13) if high > 1 else np.linspace(low, high, 11)
     return [float(value) for value in np.clip(values, low, high)]
 
 
-def _climbed(
-    score: Callable[[Point], float], start: Point, bounds: Mapping[str, Any], trials: int
+def _walked(
+    score: Callable[[Point], float], start: Point, spaces: Mapping[str, Any], steps: int
 ) -> Point:
-    """The best point of a walk from a start: steps of all sizes in half of the parameters, taken
-    where they lose nothing. So near to an optimum it finds more in 60 trials than Shade in 150."""
+    """The best point of a walk: steps of all sizes in half of the parameters, taken where they lose
+    nothing. So near to an optimum it finds more in 60 steps than Shade in 150 trials."""
     rng = np.random.default_rng(0)
     best, reached = start, score(start)
-    for _ in range(trials):
+    for _ in range(steps):
         tried = dict(best)
-        for name, d in bounds.items():
+        for name, d in spaces.items():
             if rng.random() < 0.5:
                 step = rng.normal() * 10 ** rng.uniform(-2.5, -0.5) * (d.high - d.low)
                 value = min(max(best[name] + step, d.low), d.high)
@@ -225,46 +233,3 @@ def _climbed(
         if found >= reached:
             best, reached = tried, found
     return best
-
-
-def told(files: Sequence[str], starts: Sequence[Point], trials: int) -> dict[str, Any]:
-    """By parameter, the values that the frames of some recordings do not refute.
-
-    - starts: the best points of the searches; the parameters are held where the best has them.
-    - trials: of the walk of the other parameters, for each value. It begins at the best of the
-      starts and of what was found for the value before.
-
-    A value is refuted where its accuracy is below the best one's by the whole 95 % interval of
-    their difference.
-    """
-    drives = [drive_of(Path(file)) for file in files]
-    objectives = [ego.objective(file) for file in files]
-
-    def score(point: Point) -> float:
-        return float(np.mean([objective(point) for objective in objectives]))
-
-    def right(point: Point) -> list[BoolArray]:
-        return [drive.right(point) for drive in drives]
-
-    base = max(starts, key=score)
-    held: dict[str, list[Point]] = {}
-    anew: dict[str, list[Point]] = {}
-    for name, bounds in objectives[0].distributions.items():
-        others = {k: each for k, each in objectives[0].distributions.items() if k != name}
-        held[name] = [{**base, name: value} for value in values_of(bounds)]
-        anew[name] = []
-        for fixed in held[name]:
-            near = [{**start, **fixed} for start in [*starts, *anew[name][-1:]]]
-            anew[name].append(_climbed(score, max(near, key=score), others, trials))
-    best = max([*starts, *(point for points in anew.values() for point in points)], key=score)
-
-    def not_refuted(name: str, points: Sequence[Point], than: list[BoolArray]) -> Told:
-        kept = [p[name] for p in points if accuracy(drives, than, right(p))[1] <= 0]
-        inside = [*kept, base[name]]
-        return Told(min(inside), max(inside), len(kept) / len(points))
-
-    of_base, of_best = right(base), right(best)
-    return {
-        name: (not_refuted(name, held[name], of_base), not_refuted(name, anew[name], of_best))
-        for name in held
-    }

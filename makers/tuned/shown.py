@@ -10,11 +10,12 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
+import egolane_pgm as ego
 from egolane_pgm.types import FloatArray
 from egolane_pgm.views.answers import DETECTOR_COLOUR, FAINT, INK, MODEL_COLOUR
 from egolane_pgm.views.style import axes_at, new_figure, put_title, text_colour, write_figure
 from egolane_pgm.views.tables import markdown
-from makers.tuned.measured import Drive, Found
+from makers.tuned.measured import Found
 
 #: From 0.3 of accuracy lost, dark orange, to none, white, and 0.1 gained, blue.
 LOSS_RANGE = Normalize(-0.3, 0.1)
@@ -46,9 +47,18 @@ def _with_range(values: FloatArray) -> str:
     return f"{values.mean():.3f} ({values.min():.3f} to {values.max():.3f})"
 
 
-def page(groups: Sequence[Found], drives: Mapping[str, Drive]) -> Iterator[str]:
-    """The tables, part by part."""
+def page(groups: Sequence[Found], on: Mapping[str, ego.Objective]) -> Iterator[str]:
+    """The tables, part by part.
+
+    - on: the recordings.
+    """
+    named, names = [(title_of(group.name), group) for group in groups], list(groups[0].told)
     yield "## What the searches reach"
+    yield (
+        "Accuracy: mean over the seeds, and their range. The interval is a block bootstrap's (300"
+        " frames, 2,000 resamples), mean over the seeds. *the paper's*: in-sample, with the"
+        " published parameters of each run."
+    )
     header = [
         "searched on",
         "the paper's",
@@ -57,31 +67,42 @@ def page(groups: Sequence[Found], drives: Mapping[str, Drive]) -> Iterator[str]:
         "95 %",
         "in-sample less held out",
     ]
-    yield markdown(header, [_reached(group, drives) for group in groups])
-    trusted = [(title_of(g.name), *g.trusted) for g in groups if g.trusted]
-    if trusted:
-        yield "Scored without the frames whose labels are in doubt:"
-        rows = [[title, f"{seen:.3f}", f"{held:.3f}"] for title, seen, held in trusted]
-        yield markdown(["searched on", "in-sample", "held out"], rows)
+    yield markdown(header, [_reached(group, on) for group in groups])
+    yield "Without the frames whose labels are in doubt, on which no held-out study was fitted:"
+    trusted = [(title, *map("{:.3f}".format, g.trusted)) for title, g in named if g.trusted]
+    yield markdown(["searched on", "in-sample", "held out"], trusted)
     yield "## What transfers"
-    rows = [[title_of(g.name), *(_transfers(g, name) for name in drives)] for g in groups]
-    yield markdown(["searched on", *map(title_of, drives)], rows)
+    yield (
+        "A row is what was searched on, a column what is scored. On other recordings all frames are"
+        " new. In italics: held out, that recording was searched on; in brackets in-sample."
+    )
+    transfers = [[title, *(_transfers(g, name) for name in on)] for title, g in named]
+    yield markdown(["searched on", *map(title_of, on)], transfers)
     yield "## The parameters"
-    names = list(groups[0].told)
-    rows = [[title_of(g.name), *(_spread(g, name) for name in names)] for g in groups]
-    yield markdown(["searched on", *names], rows)
+    yield (
+        "Median (range) of the seeds, and [least, largest] value that the frames do not refute:"
+        " with the other parameters searched anew, the accuracy is not below the best one's by the"
+        " whole 95 % interval of their difference. A longer search may find more such values."
+    )
+    spreads = [[title, *(_spread(g, name) for name in names)] for title, g in named]
+    yield markdown(["searched on", *names], spreads)
     yield "## What the frames tell of them"
-    header = ["parameter", "not refuted, others held", "not refuted, others anew", "seeds apart"]
+    yield (
+        "The share of the 10 to 13 values over the range that is not refuted, with the other"
+        " parameters held and with them searched anew; how far apart the seeds end: median (range)"
+        " of the rows above."
+    )
+    header = ["parameter", "others held", "others anew", "seeds apart"]
     yield markdown(header, [_told(groups, name) for name in names])
 
 
-def _reached(group: Found, drives: Mapping[str, Drive]) -> list[str]:
+def _reached(group: Found, on: Mapping[str, ego.Objective]) -> list[str]:
     return [
         title_of(group.name),
-        f"{np.mean([drives[name].before for name in group.members]):.3f}",
+        f"{np.mean([on[name]({}) for name in group.members]):.3f}",
         _with_range(group.seen),
         _with_range(group.held),
-        f"[{group.bounds[1]:.3f}, {group.bounds[2]:.3f}]",
+        f"[{group.bounds[0]:.3f}, {group.bounds[1]:.3f}]",
         "{:+.3f} [{:+.3f}, {:+.3f}]".format(*group.lost),
     ]
 
@@ -112,26 +133,26 @@ def _told(groups: Sequence[Found], name: str) -> list[str]:
 # --- the figure -----------------------------------------------------------------------------------
 
 
-def draw(groups: Sequence[Found], drives: Mapping[str, Drive], path: Path) -> None:
+def draw(groups: Sequence[Found], on: Mapping[str, ego.Objective], path: Path) -> None:
     """Draw accuracies, transfer and parameters, each with a row for each group."""
-    write_figure(lambda: _figure(groups, drives), path)
+    write_figure(lambda: _figure(groups, on), path)
 
 
-def _figure(groups: Sequence[Found], drives: Mapping[str, Drive]) -> Figure:
+def _figure(groups: Sequence[Found], on: Mapping[str, ego.Objective]) -> Figure:
     names = list(groups[0].told)
     rows, left, scores = ROW * len(groups), 0.85, 3.7
-    matrix, top = COLUMN * len(drives), 0.95
+    matrix, top = COLUMN * len(on), 0.95
     figure = new_figure(left + scores + 0.3 + matrix + 1.0, top + 2 * rows + 1.65)
     put_title(figure, "One parameter set searched for a run, a detector on both roads, or a road")
     _draw_scores(axes_at(figure, left, top, scores, rows), groups)
     start = left + scores + 0.3
     ax = axes_at(figure, start, top, matrix, rows)
     bar = axes_at(figure, start + matrix + 0.12, top, 0.12, rows)
-    _draw_transfer(ax, bar, groups, list(drives))
+    _draw_transfer(ax, bar, groups, list(on))
     each = (figure.get_figwidth() - left - 0.15) / len(names)
     for k, name in enumerate(names):
         place = axes_at(figure, left + k * each, top + rows + 1.1, each - 0.12, rows)
-        _draw_parameter(place, groups, drives, name, is_first=k == 0)
+        _draw_parameter(place, groups, on, name, is_first=k == 0)
     return figure
 
 
@@ -150,7 +171,7 @@ def _draw_rows(ax: Axes, groups: Sequence[Found], *, is_named: bool) -> None:
 def _draw_scores(ax: Axes, groups: Sequence[Found]) -> None:
     for k, group in enumerate(groups):
         label = "95 % interval of held out" if k == 0 else None
-        ax.plot(group.bounds[1:], [k, k], color=FAINT, linewidth=1.5, zorder=1, label=label)
+        ax.plot(group.bounds, [k, k], color=FAINT, linewidth=1.5, zorder=1, label=label)
         for values, colour, marker, what in (
             (group.seen, DETECTOR_COLOUR, "s", "in-sample"),
             (group.held, MODEL_COLOUR, "o", "held out"),
@@ -188,13 +209,12 @@ def _draw_transfer(ax: Axes, bar: Axes, groups: Sequence[Found], names: Sequence
 
 
 def _draw_parameter(
-    ax: Axes, groups: Sequence[Found], drives: Mapping[str, Drive], name: str, *, is_first: bool
+    ax: Axes, groups: Sequence[Found], on: Mapping[str, ego.Objective], name: str, *, is_first: bool
 ) -> None:
     for k, group in enumerate(groups):
         held, anew = group.told[name]
         values = [point[name] for point in group.points]
-        run = drives.get(group.name)
-        papers = [] if run is None else [run.experiment.parameters[name]]
+        papers = [on[group.name].start[name]] if group.name in on else []
         for told, colour, width, what in (
             (anew, "#c9dcea", 7, "others searched anew"),
             (held, MODEL_COLOUR, 2.5, "others held"),

@@ -30,7 +30,7 @@ def test_the_searches_are_scored_on_frames_and_drives_that_they_have_not_seen(
     files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(measured, "values_of", lambda bounds: [bounds.low, bounds.high])
-    found, drives = measured.measure(files, 2, 4, 2, tmp_path / "studies", 1)
+    found, on = measured.measure(files, 2, 4, 2, tmp_path / "studies", 1)
     first, second, both = found
     # As `egolane tune` scores the same search.
     study = ego.tune(str(files[0]), trials=4, from_scratch=True).studies[0].study
@@ -42,11 +42,11 @@ def test_the_searches_are_scored_on_frames_and_drives_that_they_have_not_seen(
     assert both.seen[1] == pytest.approx(
         np.mean([ego.objective(file)(both.points[1]) for file in files[:2]])
     )
-    assert set(both.held_on) == set(drives) == {first.name, second.name}
-    text = "\n".join(shown.page(found, drives))
+    assert set(both.held_on) == set(on) == {first.name, second.name}
+    text = "\n".join(shown.page(found, on))
     assert text.count("| A4, all") == 3
     assert f"{first.held.mean():.3f}" in text
-    shown.draw(found, drives, tmp_path / "tuned.png")
+    shown.draw(found, on, tmp_path / "tuned.png")
     assert (tmp_path / "tuned.png").stat().st_size > 50_000
 
 
