@@ -18,7 +18,7 @@ from egolane_pgm.tools.files import write_text
 from makers.tuned import shown
 from makers.tuned.measured import measure
 
-SEEDS, TRIALS, STEPS = 5, 600, 60
+SEEDS, TRIALS, STEPS = 5, 600, 40
 
 #: In the order of the tables: stereo and mono with straight lines, with clothoids, multi-lane.
 DETECTORS = {"sl": 2, "ml": 1, "sc": 4, "mc": 3, "mld": 5}

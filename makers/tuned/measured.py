@@ -143,8 +143,8 @@ def told(files: Sequence[str], starts: Sequence[Point], walk: int) -> dict[str, 
     - walk: steps of the search, for each value. It begins at the best of the starts and of what
       was found for the value before.
 
-    A value is refuted where its accuracy is below the best one's by the whole 95 % interval of
-    their difference.
+    A value is refuted where its accuracy is below that of the best start by the whole 95 %
+    interval of their difference.
     """
     objectives = [ego.objective(file) for file in files]
     rights = [_right_of(file) for file in files]
@@ -155,17 +155,18 @@ def told(files: Sequence[str], starts: Sequence[Point], walk: int) -> dict[str, 
     def right(point: Point) -> list[FloatArray]:
         return [of_drive(point) for of_drive in rights]
 
-    def not_refuted(name: str, points: Sequence[Point], best: Point) -> Told:
-        of_best = right(best)
+    base = max(starts, key=score)
+    of_base = right(base)
+
+    def not_refuted(name: str, points: Sequence[Point]) -> Told:
         kept = [
             point[name]
             for point in points
-            if bootstrap_interval(of_best, ratio, minus=right(point)).low <= 0
+            if bootstrap_interval(of_base, ratio, minus=right(point)).low <= 0
         ]
         inside = [*kept, base[name]]
         return Told(min(inside), max(inside), len(kept) / len(points))
 
-    base = max(starts, key=score)
     spaces = objectives[0].distributions
     held = {
         name: [{**base, name: value} for value in values_of(bounds)]
@@ -178,11 +179,7 @@ def told(files: Sequence[str], starts: Sequence[Point], walk: int) -> dict[str, 
         for point in points:
             near = [{**start, name: point[name]} for start in [*starts, *anew[name][-1:]]]
             anew[name].append(_walked(score, max(near, key=score), others, walk))
-    best = max([*starts, *(point for points in anew.values() for point in points)], key=score)
-    return {
-        name: (not_refuted(name, held[name], base), not_refuted(name, anew[name], best))
-        for name in spaces
-    }
+    return {name: (not_refuted(name, held[name]), not_refuted(name, anew[name])) for name in spaces}
 
 
 def _right_of(file: str) -> Callable[[Point], FloatArray]:
@@ -211,7 +208,7 @@ def values_of(bounds: Any) -> list[float]:
     if isinstance(bounds, IntDistribution):
         return [*range(bounds.low, bounds.high + 1)]
     low, high = bounds.low, bounds.high
-    values = np.geomspace(0.03, high, 13) if high > 1 else np.linspace(low, high, 11)
+    values = np.geomspace(0.03, high, 25) if high > 1 else np.linspace(low, high, 11)
     return [float(value) for value in np.clip(values, low, high)]
 
 

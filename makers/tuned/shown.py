@@ -81,14 +81,14 @@ def page(groups: Sequence[Found], on: Mapping[str, ego.Objective]) -> Iterator[s
     yield "## The parameters"
     yield (
         "Median (range) of the seeds, and [least, largest] value that the frames do not refute:"
-        " with the other parameters searched anew, the accuracy is not below the best one's by the"
-        " whole 95 % interval of their difference. A longer search may find more such values."
+        " with the other parameters searched anew, the accuracy is not below that of the best"
+        " search by the whole 95 % interval of their difference. A longer search may find more."
     )
     spreads = [[title, *(_spread(g, name) for name in names)] for title, g in named]
     yield markdown(["searched on", *names], spreads)
     yield "## What the frames tell of them"
     yield (
-        "The share of the 10 to 13 values over the range that is not refuted, with the other"
+        "The share of the 10 to 25 values over the range that is not refuted, with the other"
         " parameters held and with them searched anew; how far apart the seeds end: median (range)"
         " of the rows above."
     )
