@@ -78,7 +78,7 @@ graphs: .venv/.run
 	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 --wide $(SEARCH) > results/graphs/learned_or_searched.md
 
 # results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
-# road (N minutes of two cores; the same command goes on where it stopped).
+# road (a quarter of an hour of two cores; repeated, it goes on where it stopped).
 tuned: .venv/.dev
 	$(BIN)/python -m makers.tuned --out results/tuning
 

@@ -158,14 +158,13 @@ def told(files: Sequence[str], starts: Sequence[Point], walk: int) -> dict[str, 
     base = max(starts, key=score)
     of_base = right(base)
 
-    def not_refuted(name: str, points: Sequence[Point]) -> Told:
-        kept = [
-            point[name]
-            for point in points
-            if bootstrap_interval(of_base, ratio, minus=right(point)).low <= 0
-        ]
-        inside = [*kept, base[name]]
-        return Told(min(inside), max(inside), len(kept) / len(points))
+    def is_refuted(point: Point) -> bool:
+        return bootstrap_interval(of_base, ratio, minus=right(point)).low > 0
+
+    def of_value(name: str, points: Sequence[Point], seen: Sequence[Point]) -> Told:
+        kept = [point for point in points if not is_refuted(point)]
+        values = [point[name] for point in [*kept, *seen]]
+        return Told(min(values), max(values), len(kept) / len(points))
 
     spaces = objectives[0].distributions
     held = {
@@ -179,7 +178,11 @@ def told(files: Sequence[str], starts: Sequence[Point], walk: int) -> dict[str, 
         for point in points:
             near = [{**start, name: point[name]} for start in [*starts, *anew[name][-1:]]]
             anew[name].append(_walked(score, max(near, key=score), others, walk))
-    return {name: (not_refuted(name, held[name]), not_refuted(name, anew[name])) for name in spaces}
+    equals = [start for start in starts if not is_refuted(start)]
+    return {
+        name: (of_value(name, held[name], [base]), of_value(name, anew[name], equals))
+        for name in spaces
+    }
 
 
 def _right_of(file: str) -> Callable[[Point], FloatArray]:

@@ -73,8 +73,9 @@ def page(groups: Sequence[Found], on: Mapping[str, ego.Objective]) -> Iterator[s
     yield markdown(["searched on", "in-sample", "held out"], trusted)
     yield "## What transfers"
     yield (
-        "A row is what was searched on, a column what is scored. On other recordings all frames are"
-        " new. In italics: held out, that recording was searched on; in brackets in-sample."
+        "A row is what was searched on, a column what is scored. In italics: held out, that"
+        " recording was searched on; in brackets in-sample. The detectors of a road saw one drive:"
+        " only on the other road are all labels unseen."
     )
     transfers = [[title, *(_transfers(g, name) for name in on)] for title, g in named]
     yield markdown(["searched on", *map(title_of, on)], transfers)
@@ -205,7 +206,7 @@ def _draw_transfer(ax: Axes, bar: Axes, groups: Sequence[Found], names: Sequence
     ax.set_title("accuracy; bold: held out, that recording was searched on", fontsize=8)
     ax.figure.colorbar(image, cax=bar, extend="both")
     bar.tick_params(labelsize=7)
-    bar.set_ylabel("less held out of a search on that recording", fontsize=7.5)
+    bar.set_ylabel("minus that of a search on that recording, held out", fontsize=7.5)
 
 
 def _draw_parameter(
@@ -233,7 +234,9 @@ def _draw_parameter(
         ax.set_xticks([0.03, 0.1, 0.3, 1, 3], ["0.03", "0.1", "0.3", "1", "3"])
         ax.set_xlim(0.025, 3.6)
         ax.minorticks_off()
-    elif name.startswith("p"):
+    elif name == "bonus_value":
+        ax.set_xticks([0, 3, 6, 9])
+    else:
         ax.set_xlim(-0.05, 1.05)
     ax.set_xlabel(f"{name}, lanes" if name.startswith("sigma") else name, fontsize=8)
     ax.tick_params(labelsize=7)
