@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched rendered compared maps cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched tuned rendered compared maps cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -77,6 +77,11 @@ graphs: .venv/.run
 	cp $(RUNS)/graphs/differences.png results/graphs/graphs.png
 	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide > results/graphs/learned.md
 	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 --wide $(SEARCH) > results/graphs/learned_or_searched.md
+
+# results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
+# road (a quarter of an hour of two cores; repeated, it goes on where it stopped).
+tuned: .venv/.dev
+	$(BIN)/python -m makers.tuned --out results/tuning
 
 # What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
 beyond: .venv/.dev
