@@ -17,6 +17,7 @@ from egolane_pgm.tuning.search import (
     Score,
     Settings,
     best_trial,
+    n_complete,
     search,
     search_in_memory,
 )
@@ -74,7 +75,7 @@ def search_without(
     else:
         search(study, space, score, settings, worker=worker, report=report)
     best = best_trial(study)
-    return Nested(part, dict(best.params), tuple(best.values), settings.trials)
+    return Nested(part, dict(best.params), tuple(best.values), n_complete(study))
 
 
 def settings_of_part(settings: Settings, part: int) -> Settings:

@@ -117,8 +117,9 @@ def run_share(
         study = None
         if made.storage is not None:
             storage = open_storage(made.storage, made.directory)
-            settings, key = settings_of_part(task.settings, part), {**task.key, "without": part}
-            study = open_study(storage, made.label(part), settings, key)
+            identity = {**task.identity, **task.parts_key, "without": part}
+            settings = settings_of_part(task.settings, part)
+            study = open_study(storage, made.label(part), settings, identity)
         return search_without(task.space, score, task.settings, part, study=study, report=report)
 
 

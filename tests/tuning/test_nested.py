@@ -16,7 +16,7 @@ from egolane_pgm.scoring.bootstrap import (
     confusion_counts,
     resampled_sums,
 )
-from egolane_pgm.scoring.confusion import accuracy, confusion
+from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.tuning.assess import assess, difference
 from egolane_pgm.tuning.nested import (
@@ -95,21 +95,6 @@ def test_the_stitched_belief_is_each_blocks_own() -> None:
         alone = beliefs_at(found, [result.point])[0]
         np.testing.assert_array_equal(belief[inside], alone[inside])
     assert len({str(n.point) for n in nested}) > 1
-
-
-def test_scores_of_one_recording_are_those_of_validation() -> None:
-    found = problem()
-    drive = found.drives[0]
-    belief = beliefs_at(found, current(found))
-    scores = assess([drive], belief, all_used([drive]))
-    assigned = assigned_lane(belief[0])
-    truth = drive.truth
-    matrix = confusion(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-    assert scores["confusion"] == matrix.tolist()
-    counts = confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-    interval = bootstrap_interval([counts], accuracy)
-    assert scores["accuracy"] == interval.estimate
-    assert scores["intervals"]["accuracy"] == pytest.approx([interval.low, interval.high])
 
 
 def frames_of(found: Problem, part: int) -> list[bool]:
@@ -239,15 +224,6 @@ def test_a_lane_that_is_only_crossed_in_a_block_does_not_occur_in_it() -> None:
     crossing[parts[4][:9]] = True
     [note] = lacking(labelled(lane, crossing))
     assert note == f"1 of {BLOCKS} blocks lack a lane that is driven (5)"
-
-
-def test_the_difference_of_a_belief_with_itself_is_nothing() -> None:
-    found = problem()
-    drive = found.drives[0]
-    belief = beliefs_at(found, current(found))
-    same = difference([drive], belief, belief, all_used([drive]))
-    assert same["accuracy"] == 0
-    assert same["intervals"]["accuracy"] == [0, 0]
 
 
 def test_a_drive_too_short_for_an_interval_has_none() -> None:

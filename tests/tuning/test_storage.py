@@ -206,13 +206,6 @@ def test_the_half_line_of_a_process_that_was_killed_is_cut_off(tmp_path: Path) -
     assert n_complete(study_in(tmp_path)) == 7
 
 
-@pytest.mark.parametrize("name", ["a?b", "a#b", "a%41b", "a b", "a:b"])
-def test_a_study_lies_where_it_is_said_whatever_the_name(tmp_path: Path, name: str) -> None:
-    search(study_in(tmp_path / name), SPACE, bowl, settings(2))
-    assert [p.name for p in tmp_path.iterdir()] == [name]
-    assert [p.name for p in (tmp_path / name).iterdir()] == [JOURNAL_NAME]
-
-
 @pytest.mark.parametrize("address", ["nosuch://h/d", "sqlite:////no/such/place/x.db"])
 def test_a_storage_that_cannot_be_opened_is_one_clear_line(address: str, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=f"storage: {address}: ") as caught:
@@ -275,24 +268,6 @@ def test_a_study_of_that_name_that_no_search_began_is_refused(tmp_path: Path) ->
     study.add_trial(optuna.trial.create_trial(value=0.5))
     with pytest.raises(InputError, match="holds another study of this name"):
         study_in(tmp_path)
-
-
-def test_a_killed_process_leaves_a_journal_to_go_on_with(tmp_path: Path) -> None:
-    code = (
-        "from tests.tuning.test_storage import *\n"
-        "search(study_in(Path({!r})), SPACE, bowl, settings(100000))\n"
-    )
-    with subprocess.Popen([sys.executable, "-c", code.format(str(tmp_path))]) as first:
-        journal, deadline = tmp_path / JOURNAL_NAME, time.monotonic() + 60
-        while time.monotonic() < deadline:
-            if journal.exists() and journal.stat().st_size > 50_000:
-                break
-            time.sleep(0.01)
-        first.kill()
-    before = n_complete(study_in(tmp_path))
-    assert before > 10
-    search(study_in(tmp_path), SPACE, bowl, settings(before + 10))
-    assert n_complete(study_in(tmp_path)) == before + 10
 
 
 def test_a_place_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:

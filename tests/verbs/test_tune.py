@@ -144,12 +144,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "o").exists()
 
 
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    words = (QUICKSTART, "--in-sample-only", "--trials", 9)
-    assert "cannot be created" in tune_refuses(*words, "--out", tmp_path / "file")
-
-
 def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) -> None:
     base = f"sqlite:///{tmp_path}/shared.db"
     words = (QUICKSTART, "--trials", 6, "--blocks", BLOCKS, "--storage", base, "--no-figures")
@@ -166,6 +160,8 @@ def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) ->
         assert documents[0][key] == documents[1][key]
     line = tune_refuses(*words, "--out", tmp_path / "there", "-p", "p1=0.9")
     assert "holds another study" in line
+    assert tune(*words, "--out", tmp_path / "here", "--jobs", 1, "--trials", 8).exit_code == 0
+    assert {len(s.trials) for s in studies_of(base)} == {8}
 
 
 def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
