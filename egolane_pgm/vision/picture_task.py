@@ -30,7 +30,7 @@ from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.scoring.bootstrap import bootstrap_interval
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.line_places import LINE_SCORES, line_counts
-from egolane_pgm.tools.files import in_home, plain
+from egolane_pgm.tools.files import plain
 from egolane_pgm.tuning.objective import DETECTOR, split
 from egolane_pgm.tuning.plan import Pictures, Plan
 from egolane_pgm.tuning.search import Score
@@ -125,7 +125,7 @@ def load_labelled(plan: Plan) -> Labelled:
     detector = find_detector(given.detector, given.detector_parameters, folder, f"{where}.detector")
     files = []
     for key in ("camera", "labels"):
-        files.append(folder / in_home(getattr(given, key)))
+        files.append(folder / Path(getattr(given, key)).expanduser())
         if not files[-1].is_file():
             raise InputError(f"{where}.{key}: no file {files[-1]}")
     camera_file, labels = files

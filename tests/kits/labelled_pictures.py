@@ -19,26 +19,6 @@ BOUNDS = {"detector.least_contrast": [0.005, 0.5], "detector.least_score": [0.02
 ROWS = list(range(150, CAMERA.height, 5))
 
 
-def write_labelled(folder: Path) -> Path:
-    """Labels of three pictures, which are beside them, and the camera."""
-    entries = []
-    (folder / "pics").mkdir()
-    far = np.geomspace(2, 300, 3000)[::-1]
-    for k in range(3):
-        name = f"pics/frame_{k:06d}.png"
-        cv2.imwrite(str(folder / name), road())
-        lanes = []
-        for offset in OFFSETS:
-            u, v = road_to_image(CAMERA, far, offset)
-            columns = np.interp(ROWS, v, u)
-            lanes.append([u if 0 <= u < CAMERA.width else -2 for u in columns.round(2).tolist()])
-        entries.append({"raw_file": name, "lanes": lanes, "h_samples": ROWS})
-    path = folder / "labels.jsonl"
-    path.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
-    write_camera(folder / "cam.yaml", CAMERA)
-    return path
-
-
 def write_stills(folder: Path) -> Path:
     """A tuning file for six labelled stills whose marking is fainter from one to the next."""
     labels = write_labelled(folder)
@@ -61,6 +41,26 @@ def write_picture_plan(path: Path) -> Path:
         "tuning": {"trials": 8, "blocks": 2, "parameters": BOUNDS},
     }
     path.write_text(yaml.safe_dump(content))
+    return path
+
+
+def write_labelled(folder: Path) -> Path:
+    """Labels of three pictures, which are beside them, and the camera."""
+    entries = []
+    (folder / "pics").mkdir()
+    far = np.geomspace(2, 300, 3000)[::-1]
+    for k in range(3):
+        name = f"pics/frame_{k:06d}.png"
+        cv2.imwrite(str(folder / name), road())
+        lanes = []
+        for offset in OFFSETS:
+            u, v = road_to_image(CAMERA, far, offset)
+            columns = np.interp(ROWS, v, u)
+            lanes.append([u if 0 <= u < CAMERA.width else -2 for u in columns.round(2).tolist()])
+        entries.append({"raw_file": name, "lanes": lanes, "h_samples": ROWS})
+    path = folder / "labels.jsonl"
+    path.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
+    write_camera(folder / "cam.yaml", CAMERA)
     return path
 
 
