@@ -214,8 +214,7 @@ def log_evidence_of(drive: Drive, found: Sequence[Found]) -> LogEvidence | None:
         return float(beliefs.log_evidence[kept].sum()), int(np.count_nonzero(kept))
 
     after = [exact(with_found(model, each, experiment)) for each in found]
-    believed = stitched(after) if len(after) > 1 else after[0]
-    return summed(exact(starting(model, experiment))), summed(believed)
+    return summed(exact(starting(model, experiment))), summed(stitched(after))
 
 
 def mean_log_evidence(parts: Sequence[LogEvidence | None]) -> tuple[float, float] | None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, Self, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.scoring.checks import as_belief
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
@@ -33,6 +34,7 @@ class Labelled(Protocol):
 
 D = TypeVar("D", bound=Labelled)
 P = TypeVar("P")
+N = TypeVar("N", bound=np.generic)
 
 
 @dataclass(frozen=True)
@@ -113,10 +115,17 @@ def held_out(
     return HeldOut(stitched(beliefs), block, tuple(parameters))
 
 
-def stitched(beliefs: Sequence[Beliefs]) -> Beliefs:
-    """Block b of the b-th beliefs, for each of B beliefs of the same K frames."""
-    kept = [
-        each.take(part)
-        for each, part in zip(beliefs, blocks(len(beliefs[0]), len(beliefs)), strict=True)
-    ]
-    return Beliefs.joined(kept)
+def stitched(each: Sequence[Beliefs]) -> Beliefs:
+    """Block b of the b-th beliefs, for each of B beliefs of the same K frames; one is for all."""
+    if len(each) == 1:
+        return each[0]
+    parts = blocks(len(each[0]), len(each))
+    return Beliefs.joined([mine.take(part) for mine, part in zip(each, parts, strict=True)])
+
+
+def stitched_rows(each: Sequence[NDArray[N]]) -> NDArray[N]:
+    """As `stitched`, of arrays (K, ...) with a row per frame."""
+    if len(each) == 1:
+        return each[0]
+    parts = blocks(len(each[0]), len(each))
+    return np.concatenate([rows[part] for rows, part in zip(each, parts, strict=True)])

@@ -4,7 +4,7 @@ grid, or a loop of your own."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,8 +14,13 @@ from egolane_pgm.drive import load_drive
 from egolane_pgm.experiment import Given, Overrides, Tuning, load_experiment
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.scoring.confusion import is_maximised
-from egolane_pgm.tuning.objective import DETECTOR, check_filter, check_objective, detector_of
-from egolane_pgm.tuning.plan import Plan, Problem, problem_of, scorer
+from egolane_pgm.tuning.objective import (
+    DETECTOR,
+    check_filter,
+    check_objective,
+    searched_of_detector,
+)
+from egolane_pgm.tuning.plan import Problem, plan_of, problem_of, scorer
 from egolane_pgm.tuning.search import Score
 from egolane_pgm.tuning.space import Dimension, Point, distributions
 from egolane_pgm.types import InputError, not_one_of, suggestion
@@ -119,8 +124,7 @@ def objective(
     tuning = tuning.model_copy(update={"objective": (name,), "sampler": None})
     check_filter(chosen)
     drive = load_drive(chosen, needs_truth="a search needs it", read=read)
-    plan = Plan(chosen.name, chosen.description, (drive.experiment,), tuning, chosen.source)
-    problem = problem_of(plan, [drive])
+    problem = problem_of(replace(plan_of(drive.experiment), tuning=tuning), [drive])
     first, stop = frames
     ids = drive.truth.frame_id
     is_used = np.full(len(ids), True) if first is None else ids >= first
@@ -130,7 +134,7 @@ def objective(
         raise InputError(f"{chosen.source}: frames {frames}: there is nothing to score in them")
     values = dict(drive.model.parameters)
     if any(d.parameter.startswith(DETECTOR) for d in problem.space.dimensions):
-        values |= {DETECTOR + k: v for k, v in detector_of(chosen).parameters.items()}
+        values |= searched_of_detector(chosen)[1]
     start = {d.key: _start(d, values[d.parameter]) for d in problem.space.dimensions}
     return Objective(problem, start, scorer(problem, [is_used]))
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.drive import Drive, belief_of, load_recording
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.parameters import Value
+from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
@@ -23,7 +23,6 @@ from egolane_pgm.types import (
     IntArray,
     suggestion,
 )
-from egolane_pgm.vision.detectors.runner import Detector, find_detector
 
 #: Scores of a belief: smaller is better.
 BELIEF_SCORES = (
@@ -64,17 +63,12 @@ def check_filter(experiment: Experiment) -> None:
         )
 
 
-def detector_of(experiment: Experiment) -> Detector:
-    """Return the experiment's detector. Raises InputError for a recording without one."""
-    name = experiment.recording.detector
-    if name is None:
-        raise InputError(
-            f"{experiment.source}: tuning.search: detector: the recording has none; it goes with"
-            " pictures or a video and recording.detector"
-        )
-    where = f"{experiment.source}: recording.detector"
-    given = experiment.recording.detector_parameters
-    return find_detector(name, given, experiment.folder, where)
+def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[str, Value]]:
+    """The parameters of an experiment's detector, and their values, as a search names them. Raises
+    InputError for a recording without one."""
+    from egolane_pgm.vision import picture_task
+
+    return picture_task.searched(picture_task.detector_of(experiment))
 
 
 def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:

@@ -6,7 +6,8 @@
     tuning: {trials: 3000, parameters: {p1: 0.9}}
 
 With several experiments one parameter set is searched for all of them, each with equal weight.
-A tuning file with `pictures:` searches a detector's parameters on labelled pictures (`pictures`).
+A tuning file with `pictures:` searches a detector's parameters on labelled pictures; see
+`vision.picture_task`.
 """
 
 from __future__ import annotations
@@ -16,11 +17,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from pydantic import Field, field_validator
 
-from egolane_pgm.drive import Drive, load_drive
+from egolane_pgm.drive import Drive, check_sources, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
@@ -38,11 +39,10 @@ from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.tuning.objective import (
-    DETECTOR,
     check_filter,
     check_objective,
-    detector_of,
     scores_of,
+    searched_of_detector,
     shared_specs,
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
@@ -51,8 +51,6 @@ from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, not_one
 
 #: Trials of a study on labelled pictures: each looks at all of them.
 PICTURE_TRIALS = 200
-
-AnyPlan = TypeVar("AnyPlan", bound="Plan | PicturePlan")
 
 
 class _File(Section):
@@ -145,12 +143,13 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study to do: which experiments are tuned together, and how.
+    """A study to do: which experiments are tuned together, or on which pictures, and how.
 
     - tuning: the settings of the search.
     - source: the YAML, for messages.
     - fleet: where the experiments are one on each drive of a fleet; all frames count alike then,
       and else all experiments.
+    - pictures: labelled ones, instead of experiments.
     """
 
     name: str
@@ -159,51 +158,29 @@ class Plan:
     tuning: Tuning
     source: str
     fleet: Fleet | None = None
+    pictures: Pictures | None = None
 
     @property
     def settings(self) -> Settings:
         """How the study is run, checked."""
-        where = f"{self.source}: tuning.objective"
-        names = tuple(check_objective(name, where) for name in self.tuning.objective)
-        return _settings(self.tuning, names, TRIALS, self.source)
+        given, where = self.tuning.objective, f"{self.source}: tuning"
+        if self.pictures is None:
+            names = tuple(check_objective(name, f"{where}.objective") for name in given)
+        else:
+            names = ("line_f1",) if given == Tuning().objective else given
+            for name in names:
+                if name not in LINE_SCORES:
+                    raise InputError(f"{where}.objective: {not_one_of(name, list(LINE_SCORES))}")
+        if len(set(names)) < len(names):
+            raise InputError(f"{where}.objective: a score is named twice")
+        sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
+        trials = TRIALS if self.pictures is None else PICTURE_TRIALS
+        return Settings(names, sampler, self.tuning.trials or trials, self.tuning.seed)
 
     @property
     def run(self) -> int | None:
         """The paper's run that is tuned, if it is one."""
         return paper_run(self.experiments[0]) if len(self.experiments) == 1 else None
-
-
-@dataclass(frozen=True)
-class PicturePlan:
-    """A search of a detector's parameters on labelled pictures to do; as `Plan`.
-
-    - folder: the folder of the YAML, where relative paths start.
-    """
-
-    name: str
-    description: str
-    pictures: Pictures
-    tuning: Tuning
-    folder: Path
-    source: str
-
-    @property
-    def settings(self) -> Settings:
-        """How the study is run, checked."""
-        given = self.tuning.objective
-        names = ("line_f1",) if given == Tuning().objective else given
-        for name in names:
-            if name not in LINE_SCORES:
-                known = not_one_of(name, list(LINE_SCORES))
-                raise InputError(f"{self.source}: tuning.objective: {known}")
-        return _settings(self.tuning, names, PICTURE_TRIALS, self.source)
-
-
-def _settings(tuning: Tuning, names: tuple[str, ...], trials: int, source: str) -> Settings:
-    if len(set(names)) < len(names):
-        raise InputError(f"{source}: tuning.objective: a score is named twice")
-    sampler = check_sampler(tuning.sampler, names, f"{source}: tuning.sampler")
-    return Settings(names, sampler, tuning.trials or trials, tuning.seed)
 
 
 @dataclass(frozen=True)
@@ -233,33 +210,31 @@ class Problem:
         return [(k,) for k in range(len(self.drives))]
 
 
-def read_plan(path: str | Path, overrides: Overrides = ()) -> Plan | PicturePlan:
-    """Read an experiment, or a tuning file of either kind. Raises InputError as `load_plan`."""
-    path = experiment_path(path)
-    content = load_yaml(path, overrides)
-    if "pictures" not in content:
-        return load_plan(path, overrides)
-    found = validated(PictureTuningFile, content, str(path))
-    given = found.name, found.description, found.pictures, found.tuning
-    return PicturePlan(*given, path.parent, str(path))
-
-
 def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
-    """Read an experiment or a tuning file of experiments. Raises InputError, one line, as
+    """Read an experiment, or a tuning file of either kind. Raises InputError, one line, as
     `load_experiment`."""
     path = experiment_path(path)
     content = load_yaml(path, overrides)
+    if "pictures" in content:
+        seen = validated(PictureTuningFile, content, str(path))
+        given = seen.name, seen.description, (), seen.tuning, str(path)
+        return Plan(*given, pictures=seen.pictures)
     if "experiments" not in content:
-        experiment = make_experiment(content, path.parent, str(path))
-        tuning = experiment.tuning or Tuning()
-        return Plan(experiment.name, experiment.description, (experiment,), tuning, str(path))
-    given = validated(TuningFile, content, str(path))
+        return plan_of(make_experiment(content, path.parent, str(path)))
+    named = validated(TuningFile, content, str(path))
     found = []
     with all_problems() as part:
-        for entry in given.experiments:
+        for entry in named.experiments:
             with part(), problems_in(f"{path}: experiments"):
                 found.append(load_experiment(path.parent / entry))
-    return Plan(given.name, given.description, tuple(found), given.tuning, str(path))
+    return Plan(named.name, named.description, tuple(found), named.tuning, str(path))
+
+
+def plan_of(experiment: Experiment) -> Plan:
+    """The plan of an experiment by itself, with its own `tuning` section."""
+    tuning = experiment.tuning or Tuning()
+    name, said, source = experiment.name, experiment.description, experiment.source
+    return Plan(name, said, (experiment,), tuning, source)
 
 
 def paper_plans(numbers: Sequence[int]) -> list[Plan]:
@@ -269,7 +244,11 @@ def paper_plans(numbers: Sequence[int]) -> list[Plan]:
 
 
 def together(plans: Sequence[Plan]) -> Plan:
-    """One plan for the experiments of several; the tuning section is the first one's."""
+    """One plan for the experiments of several; the tuning section is the first one's. Raises
+    InputError for labelled pictures."""
+    for plan in plans:
+        if plan.pictures is not None:
+            raise InputError(f"{plan.source}: together: does not go with labelled pictures")
     names = [plan.name for plan in plans]
     return Plan(
         "+".join(names) if len("+".join(names)) < 100 else f"{names[0]}+{len(names) - 1}",
@@ -280,7 +259,7 @@ def together(plans: Sequence[Plan]) -> Plan:
     )
 
 
-def with_options(plan: AnyPlan, options: Mapping[str, Any]) -> AnyPlan:
+def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
     """Replace settings of a plan's search.
 
     - options: keys of the `tuning` section; those that are None stay as they are, `parameters` are
@@ -329,9 +308,13 @@ def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
     return Problem(plan, plan.settings, tuple(drives), spaces)
 
 
-def check_plan(plan: Plan) -> int:
-    """Check a plan without reading a recording, and return how many numbers it searches. Raises
-    InputError as `make_problem` does, for all that shows so early."""
+def check_plan(plan: Plan) -> str:
+    """Check a plan without reading a recording or looking at a picture; return what it has in a few
+    words. Raises InputError as its search would, for all that shows so early."""
+    if plan.pictures is not None:
+        from egolane_pgm.vision import picture_task
+
+        return picture_task.check(plan)
     spaces = []
     with all_problems() as part:
         with part():
@@ -340,8 +323,10 @@ def check_plan(plan: Plan) -> int:
             with part():
                 check_filter(experiment)
                 spaces.append(_space(plan, experiment, prepare_model(experiment)))
+            with part():
+                check_sources(experiment)
     _check_alike(plan.experiments, spaces)
-    return len(spaces[0])
+    return f"{len(plan.experiments)} experiment(s), {len(spaces[0])} numbers searched"
 
 
 def check_tuning(experiment: Experiment, model: Model) -> None:
@@ -350,7 +335,7 @@ def check_tuning(experiment: Experiment, model: Model) -> None:
     tuning = experiment.tuning
     if tuning is None:
         return
-    plan = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
+    plan = plan_of(experiment)
     with all_problems() as part:
         with part():
             _ = plan.settings
@@ -381,12 +366,9 @@ def _space(plan: Plan, experiment: Experiment, model: Model) -> SearchSpace:
     ]
     current = dict(model.parameters)
     if "detector" in searched:
-        detector = detector_of(experiment)
-        specs += [
-            replace(spec, name=DETECTOR + spec.name)
-            for spec in getattr(detector.module, "PARAMETERS", ())
-        ]
-        current |= {DETECTOR + name: value for name, value in detector.parameters.items()}
+        of_detector, values = searched_of_detector(experiment)
+        specs += of_detector
+        current |= values
     return make_space(specs, current, plan.tuning.parameters, model.n_lanes, where)
 
 
@@ -429,8 +411,7 @@ def starting_points(problem: Problem) -> tuple[list[Point], list[str]]:
         named.append(("current", drive.model.parameters))
     if "detector" in problem.plan.tuning.search:
         # The detector's values are those of the first recording; with one recording, its own.
-        own = detector_of(problem.drives[0].experiment).parameters
-        seen = {DETECTOR + name: value for name, value in own.items()}
+        _, seen = searched_of_detector(problem.drives[0].experiment)
         named = [(which, {**parameters, **seen}) for which, parameters in named]
     points: list[Point] = []
     notes = []

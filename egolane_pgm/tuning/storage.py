@@ -126,7 +126,9 @@ def check_study(storage: BaseStorage, name: str, identity: Mapping[str, Any]) ->
     if not study.get_trials(deepcopy=False) and not study.user_attrs:
         # Whoever began it was stopped at once.
         return
-    unlike = differences(study.user_attrs.get("identity", {}), identity)
+    # Studies without a part once had the number of trials among it, which may grow.
+    before = {k: v for k, v in study.user_attrs.get("identity", {}).items() if k != "trials"}
+    unlike = differences(before, identity)
     if unlike:
         raise InputError(
             f"study {name}: the storage holds another study of this name ({'; '.join(unlike[:5])});"

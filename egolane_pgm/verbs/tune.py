@@ -9,19 +9,18 @@ from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from annotated_types import Ge
 from joblib import cpu_count
 
 from egolane_pgm.comparing.placing import parts_of_fleet
 from egolane_pgm.drive import as_name
-from egolane_pgm.experiment import Given, Overrides, Tuning, load_experiment
+from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.fleet import drives_of, experiments_of
 from egolane_pgm.paper import Runs, parse_runs
 from egolane_pgm.tools.files import temporary_folder
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.tuning import pictures as on_pictures
 from egolane_pgm.tuning import plan as planning
 from egolane_pgm.tuning import study as studies
 from egolane_pgm.tuning.result import One, Study
@@ -48,12 +47,6 @@ EXAMPLES = (
     "egolane tune experiments/quickstart.yaml -p sigma1=[0.1,0.5] --sampler tpe --workers 2",
     "egolane tune experiments/quickstart.yaml --fleet drives.csv --by-tag weather",
 )
-
-T = TypeVar("T")
-
-#: What is searched on: recordings, or labelled pictures.
-AnyPlan = planning.Plan | planning.PicturePlan
-Search = studies.Search | on_pictures.PictureSearch
 
 
 def tune(
@@ -152,19 +145,19 @@ def tune(
                 "fleet: its drives are tuned together, and held out whole; leave out runs, together"
                 " and whole_recordings"
             )
-        plans = [on_fleet(p, fleet, by_tag, overrides) for p in _of_recordings(plans, "fleet")]
+        plans = [on_fleet(p, fleet, by_tag, overrides) for p in plans]
     elif by_tag is not None:
         raise InputError("by_tag: goes with a fleet")
     if together:
-        plans = [planning.together(_of_recordings(plans, "together"))]
-    if workers is not None:
-        _of_recordings(plans, "workers")
+        plans = [planning.together(plans)]
     _check_names(plans)
     test = None if test_on is None else _plan(test_on, ())
     with (
         nullcontext(Path(path_of(out, "out"))) if out is not None else temporary_folder() as folder
     ):
-        searches = [_prepared(plan, folder, held_out, test, storage) for plan in plans]
+        searches = [
+            studies.prepare(plan, folder / plan.name, held_out, test, storage) for plan in plans
+        ]
         if out is not None:
             _announce(searches)
         try:
@@ -196,28 +189,15 @@ def _held_out(blocks: int | None, *, whole_recordings: bool, in_sample_only: boo
     return "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
 
 
-def _prepared(
-    plan: AnyPlan, folder: Path, held_out: str, test: AnyPlan | None, storage: str | None
-) -> Search:
-    """Read the recordings of a search, and check everything before anything is computed."""
-    place = folder / plan.name
-    if isinstance(plan, planning.PicturePlan):
-        seen = _alike(test, planning.PicturePlan)
-        return on_pictures.prepare(plan, place, held_out, seen, storage)
-    driven = _alike(test, planning.Plan)
-    parts = "recordings" if plan.fleet and held_out != "none" else held_out
-    return studies.prepare(plan, place, parts, driven, storage)
-
-
 def _listed(folders: Sequence[Path]) -> str:
     return ", ".join(map(str, folders[:3])) + (", ..." if len(folders) > 3 else "")
 
 
-def _announce(searches: Sequence[Search]) -> None:
+def _announce(searches: Sequence[studies.Search]) -> None:
     """Say on standard error what is searched, those of equal studies once."""
     alike: dict[str, list[str]] = {}
     for made in searches:
-        for name, space in made.spaces:
+        for name, space in made.task.spaces.items():
             searched, fixed = described(space)
             text = _wrapped(f"{len(space)} numbers are searched", searched)
             text += _wrapped(f"{space.n_fixed} are held fixed", fixed)
@@ -233,19 +213,13 @@ def _wrapped(title: str, items: Sequence[str]) -> str:
     return textwrap.fill(text, line_width(), subsequent_indent="  ").replace("\0", " ") + "\n"
 
 
-def _of_recordings(plans: Sequence[AnyPlan], option: str) -> list[planning.Plan]:
-    """The plans, which must all be of recordings."""
-    for plan in plans:
-        if isinstance(plan, planning.PicturePlan):
-            raise InputError(f"{plan.source}: {option}: does not go with labelled pictures")
-    return [plan for plan in plans if isinstance(plan, planning.Plan)]
-
-
 def on_fleet(
     plan: planning.Plan, fleet: str | os.PathLike[str], by_tag: str | None, overrides: Overrides
 ) -> planning.Plan:
     """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of
     its recording."""
+    if plan.pictures is not None:
+        raise InputError(f"{plan.source}: fleet: does not go with labelled pictures")
     if len(plan.experiments) > 1:
         raise InputError(f"{plan.source}: fleet: goes with one experiment; the table has drives")
     (base,) = plan.experiments
@@ -266,35 +240,25 @@ def on_fleet(
     return replace(found, fleet=planning.Fleet(written, parts, tags, tuple(of)))
 
 
-def _alike(test: AnyPlan | None, kind: type[T]) -> T | None:
-    if test is None or isinstance(test, kind):
-        return test
-    raise InputError(
-        f"{test.source}: test_on: labelled pictures test a search on labelled pictures, and"
-        " recordings one on recordings"
-    )
-
-
-def _plans(experiments: Sequence[Any], runs: Runs | None, overrides: Overrides) -> list[AnyPlan]:
+def _plans(
+    experiments: Sequence[Any], runs: Runs | None, overrides: Overrides
+) -> list[planning.Plan]:
     if bool(experiments) == bool(runs):
         raise InputError("tune: name experiments, or runs of the paper: runs 1-10")
     if runs:
         if overrides:
             raise InputError("overrides: go with an experiment's YAML, not with runs")
-        return list(planning.paper_plans(parse_runs(runs)))
+        return planning.paper_plans(parse_runs(runs))
     return [_plan(given, overrides) for given in experiments]
 
 
-def _plan(given: Any, overrides: Overrides) -> AnyPlan:
+def _plan(given: Any, overrides: Overrides) -> planning.Plan:
     if isinstance(given, (str, os.PathLike)):
-        return planning.read_plan(Path(given), overrides)
-    experiment = load_experiment(given, overrides)
-    tuning = experiment.tuning or Tuning()
-    found = (experiment,)
-    return planning.Plan(experiment.name, experiment.description, found, tuning, experiment.source)
+        return planning.load_plan(Path(given), overrides)
+    return planning.plan_of(load_experiment(given, overrides))
 
 
-def _check_names(plans: Sequence[AnyPlan]) -> None:
+def _check_names(plans: Sequence[planning.Plan]) -> None:
     names = [plan.name for plan in plans]
     for plan in plans:
         if names.count(plan.name) > 1:
@@ -302,11 +266,9 @@ def _check_names(plans: Sequence[AnyPlan]) -> None:
 
 
 def _search_all(
-    searches: Sequence[Search], jobs: Jobs, workers: int | None, progress: bool | None
+    searches: Sequence[studies.Search], jobs: Jobs, workers: int | None, progress: bool | None
 ) -> Study:
-    """Do searches that were prepared, those on labelled pictures last."""
-    driven = [made for made in searches if isinstance(made, studies.Search)]
-    seen = [made for made in searches if isinstance(made, on_pictures.PictureSearch)]
+    """Do searches that were prepared."""
     with bar(None, progress, total=studies.n_trials(searches), unit="trial") as shows:
 
         def advance(label: str, more: int, best: float) -> None:
@@ -314,8 +276,6 @@ def _search_all(
             shows.set_postfix(best=f"{best:.4f}", refresh=False)
             shows.update(more)
 
-        done = list(studies.tune(driven, jobs=jobs, workers=workers, progress=advance))
-        done += [on_pictures.tune(made, jobs=jobs, progress=advance) for made in seen]
-    made: list[Search] = [*driven, *seen]
-    both = zip(made, done, strict=True)
-    return Study(tuple(One(study, each.trials, each.experiments) for each, study in both))
+        done = studies.tune(searches, jobs=jobs, workers=workers, progress=advance)
+    both = zip(searches, done, strict=True)
+    return Study(tuple(One(study, made.trials, made.experiments) for made, study in both))

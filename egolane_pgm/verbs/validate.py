@@ -8,8 +8,7 @@ from typing import Annotated, Any
 from egolane_pgm.drive import check_sources
 from egolane_pgm.experiment import Overrides, experiment_path, load_experiment, load_yaml
 from egolane_pgm.model import prepare_model
-from egolane_pgm.tuning.pictures import make_problem
-from egolane_pgm.tuning.plan import PicturePlan, check_plan, check_tuning, load_plan, read_plan
+from egolane_pgm.tuning.plan import check_plan, check_tuning, load_plan
 from egolane_pgm.types import all_problems
 from egolane_pgm.verbs.given import Option, StrPath, path_of, several_of
 
@@ -47,20 +46,8 @@ def says(done: Mapping[str, str], given: Mapping[str, Any]) -> str:
 
 def _has(path: str, overrides: Overrides) -> str:
     keys = load_yaml(experiment_path(path), overrides)
-    if "pictures" in keys:
-        seen = read_plan(path, overrides)
-        assert isinstance(seen, PicturePlan)
-        problem = make_problem(seen)
-        return f"{len(problem.clips)} labelled pictures, {len(problem.space)} numbers searched"
-    if "experiments" in keys:
-        plan = load_plan(path, overrides)
-        with all_problems() as part:
-            with part():
-                n_searched = check_plan(plan)
-            for each in plan.experiments:
-                with part():
-                    check_sources(each)
-        return f"{len(plan.experiments)} experiment(s), {n_searched} numbers searched"
+    if "pictures" in keys or "experiments" in keys:
+        return check_plan(load_plan(path, overrides))
     experiment = load_experiment(path, overrides)
     with all_problems() as part:
         with part():

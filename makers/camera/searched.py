@@ -16,11 +16,11 @@ import yaml
 
 import egolane_pgm as ego
 from egolane_pgm.scoring.line_places import LINE_SCORES
-from egolane_pgm.tuning import pictures as on_pictures
-from egolane_pgm.tuning.plan import PicturePlan, read_plan
+from egolane_pgm.tuning.plan import load_plan
 from egolane_pgm.views.study_tables import importance_line, score_rows
 from egolane_pgm.views.tables import markdown
 from egolane_pgm.vision.camera.model import write_camera
+from egolane_pgm.vision.picture_task import counts_of, load_labelled
 from makers.camera import tusimple
 from makers.camera._following import data_folder
 
@@ -60,11 +60,9 @@ def plan(folder: Path, detector: str, labels: Path, name: str, **pictures: Any) 
 
 def as_they_are(path: Path) -> list[float]:
     """F1, recall and precision with the detector's defaults."""
-    given = read_plan(path)
-    assert isinstance(given, PicturePlan)
-    problem = on_pictures.make_problem(given)
-    point = {f"detector.{key}": problem.detector.parameters[key] for key in RANGES}
-    counts = on_pictures.counts_of(problem, point).sum(axis=0)
+    seen = load_labelled(load_plan(path))
+    point = {f"detector.{key}": seen.detector.parameters[key] for key in RANGES}
+    counts = counts_of(seen, point).sum(axis=0)
     return [float(score(counts)) for score in LINE_SCORES.values()]
 
 

@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.tuning.identity import identity_of
 from egolane_pgm.tuning.objective import all_used
 from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, scorer
 from egolane_pgm.tuning.search import Settings, search, search_in_memory
@@ -74,7 +73,7 @@ def _kept(
     score = scorer(problem, all_used(problem.drives))
 
     def run() -> None:
-        study = open_study(open_storage(url, folder), "bench", settings, identity_of(problem))
+        study = open_study(open_storage(url, folder), "bench", settings, {})
         search(study, problem.space, score, settings)
 
     return run

@@ -14,9 +14,10 @@ from egolane_pgm.drive import Drive, belief_of
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
 from egolane_pgm.scoring.probabilistic import brier, log_loss
-from egolane_pgm.tuning.nested import assess, beliefs_at, difference, without_part
+from egolane_pgm.tuning.assess import assess, difference
 from egolane_pgm.tuning.objective import all_used, scores_of
 from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, with_options
+from egolane_pgm.tuning.recording_task import beliefs_at, without_part
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.tune import on_fleet
 from tests.kits.drives import done, refused
@@ -91,7 +92,7 @@ def test_scores_of_a_fleet_are_those_of_all_its_frames(tmp_path: Path) -> None:
 def test_a_part_is_searched_for_without_its_drives(tmp_path: Path) -> None:
     whole = problem(tmp_path, by_tag="weather")
     assert [list(part) for part in whole.parts] == [[0, 2], [1, 3]]
-    smaller, _ = without_part(whole, 0, by_recording=True)
+    smaller, _ = without_part(whole, 0, whole=True)
     assert [drive.experiment.name for drive in smaller.drives] == ["b", "d"]
     assert len(smaller.spaces) == 2
     three = problem(tmp_path, blocks=3)
@@ -113,7 +114,7 @@ def test_a_fleet_is_searched_and_goes_on(tmp_path: Path, jobs: int) -> None:
     # Drives are scored with what was found without them.
     whole = problem(tmp_path, by_tag="weather")
     for part, study in enumerate(found["held_out"]["studies"]):
-        beliefs = beliefs_at(whole, study["point"])
+        beliefs = beliefs_at(whole, [study["point"]])
         for k in whole.parts[part]:
             drive = whole.drives[k]
             right = assess([drive], [beliefs[k]], all_used([drive]))["accuracy"]

@@ -16,22 +16,29 @@ from egolane_pgm.scoring.bootstrap import (
     confusion_counts,
     resampled_sums,
 )
-from egolane_pgm.scoring.confusion import accuracy, confusion
+from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.scoring.held_out import blocks
-from egolane_pgm.tuning import study as studies
+from egolane_pgm.tuning.assess import assess, difference
 from egolane_pgm.tuning.nested import (
-    assess,
-    beliefs_at,
-    beliefs_held_out,
+    Nested,
     blocks_lacking_lanes,
-    difference,
-    run_nested,
-    settings_without,
-    without_part,
+    nested_search,
+    settings_of_part,
 )
 from egolane_pgm.tuning.objective import all_used
 from egolane_pgm.tuning.plan import Plan, Problem, make_problem, together, with_options
+from egolane_pgm.tuning.recording_task import beliefs_at, without_part
 from tests.kits.tuning_kit import BLOCKS, plan, problem
+
+
+def run_nested(found: Problem, part: int, whole: bool = False) -> Nested:
+    return nested_search(*without_part(found, part, whole), part)
+
+
+def current(found: Problem) -> list[dict[str, Any]]:
+    """The point of the experiment's own values."""
+    parameters = found.drives[0].model.parameters
+    return [{key: parameters[key] for key in found.space.keys}]
 
 
 def with_labels(found: Problem, lanes: list[Any]) -> Problem:
@@ -46,7 +53,7 @@ def scrambled(found: Problem, part: int, seed: int) -> Problem:
     """The labels of a block, and of the frames that are never fitted, at random."""
     rng = np.random.default_rng(seed)
     lanes = []
-    for drive, seen in zip(found.drives, without_part(found, part, False)[1], strict=True):
+    for drive, seen in zip(found.drives, without_part(found, part)[1], strict=True):
         lane = drive.truth.lane.copy()
         lane[~seen] = rng.integers(1, drive.n_lanes + 1, size=(~seen).sum())
         lanes.append(lane)
@@ -58,13 +65,13 @@ def scrambled(found: Problem, part: int, seed: int) -> Problem:
 def test_nothing_of_a_block_influences_its_study(part: int, objective: str) -> None:
     trials = 90 if objective == "accuracy" else 35
     found = problem(trials=trials, objective=(objective,), never_fit=((1000, 1020), (1150, None)))
-    honest = run_nested(found, part, False)
+    honest = run_nested(found, part)
     for seed in (1, 2):
-        assert run_nested(scrambled(found, part, seed), part, False) == honest
-    seen = without_part(found, part, False)[1][0]
+        assert run_nested(scrambled(found, part, seed), part) == honest
+    seen = without_part(found, part)[1][0]
     upside = found.drives[0].truth.lane.copy()
     upside[seen] = found.drives[0].n_lanes + 1 - upside[seen]
-    assert run_nested(with_labels(found, [upside]), part, False) != honest
+    assert run_nested(with_labels(found, [upside]), part) != honest
 
 
 def test_known_values_are_not_told_to_a_nested_study() -> None:
@@ -75,34 +82,19 @@ def test_known_values_are_not_told_to_a_nested_study() -> None:
         found.drives[0],
         model=replace(found.drives[0].model, parameters={**current, "sigma1": 0.123, "p1": 0.321}),
     )
-    first = run_nested(replace(found, drives=(same,)), 0, False)
-    assert run_nested(replace(found, drives=(other,)), 0, False) == first
+    first = run_nested(replace(found, drives=(same,)), 0)
+    assert run_nested(replace(found, drives=(other,)), 0) == first
     assert first.point != {key: current[key] for key in found.space.keys}
 
 
 def test_the_stitched_belief_is_each_blocks_own() -> None:
     found = problem(trials=40)
-    nested = [run_nested(found, b, False) for b in range(BLOCKS)]
-    belief = beliefs_held_out(found, nested, False)[0]
+    nested = [run_nested(found, b) for b in range(BLOCKS)]
+    belief = beliefs_at(found, [n.point for n in nested])[0]
     for result, inside in zip(nested, blocks(len(belief), BLOCKS), strict=True):
-        alone = beliefs_at(found, result.point)[0]
+        alone = beliefs_at(found, [result.point])[0]
         np.testing.assert_array_equal(belief[inside], alone[inside])
     assert len({str(n.point) for n in nested}) > 1
-
-
-def test_scores_of_one_recording_are_those_of_validation() -> None:
-    found = problem()
-    drive = found.drives[0]
-    belief = beliefs_at(found, {k: drive.model.parameters[k] for k in found.space.keys})
-    scores = assess([drive], belief, all_used([drive]))
-    assigned = assigned_lane(belief[0])
-    truth = drive.truth
-    matrix = confusion(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-    assert scores["confusion"] == matrix.tolist()
-    counts = confusion_counts(assigned, truth.lane, truth.is_crossing, drive.n_lanes)
-    interval = bootstrap_interval([counts], accuracy)
-    assert scores["accuracy"] == interval.estimate
-    assert scores["intervals"]["accuracy"] == pytest.approx([interval.low, interval.high])
 
 
 def frames_of(found: Problem, part: int) -> list[bool]:
@@ -116,7 +108,7 @@ def test_what_a_study_may_look_at_is_neither_its_part_nor_untrusted() -> None:
     ids = found.drives[0].truth.frame_id
     trusted = ~(((ids >= 1000) & (ids < 1020)) | (ids >= 1150))
     for part in range(BLOCKS):
-        [seen] = without_part(found, part, False)[1]
+        [seen] = without_part(found, part)[1]
         np.testing.assert_array_equal(seen, trusted & ~np.array(frames_of(found, part)))
     two = make_problem(two_drives(never_fit=((1000, 1020), (1150, None))))
     smaller, [first] = without_part(two, 1, True)
@@ -126,7 +118,7 @@ def test_what_a_study_may_look_at_is_neither_its_part_nor_untrusted() -> None:
 
 def test_each_part_is_searched_for_with_a_seed_of_its_own() -> None:
     found = problem()
-    seeds = {settings_without(found, part).seed for part in range(BLOCKS)}
+    seeds = {settings_of_part(found.settings, part).seed for part in range(BLOCKS)}
     assert len(seeds) == BLOCKS
     assert found.settings.seed not in seeds
 
@@ -143,7 +135,7 @@ def rejecting(found: Problem, below: float) -> Problem:
 def test_every_score_is_of_the_frames_that_are_kept_and_the_answers_that_are_given() -> None:
     found = rejecting(problem(), 0.8)
     [drive] = found.drives
-    [belief] = beliefs_at(found, {k: drive.model.parameters[k] for k in found.space.keys})
+    [belief] = beliefs_at(found, current(found))
     keep = np.arange(len(drive)) % 3 != 0
     truth, rows = drive.truth.take(keep), belief[keep]
     scores = assess([drive], [belief], [keep])
@@ -159,7 +151,7 @@ def test_every_score_is_of_the_frames_that_are_kept_and_the_answers_that_are_giv
 def test_a_difference_is_the_first_less_the_second() -> None:
     found = rejecting(problem(), 0.8)
     [drive] = found.drives
-    [belief] = beliefs_at(found, {k: drive.model.parameters[k] for k in found.space.keys})
+    [belief] = beliefs_at(found, current(found))
     worse = 0.6 * belief + 0.4 / drive.n_lanes
     keep = all_used([drive])
     less = difference([drive], [belief], [worse], keep)
@@ -177,7 +169,7 @@ def test_a_difference_is_the_first_less_the_second() -> None:
 
 def test_recordings_count_alike_and_each_is_resampled_by_itself() -> None:
     found = make_problem(two_drives())
-    beliefs = beliefs_at(found, {k: found.drives[0].model.parameters[k] for k in found.space.keys})
+    beliefs = beliefs_at(found, current(found))
     scores = assess(found.drives, beliefs, all_used(found.drives))
     each, drawn = [], []
     for seed, (drive, belief) in enumerate(zip(found.drives, beliefs, strict=True)):
@@ -234,20 +226,11 @@ def test_a_lane_that_is_only_crossed_in_a_block_does_not_occur_in_it() -> None:
     assert note == f"1 of {BLOCKS} blocks lack a lane that is driven (5)"
 
 
-def test_the_difference_of_a_belief_with_itself_is_nothing() -> None:
-    found = problem()
-    drive = found.drives[0]
-    belief = beliefs_at(found, {k: drive.model.parameters[k] for k in found.space.keys})
-    same = difference([drive], belief, belief, all_used([drive]))
-    assert same["accuracy"] == 0
-    assert same["intervals"]["accuracy"] == [0, 0]
-
-
 def test_a_drive_too_short_for_an_interval_has_none() -> None:
     drive = problem().drives[0]
     keep = np.zeros(len(drive), dtype=bool)
     keep[:400] = True
-    belief = beliefs_at(problem(), {k: drive.model.parameters[k] for k in problem().space.keys})
+    belief = beliefs_at(problem(), current(problem()))
     scores = assess([drive], belief, [keep])
     assert scores["intervals"]["accuracy"] is None
     assert 0 < scores["accuracy"] <= 1
@@ -279,70 +262,9 @@ def test_a_whole_recording_is_held_out_without_being_seen() -> None:
     assert run_nested(with_labels(found, lanes), 1, True) == honest
     nested = [run_nested(found, part, True) for part in (0, 1)]
     # Scores of the other recording alone: nothing of the one left out goes into their mean.
-    seen = beliefs_at(found, nested[1].point)[0]
+    seen = beliefs_at(found, [nested[1].point])[0]
     alone = assess(found.drives[:1], [seen], all_used(found.drives[:1]))
     assert nested[1].values == pytest.approx((alone["accuracy"],))
-    beliefs = beliefs_held_out(found, nested, True)
-    np.testing.assert_array_equal(beliefs[0], beliefs_at(found, nested[0].point)[0])
-    np.testing.assert_array_equal(beliefs[1], beliefs_at(found, nested[1].point)[1])
-
-
-def test_a_study_reports_in_sample_and_held_out_and_marks_them(tmp_path: Any) -> None:
-    study = studies.prepare(plan(trials=35, never_fit=((1100, None),)), tmp_path / "s")
-    document = next(iter(studies.tune([study])))
-    assert document["in_sample"]["tuned_on"] == "same_frames"
-    assert document["held_out"]["tuned_on"] == "other_frames"
-    for subset in ("all_frames", "without_never_fit"):
-        inside, outside = document["in_sample"][subset], document["held_out"][subset]
-        lost = document["difference"][subset]["accuracy"]
-        assert lost == pytest.approx(inside["accuracy"] - outside["accuracy"])
-        low, high = inside["intervals"]["accuracy"]
-        assert low <= inside["accuracy"] <= high
-    assert document["in_sample"]["all_frames"]["accuracy"] == pytest.approx(
-        document["best"]["values"]["accuracy"]
-    )
-    scored = [document["held_out"][k]["frames_scored"] for k in ("all_frames", "without_never_fit")]
-    assert scored[0] > scored[1]
-
-
-def test_processes_find_the_same_as_one(tmp_path: Any) -> None:
-    documents = []
-    for jobs in (1, 2):
-        study = studies.prepare(plan(trials=35), tmp_path / str(jobs))
-        documents.append(next(iter(studies.tune([study], jobs=jobs))))
-    one, two = documents
-    for key in ("in_sample", "held_out", "difference"):
-        assert one[key] == two[key]
-    assert one["best"]["point"] == two["best"]["point"]
-
-
-def test_nested_studies_that_are_done_are_not_run_again(
-    tmp_path: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ran = []
-    original = studies.run_nested
-
-    def counted(found: Problem, part: int, *rest: Any, **options: Any) -> Any:
-        if part == 3 and not ran.count(3):
-            ran.append(3)
-            raise KeyboardInterrupt
-        ran.append(part)
-        return original(found, part, *rest, **options)
-
-    monkeypatch.setattr(studies, "run_nested", counted)
-    with pytest.raises(KeyboardInterrupt):
-        list(studies.tune([studies.prepare(plan(trials=35), tmp_path / "s")]))
-    list(studies.tune([studies.prepare(plan(trials=35), tmp_path / "s")]))
-    assert ran == [0, 1, 2, 3, *range(3, BLOCKS)]
-
-
-def test_a_study_is_tested_on_another_drive(tmp_path: Any) -> None:
-    second = replace(two_drives(), experiments=two_drives().experiments[1:], name="second")
-    study = studies.prepare(plan(trials=35), tmp_path / "s", "none", second)
-    document = next(iter(studies.tune([study])))
-    assert document["held_out"] is None
-    assert document["test"]["tuned_on"] == "other_frames"
-    point = document["best"]["point"]
-    other = make_problem(second)
-    expected = assess(other.drives, beliefs_at(other, point), all_used(other.drives))
-    assert document["test"]["all_frames"] == expected
+    beliefs = beliefs_at(found, [n.point for n in nested], whole=True)
+    np.testing.assert_array_equal(beliefs[0], beliefs_at(found, [nested[0].point])[0])
+    np.testing.assert_array_equal(beliefs[1], beliefs_at(found, [nested[1].point])[1])

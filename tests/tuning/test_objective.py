@@ -15,7 +15,6 @@ from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.tuning import objective
 from egolane_pgm.tuning.objective import OF_CHANGES
-from egolane_pgm.tuning.plan import scorer
 from egolane_pgm.tuning.space import to_parameters
 from egolane_pgm.types import InputError
 from tests.kits.tuning_kit import plan, points_at, problem
@@ -156,20 +155,3 @@ def test_never_fit_takes_frame_ids() -> None:
     np.testing.assert_array_equal(np.flatnonzero(~kept)[:10], np.arange(100, 110))
     assert not kept[600:].any()
     assert kept[110:600].all()
-
-
-def test_a_point_is_scored_with_the_parameters_that_it_stands_for() -> None:
-    found = problem()
-    everything = objective.all_used(found.drives)
-    units = np.random.default_rng(3).random((9, len(found.space)))
-    for point in points_at(found.space, units):
-        parameters = to_parameters(found.space, point)
-        expected = objective.scores_of(found.drives, [parameters], everything, ("accuracy",))
-        assert scorer(found, everything)(point) == expected
-
-
-def test_a_drive_without_ground_truth_is_refused() -> None:
-    experiment = problem().drives[0].experiment
-    lines = replace(problem().drives[0].recorded, truth=None)
-    with pytest.raises(InputError, match="ground_truth: is missing, a search needs it"):
-        load_drive(experiment, needs_truth="a search needs it", recorded=lines)

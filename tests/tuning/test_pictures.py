@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import pickle
 import shutil
 from pathlib import Path
 
@@ -15,39 +14,17 @@ from pyarrow import parquet
 
 import egolane_pgm as ego
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.tuning import pictures as on_pictures
-from egolane_pgm.tuning.plan import read_plan
+from egolane_pgm.tuning import study as studies
+from egolane_pgm.tuning.plan import load_plan
+from egolane_pgm.vision import picture_task
+from egolane_pgm.vision.picture_task import counts_of, load_labelled
 from tests.kits.drives import done, refused
-from tests.kits.labelled_pictures import write_labelled
-
-FAINT = (1.0, 0.2, 0.1, 0.07, 0.04, 0.02)
-BOUNDS = {"detector.least_contrast": [0.005, 0.5], "detector.least_score": [0.02, 0.9]}
+from tests.kits.labelled_pictures import BOUNDS, write_picture_plan, write_stills
 
 
 @pytest.fixture(scope="module")
 def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A plan for six labelled stills whose marking is fainter from one to the next."""
-    folder = tmp_path_factory.mktemp("stills")
-    labels = write_labelled(folder)
-    first = json.loads(labels.read_text().splitlines()[0])
-    image = cv2.imread(str(folder / first["raw_file"])).astype(np.float64)
-    with labels.open("w") as file:
-        for k, share in enumerate(FAINT):
-            name = f"pics/frame_{k:06d}.png"
-            grey = np.median(image) + share * (image - np.median(image))
-            cv2.imwrite(str(folder / name), grey.astype(np.uint8))
-            file.write(json.dumps({**first, "raw_file": name}) + "\n")
-    return write_plan(folder / "stills.yaml")
-
-
-def write_plan(path: Path, **tuning: object) -> Path:
-    content = {
-        "name": path.stem,
-        "pictures": {"labels": "labels.jsonl", "camera": "cam.yaml", "detector": "ml"},
-        "tuning": {"trials": 8, "blocks": 2, "parameters": BOUNDS, **tuning},
-    }
-    path.write_text(yaml.safe_dump(content))
-    return path
+    return write_stills(tmp_path_factory.mktemp("stills"))
 
 
 def tuned(plan: Path, *words: object) -> dict:
@@ -56,22 +33,15 @@ def tuned(plan: Path, *words: object) -> dict:
     return json.loads((out / plan.stem / "study.json").read_text())
 
 
-def test_a_study_finds_better_values_and_says_what_they_are_worth_held_out(stills: Path) -> None:
+def test_each_block_is_scored_with_what_was_found_without_it(stills: Path) -> None:
     document = tuned(stills)
     rows = parquet.read_table(stills.parent / "out" / "stills" / "trials.parquet").to_pylist()
     scores = [row["line_f1_in_sample"] for row in rows]
-    assert len(rows) == 8
-    assert max(scores) > min(scores)
-    assert document["best"]["values"]["line_f1"] == max(scores)
-    assert document["in_sample"]["all_frames"]["line_f1"] == max(scores)
-    held_out = document["held_out"]
-    assert held_out["tuned_on"] == "other_frames"
-    assert [study["part"] for study in held_out["studies"]] == [1, 2]
-    # Each block is scored with what was found without it.
-    problem = on_pictures.make_problem(read_plan(stills))
+    assert min(scores) < max(scores) == document["best"]["values"]["line_f1"]
+    held_out, seen = document["held_out"], load_labelled(load_plan(stills))
     counts = np.concatenate(
         [
-            on_pictures.counts_of(problem, study["point"], part)
+            counts_of(seen, study["point"], part)
             for study, part in zip(held_out["studies"], ([0, 1, 2], [3, 4, 5]), strict=True)
         ]
     )
@@ -81,20 +51,14 @@ def test_a_study_finds_better_values_and_says_what_they_are_worth_held_out(still
 
 
 def test_the_block_that_is_held_out_is_not_looked_at(
-    stills: Path, monkeypatch: pytest.MonkeyPatch
+    stills: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    made = studies.prepare(load_plan(stills), tmp_path)
     seen: list[str] = []
-    read = on_pictures.read_image
-    monkeypatch.setattr(on_pictures, "read_image", lambda p: (seen.append(p.name), read(p))[1])
-    on_pictures._without(pickle.dumps(read_plan(stills)), 1)
+    read = picture_task.read_image
+    monkeypatch.setattr(picture_task, "read_image", lambda p: (seen.append(p.name), read(p))[1])
+    studies.run_share(made, 1)
     assert {int(name[6:12]) for name in seen} == {0, 1, 2}
-
-
-def test_the_same_command_goes_on_and_another_search_is_told_apart(stills: Path) -> None:
-    tuned(stills)
-    assert tuned(stills, "--trials", 10)["best"]["trials"] == 10
-    said = refused("tune", stills, "--out", stills.parent / "out", "--seed", 5)
-    assert "the storage holds another study of this name (seed: 0, now 5)" in said
 
 
 def test_what_was_found_is_taken_by_an_experiment(stills: Path) -> None:
@@ -131,10 +95,10 @@ def test_pictures_beside_a_labelled_one_are_a_clip_whose_valid_lines_count(
     for last, valid in ((12, 3), (2, 0)):
         named = {**first, "raw_file": f"clips/one/{last}.png"}
         (tmp_path / "labels.jsonl").write_text(json.dumps(named) + "\n")
-        problem = on_pictures.make_problem(read_plan(write_plan(tmp_path / "clip.yaml")))
-        assert len(problem.clips[0].pictures) == last
+        seen = load_labelled(load_plan(write_picture_plan(tmp_path / "clip.yaml")))
+        assert len(seen.clips[0].pictures) == last
         point = {"detector.least_score": 0.12, "detector.least_contrast": 0.02}
-        [counts] = on_pictures.counts_of(problem, point)
+        [counts] = counts_of(seen, point)
         assert counts.tolist() == [valid, 3, valid, valid]
 
 
@@ -174,10 +138,10 @@ def test_bad_plans_are_refused_in_one_line(
     assert message in refused("tune", path, "--out", stills.parent / "bad")
 
 
-@pytest.mark.parametrize("words", [("--workers", 2), ("--together",), ("--whole-recordings",)])
-def test_what_goes_with_recordings_only_is_refused(stills: Path, words: tuple[object]) -> None:
-    said = refused("tune", stills, "--out", stills.parent / "bad", *words)
-    assert f": {str(words[0]).strip('-').replace('-', '_')}: " in said
+@pytest.mark.parametrize("option", ["--together", "--whole-recordings"])
+def test_what_goes_with_recordings_only_is_refused(stills: Path, option: str) -> None:
+    said = refused("tune", stills, "--out", stills.parent / "bad", option)
+    assert f": {option.strip('-').replace('-', '_')}: " in said
 
 
 def test_a_missing_picture_is_named(stills: Path, tmp_path: Path) -> None:

@@ -101,13 +101,6 @@ def test_a_finished_study_is_not_run_again() -> None:
     assert len(study.trials) == 50
 
 
-def test_scores_have_their_names_and_trials_their_times() -> None:
-    study = search_in_memory(SPACE, bowl, Settings(("f1",), "evolution", 3, 0))
-    assert study.metric_names == ["f1"]
-    assert all(t.datetime_start < t.datetime_complete for t in study.trials)
-    assert study.trials[0].datetime_complete <= study.trials[1].datetime_start
-
-
 def test_evolution_beats_random_on_steps() -> None:
     space = plain_space(7)
 

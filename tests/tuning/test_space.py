@@ -145,32 +145,10 @@ def test_a_reader_is_told_what_is_searched_and_what_is_held_fixed() -> None:
     assert (len(found), found.n_fixed) == (11, 9)
 
 
-def test_bounds_narrow_and_values_fix() -> None:
-    found = space(sigma1=[0.1, 1.0], p1=0.9, bonus_value=[2, 4])
-    ranges = describe(found)
-    assert ranges["searched"]["sigma1"] == [0.1, 1.0]
-    assert ranges["searched"]["bonus_value"] == [2, 4]
-    assert "p1" not in ranges["searched"]
-    assert ranges["fixed"]["p1"] == 0.9
-
-
-def test_what_declares_no_bounds_is_searched_when_given_some() -> None:
-    assert "lane_width_m" not in space().keys
-    assert "lane_width_m" in space(lane_width_m=[3.0, 4.0]).keys
-
-
 def test_a_choice_is_searched_among_the_names_given() -> None:
     found = space(normal=["density", "integral"])
     points = points_at(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
     assert [p["normal"] for p in points] == ["density", "integral"]
-
-
-def test_a_parameter_with_one_value_per_lane_has_a_dimension_per_lane() -> None:
-    specs = declared_parameters(counting, wor_on_lane)
-    found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
-    assert {"p3[1]", "p3[2]", "p3[3]"} <= set(found.keys)
-    point = points_at(found, np.full((1, len(found)), 0.25))[0]
-    assert to_parameters(found, point)["p3"] == pytest.approx((0.25, 0.25, 0.25), abs=1e-5)
 
 
 def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
@@ -197,15 +175,6 @@ def test_a_value_per_lane_that_nobody_declared_bounds_for_is_searched_as_one() -
 def test_what_is_not_searched_keeps_the_value_of_the_experiment() -> None:
     current = {**CURRENT, "wor_noise": 0.2}
     assert make_space(SPECS, current, {}, 3, "x").fixed["wor_noise"] == 0.2
-
-
-def test_optuna_gets_the_same_bounds() -> None:
-    found = distributions(space(normal=["density", "integral"], sigma1=[0.1, 1.0]))
-    assert (found["sigma1"].low, found["sigma1"].high) == (0.1, 1.0)  # type: ignore[attr-defined]
-    whole = found["bonus_value"]
-    assert type(whole).__name__ == "IntDistribution"
-    assert (whole.low, whole.high) == (0, 9)  # type: ignore[attr-defined]
-    assert found["normal"].choices == ("density", "integral")  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(

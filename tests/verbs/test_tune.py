@@ -19,12 +19,12 @@ from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
 
 from egolane_pgm.drive import load_recording
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.experiment import Tuning, load_experiment
 from egolane_pgm.model import prepare_model
 from egolane_pgm.running import run_experiment
 from egolane_pgm.tools.files import write_yaml
-from egolane_pgm.tuning.plan import load_plan, make_problem
-from egolane_pgm.tuning.study_directory import tuned_experiment
+from egolane_pgm.tuning.plan import load_plan, make_problem, paper_plans
+from egolane_pgm.tuning.recording_task import tuned_experiment
 from tests.kits.drives import command, done, refused, rewritten, write_drive, write_experiment
 from tests.kits.labelled_drive import N_LABELLED
 from tests.kits.processes import started
@@ -144,32 +144,6 @@ def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / "o").exists()
 
 
-def test_another_search_space_of_the_same_name_is_refused(tmp_path: Path) -> None:
-    words = (QUICKSTART, "--in-sample-only", "--no-figures", "--trials", 9, "--out", tmp_path)
-    assert tune(*words).exit_code == 0
-    folder = tmp_path / "quickstart"
-    before = {p.name: p.read_bytes() for p in folder.iterdir()}
-    line = tune_refuses(*words, "-p", "p1=0.9")
-    assert "another study of this name" in line
-    assert "p1" in line
-    assert {p.name: p.read_bytes() for p in folder.iterdir()} == before
-
-
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    words = (QUICKSTART, "--in-sample-only", "--trials", 9)
-    assert "cannot be created" in tune_refuses(*words, "--out", tmp_path / "file")
-
-
-def test_workers_share_a_study_and_one_process_may_go_on_with_it(tmp_path: Path) -> None:
-    words = (QUICKSTART, "--in-sample-only", "--out", tmp_path, "--trials")
-    assert tune(*words, 40, "--workers", 2).exit_code == 0
-    assert tune(*words, 50).exit_code == 0
-    table = parquet.read_table(tmp_path / "quickstart" / "trials.parquet").to_pylist()
-    # Each worker finishes what it is at when the total is reached.
-    assert 50 <= len(table) <= 51
-
-
 def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) -> None:
     base = f"sqlite:///{tmp_path}/shared.db"
     words = (QUICKSTART, "--trials", 6, "--blocks", BLOCKS, "--storage", base, "--no-figures")
@@ -186,6 +160,8 @@ def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) ->
         assert documents[0][key] == documents[1][key]
     line = tune_refuses(*words, "--out", tmp_path / "there", "-p", "p1=0.9")
     assert "holds another study" in line
+    assert tune(*words, "--out", tmp_path / "here", "--jobs", 1, "--trials", 8).exit_code == 0
+    assert {len(s.trials) for s in studies_of(base)} == {8}
 
 
 def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
@@ -259,17 +235,12 @@ def test_the_command_itself_is_stopped_and_repeated(
     "path", sorted((EXPERIMENTS / "tuning").glob("*.yaml")), ids=lambda p: p.stem
 )
 def test_every_tuning_file_that_comes_along_is_sound(path: Path) -> None:
-    from egolane_pgm.tuning.plan import load_plan
-
     found = load_plan(path)
     assert found.name == path.stem
     assert found.settings.objectives == ("accuracy",)
 
 
 def test_the_runs_of_the_paper_can_be_searched_by_number() -> None:
-    from egolane_pgm.experiment import Tuning
-    from egolane_pgm.tuning.plan import paper_plans
-
     found = paper_plans(range(1, 11))
     assert [plan.run for plan in found] == list(range(1, 11))
     assert {plan.settings.objectives for plan in found} == {("accuracy",)}
