@@ -43,10 +43,7 @@ def road_scores(
     is_on_map = scored & (truth.lane <= n_lanes) & (assigned <= n_lanes)
     answer = np.where(assigned == UNASSIGNED, UNASSIGNED, n_lanes + 1 - assigned)
     from_right = confusion(
-        answer[is_on_map],
-        (n_lanes + 1 - truth.lane)[is_on_map],
-        truth.is_crossing[is_on_map],
-        most,
+        answer[is_on_map], (n_lanes + 1 - truth.lane)[is_on_map], truth.is_crossing[is_on_map], most
     )
     return {
         "behind_s": BEHIND_S,

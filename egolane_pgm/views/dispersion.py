@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.confusion import check_confusion, confusion
+from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import FloatArray, InputError, IntArray
 from egolane_pgm.views.answers import (
     FAINT,
@@ -26,13 +26,7 @@ from egolane_pgm.views.answers import (
     scored_answers,
     title_of,
 )
-from egolane_pgm.views.style import (
-    axes_at,
-    new_figure,
-    off_colours,
-    put_title,
-    text_colour,
-)
+from egolane_pgm.views.style import axes_at, new_figure, off_colours, put_title, text_colour
 
 # The layout, in inches; and the smallest share that is labelled.
 _WIDTH, _RIGHT, _EDGE, _NAMES = 9.0, 0.25, 0.12, 1.05
@@ -64,13 +58,11 @@ class Group:
 
 
 def dispersion(matrix: IntArray) -> IntArray:
-    """The counts of a bar, (n + 1,), from a confusion matrix (n + 1, n). Raises InputError for
-    another shape."""
-    m = check_confusion(matrix)
-    n = m.shape[1]
+    """The counts of a bar, (n + 1,), from a confusion matrix (n + 1, n)."""
+    n = matrix.shape[1]
     off = np.abs(np.arange(n)[:, None] - np.arange(n))
-    right_or_off = np.bincount(off.ravel(), weights=m[:-1].ravel(), minlength=n)
-    return np.append(right_or_off, m[-1].sum()).astype(np.int64)
+    right_or_off = np.bincount(off.ravel(), weights=matrix[:-1].ravel(), minlength=n)
+    return np.append(right_or_off, matrix[-1].sum()).astype(np.int64)
 
 
 def dispersion_bars(result: Result) -> tuple[Bar, ...]:
