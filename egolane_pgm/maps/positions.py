@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.tools.files import check_name, read_parquet, read_text
+from egolane_pgm.tools.files import read_parquet, read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
 if TYPE_CHECKING:
@@ -130,7 +130,6 @@ def read_positions(
     Raises InputError for another extension, a file that cannot be read, an option that does not go
     with the format, and what `Positions.make` refuses.
     """
-    check_name(path)
     path = Path(path)
     kind = path.suffix.lower()
     read: Any = {

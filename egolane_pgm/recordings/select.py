@@ -7,15 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from egolane_pgm.types import (
-    NOTE,
-    FloatArray,
-    InputError,
-    IntArray,
-    LaneTruth,
-    LineLog,
-    not_one_of,
-)
+from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LaneTruth, LineLog, not_one_of
 
 #: The policies for frame ids that the recording lacks.
 MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")

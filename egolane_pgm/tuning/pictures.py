@@ -29,7 +29,7 @@ from egolane_pgm.parameters import Value
 from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.held_out import blocks
 from egolane_pgm.scoring.line_places import LINE_SCORES, line_counts
-from egolane_pgm.tools.files import in_home, make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning.identity import code_of_detector, search_identity
 from egolane_pgm.tuning.nested import Nested, settings_of_part
@@ -170,7 +170,7 @@ def make_problem(plan: PicturePlan) -> PictureProblem:
 
 
 def _place(plan: PicturePlan, key: str) -> Path:
-    path = plan.folder / in_home(getattr(plan.pictures, key))
+    path = plan.folder / Path(getattr(plan.pictures, key)).expanduser()
     if not path.is_file():
         raise InputError(f"{plan.source}: pictures.{key}: no file {path}")
     return path
