@@ -305,11 +305,7 @@ def _lane_changes(
 
 
 def _lines(
-    lanes: IntArray,
-    left: IntArray,
-    centre: FloatArray,
-    journey: Journey,
-    rng: np.random.Generator,
+    lanes: IntArray, left: IntArray, centre: FloatArray, journey: Journey, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """The lines of all tracks as seen from the car (T, L), metres, NaN where a road has none; and
     the car's distance from the first of them (T,)."""
