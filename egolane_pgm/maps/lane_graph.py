@@ -168,7 +168,7 @@ def save(graph: LaneGraph, path: str | Path) -> None:
 
 
 def load(path: str | Path) -> LaneGraph:
-    """Read a graph that `save` wrote; it comes back as it was. Raises InputError as `read_stored`."""
+    """The graph that `save` wrote, as it was. Raises InputError as `read_stored`."""
     import pyarrow as pa
 
     table = read_stored(path, "lane graph", VERSION, "egolane map FILE.osm")
