@@ -13,13 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import (
-    INTERCHANGE,
-    Experiment,
-    Overrides,
-    make_experiment,
-    overridden,
-)
+from egolane_pgm.experiment import INTERCHANGE, Experiment, Overrides, make_experiment, overridden
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.maps.lanes_from_gnss import Across

@@ -61,15 +61,7 @@ from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
 from egolane_pgm.tools.files import arrow_table, code_checksum, parquet_writer, plain
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import (
-    NOTE,
-    UNASSIGNED,
-    Beliefs,
-    Evidence,
-    FloatArray,
-    InputError,
-    IntArray,
-)
+from egolane_pgm.types import NOTE, UNASSIGNED, Beliefs, Evidence, FloatArray, InputError, IntArray
 
 #: The keys that run.json and scores.json share.
 _SHARED_KEYS = (
@@ -325,12 +317,7 @@ def scores_document(result: Result, drive: Drive) -> dict[str, Any]:
                 answered, of_tracks.lane, unsure, truth.frame_id, rate
             )
             scores["model"]["road"] = road_scores(
-                assigned,
-                truth,
-                road.n_lanes[rows],
-                road.changes,
-                log_frames=rows,
-                frame_rate=rate,
+                assigned, truth, road.n_lanes[rows], road.changes, log_frames=rows, frame_rate=rate
             )
     content = {
         "schema_version": SCHEMA_VERSION,

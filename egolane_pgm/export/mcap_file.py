@@ -26,15 +26,7 @@ from typing import Any
 
 from mcap.writer import Writer
 
-from egolane_pgm.export.drive import (
-    AHEAD_M,
-    BAR_GAP_M,
-    BAR_HEIGHT_M,
-    BARS_M,
-    TRUTH,
-    Colour,
-    Drive,
-)
+from egolane_pgm.export.drive import AHEAD_M, BAR_GAP_M, BAR_HEIGHT_M, BARS_M, TRUTH, Colour, Drive
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import LineLog
 
@@ -260,10 +252,6 @@ _KNOWN: dict[str, tuple[str, Content]] = {
     "/picture": ("foxglove.CompressedImage", {**_picture(0, b""), "data": b""}),
     "/lines": (
         "egolane.lines",
-        {
-            "lines": [
-                {"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None},
-            ]
-        },
+        {"lines": [{"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None}]},
     ),
 }

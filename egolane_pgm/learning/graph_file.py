@@ -104,10 +104,7 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
         "tables": {
             name: _rows(by_node[name, 1], digits)
             if compiled.has_one_table(name)
-            else {
-                "first": _rows(by_node[name, 0], digits),
-                "next": _rows(by_node[name, 1], digits),
-            }
+            else {"first": _rows(by_node[name, 0], digits), "next": _rows(by_node[name, 1], digits)}
             for name in names
             if name not in compiled.inputs
         },

@@ -232,11 +232,7 @@ def _weighted(exponent: float, weights: FloatArray) -> FloatArray:
 
 
 def fit(
-    log: LineLog,
-    lane: IntArray,
-    is_used: BoolArray,
-    n_lanes: int,
-    parameters: Parameters,
+    log: LineLog, lane: IntArray, is_used: BoolArray, n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
     """Learns the parameters `LEARNED` from frames whose lane is known.
 
