@@ -160,7 +160,7 @@ def believe(drive: Drive) -> Believed:
     if experiment.decode == "viterbi":
         path = viterbi(model.compiled, filtered, frame_id=log.frame_id)
         assigned = path.lane
-        notes += filter(None, [disagreement(path, beliefs).warning])
+        notes += filter(None, [disagreement(path, beliefs)])
     else:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])

@@ -45,9 +45,6 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
-#: A transition or emission array with more entries than this (512 MiB) is refused.
-MAX_ENTRIES = 2**26
-
 
 @dataclass(frozen=True)
 class Group:
@@ -413,7 +410,7 @@ def _compile(
     cardinality = {name: t.values.shape[-1] for (name, s), t in tables.items() if s == 0}
     nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
     functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
-    _check_size(cardinality, hidden, observed, inputs, state)
+    _check_size(cardinality, hidden, state)
     node_value = _value_of(state, cardinality)
     n_states = _count(state, cardinality)
     for name in functions:
@@ -446,15 +443,8 @@ _NOT_PLAIN = "an edge across the slices, an input, a carried child or another fi
 
 
 def _check_size(
-    cardinality: Mapping[str, int],
-    hidden: Sequence[str],
-    observed: Sequence[Observed],
-    inputs: Sequence[str],
-    state: Sequence[str],
+    cardinality: Mapping[str, int], hidden: Sequence[str], state: Sequence[str]
 ) -> None:
-    def sizes(names: Iterable[str]) -> str:
-        return " x ".join(f"{n} {cardinality[n]}" for n in names)
-
     if not state:
         raise InputError(
             f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
@@ -463,22 +453,10 @@ def _check_size(
     if n_states > MAX_STATES:
         seen = [n for n in state if n not in hidden]
         why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
+        sizes = " x ".join(f"{n} {cardinality[n]}" for n in state)
         raise InputError(
-            f"the joint state has {n_states} values ({sizes(state)}), more than {MAX_STATES}{why}"
+            f"the joint state has {n_states} values ({sizes}), more than {MAX_STATES}{why}"
         )
-    n_inputs = _count(inputs, cardinality)
-    if n_inputs * n_states**2 > MAX_ENTRIES:
-        raise InputError(
-            f"the transition has {n_inputs} x {n_states} x {n_states} entries"
-            f" ({sizes((*inputs, *state))}), more than {MAX_ENTRIES}"
-        )
-    for key in observed:
-        of = _names(key)
-        if n_states * _count(of, cardinality) > MAX_ENTRIES:
-            raise InputError(
-                f"{', '.join(of)}: {sizes(of)} values for {n_states} joint states are more than"
-                f" {MAX_ENTRIES} entries"
-            )
 
 
 def _count(nodes: Iterable[str], cardinality: Mapping[str, int]) -> int:
