@@ -146,20 +146,17 @@ def compile(
     observed: Sequence[Observed],
     hidden: Sequence[str] | None = None,
     inputs: Sequence[str] = (),
-    transition: Sequence[Any] | None = None,
     values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
     """Turn a pgmpy network into the arrays that the filters take.
 
     - network: a `DynamicBayesianNetwork`, before or after `initialize_initial_state()`; a
-      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`, or of one
-      slice; or the name of a BIF or XMLBIF file of either.
+      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`; or the name
+      of a BIF or XMLBIF file of such.
     - observed: the nodes, or tuples of nodes, that there is evidence of.
     - hidden: the nodes that beliefs are about, by default all that are neither observed nor inputs,
       and Lane in any case.
     - inputs: nodes without parents whose value is known in every frame.
-    - transition: for a network of one slice, pgmpy's `TabularCPD`s of (name, 1) given (name, 0) and
-      (name, 1).
     - values: names of nodes' values, in place of those that the network gives. Where neither gives
       any, those of LANES count from 1 and those of any other node from 0.
 
@@ -190,7 +187,7 @@ def compile(
         if isinstance(given, str):
             raise InputError(f"{what}: needs a list of nodes, e.g. [{given!r}]")
     observed = [key if isinstance(key, str) else tuple(key) for key in observed]
-    declared = read_network(network, transition)
+    declared = read_network(network)
     if hidden is None:
         others = {*inputs, *map(ve_name, observed)}
         others |= {n for key in observed for n in _names(key)}

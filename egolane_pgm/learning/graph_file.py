@@ -74,7 +74,7 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 
 
 def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[str, Any]:
-    """The keys of a YAML graph with the nodes and edges of the model's graph and its tables.
+    """The keys of a YAML graph with the nodes of the model's graph and its tables.
 
     It is for the model's number of lanes only, and has no parameters.
 
@@ -83,11 +83,6 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
     compiled, roles = model.compiled, model.roles
     by_node = compiled.tables
     names = list(dict.fromkeys(name for name, _ in by_node))
-    across: list[str] = []
-    within: list[str] = []
-    for name in names:
-        for parent, s in by_node[name, 1].parents:
-            (within if s == 1 else across).append(f"{parent} -> {name}")
     content: dict[str, Any] = {
         "description": description,
         "nodes": {
@@ -100,7 +95,6 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
         "observed": [list(key) if isinstance(key, tuple) else key for key in roles.observed],
         "inputs": list(compiled.inputs),
         "unused": [list(key) if isinstance(key, tuple) else key for key in roles.unused],
-        "edges": {"within": within, "across": across},
         "tables": {
             name: _rows(by_node[name, 1], digits)
             if compiled.has_one_table(name)
