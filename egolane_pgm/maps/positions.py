@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.tools.files import read_parquet, read_text
+from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 #: The names that a table's columns may have. The first of each is the one that this package uses.
 COLUMNS = {
@@ -162,23 +162,14 @@ def read_positions(
 
 
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
-    import pandas as pd
+    # `egolane locate --help` does without pyarrow.
+    from egolane_pgm.recordings.table import read, typed
 
-    arrow = read_parquet(path) if path.suffix.lower() == ".parquet" else None
-    try:
-        if arrow is not None:
-            table = arrow.to_pandas(ignore_metadata=True)
-        else:
-            table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
-    except (OSError, ValueError) as error:
-        # pandas' own errors are ValueErrors.
-        text = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a table ({text})") from None
-    names = _column_names(path, [str(name) for name in table.columns], dict(columns or {}))
-    values = {
-        ours: _times(path, table[theirs]) if ours == "t_s" else _numbers(path, table[theirs])
-        for ours, theirs in names.items()
-    }
+    table = read(path)
+    values = {}
+    for ours, theirs in _column_names(path, table.column_names, dict(columns or {})).items():
+        times = _dates(path, theirs, table[theirs]) if ours == "t_s" else None
+        values[ours] = typed(path, ours, table[theirs], theirs) if times is None else times
     return Positions.make(**values, source=str(path))
 
 
@@ -199,40 +190,30 @@ def _column_names(path: Path, there: list[str], chosen: dict[str, str]) -> dict[
         raise InputError(
             f"{path}: no column {', '.join(lacking)}; the table has {', '.join(there) or 'none'}"
         )
+    twice = next((theirs for theirs in found.values() if there.count(theirs) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: column {twice} occurs more than once")
     return found
 
 
-def _numbers(path: Path, column: pd.Series) -> FloatArray:
-    """The numbers of a column, (T,); an empty cell is NaN."""
+def _dates(path: Path, name: str, column: Any) -> FloatArray | None:
+    """The times of a column of dates in ISO 8601, (T,), seconds; those without a zone are UTC. None
+    for a column of numbers."""
     import pandas as pd
 
-    number: FloatArray = pd.to_numeric(column, errors="coerce").to_numpy(
-        dtype=np.float64, na_value=np.nan
-    )
-    _check_cells(path, column, np.isnan(number), "a number")
-    return number
-
-
-def _times(path: Path, column: pd.Series) -> FloatArray:
-    """The times of a column, (T,), seconds; dates in ISO 8601 without a zone are UTC."""
-    import pandas as pd
-
-    if pd.api.types.is_numeric_dtype(column):
-        return _numbers(path, column)
+    cells = column.to_pandas()
+    if pd.api.types.is_numeric_dtype(cells) or cells.isna().all():
+        return None
     try:
-        date = pd.to_datetime(column, errors="coerce", utc=True, format="ISO8601").dt.as_unit("ns")
+        date = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601").dt.as_unit("ns")
     except pd.errors.OutOfBoundsDatetime as error:
-        raise InputError(f"{path}: {column.name}: {error}") from None
-    _check_cells(path, column, date.isna().to_numpy(), "a number or a date")
-    return np.asarray((date - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), np.float64)
-
-
-def _check_cells(path: Path, column: pd.Series, unread: BoolArray, needs: str) -> None:
-    bad = unread & column.notna().to_numpy()
+        raise InputError(f"{path}: {name}: {error}") from None
+    bad = (date.isna() & cells.notna()).to_numpy()
     if bad.any():
         row = int(np.argmax(bad))
-        cell = str(column.iloc[row])[:40]
-        raise InputError(f"{path}: row {row + 1}: {column.name} is {cell!r}, not {needs}")
+        cell = str(cells.iloc[row])[:40]
+        raise InputError(f"{path}: row {row + 1}: {name} is {cell!r}, not a number or a date")
+    return np.asarray((date - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), np.float64)
 
 
 # --- GPX, NMEA, bags -------------------------------------------------------------------------
