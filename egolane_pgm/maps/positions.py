@@ -261,7 +261,8 @@ def _read_nmea(path: Path) -> Positions:
             said = pynmea2.parse(line, check=True)
             # Fields are read only where they are asked for; a damaged time or date stays text.
             values = _nmea_values(said)
-            if any(isinstance(each, str) and each for each in _when(said)):
+            when = (said.timestamp, getattr(said, "datestamp", None))
+            if any(isinstance(each, str) and each for each in when):
                 raise ValueError
         except (pynmea2.ParseError, ValueError):
             damaged += 1
@@ -280,7 +281,8 @@ def _read_nmea(path: Path) -> Positions:
             date += timedelta(days=1)
         clock = said.timestamp
         for at, its in (*waiting, (clock, values)):
-            found.setdefault(_moment(date, at), {}).update(its)
+            moment = datetime.combine(date, at.replace(tzinfo=None), tzinfo=UTC)
+            found.setdefault(moment, {}).update(its)
         waiting = []
     if waiting:
         raise InputError(f"{path}: has no date, which an RMC sentence would give")
@@ -296,15 +298,6 @@ def _read_nmea(path: Path) -> Positions:
         for when, said in sorted(found.items())
     ]
     return _from_rows(path, rows)
-
-
-def _moment(date: Any, clock: Any) -> datetime:
-    return datetime.combine(date, clock.replace(tzinfo=None), tzinfo=UTC)
-
-
-def _when(said: Any) -> tuple[Any, ...]:
-    date = (said.datestamp,) if said.sentence_type == "RMC" else ()
-    return (said.timestamp, *date)
 
 
 def _nmea_values(said: Any) -> dict[str, float]:

@@ -92,16 +92,13 @@ class _Dumper(yaml.SafeDumper):
     """Writes text in quotes where `_Loader` would take it for something else."""
 
 
-def _whole_number(_: _Loader, node: Any) -> int:
-    return int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
-
-
-def _number(_: _Loader, node: Any) -> float:
-    return float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan"))
-
-
-_Loader.add_constructor(f"{_TAG}int", _whole_number)
-_Loader.add_constructor(f"{_TAG}float", _number)
+_Loader.add_constructor(
+    f"{_TAG}int", lambda _, node: int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
+)
+_Loader.add_constructor(
+    f"{_TAG}float",
+    lambda _, node: float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan")),
+)
 
 for _class in (_Loader, _Dumper):
     # Those of YAML 1.1 are left out.

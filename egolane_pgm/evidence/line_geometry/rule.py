@@ -183,7 +183,9 @@ def _evidence(
     parameters: Parameters,
 ) -> Evidence:
     """The evidence of T frames. widths: (T, K) equally probable lane widths; weights: (T,)."""
-    alpha, beta = (_weighted(number(parameters, name), weights) for name in ("alpha", "beta"))
+    exponents = (number(parameters, name) for name in ("alpha", "beta"))
+    # Limited so that no line counts more than once.
+    alpha, beta = (np.minimum(each * weights, max(each, 1.0)) for each in exponents)
     n_positions = len(tables.expected) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
     kernels.weigh_positions(
@@ -201,11 +203,6 @@ def _evidence(
         likelihood,
     )
     return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
-
-
-def _weighted(exponent: float, weights: FloatArray) -> FloatArray:
-    """The exponent of each frame, (T,), limited so that no line counts more than once."""
-    return np.minimum(exponent * weights, max(exponent, 1.0))
 
 
 def fit(
