@@ -61,7 +61,15 @@ from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
 from egolane_pgm.tools.files import arrow_table, code_checksum, parquet_writer, plain
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import NOTE, UNASSIGNED, Beliefs, Evidence, FloatArray, InputError, IntArray
+from egolane_pgm.types import (
+    NOTE,
+    UNASSIGNED,
+    Beliefs,
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+)
 
 #: The keys that run.json and scores.json share.
 _SHARED_KEYS = (

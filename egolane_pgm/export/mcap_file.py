@@ -26,7 +26,15 @@ from typing import Any
 
 from mcap.writer import Writer
 
-from egolane_pgm.export.drive import AHEAD_M, BAR_GAP_M, BAR_HEIGHT_M, BARS_M, TRUTH, Colour, Drive
+from egolane_pgm.export.drive import (
+    AHEAD_M,
+    BAR_GAP_M,
+    BAR_HEIGHT_M,
+    BARS_M,
+    TRUTH,
+    Colour,
+    Drive,
+)
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import LineLog
 

@@ -15,7 +15,19 @@ from typing import Any
 
 from egolane_pgm.drive import beliefs_of
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.learning import held_out
+from egolane_pgm.learning.held_out import (
+    Found,
+    LogEvidence,
+    TrainingData,
+    fit_data,
+    learn,
+    load_to_learn,
+    log_evidence_of,
+    mean_log_evidence,
+    scores_of,
+    training_data,
+    trusted_frames,
+)
 from egolane_pgm.learning.tables import nested_tables, with_found
 from egolane_pgm.model import Model, prepare_model, with_map
 from egolane_pgm.tools.jobs import Jobs, in_order
@@ -38,7 +50,7 @@ class LearnedFleet:
     """
 
     model: Model
-    parameters: held_out.Found
+    parameters: Found
     scores: tuple[Mapping[str, Any] | None, ...]
     log_evidence_of: tuple[tuple[float, float] | None, ...]
     log_evidence: tuple[float, float] | None
@@ -68,12 +80,12 @@ def learn_fleet(
     of each frame. Raises InputError as `learn`, naming the drive.
     """
     if len(experiments) == 1:
-        alone = held_out.learn(experiments[0], n_blocks=n_blocks, done=done)
+        alone = learn(experiments[0], n_blocks=n_blocks, done=done)
         evidence = alone.log_evidence
         return LearnedFleet(alone.model, alone.parameters, (alone.scores,), (evidence,), evidence)
     _check_alike(experiments)
     work = partial(_without, pickle.dumps(tuple(experiments)))
-    found: list[held_out.Found] = []
+    found: list[Found] = []
     assessed: dict[int, _Assessed] = {}
     try:
         for parameters, of_drives in in_order(work, [(), *parts], jobs):
@@ -87,8 +99,8 @@ def learn_fleet(
         prepare_model(experiments[0]),
         found[0],
         scores,
-        tuple(held_out.mean_log_evidence([one]) for one in each),
-        held_out.mean_log_evidence(each),
+        tuple(mean_log_evidence([one]) for one in each),
+        mean_log_evidence(each),
     )
 
 
@@ -104,34 +116,33 @@ def _check_alike(experiments: Sequence[Experiment]) -> None:
 
 
 #: The scores and the log evidence of a drive that was left out.
-_Assessed = tuple[Mapping[str, Any] | None, held_out.LogEvidence | None]
+_Assessed = tuple[Mapping[str, Any] | None, LogEvidence | None]
 
 
-def _without(given: bytes, part: Sequence[int]) -> tuple[held_out.Found, dict[int, _Assessed]]:
+def _without(given: bytes, part: Sequence[int]) -> tuple[Found, dict[int, _Assessed]]:
     """What is learned without a part of the drives, and how well it does on that part."""
     experiments, data = _training(given)
     first = experiments[0]
     kept = [each for k, each in enumerate(data) if k not in part]
-    found = held_out.fit_data(prepare_model(first), first, kept)
+    found = fit_data(prepare_model(first), first, kept)
     return found, {k: _assess(experiments[k], found) for k in part}
 
 
-def _assess(experiment: Experiment, found: held_out.Found) -> _Assessed:
-    drive = held_out.load_to_learn(experiment)
+def _assess(experiment: Experiment, found: Found) -> _Assessed:
+    drive = load_to_learn(experiment)
     beliefs, _ = beliefs_of(drive, with_found(drive.model, found, experiment))
-    scores = held_out.scores_of(drive, beliefs, held_out.trusted_frames(drive))
-    return scores, held_out.log_evidence_of(drive, [found])
+    return scores_of(drive, beliefs, trusted_frames(drive)), log_evidence_of(drive, [found])
 
 
 @functools.lru_cache(maxsize=1)
-def _training(given: bytes) -> tuple[Sequence[Experiment], list[held_out.TrainingData]]:
+def _training(given: bytes) -> tuple[Sequence[Experiment], list[TrainingData]]:
     """What is learned from each drive, read once in each process."""
     experiments = pickle.loads(given)
     data = []
     with all_problems() as part:
         for experiment in experiments:
             with part(), problems_in(experiment.name):
-                drive = held_out.load_to_learn(experiment)
-                trusted = held_out.trusted_frames(drive)
-                data.append(held_out.training_data(drive.only_labels_of(trusted), trusted))
+                drive = load_to_learn(experiment)
+                trusted = trusted_frames(drive)
+                data.append(training_data(drive.only_labels_of(trusted), trusted))
     return experiments, data

@@ -26,7 +26,13 @@ from egolane_pgm.views.answers import (
     scored_answers,
     title_of,
 )
-from egolane_pgm.views.style import axes_at, new_figure, off_colours, put_title, text_colour
+from egolane_pgm.views.style import (
+    axes_at,
+    new_figure,
+    off_colours,
+    put_title,
+    text_colour,
+)
 
 # The layout, in inches; and the smallest share that is labelled.
 _WIDTH, _RIGHT, _EDGE, _NAMES = 9.0, 0.25, 0.12, 1.05
