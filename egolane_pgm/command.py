@@ -102,7 +102,10 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
     if any(hasattr(result, "to_text") for result in results):
         params += _tables()
     if any(_has_document(result) for result in results):
-        params.append(_json_file())
+        help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
+        params.append(
+            click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
+        )
 
     names = {param.name: max(param.opts, key=len) for param in params}
 
@@ -270,11 +273,6 @@ def _tables() -> list[click.Parameter]:
         ),
         click.Option(["--wide"], is_flag=True, help=of_wide),
     ]
-
-
-def _json_file() -> click.Parameter:
-    help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
-    return click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
 
 
 # --- what a command does -----------------------------------------------------------------------

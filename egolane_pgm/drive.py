@@ -13,16 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import (
-    INTERCHANGE,
-    Experiment,
-    Overrides,
-    make_experiment,
-    overridden,
-)
+from egolane_pgm.experiment import INTERCHANGE, Experiment, Overrides, make_experiment, overridden
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.maps.across import Across
+from egolane_pgm.maps.lanes_from_gnss import Across
 from egolane_pgm.maps.on_map import across_road, road_along, with_positions
 from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import (

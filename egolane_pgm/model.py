@@ -131,11 +131,7 @@ def prepare_model(experiment: Experiment) -> Model:
 
 
 def _compiled(
-    graph: ModuleType,
-    rule: ModuleType,
-    n_lanes: int,
-    parameters: Mapping[str, Value],
-    where: str,
+    graph: ModuleType, rule: ModuleType, n_lanes: int, parameters: Mapping[str, Value], where: str
 ) -> tuple[Roles, Compiled]:
     """What the nodes of a graph are, and the graph compiled: from its tables where it gives them
     and says what they are about, else from its network."""

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import ConfigDict, Field
+from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import Experiment, Section, validated
 from egolane_pgm.inference.events import NO_EVENTS, crossing_probability, next_events
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
@@ -19,13 +19,28 @@ from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import online_output, prepare_model, value_names
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import Beliefs, InputError, LaneEvents, LineLog, not_one_of, suggestion
+from egolane_pgm.types import Beliefs, InputError, LaneEvents, LineLog, not_one_of
 
-#: Whole numbers up to here are exact as floating-point times.
-MAX_FRAME_ID = 2**53
 
-_KEYS = {"frame_id", "time_s", "lines"}
-_LINE_KEYS = {"offset_m", "is_valid", "is_continuous", "lri"}
+class _Strict(Section):
+    model_config = ConfigDict(strict=True)
+
+
+class _Line(_Strict):
+    """A line of a message."""
+
+    offset_m: float | None = None
+    is_valid: bool = True
+    is_continuous: bool = False
+    lri: float | None = None
+
+
+class _Message(_Strict):
+    """The lines of a frame. Whole numbers up to 2**53 are exact as floating-point times."""
+
+    frame_id: Annotated[int, Field(ge=-(2**53), le=2**53)] | None = None
+    time_s: float | None = None
+    lines: list[_Line]
 
 
 def filter_stream(
@@ -155,51 +170,22 @@ def parse_message(text: str, where: str, frame_rate: float, after: int = 0) -> L
     - after: the id of a frame without one.
     """
     try:
-        content = json.loads(text)
-    except (ValueError, RecursionError) as error:
+        content = from_json(text)
+    except ValueError as error:
         raise InputError(f"{where}: is not JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{where}: needs an object with frame_id and lines")
-    _check_keys(content, _KEYS, where)
-    time_s = _number(content, "time_s", where)
-    frame_id, lines = content.get("frame_id"), content.get("lines")
-    if frame_id is None and not math.isnan(time_s):
-        frame_id = after
-    if isinstance(frame_id, bool) or not isinstance(frame_id, int):
-        raise InputError(f"{where}: frame_id {frame_id!r} is not a whole number")
-    if abs(frame_id) > MAX_FRAME_ID:
-        raise InputError(f"{where}: frame_id {str(frame_id)[:30]} is too large for a frame count")
-    if not isinstance(lines, list) or not all(isinstance(line, dict) for line in lines):
-        raise InputError(f"{where}: lines must be a list of objects")
-    rows = [_line(line, f"{where}: line {k}") for k, line in enumerate(lines, start=1)]
-    columns = zip(*rows, strict=True) if rows else [()] * 4
-    log = LineLog.of_frame(frame_id, frame_rate, *columns, source=where)
-    return log if math.isnan(time_s) else replace(log, time_s=np.array([time_s]))
-
-
-def _check_keys(content: dict[str, Any], known: set[str], where: str) -> None:
-    if not content.keys() <= known:
-        key = next(key for key in content if key not in known)
-        raise InputError(f"{where}: unknown key '{key}'{suggestion(key, known)}")
-
-
-def _line(line: dict[str, Any], where: str) -> tuple[float, bool, bool, float]:
-    """The offset, both flags and the LRI of a line; NaN for a number that it lacks."""
-    _check_keys(line, _LINE_KEYS, where)
-    valid, continuous = line.get("is_valid", True), line.get("is_continuous", False)
-    for key, flag in (("is_valid", valid), ("is_continuous", continuous)):
-        if not isinstance(flag, bool):
-            raise InputError(f"{where}: {key} {flag!r} is not true or false")
-    return _number(line, "offset_m", where), valid, continuous, _number(line, "lri", where)
-
-
-def _number(line: dict[str, Any], key: str, where: str) -> float:
-    value = line.get(key)
-    if value is None:
-        return math.nan
-    if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f"{where}: {key} {value!r} is not a number")
-    try:
-        return float(value)
-    except OverflowError:
-        raise InputError(f"{where}: {key} is too large a number") from None
+    message = validated(_Message, content, where)
+    lines, time_s = message.lines, message.time_s
+    frame_id = after if message.frame_id is None and time_s is not None else message.frame_id
+    if frame_id is None:
+        raise InputError(f"{where}: frame_id: is missing, as is time_s")
+    log = LineLog.of_frame(
+        frame_id,
+        frame_rate,
+        # None becomes NaN.
+        np.array([line.offset_m for line in lines], dtype=np.float64),
+        [line.is_valid for line in lines],
+        [line.is_continuous for line in lines],
+        np.array([line.lri for line in lines], dtype=np.float64),
+        source=where,
+    )
+    return log if time_s is None else replace(log, time_s=np.array([time_s]))

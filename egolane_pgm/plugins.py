@@ -22,7 +22,6 @@ from pathlib import Path
 from types import ModuleType
 
 from egolane_pgm.parameters import Parameter
-from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError, all_problems, suggestion
 
 #: The names that a module of each folder must define.
@@ -130,12 +129,10 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     """
     # Not `resolve`, which ends in an error of its own where a link leads to itself.
     file = Path(os.path.realpath(base / name))
-    if name.endswith(OWN_FILES if folder == "graphs" else ".py"):
-        check_name(file)
-        if not file.is_file():
-            here = Path(os.path.realpath(name))
-            nor = "" if here == file or here.exists() else f", nor {here}"
-            raise InputError(f"{where}: no file {file}{nor}")
+    if name.endswith(OWN_FILES if folder == "graphs" else ".py") and not file.is_file():
+        here = Path(os.path.realpath(name))
+        nor = "" if here == file or here.exists() else f", nor {here}"
+        raise InputError(f"{where}: no file {file}{nor}")
     if name.endswith(".py"):
         module = _load_file(file, where)
         if folder == "graphs" and not hasattr(module, "build"):

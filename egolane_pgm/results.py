@@ -60,21 +60,7 @@ from egolane_pgm.recordings.source import IN_MEMORY, files_in_full
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.document import Count, Events, Finite, Scores, Share, Stored
 from egolane_pgm.scoring.events import event_delays
-from egolane_pgm.tools.files import (
-    arrow_table,
-    as_csv,
-    atomic_directory,
-    check_place,
-    code_checksum,
-    parquet_writer,
-    read_parquet,
-    read_text,
-    read_yaml,
-    rows_of_parquet,
-    write_json,
-    write_text,
-    write_yaml,
-)
+from egolane_pgm.tools import files
 from egolane_pgm.types import (
     MAX_LANES,
     UNASSIGNED,
@@ -535,7 +521,7 @@ def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
 
     - run: the content of run.json, which names the hidden nodes and their values.
     """
-    table = read_parquet(file)
+    table = files.read_parquet(file)
     if len(table) != run["frames"]:
         raise InputError(f"{file}: has {len(table)} frames, run.json says {run['frames']}")
 
@@ -690,7 +676,7 @@ def refusing_damage(place: Path, again: str = _AGAIN) -> Iterator[None]:
 def _read_run(directory: Path) -> dict[str, Any]:
     """The content of run.json, checked as far as a `Result` needs it."""
     file = directory / "run.json"
-    run = parse_json(read_text(file), file)
+    run = parse_json(files.read_text(file), file)
     validated(Run, run, str(file))
     return run
 
@@ -698,7 +684,7 @@ def _read_run(directory: Path) -> dict[str, Any]:
 def _read_scores(directory: Path) -> dict[str, Any]:
     """The content of scores.json."""
     file = directory / "scores.json"
-    return parse_json(read_text(file), file)
+    return parse_json(files.read_text(file), file)
 
 
 # --- the directory -----------------------------------------------------------------------------
@@ -709,7 +695,7 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
 
     - kinds: tell of a directory whether it may be replaced; by default `is_result`.
     """
-    check_place(directory)
+    files.check_place(directory)
     if directory.is_symlink() and not directory.exists():
         raise InputError(f"{directory}: is a link to nothing; name another directory")
     if directory.exists():
@@ -733,7 +719,7 @@ def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Ite
     Raises InputError where that holds something else (see `check_writable`), or cannot be written.
     """
     check_writable(directory, kinds)
-    with atomic_directory(directory) as temporary:
+    with files.atomic_directory(directory) as temporary:
         yield temporary
         if directory.is_dir():
             _keep_others(directory, temporary)
@@ -773,8 +759,8 @@ def _keep_others(old: Path, new: Path) -> None:
 
 def write_result(directory: Path, result: Result) -> None:
     """Write the files of a result into `directory`."""
-    with parquet_writer(directory / BELIEFS) as write:
-        write(arrow_table(result.columns()))
+    with files.parquet_writer(directory / BELIEFS) as write:
+        write(files.arrow_table(result.columns()))
     write_rest(directory, result)
 
 
@@ -787,11 +773,11 @@ def write_rest(directory: Path, result: Result) -> None:
         write_table(directory / LINES, result.lines)
     if result.clip is not None:
         _write_columns(directory / "clips.csv", result.clip_columns())
-    write_yaml(directory / "experiment.yaml", _portable(result, directory))
+    files.write_yaml(directory / "experiment.yaml", _portable(result, directory))
     _write_columns(directory / "events.csv", result.events.columns())
     version = {"schema_version": SCHEMA_VERSION}
-    write_json(directory / "scores.json", {**version, **result.scores})
-    write_json(directory / "run.json", {**version, **result.run})
+    files.write_json(directory / "scores.json", {**version, **result.scores})
+    files.write_json(directory / "run.json", {**version, **result.run})
 
 
 def _portable(result: Result, directory: Path) -> dict[str, Any]:
@@ -820,7 +806,7 @@ def _write_columns(file: Path, columns: Mapping[str, NDArray[Any]]) -> None:
     """Write a table, numbers to six decimals; NaN is empty."""
     rows = zip(*(column.tolist() for column in columns.values()), strict=True)
     cells = [[_cell(value) for value in row] for row in rows]
-    write_text(file, as_csv(list(columns), cells))
+    files.write_text(file, files.as_csv(list(columns), cells))
 
 
 def _cell(value: Any) -> Any:
@@ -840,7 +826,7 @@ def read_result(directory: str | Path) -> Result:
         raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
     with refusing_damage(directory):
         run, file = _read_run(directory), directory / "experiment.yaml"
-        config = read_yaml(file, "n_lanes: 4")
+        config = files.read_yaml(file, "n_lanes: 4")
         result = Result(
             directory=directory,
             experiment=make_experiment(config, directory, str(file)),
@@ -861,7 +847,7 @@ def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     with refusing_damage(directory):
         run, scores = _read_run(directory), _read_scores(directory)
         file = directory / BELIEFS
-        n_frames = rows_of_parquet(file)
+        n_frames = files.rows_of_parquet(file)
         if n_frames != run["frames"]:
             raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
     return run, scores
@@ -895,7 +881,7 @@ def provenance(
         "config_hash": config_hash(content),
         "data": list(data),
         "versions": versions(),
-        "code": code_checksum(),
+        "code": files.code_checksum(),
         "git": git_state(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }

@@ -169,7 +169,7 @@ def believe(drive: Drive) -> Believed:
     if experiment.decode == "viterbi":
         path = viterbi(model.compiled, filtered, frame_id=log.frame_id)
         assigned = path.lane
-        notes += filter(None, [disagreement(path, beliefs).warning])
+        notes += filter(None, [disagreement(path, beliefs)])
     else:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
@@ -296,12 +296,7 @@ def scores_document(result: Result, drive: Drive, kept: BoolArray | None = None)
                 answered, of_tracks.lane, unsure, truth.frame_id, rate
             )
             scores["model"]["road"] = road_scores(
-                assigned,
-                truth,
-                road.n_lanes[rows],
-                road.changes,
-                log_frames=rows,
-                frame_rate=rate,
+                assigned, truth, road.n_lanes[rows], road.changes, log_frames=rows, frame_rate=rate
             )
     content = {
         "schema_version": SCHEMA_VERSION,

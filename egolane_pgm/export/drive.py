@@ -146,10 +146,7 @@ class Drive:
 
 
 def open_drive(
-    directory: str | Path,
-    *,
-    pictures: str | None = None,
-    frames: tuple[int, int] | None = None,
+    directory: str | Path, *, pictures: str | None = None, frames: tuple[int, int] | None = None
 ) -> Drive:
     """Gather what a result directory, and the recording that it names, have to show.
 

@@ -260,10 +260,6 @@ _KNOWN: dict[str, tuple[str, Content]] = {
     "/picture": ("foxglove.CompressedImage", {**_picture(0, b""), "data": b""}),
     "/lines": (
         "egolane.lines",
-        {
-            "lines": [
-                {"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None},
-            ]
-        },
+        {"lines": [{"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None}]},
     ),
 }

@@ -12,16 +12,11 @@ which lane, and so takes an answer that is repeated for a new one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior
 from egolane_pgm.parameters import Parameter, Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -29,18 +24,10 @@ VALUES = sensor_failure.VALUES
 PARAMETERS = (
     *sensor_failure.PARAMETERS,
     Parameter(
-        "p_repeat_ok",
-        "probability",
-        0.5,
-        "P(an OK sensor repeats its output of the frame before)",
-        search=(0.0, 1.0),
+        "p_repeat_ok", "probability", 0.5, "P(an OK sensor repeats its output of the frame before)"
     ),
     Parameter(
-        "p_repeat_bad",
-        "probability",
-        0.9,
-        "P(a BAD sensor repeats its output of the frame before)",
-        search=(0.0, 1.0),
+        "p_repeat_bad", "probability", 0.9, "P(a BAD sensor repeats its output of the frame before)"
     ),
 )
 
@@ -61,6 +48,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -9,29 +9,18 @@ taken for independent.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import autoregressive
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior
 from egolane_pgm.parameters import Parameter, Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = autoregressive.HIDDEN
 OBSERVED = autoregressive.OBSERVED
 VALUES = autoregressive.VALUES
 PARAMETERS = (
     *autoregressive.PARAMETERS,
-    Parameter(
-        "p_repeat_wor",
-        "probability",
-        0.5,
-        "P(WOR keeps its value of the frame before)",
-        search=(0.0, 1.0),
-    ),
+    Parameter("p_repeat_wor", "probability", 0.5, "P(WOR keeps its value of the frame before)"),
 )
 
 
@@ -49,6 +38,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -7,14 +7,12 @@ one. A sensor that leaves a state goes to each of the other three with equal pro
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import (
     Table,
-    declare,
+    builder,
     dynamics,
     previous,
     prior,
@@ -24,9 +22,6 @@ from egolane_pgm.graphs.cpds import (
 )
 from egolane_pgm.graphs.shared_parameters import f_table
 from egolane_pgm.parameters import Parameter, Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -38,7 +33,6 @@ PARAMETERS = (
         "probability",
         0.95,
         "P(SensorState LEFT at t+1 | LEFT at t), and the same for RIGHT",
-        search=(0.0, 1.0),
     ),
     Parameter("shift", "positive", 1.0, "error of a biased output, lanes", search=(0.5, 2.0)),
 )
@@ -65,6 +59,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -13,14 +13,12 @@ now. On a road that does not change this is the paper's table.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    declare,
+    builder,
     dynamics,
     lane_normals,
     previous,
@@ -39,9 +37,6 @@ from egolane_pgm.graphs.lane_steps import (
 from egolane_pgm.graphs.shared_parameters import NORMAL, P1, P2, P3, P4, SIGMA1, SIGMA2
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = ("Lane", "SensorState", "Lanes", "Passed")
 OBSERVED = (("DetectorOutput", "Lanes"), "WOR", "Lane")
@@ -119,9 +114,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)
 
 
 def most_lanes(on_map: int, parameters: Parameters) -> int:

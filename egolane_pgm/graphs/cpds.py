@@ -17,9 +17,9 @@ import graphlib
 import logging
 import math
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -272,6 +272,13 @@ def declare(
             )
         nx.set_node_attributes(network, {t.node: {"note": PLACEHOLDER} for t in tables[n_given:]})
         return network
+
+
+def builder(
+    tables: Callable[[int, Any], Iterable[Table]], observed: Iterable[Observed]
+) -> Callable[[int, Any], DynamicBayesianNetwork]:
+    """The `build(n_lanes, parameters)` of a graph file: its `tables`, declared."""
+    return lambda n_lanes, parameters: declare(tables(n_lanes, parameters), observed)
 
 
 def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:

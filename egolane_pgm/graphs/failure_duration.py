@@ -12,16 +12,11 @@ A failure lasts at least `failure_phases` frames, so a smaller mean duration cou
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, within
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, within
 from egolane_pgm.parameters import Parameter, Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = (*sensor_failure.HIDDEN, "Phase")
 OBSERVED = sensor_failure.OBSERVED
@@ -57,6 +52,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

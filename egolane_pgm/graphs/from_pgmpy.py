@@ -5,8 +5,7 @@ never by position. A network is one of
 
 - a `DynamicBayesianNetwork`, before or after its `initialize_initial_state()`;
 - a `DiscreteBayesianNetwork` of two slices, whose nodes are named `Lane_0` and `Lane_1`, or
-  ("Lane", 0) and ("Lane", 1), as `get_constant_bn()` and BIF files have them;
-- a `DiscreteBayesianNetwork` of one slice, and the CPDs of the transition.
+  ("Lane", 0) and ("Lane", 1), as `get_constant_bn()` and BIF files have them.
 
 A table that one slice lacks is that of the other slice, where the node has the same parents there.
 """
@@ -14,7 +13,7 @@ A table that one slice lacks is that of the other slice, where the node has the 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -24,7 +23,7 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, check_sizes, quiet
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import FloatArray, InputError, suggestion
+from egolane_pgm.types import FloatArray, InputError, problems_in
 
 #: The suffixes of the files that pgmpy reads: BIF and XMLBIF.
 NETWORK_FILES = (".bif", ".xmlbif", ".xml")
@@ -47,24 +46,19 @@ class Declared:
     values: Mapping[str, tuple[Any, ...]]
 
 
-def read_network(network: Any, transition: Sequence[Any] | None = None) -> Declared:
+def read_network(network: Any) -> Declared:
     """Read a pgmpy network, or a file that pgmpy reads.
 
     - network: one of those above, or the name of a BIF or XMLBIF file.
-    - transition: for a network of one slice, pgmpy's `TabularCPD`s of (name, 1) given (name, 0) and
-      (name, 1). Every other node depends on its own slice only, as the network says.
 
     Raises InputError, naming the node, for what is not discrete, has no tables or tables that do
     not fit its edges or each other, and for edges that form a cycle or lead back in time.
     """
     if isinstance(network, (str, Path)):
-        path = Path(network)
-        read = read_file(path)
-        try:
-            return read_network(read, transition)
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from error
-    parents, cpds = _structure(network, transition)
+        read = read_file(Path(network))
+        with problems_in(str(network)):
+            return read_network(read)
+    parents, cpds = _structure(network)
     check_order(parents)
     if not cpds:
         raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
@@ -77,7 +71,7 @@ def read_network(network: Any, transition: Sequence[Any] | None = None) -> Decla
 
 def node_names(network: Any) -> set[str]:
     """The names of the nodes of a network of two slices. Raises InputError as `read_network`."""
-    _is_dynamic(network)
+    _check_discrete(network)
     return {_of_slice(node)[0] for node in network}
 
 
@@ -101,14 +95,13 @@ class _Cpd:
 _Parents = dict[SliceNode, list[SliceNode]]
 
 
-def _is_dynamic(network: Any) -> bool:
-    """Whether it is a `DynamicBayesianNetwork`, not a `DiscreteBayesianNetwork`. Raises InputError
-    for anything else."""
+def _check_discrete(network: Any) -> None:
+    """Raise InputError for what is no discrete Bayesian network of pgmpy."""
     with quiet():
         from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
     if isinstance(network, (DynamicBayesianNetwork, DiscreteBayesianNetwork)):
-        return isinstance(network, DynamicBayesianNetwork)
+        return
     if hasattr(network, "get_cpds"):
         raise InputError(
             f"a {type(network).__name__} is not discrete: cut its continuous nodes into intervals,"
@@ -117,44 +110,25 @@ def _is_dynamic(network: Any) -> bool:
     raise InputError(f"{type(network).__name__} is no Bayesian network of pgmpy")
 
 
-def _structure(network: Any, transition: Sequence[Any] | None) -> tuple[_Parents, list[_Cpd]]:
+def _structure(network: Any) -> tuple[_Parents, list[_Cpd]]:
     """The parents of every node in both slices, and the CPDs that there are."""
-    is_list = isinstance(transition, (list, tuple))
-    if transition is not None and not (is_list and all(hasattr(c, "variable") for c in transition)):
-        raise InputError("transition: needs a list of pgmpy's TabularCPDs")
-    if _is_dynamic(network) and transition is not None:
-        raise InputError("transition: goes with a network of one slice, this one has two")
-    place = _of_slice if transition is None else _of_first
-    parents: _Parents = {place(n): list(map(place, network.predecessors(n))) for n in network}
-    cpds = [_read_cpd(cpd, place) for cpd in network.cpds]
-    for cpd in transition or ():
-        read = _read_cpd(cpd, _of_transition)
-        for name, _ in read.nodes:
-            if (name, 0) not in parents:
-                known = [n for n, _ in parents]
-                raise InputError(
-                    f"transition: {name} is not a node of the network{suggestion(name, known)}"
-                )
-        if read.nodes[0][1] == 0:
-            raise InputError(
-                f"transition: has a table of {read.nodes[0][0]} in slice 0, which the network gives"
-            )
-        parents[read.nodes[0]] = list(read.nodes[1:])
-        cpds.append(read)
+    _check_discrete(network)
+    parents = {_of_slice(n): list(map(_of_slice, network.predecessors(n))) for n in network}
+    cpds = list(map(_read_cpd, network.cpds))
     for name, s in list(parents):
         # A node that is not declared in one slice has the parents that it has within the other.
         parents.setdefault((name, 1 - s), [(p, 1 - s) for p, q in parents[name, s] if q == s])
     return parents, cpds
 
 
-def _read_cpd(cpd: Any, place: Callable[[Any], SliceNode]) -> _Cpd:
+def _read_cpd(cpd: Any) -> _Cpd:
     if not hasattr(cpd, "state_names"):
         raise InputError(
-            f"{place(cpd.variable)[0]}: has a {type(cpd).__name__}, not a TabularCPD; a continuous"
-            " node has to be cut into intervals"
+            f"{_of_slice(cpd.variable)[0]}: has a {type(cpd).__name__}, not a TabularCPD; a"
+            " continuous node has to be cut into intervals"
         )
     return _Cpd(
-        tuple(map(place, cpd.variables)),
+        tuple(map(_of_slice, cpd.variables)),
         tuple(tuple(cpd.state_names[v]) for v in cpd.variables),
         np.asarray(cpd.values, dtype=np.float64),
         hasattr(cpd.variable, "time_slice"),
@@ -166,31 +140,11 @@ def _of_slice(node: Any) -> SliceNode:
     match = re.fullmatch(r"(.+)_([01])", node) if isinstance(node, str) else None
     if match is not None:
         return match[1], int(match[2])
-    if _is_pair(node):
-        return str(node[0]), int(node[1])
-    raise InputError(
-        f"{node}: is of neither slice; name the nodes {node}_0 and {node}_1, or give a network of"
-        " one slice together with its transition"
-    )
-
-
-def _of_first(node: Any) -> SliceNode:
-    return str(node), 0
-
-
-def _of_transition(node: Any) -> SliceNode:
-    if _is_pair(node):
-        return str(node[0]), int(node[1])
-    raise InputError(
-        f"transition: a table has {node!r}; write ({node!r}, 1), and ({node!r}, 0) for the frame"
-        " before"
-    )
-
-
-def _is_pair(node: Any) -> bool:
-    """Whether a node is (name, 0) or (name, 1), as a tuple or as pgmpy's `DynamicNode`."""
+    # A tuple, or pgmpy's `DynamicNode`.
     is_pair = hasattr(node, "time_slice") or (isinstance(node, tuple) and len(node) == 2)
-    return is_pair and node[1] in (0, 1)
+    if is_pair and node[1] in (0, 1):
+        return str(node[0]), int(node[1])
+    raise InputError(f"{node}: is of neither slice; name the nodes {node}_0 and {node}_1")
 
 
 def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
@@ -331,9 +285,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     - name: name of the new module. where: how error messages begin.
     """
     module = ModuleType(name)
-    try:
+    with problems_in(where):
         network = read_file(path)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
     module.__dict__.update(__file__=str(path), build=lambda n_lanes, parameters: network)
     return module

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform, within
 from egolane_pgm.graphs.shared_parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
 from egolane_pgm.parameters import Parameters
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = ("Lane",)
 OBSERVED = ("DetectorOutput",)
@@ -26,6 +21,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare
+from egolane_pgm.graphs.cpds import Table, builder
 from egolane_pgm.parameters import Parameters
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = ("DetectorOutput",)
@@ -23,6 +18,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     return sensor_failure.tables_without_wor(n_lanes, parameters)
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

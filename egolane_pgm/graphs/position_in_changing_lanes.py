@@ -13,15 +13,13 @@ are not counted: each value of Step takes its own transition.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import position_in_lane as fixed
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    declare,
+    builder,
     dynamics,
     previous,
     prior,
@@ -32,9 +30,6 @@ from egolane_pgm.graphs.lane_steps import CHANGE_AT_RIGHT, TOLD_STEPS, Step, rea
 from egolane_pgm.graphs.position_in_lane import COASTING
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, InputError, IntArray
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = fixed.HIDDEN
 OBSERVED = fixed.OBSERVED
@@ -79,9 +74,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)
 
 
 def most_lanes(on_map: int, parameters: Parameters) -> int:

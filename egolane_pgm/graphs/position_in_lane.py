@@ -20,7 +20,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import ndtr
@@ -28,7 +27,7 @@ from scipy.special import ndtr
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    declare,
+    builder,
     dynamics,
     previous,
     prior,
@@ -39,9 +38,6 @@ from egolane_pgm.graphs.shared_parameters import P1, P2
 from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = ("RoadPosition", "Lane", "SensorState")
 OBSERVED = (("RoadPosition", "SensorState"),)
@@ -104,13 +100,7 @@ PARAMETERS = (
         "the same for the share of frames in which the displacement misleads, lane widths",
         search=(0.05, 0.3),
     ),
-    Parameter(
-        "wide_share",
-        "probability",
-        0.1,
-        "weight of the wide normal",
-        search=(0.01, 0.3),
-    ),
+    Parameter("wide_share", "probability", 0.1, "weight of the wide normal", search=(0.01, 0.3)),
     Parameter(
         "jump",
         "probability",
@@ -136,10 +126,7 @@ def motion_values(parameters: Mapping[str, Value]) -> int:
 
 
 def motion_index(
-    displacement: FloatArray,
-    steps: IntArray,
-    velocity: FloatArray,
-    parameters: Mapping[str, Value],
+    displacement: FloatArray, steps: IntArray, velocity: FloatArray, parameters: Mapping[str, Value]
 ) -> IntArray:
     """The value of LineMotion in each frame, (T,).
 
@@ -206,9 +193,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)
 
 
 def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:

@@ -6,17 +6,12 @@ With `sigma1_bad` equal to `sigma1` this is the graph `sensor_failure`.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform
 from egolane_pgm.graphs.shared_parameters import f_table
 from egolane_pgm.parameters import Parameter, Parameters
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -29,7 +24,6 @@ PARAMETERS = (
         0.6,
         "standard deviation of the lane dynamics into a frame in which the sensor is BAD, lanes"
         " (`sigma1`: in which it is OK)",
-        search=(0.0, 3.0),
     ),
 )
 
@@ -45,6 +39,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -6,14 +6,12 @@ SensorState is the parent of WOR. SensorState and WOR have the values OK (0) and
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    declare,
+    builder,
     dynamics,
     previous,
     prior,
@@ -32,9 +30,6 @@ from egolane_pgm.graphs.shared_parameters import (
     f_table,
 )
 from egolane_pgm.parameters import Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = ("Lane", "SensorState")
 OBSERVED = ("DetectorOutput", "WOR")
@@ -65,6 +60,4 @@ def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

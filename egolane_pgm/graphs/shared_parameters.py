@@ -8,11 +8,7 @@ from egolane_pgm.parameters import Parameter, Parameters, number, per_lane
 from egolane_pgm.types import FloatArray
 
 SIGMA1 = Parameter(
-    "sigma1",
-    "sigma",
-    0.4,
-    "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`",
-    search=(0.0, 3.0),
+    "sigma1", "sigma", 0.4, "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`"
 )
 SIGMA2 = Parameter(
     "sigma2",
@@ -20,28 +16,15 @@ SIGMA2 = Parameter(
     0.5,
     "standard deviation of the detector output when the sensor works, lanes; Table"
     " `tab:cptdetlane`",
-    search=(0.0, 3.0),
 )
 P1 = Parameter(
-    "p1",
-    "probability",
-    0.9,
-    "P(SensorState OK at t+1 | OK at t); Table `tab:cptsensor`",
-    search=(0.0, 1.0),
+    "p1", "probability", 0.9, "P(SensorState OK at t+1 | OK at t); Table `tab:cptsensor`"
 )
 P2 = Parameter(
-    "p2",
-    "probability",
-    0.9,
-    "P(SensorState BAD at t+1 | BAD at t); Table `tab:cptsensor`",
-    search=(0.0, 1.0),
+    "p2", "probability", 0.9, "P(SensorState BAD at t+1 | BAD at t); Table `tab:cptsensor`"
 )
-P3 = Parameter(
-    "p3", "probability", 0.6, "P(WOR OK | SensorState OK); Table `tab:cptri`", search=(0.0, 1.0)
-)
-P4 = Parameter(
-    "p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`", search=(0.0, 1.0)
-)
+P3 = Parameter("p3", "probability", 0.6, "P(WOR OK | SensorState OK); Table `tab:cptri`")
+P4 = Parameter("p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`")
 WOR_LEVELS = Parameter(
     "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2, highest=100
 )

@@ -7,14 +7,12 @@ goes to either of the other two with equal probability.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import (
     Table,
-    declare,
+    builder,
     dynamics,
     previous,
     prior,
@@ -24,9 +22,6 @@ from egolane_pgm.graphs.cpds import (
 )
 from egolane_pgm.graphs.shared_parameters import f_table
 from egolane_pgm.parameters import Parameter, Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -38,12 +33,9 @@ PARAMETERS = (
         "sigma",
         1.0,
         "standard deviation of the detector output when the sensor is WORN, lanes",
-        search=(0.0, 3.0),
     ),
-    Parameter(
-        "p_worn", "probability", 0.9, "P(SensorState WORN at t+1 | WORN at t)", search=(0.0, 1.0)
-    ),
-    Parameter("p3_worn", "probability", 0.5, "P(WOR OK | SensorState WORN)", search=(0.0, 1.0)),
+    Parameter("p_worn", "probability", 0.9, "P(SensorState WORN at t+1 | WORN at t)"),
+    Parameter("p3_worn", "probability", 0.5, "P(WOR OK | SensorState WORN)"),
 )
 
 
@@ -67,6 +59,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -6,16 +6,11 @@ WOR is an observed parent of DetectorOutput. It is known from its evidence and i
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, uniform, within
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform, within
 from egolane_pgm.graphs.shared_parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
 from egolane_pgm.parameters import Parameter, Parameters, number
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = ("Lane",)
 OBSERVED = ("DetectorOutput", "WOR")
@@ -23,7 +18,7 @@ VALUES = {"WOR": ("OK", "BAD")}
 PARAMETERS = (
     SIGMA1,
     SIGMA2,
-    Parameter("p_wor", "probability", 0.5, "P(WOR OK) in any frame", search=(0.0, 1.0)),
+    Parameter("p_wor", "probability", 0.5, "P(WOR OK) in any frame"),
     NORMAL,
     LANE_WIDTHS,
 )
@@ -41,6 +36,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

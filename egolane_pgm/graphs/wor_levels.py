@@ -9,18 +9,14 @@ probability 1 - p3 when the sensor is OK and p4 when it is BAD. With two levels 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, declare, within
+from egolane_pgm.graphs.cpds import Table, builder, within
 from egolane_pgm.graphs.shared_parameters import WOR_LEVELS
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -46,6 +42,4 @@ def binomial(keep: float, levels: int) -> FloatArray:
     return np.array(terms) / math.fsum(terms)
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -8,16 +8,12 @@ graph `sensor_failure`.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, binary, declare, within
+from egolane_pgm.graphs.cpds import Table, binary, builder, within
 from egolane_pgm.parameters import Parameters, per_lane
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -38,6 +34,4 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-def build(n_lanes: int, parameters: Parameters) -> DynamicBayesianNetwork:
-    """Declares the network in pgmpy."""
-    return declare(tables(n_lanes, parameters), OBSERVED)
+build = builder(tables, OBSERVED)

@@ -1,4 +1,4 @@
-"""Reads a graph that is written in YAML: nodes, edges and, for each node, a table of numbers.
+"""Reads a graph that is written in YAML: nodes and, for each of them, a table of numbers.
 
     nodes:            # per node a number of values, or the names of its values
       Lane: 2
@@ -6,9 +6,6 @@
       DetectorOutput: 2
     hidden: [Lane, SensorState]
     observed: [DetectorOutput]              # [[A, B]]: A and B jointly
-    edges:
-      within: [Lane -> DetectorOutput, SensorState -> DetectorOutput]
-      across: [Lane -> Lane, SensorState -> SensorState]       # from t to t+1
     tables:
       Lane:
         first: {rows: {values: [0.5, 0.5]}}                    # in the first frame
@@ -21,8 +18,9 @@
           of: [SensorState, Lane]
           values: [[[0.8, 0.2], [0.2, 0.8]], [[0.5, 0.5], [0.5, 0.5]]]
 
-`of` names the parents; one at time t of a node at t+1 is written `<name> before`. `values` has an
-axis for each of them, in their order, and the node's own last: each innermost row sums to one.
+`of` names the parents, and so the edges; a parent at time t of a node at t+1 is `<name> before`.
+`values` has an axis for each of them, in their order, and the node's own last: each innermost row
+sums to one.
 Optional keys are `inputs` (nodes whose values are given in every frame, without a table), `unused`
 (evidence that the graph does not use) and `description`. Such a graph has no parameters, and its
 number of lanes is fixed: a graph with parameters, or for any number of lanes, is written in Python.
@@ -30,7 +28,7 @@ number of lanes is fixed: a graph with parameters, or for any number of lanes, i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
@@ -39,7 +37,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from egolane_pgm.experiment import Section, load_yaml, validated
-from egolane_pgm.graphs.cpds import SliceNode, Table, declare, previous, uniform
+from egolane_pgm.graphs.cpds import Table, declare, uniform
 from egolane_pgm.parameters import check_names
 from egolane_pgm.types import FloatArray, InputError, all_problems, problems_in, suggestion
 
@@ -59,15 +57,7 @@ def _observed(given: Any) -> Any:
     return tuple(map(str, given)) if isinstance(given, list) else str(given)
 
 
-def _edge(given: Any) -> Any:
-    ends = tuple(end.strip() for end in str(given).split("->"))
-    if len(ends) != 2:
-        raise ValueError("is not an edge, e.g. 'Lane -> DetectorOutput'")
-    return ends
-
-
 _Observed = Annotated[Any, BeforeValidator(_observed)]
-_Edge = Annotated[Any, BeforeValidator(_edge)]
 
 
 class _Rows(Section):
@@ -84,11 +74,6 @@ class _Tables(Section):
     next: _Table
 
 
-class _Edges(Section):
-    within: tuple[_Edge, ...] = ()
-    across: tuple[_Edge, ...] = ()
-
-
 class _Graph(Section):
     """The keys of a file."""
 
@@ -98,7 +83,8 @@ class _Graph(Section):
     observed: tuple[_Observed, ...]
     inputs: tuple[str, ...] = ()
     unused: tuple[_Observed, ...] = ()
-    edges: _Edges = _Edges()
+    #: Of older files; the tables say them.
+    edges: Any = None
     tables: dict[str, dict[str, Any]]
 
 
@@ -131,16 +117,13 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
 
 
 def _tables(graph: _Graph) -> list[Table]:
-    """The tables of all nodes in the first slice and in the next, checked against the edges."""
+    """The tables of all nodes in the first slice and in the next."""
     size = {n: v if isinstance(v, int) else len(v) for n, v in graph.nodes.items()}
     with_table = [node for node in size if node not in graph.inputs]
-    edges = {"within": graph.edges.within, "across": graph.edges.across}
     with all_problems() as part:
-        named = {key: getattr(graph, key) for key in ("hidden", "observed", "inputs")}
-        named |= {f"edges.{key}": pairs for key, pairs in edges.items()}
-        for key, listed in named.items():
+        for key in ("hidden", "observed", "inputs"):
             with part():
-                _check_nodes(_flat(listed), size, key)
+                _check_nodes(_flat(getattr(graph, key)), size, key)
         with part():
             check_names(with_table, graph.tables, "tables")
         for node in with_table:
@@ -154,37 +137,31 @@ def _tables(graph: _Graph) -> list[Table]:
                 if node not in with_table:
                     tables += [Table((node, s), (), uniform(n_values)) for s in (0, 1)]
                     continue
-                within, across = ([a for a, b in edges[k] if b == node] for k in edges)
-                rows = _rows_of(node, graph.tables[node], bool(across))
-                for s, (where, one) in enumerate(rows):
-                    parents: dict[str, SliceNode] = {p: (p, s) for p in within}
-                    parents |= {p + _BEFORE: previous(p) for p in across} if s == 1 else {}
-                    values = _numbers(one, parents, size, n_values, where)
-                    tables.append(Table((node, s), tuple(parents[p] for p in one.of), values))
+                for s, (where, one) in enumerate(_rows_of(node, graph.tables[node])):
+                    names = [name.removesuffix(_BEFORE) for name in one.of]
+                    _check_nodes(names, size, f"{where}: of")
+                    if s == 0 and names != [*one.of]:
+                        raise InputError(
+                            f"{where}: has a parent in the frame before; a node has such a table"
+                            " under `next`, and one without it under `first`"
+                        )
+                    slices = [0 if name.endswith(_BEFORE) else s for name in one.of]
+                    values = _numbers(one, (*(size[name] for name in names), n_values), where)
+                    parents = tuple(zip(names, slices, strict=True))
+                    tables.append(Table((node, s), parents, values))
     return tables
 
 
-def _rows_of(node: str, given: dict[str, Any], needs_both: bool) -> list[tuple[str, _Rows]]:
+def _rows_of(node: str, given: dict[str, Any]) -> list[tuple[str, _Rows]]:
     """The rows of the first slice and those of the next, each with its place in the file."""
     where = f"tables.{node}"
     if {"first", "next"} & set(given):
         both = validated(_Tables, given, where)
         return [(f"{where}.first", both.first.rows), (f"{where}.next", both.next.rows)]
-    if needs_both:
-        raise InputError(f"{where}: has a parent in the slice before, so it needs first and next")
     return [(where, validated(_Table, given, where).rows)] * 2
 
 
-def _numbers(
-    rows: _Rows, parents: Mapping[str, SliceNode], size: Mapping[str, int], own: int, where: str
-) -> FloatArray:
-    """The values of a table, with an axis for each of its parents, as the edges have them."""
-    if sorted(rows.of) != sorted(parents):
-        raise InputError(
-            f"{where}: the table is of {', '.join(rows.of) or 'no parent'}, its edges come from"
-            f" {', '.join(parents) or 'nowhere'}"
-        )
-    shape = (*(size[parents[p][0]] for p in rows.of), own)
+def _numbers(rows: _Rows, shape: tuple[int, ...], where: str) -> FloatArray:
     try:
         values = np.array(rows.values)
     except ValueError:

@@ -45,9 +45,6 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
-#: A transition or emission array with more entries than this (512 MiB) is refused.
-MAX_ENTRIES = 2**26
-
 
 @dataclass(frozen=True)
 class Group:
@@ -149,20 +146,17 @@ def compile(
     observed: Sequence[Observed],
     hidden: Sequence[str] | None = None,
     inputs: Sequence[str] = (),
-    transition: Sequence[Any] | None = None,
     values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
     """Turn a pgmpy network into the arrays that the filters take.
 
     - network: a `DynamicBayesianNetwork`, before or after `initialize_initial_state()`; a
-      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`, or of one
-      slice; or the name of a BIF or XMLBIF file of either.
+      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`; or the name
+      of a BIF or XMLBIF file of such.
     - observed: the nodes, or tuples of nodes, that there is evidence of.
     - hidden: the nodes that beliefs are about, by default all that are neither observed nor inputs,
       and Lane in any case.
     - inputs: nodes without parents whose value is known in every frame.
-    - transition: for a network of one slice, pgmpy's `TabularCPD`s of (name, 1) given (name, 0) and
-      (name, 1).
     - values: names of nodes' values, in place of those that the network gives. Where neither gives
       any, those of LANES count from 1 and those of any other node from 0.
 
@@ -193,7 +187,7 @@ def compile(
         if isinstance(given, str):
             raise InputError(f"{what}: needs a list of nodes, e.g. [{given!r}]")
     observed = [key if isinstance(key, str) else tuple(key) for key in observed]
-    declared = read_network(network, transition)
+    declared = read_network(network)
     if hidden is None:
         others = {*inputs, *map(ve_name, observed)}
         others |= {n for key in observed for n in _names(key)}
@@ -413,7 +407,7 @@ def _compile(
     cardinality = {name: t.values.shape[-1] for (name, s), t in tables.items() if s == 0}
     nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
     functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
-    _check_size(cardinality, hidden, observed, inputs, state)
+    _check_size(cardinality, hidden, state)
     node_value = _value_of(state, cardinality)
     n_states = _count(state, cardinality)
     for name in functions:
@@ -446,15 +440,8 @@ _NOT_PLAIN = "an edge across the slices, an input, a carried child or another fi
 
 
 def _check_size(
-    cardinality: Mapping[str, int],
-    hidden: Sequence[str],
-    observed: Sequence[Observed],
-    inputs: Sequence[str],
-    state: Sequence[str],
+    cardinality: Mapping[str, int], hidden: Sequence[str], state: Sequence[str]
 ) -> None:
-    def sizes(names: Iterable[str]) -> str:
-        return " x ".join(f"{n} {cardinality[n]}" for n in names)
-
     if not state:
         raise InputError(
             f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
@@ -463,22 +450,10 @@ def _check_size(
     if n_states > MAX_STATES:
         seen = [n for n in state if n not in hidden]
         why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
+        sizes = " x ".join(f"{n} {cardinality[n]}" for n in state)
         raise InputError(
-            f"the joint state has {n_states} values ({sizes(state)}), more than {MAX_STATES}{why}"
+            f"the joint state has {n_states} values ({sizes}), more than {MAX_STATES}{why}"
         )
-    n_inputs = _count(inputs, cardinality)
-    if n_inputs * n_states**2 > MAX_ENTRIES:
-        raise InputError(
-            f"the transition has {n_inputs} x {n_states} x {n_states} entries"
-            f" ({sizes((*inputs, *state))}), more than {MAX_ENTRIES}"
-        )
-    for key in observed:
-        of = _names(key)
-        if n_states * _count(of, cardinality) > MAX_ENTRIES:
-            raise InputError(
-                f"{', '.join(of)}: {sizes(of)} values for {n_states} joint states are more than"
-                f" {MAX_ENTRIES} entries"
-            )
 
 
 def _count(nodes: Iterable[str], cardinality: Mapping[str, int]) -> int:

@@ -29,14 +29,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from egolane_pgm.types import (
-    Beliefs,
-    BoolArray,
-    FloatArray,
-    InputError,
-    IntArray,
-    LaneEvents,
-)
+from egolane_pgm.types import Beliefs, BoolArray, FloatArray, InputError, IntArray, LaneEvents
 
 #: The probability from which a lane is believed.
 BELIEVED = 2 / 3
@@ -55,11 +48,7 @@ HALF_CAR = 0.25
 
 
 def lane_events(
-    beliefs: Beliefs,
-    frame_rate: float,
-    *,
-    lag: int | None = None,
-    time_s: FloatArray | None = None,
+    beliefs: Beliefs, frame_rate: float, *, lag: int | None = None, time_s: FloatArray | None = None
 ) -> LaneEvents:
     """Find the lane changes of a drive.
 

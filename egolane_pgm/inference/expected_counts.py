@@ -90,10 +90,7 @@ def expected_counts(
     likelihood[is_impossible] = 1.0
     smoothed, moves = np.empty((n_frames, n_states)), np.zeros((n_states, n_states))
     smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)
-    array_of = {
-        "prior": smoothed[begins].sum(axis=0)[None],
-        "transition": moves[None],
-    }
+    array_of = {"prior": smoothed[begins].sum(axis=0)[None], "transition": moves[None]}
     smoothed[is_impossible] = 0.0
     blocks = zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True)
     seen = [_seen(group, block, smoothed) for group, block in blocks]

@@ -25,11 +25,7 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.jeffrey import run_jeffrey
 from egolane_pgm.inference.kernels.banded import Band, forward_banded
-from egolane_pgm.inference.kernels.filter import (
-    forward_kernel,
-    likelihood_kernel,
-    multiply_chosen,
-)
+from egolane_pgm.inference.kernels.filter import forward_kernel, likelihood_kernel, multiply_chosen
 from egolane_pgm.inference.layout import (
     FilterState,
     PosteriorEvidence,
@@ -89,10 +85,7 @@ def filter_beliefs(
 
 
 def step(
-    compiled: Compiled,
-    state: FilterState | None,
-    evidence: Evidence,
-    method: str = "exact",
+    compiled: Compiled, state: FilterState | None, evidence: Evidence, method: str = "exact"
 ) -> tuple[FilterState, Beliefs]:
     """Filter one more frame (or several) online: the new state and the beliefs of these frames.
 
@@ -116,13 +109,7 @@ def step(
     for piece in _pieces(n_frames, piece_frames(compiled)):
         likelihood = state_likelihood(compiled, evidence, piece)
         beliefs, log_evidence, is_impossible = forward(
-            compiled,
-            likelihood,
-            index[piece],
-            begins[piece],
-            joint,
-            is_factored,
-            out=likelihood,
+            compiled, likelihood, index[piece], begins[piece], joint, is_factored, out=likelihood
         )
         marginals = marginals_of(compiled, beliefs)
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))

@@ -92,11 +92,7 @@ def pass_forward(
     begins[:1] = before is None
     likelihood = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(
-        compiled,
-        likelihood,
-        index,
-        begins,
-        None if before is None else before.copy(),
+        compiled, likelihood, index, begins, None if before is None else before.copy()
     )
     likelihood[is_impossible] = 1.0
     return Passed(filtered, likelihood, index, begins, log_evidence, is_impossible)

@@ -18,15 +18,7 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.smoothing import pass_forward
-from egolane_pgm.types import (
-    Beliefs,
-    BoolArray,
-    Evidence,
-    InputError,
-    IntArray,
-    runs_of,
-    suggestion,
-)
+from egolane_pgm.types import Beliefs, BoolArray, Evidence, IntArray, runs_of
 
 #: Frames in a row that the path may disagree with the smoothed belief without a warning.
 LIMIT = 50
@@ -55,22 +47,6 @@ class Path:
     def lane(self) -> IntArray:
         """(T,): the lane in each frame, 1 to n."""
         return self.values["Lane"] + 1
-
-
-@dataclass(frozen=True)
-class Disagreement:
-    """The longest stretch of frames in which the path's value has a smoothed probability below
-    1/2.
-
-    - frames: its length, 0 if there is none.
-    - first, last: its frame ids, or None.
-    - warning: one line where it is longer than the limit, else None.
-    """
-
-    frames: int
-    first: int | None
-    last: int | None
-    warning: str | None
 
 
 def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None) -> Path:
@@ -103,30 +79,18 @@ def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None
     return Path(ids, values, total, passed.is_impossible)
 
 
-def disagreement(
-    path: Path, smoothed: Beliefs, *, node: str = "Lane", limit: int = LIMIT
-) -> Disagreement:
-    """The longest stretch of frames in which the path and the smoothed belief of a node disagree.
+def disagreement(path: Path, smoothed: Beliefs, limit: int = LIMIT) -> str | None:
+    """A line about the longest stretch of frames in which the path's lane has a smoothed
+    probability below 1/2; None where none has more than `limit` frames.
 
-    limit: number of frames in a row that gets no warning. Raises InputError for a node that is not
-    hidden, and where path and beliefs have different frames.
+    - smoothed: of the path's frames.
     """
-    if node not in path.values:
-        raise InputError(f"node '{node}' is not a hidden one{suggestion(node, path.values)}")
-    if not np.array_equal(path.frame_id, smoothed.frame_id):
-        raise InputError("the path and the smoothed beliefs are about different frames")
-    chosen = path.values[node]
-    doubted = smoothed.marginals[node][np.arange(len(path)), chosen] < 0.5
-    runs = runs_of(doubted)
-    if not runs:
-        return Disagreement(0, None, None, None)
-    start, stop = max(runs, key=lambda run: run[1] - run[0])
-    frames = stop - start
-    first, last = int(path.frame_id[start]), int(path.frame_id[stop - 1])
-    warning = None
-    if frames > limit:
-        warning = (
-            f"the most probable path holds a {node} that the smoothed belief gives less than 1/2"
-            f" for {frames} frames ({first} to {last}); trust the smoothed belief there"
-        )
-    return Disagreement(frames, first, last, warning)
+    doubted = smoothed.lane[np.arange(len(path)), path.values["Lane"]] < 0.5
+    start, stop = max(runs_of(doubted), key=lambda run: run[1] - run[0], default=(0, 0))
+    if stop - start <= limit:
+        return None
+    return (
+        "the most probable path holds a Lane that the smoothed belief gives less than 1/2 for"
+        f" {stop - start} frames ({path.frame_id[start]} to {path.frame_id[stop - 1]}); trust the"
+        " smoothed belief there"
+    )

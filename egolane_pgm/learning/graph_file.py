@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import default_values
 from egolane_pgm.model import Model, compile_graph, fitting_rule, graph_roles
 from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_place
 from egolane_pgm.tools.files import write_yaml
-from egolane_pgm.types import FloatArray, InputError, problems_in
+from egolane_pgm.types import InputError, problems_in
 
 #: Digits of a number in the file: rows still sum to one far within what a graph may be off.
 _DIGITS = 12
@@ -74,7 +74,7 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
 
 
 def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[str, Any]:
-    """The keys of a YAML graph with the nodes and edges of the model's graph and its tables.
+    """The keys of a YAML graph with the nodes of the model's graph and its tables.
 
     It is for the model's number of lanes only, and has no parameters.
 
@@ -83,11 +83,6 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
     compiled, roles = model.compiled, model.roles
     by_node = compiled.tables
     names = list(dict.fromkeys(name for name, _ in by_node))
-    across: list[str] = []
-    within: list[str] = []
-    for name in names:
-        for parent, s in by_node[name, 1].parents:
-            (within if s == 1 else across).append(f"{parent} -> {name}")
     content: dict[str, Any] = {
         "description": description,
         "nodes": {
@@ -100,14 +95,10 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
         "observed": [list(key) if isinstance(key, tuple) else key for key in roles.observed],
         "inputs": list(compiled.inputs),
         "unused": [list(key) if isinstance(key, tuple) else key for key in roles.unused],
-        "edges": {"within": within, "across": across},
         "tables": {
             name: _rows(by_node[name, 1], digits)
             if compiled.has_one_table(name)
-            else {
-                "first": _rows(by_node[name, 0], digits),
-                "next": _rows(by_node[name, 1], digits),
-            }
+            else {"first": _rows(by_node[name, 0], digits), "next": _rows(by_node[name, 1], digits)}
             for name in names
             if name not in compiled.inputs
         },
@@ -116,15 +107,6 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
 
 
 def _rows(table: Table, digits: int) -> dict[str, Any]:
-    of = [_parent(table.node, parent) for parent in table.parents]
-    rows: dict[str, Any] = {"of": of} if of else {}
-    return {"rows": {**rows, "values": _rounded(table.values, digits).tolist()}}
-
-
-def _parent(node: SliceNode, parent: SliceNode) -> str:
-    return parent[0] if parent[1] == node[1] else f"{parent[0]} before"
-
-
-def _rounded(values: FloatArray, digits: int) -> FloatArray:
-    flat = [float(f"{v:.{digits}g}") for v in values.ravel()]
-    return np.reshape(flat, values.shape)
+    of = [name if t == table.node[1] else f"{name} before" for name, t in table.parents]
+    rounded = np.reshape([float(f"{v:.{digits}g}") for v in table.values.flat], table.values.shape)
+    return {"rows": {**({"of": of} if of else {}), "values": rounded.tolist()}}

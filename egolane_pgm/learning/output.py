@@ -37,11 +37,7 @@ def output_files(experiment: Experiment, target: Path) -> list[Path]:
 
 
 def write_learned(
-    experiment: Experiment,
-    model: Model,
-    parameters: Found,
-    target: Path,
-    drives: str | None = None,
+    experiment: Experiment, model: Model, parameters: Found, target: Path, drives: str | None = None
 ) -> list[Path]:
     """Write the experiment with what was learned to `target`, and, where tables were learned, the
     graph to `<its name>.graph.yaml` in the same folder; returns the files that were written.

@@ -20,7 +20,15 @@ import numpy as np
 from egolane_pgm.maps.joins import optional_lanes
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
+from egolane_pgm.simulation._common import (
+    Count,
+    NotNegative,
+    Positive,
+    Share,
+    check_fields,
+    check_seed,
+    slow_noise,
+)
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
 from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.world import Road, ease
@@ -62,32 +70,24 @@ class Journey:
     Raises InputError, naming the key, for a value out of range.
     """
 
-    n_frames: int = 6000
-    frame_rate: float = 10.0
-    lane_width_m: float = 3.75
-    speed_m_s: float = 28.0
-    speed_sd: float = 3.0
-    changes_per_minute: float = 2.0
-    change_s: float = 4.0
-    wander_m: float = 0.2
-    wander_s: float = 5.0
-    crossing_share: float = 0.5
-    place_sigma_m: float = 20.0
-    wrong_per_km: float = 0.0
-    wrong_m: float = 800.0
-    gnss_m: float = 2.1
-    gnss_s: float = 26.0
+    n_frames: Count = 6000
+    frame_rate: Positive = 10.0
+    lane_width_m: Positive = 3.75
+    speed_m_s: Positive = 28.0
+    speed_sd: NotNegative = 3.0
+    changes_per_minute: NotNegative = 2.0
+    change_s: Positive = 4.0
+    wander_m: NotNegative = 0.2
+    wander_s: NotNegative = 5.0
+    crossing_share: Share = 0.5
+    place_sigma_m: NotNegative = 20.0
+    wrong_per_km: NotNegative = 0.0
+    wrong_m: Positive = 800.0
+    gnss_m: NotNegative = 2.1
+    gnss_s: NotNegative = 26.0
 
     def __post_init__(self) -> None:
-        positive = ("frame_rate", "lane_width_m", "speed_m_s", "change_s", "wrong_m")
-        share = {"crossing_share": "probability"}
-        others = (
-            *("speed_sd", "changes_per_minute", "wander_m", "wander_s", "place_sigma_m"),
-            *("wrong_per_km", "gnss_m", "gnss_s"),
-        )
-        kinds = {"n_frames": "count", **share}
-        kinds |= dict.fromkeys(positive, "positive") | dict.fromkeys(others, "non_negative")
-        check_fields(self, kinds)
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -305,11 +305,7 @@ def _lane_changes(
 
 
 def _lines(
-    lanes: IntArray,
-    left: IntArray,
-    centre: FloatArray,
-    journey: Journey,
-    rng: np.random.Generator,
+    lanes: IntArray, left: IntArray, centre: FloatArray, journey: Journey, rng: np.random.Generator
 ) -> tuple[FloatArray, FloatArray]:
     """The lines of all tracks as seen from the car (T, L), metres, NaN where a road has none; and
     the car's distance from the first of them (T,)."""

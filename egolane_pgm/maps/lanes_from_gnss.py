@@ -13,32 +13,52 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
-from egolane_pgm.maps.across import Across
-from egolane_pgm.types import FloatArray
+from egolane_pgm.experiment import Gnss
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.types import FloatArray, IntArray
+
+#: A position counts in a frame that is at most this many seconds later.
+_LATE_S = 0.5
 
 
 @dataclass(frozen=True)
-class GnssNoise:
-    """How a receiver errs across the road.
+class Across:
+    """Where positions put a car across its road in T frames.
 
-    - lane_width_m
-    - sigma_m: of the noise from second to second, and of the car inside its lane
-    - drift_sigma_m, drift_s: standard deviation and correlation time of the drift
-    - off_share: positions that say nothing: between lanes, off the road, reflected
+    - metres (T,): from the left edge of its lanes; NaN in frames without a position
+    - sigma_m (T,): the receiver's own standard deviation; NaN where it gives none
     """
 
-    lane_width_m: float = 3.5
-    sigma_m: float = 1.0
-    drift_sigma_m: float = 2.0
-    drift_s: float = 300.0
-    off_share: float = 0.05
+    metres: FloatArray
+    sigma_m: FloatArray
+
+
+def across(table: RoadTable, time_s: FloatArray, n_lanes: IntArray, lane_width_m: float) -> Across:
+    """The positions of a road table, each in the first frame that is not before it.
+
+    - time_s (T,): of the frames, by the table's clock
+    - n_lanes (T,): lanes of the road in each frame. Where the map has another number, or does not
+      say where its line lies, that is taken to be the middle of the road.
+    """
+    metres, sigma = np.full(len(time_s), np.nan), np.full(len(time_s), np.nan)
+    frame = np.searchsorted(time_s, table.t_s)
+    # Of several positions in a frame the last one counts; one of a pause in the lines does not.
+    rows = np.flatnonzero((frame < len(time_s)) & np.isfinite(table.offset_m))
+    rows = rows[time_s[frame[rows]] - table.t_s[rows] < _LATE_S]
+    frame = frame[rows]
+    line = table.way_line[rows]
+    is_told = np.isfinite(line) & (table.n_lanes[rows] == n_lanes[frame])
+    line = np.where(is_told, line, n_lanes[frame] / 2)
+    metres[frame] = table.offset_m[rows] + line * lane_width_m
+    sigma[frame] = table.sigma_m[rows]
+    return Across(metres, sigma)
 
 
 #: Positions that say nothing are anywhere in this width, metres.
 _ANYWHERE_M = 50.0
 
 
-def _drifts(noise: GnssNoise) -> FloatArray:
+def _drifts(noise: Gnss) -> FloatArray:
     """The cells of the drift (D,), metres: half as wide as the noise, to four standard deviations
     on either side."""
     width = noise.sigma_m / 2
@@ -46,7 +66,7 @@ def _drifts(noise: GnssNoise) -> FloatArray:
     return np.asarray(np.arange(-half, half + 1) * width)
 
 
-def _wander(noise: GnssNoise) -> tuple[FloatArray, FloatArray]:
+def _wander(noise: Gnss) -> tuple[FloatArray, FloatArray]:
     """The drift's first distribution (D,), which it keeps, and its rates (D, D) of going from cell
     to cell in a second: to the neighbours only, with the steps of a Gauss-Markov process
     (Metropolis). Wider steps would let the drift follow a lane change."""
@@ -58,14 +78,14 @@ def _wander(noise: GnssNoise) -> tuple[FloatArray, FloatArray]:
     return start / start.sum(), rates - np.diag(rates.sum(axis=1))
 
 
-def _density(off_m: FloatArray, sigma_m: float, noise: GnssNoise) -> FloatArray:
+def _density(off_m: FloatArray, sigma_m: float, noise: Gnss) -> FloatArray:
     """The likelihood of a position at some distance from where it should be."""
     density = np.exp(-0.5 * (off_m / sigma_m) ** 2) / (np.sqrt(2 * np.pi) * sigma_m)
     return np.asarray((1 - noise.off_share) * density + noise.off_share / _ANYWHERE_M)
 
 
 def beside_lines(
-    seen: Across, time_s: FloatArray, believed: FloatArray, noise: GnssNoise, cells: int = 1
+    seen: Across, time_s: FloatArray, believed: FloatArray, noise: Gnss, cells: int = 1
 ) -> FloatArray:
     """The likelihood of the place across the road given positions, in addition to the lines:
     (T, K), its largest 1; 1 everywhere in frames without a position.

@@ -26,34 +26,22 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 OFF = -1
 
 
-@dataclass(frozen=True)
-class MatchSettings:
-    """The constants of the model. The defaults were chosen by hand and not searched.
-
-    - sigma_m: of a position across the road, the lane's offset to the way's line included, metres
-    - beta_m: scale of the difference between way and straight distance, metres
-    - beta_share: the same for long gaps, per metre of distance: curves make the way longer
-    - heading_sigma: of the direction of travel, radians
-    - radius_m: how far a segment may be from a position
-    - off_m: positions are as likely off the map as this far from a segment, metres
-    - leave, come: probability of leaving the map, and of coming back, per position
-    - jump: probability of a change to a segment that no way leads to, per position
-    - top_speed_mps: a position that needs a higher speed is an outlier
-    """
-
-    sigma_m: float = 6.0
-    beta_m: float = 6.0
-    beta_share: float = 0.05
-    heading_sigma: float = 0.35
-    radius_m: float = 60.0
-    off_m: float = 25.0
-    leave: float = 1e-3
-    come: float = 0.05
-    jump: float = 1e-6
-    top_speed_mps: float = 80.0
-
-
-DEFAULTS = MatchSettings()
+#: The constants of the model, chosen by hand and not searched: the standard deviation of a position
+#: across the road, the lane's offset to the way's line included, metres;
+SIGMA_M = 6.0
+#: the scale of the difference between way and straight distance, metres, and for long gaps, on
+#: which curves make the way longer, more of it per metre of distance;
+BETA_M, BETA_SHARE = 6.0, 0.05
+#: the standard deviation of the direction of travel, radians;
+HEADING_SIGMA = 0.35
+#: how far a segment may be from a position, and the distance, metres, from which a position is as
+#: likely off the map;
+RADIUS_M, OFF_M = 60.0, 25.0
+#: the probabilities, per position, of leaving the map, of coming back, and of a change to a segment
+#: that no way leads to;
+LEAVE, COME, JUMP = 1e-3, 0.05, 1e-6
+#: and the speed, m/s, above which a position is an outlier.
+TOP_SPEED_MPS = 80.0
 
 #: Below this speed, m/s, or this way between two positions, m, a heading says nothing.
 _MOVES_MPS, _MOVES_M = 3.0, 8.0
@@ -90,12 +78,7 @@ def no_match(n: int, is_outlier: BoolArray) -> Matched:
 
 
 def match(
-    graph: LaneGraph,
-    index: RoadIndex,
-    positions: Positions,
-    *,
-    online: bool = False,
-    settings: MatchSettings = DEFAULTS,
+    graph: LaneGraph, index: RoadIndex, positions: Positions, *, online: bool = False
 ) -> Matched:
     """The road at each of T positions.
 
@@ -105,11 +88,11 @@ def match(
     """
     place = index.plane.metres(positions.latitude, positions.longitude)
     outlier = np.empty(len(positions), dtype=np.bool_)
-    _find_outliers(positions.t_s, place, settings.top_speed_mps, outlier)
+    _find_outliers(positions.t_s, place, outlier)
     used = np.flatnonzero(~outlier)
-    found = near(index, place[used], settings.radius_m)
-    said = _emissions(positions, place, used, found, settings)
-    block, transition = _transitions(graph, place[used], found, settings)
+    found = near(index, place[used], RADIUS_M)
+    said = _emissions(positions, place, used, found)
+    block, transition = _transitions(graph, place[used], found)
     first = found.start + np.arange(len(found.start))
     choice, sure = _choose(first, said, block, transition, online)
     on = choice < np.diff(found.start)
@@ -126,7 +109,7 @@ def match(
 
 
 @kernel()
-def _find_outliers(t_s: FloatArray, place: FloatArray, top_speed: float, out: BoolArray) -> None:
+def _find_outliers(t_s: FloatArray, place: FloatArray, out: BoolArray) -> None:
     """Fills out (T,): outliers, which cannot be reached from the last position that is none. Only
     the past decides. After several in a row that can be reached from each other, the car is
     there."""
@@ -135,40 +118,38 @@ def _find_outliers(t_s: FloatArray, place: FloatArray, top_speed: float, out: Bo
         if t == 0:
             out[t] = False
             continue
-        if _reached(t_s, place, last, t, top_speed):
+        if _reached(t_s, place, last, t):
             out[t], agree, last = False, 0, t
             continue
-        agree = agree + 1 if agree > 0 and _reached(t_s, place, t - 1, t, top_speed) else 1
+        agree = agree + 1 if agree > 0 and _reached(t_s, place, t - 1, t) else 1
         out[t] = agree < _OUTLIERS_AGREE
         if not out[t]:
             agree, last = 0, t
 
 
 @kernel()
-def _reached(t_s: FloatArray, place: FloatArray, a: int, b: int, top_speed: float) -> bool:
+def _reached(t_s: FloatArray, place: FloatArray, a: int, b: int) -> bool:
     dx, dy = place[b, 0] - place[a, 0], place[b, 1] - place[a, 1]
     # A standing car's positions scatter too.
-    return bool(np.sqrt(dx * dx + dy * dy) <= 20.0 + top_speed * (t_s[b] - t_s[a]))
+    return bool(np.sqrt(dx * dx + dy * dy) <= 20.0 + TOP_SPEED_MPS * (t_s[b] - t_s[a]))
 
 
-def _emissions(
-    positions: Positions, place: FloatArray, used: IntArray, found: Near, settings: MatchSettings
-) -> FloatArray:
+def _emissions(positions: Positions, place: FloatArray, used: IntArray, found: Near) -> FloatArray:
     """Log-likelihood of each time's states, (N + T,), relative to a place on the way's line: of the
     near segments and, as the last, of being off the map."""
     given = positions.sigma_m[used]
-    sigma = np.fmax(np.hypot(np.where(np.isnan(given), 0.0, given), 4.0), settings.sigma_m)
+    sigma = np.fmax(np.hypot(np.where(np.isnan(given), 0.0, given), 4.0), SIGMA_M)
     heading, moved_m = headings(positions, place, used)
     # A heading that is the way from the position before is as good as that way is long.
-    noise = np.where(np.isnan(moved_m), 0.0, np.sqrt(2) * settings.sigma_m / moved_m)
-    spread = np.hypot(settings.heading_sigma, noise)
+    noise = np.where(np.isnan(moved_m), 0.0, np.sqrt(2) * SIGMA_M / moved_m)
+    spread = np.hypot(HEADING_SIGMA, noise)
     count = np.diff(found.start)
     z = found.offset_m / np.repeat(sigma, count)
     turn = (found.heading - np.repeat(heading, count) + np.pi) % (2 * np.pi) - np.pi
     agrees = np.exp(-0.5 * (turn / np.repeat(spread, count)) ** 2)
     said = np.log((1 - _HEADING_WRONG) * agrees + _HEADING_WRONG)
     near_ones = -0.5 * z**2 + np.where(np.isnan(said), 0.0, said)
-    return np.insert(near_ones, found.start[1:], -0.5 * (settings.off_m / settings.sigma_m) ** 2)
+    return np.insert(near_ones, found.start[1:], -0.5 * (OFF_M / SIGMA_M) ** 2)
 
 
 def headings(
@@ -189,9 +170,7 @@ def headings(
     return np.where(moved, np.arctan2(step[:, 1], step[:, 0]), given), np.where(moved, far, np.nan)
 
 
-def _transitions(
-    graph: LaneGraph, place: FloatArray, found: Near, settings: MatchSettings
-) -> tuple[IntArray, FloatArray]:
+def _transitions(graph: LaneGraph, place: FloatArray, found: Near) -> tuple[IntArray, FloatArray]:
     """Log-probabilities from each time's states to the next one's. States are the near segments
     and, as the last, off the map.
 
@@ -204,8 +183,7 @@ def _transitions(
     transition = np.empty(block[-1])
     _fill_transitions(
         found.start, found.segment, found.along_m, place, joins_from(graph), graph.after,
-        graph.length_m, settings.beta_m, settings.beta_share, settings.sigma_m,
-        np.log(settings.leave), np.log(settings.come), np.log(settings.jump), block, transition,
+        graph.length_m, block, transition,
     )  # fmt: skip
     return block, transition
 
@@ -219,16 +197,11 @@ def _fill_transitions(
     join_start: IntArray,
     after: IntArray,
     length: FloatArray,
-    beta: float,
-    beta_share: float,
-    sigma: float,
-    leave: float,
-    come: float,
-    jump: float,
     block: IntArray,
     transition: FloatArray,
 ) -> None:
     """Fills transition; see `_transitions`."""
+    leave, come, jump = np.log(LEAVE), np.log(COME), np.log(JUMP)
     reached_in = np.full(len(length), -1, dtype=np.int64)
     way_to = np.empty(len(length))
     is_done = np.empty(len(length), dtype=np.bool_)
@@ -239,7 +212,7 @@ def _fill_transitions(
         width = b1 - b0 + 1
         dx, dy = place[t, 0] - place[t - 1, 0], place[t, 1] - place[t - 1, 1]
         straight = np.sqrt(dx * dx + dy * dy)
-        scale = beta + beta_share * straight
+        scale = BETA_M + BETA_SHARE * straight
         limit = straight + 15.0 * scale
         for a in range(a0, a1):
             at = block[t] + (a - a0) * width
@@ -279,7 +252,7 @@ def _fill_transitions(
             for b in range(b0, b1):
                 s = segment[b]
                 way = np.inf
-                if s == here and along[b] - along[a] > -4.0 * sigma:
+                if s == here and along[b] - along[a] > -4.0 * SIGMA_M:
                     way = along[b] - along[a]
                 elif reached_in[s] == search:
                     way = way_to[s] + along[b]

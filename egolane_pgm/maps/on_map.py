@@ -18,8 +18,7 @@ from egolane_pgm.evidence.lines_beside import fit_of_counts
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.maps.across import Across, across
-from egolane_pgm.maps.lanes_from_gnss import GnssNoise, beside_lines
+from egolane_pgm.maps.lanes_from_gnss import Across, across, beside_lines
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.steps import (
     LanesAlong,
@@ -177,7 +176,6 @@ def with_positions(
     # A frame without lines is no evidence of the drift, however sure the belief still is.
     has_lines = log.is_valid.any(axis=1, keepdims=True)
     believed = np.where(has_lines, believed, 1 / believed.shape[1])
-    noise, cells = GnssNoise(**gnss.model_dump()), believed.shape[1] // n_lanes
-    said = beside_lines(seen, log.time_s, believed, noise, cells)
+    said = beside_lines(seen, log.time_s, believed, gnss, believed.shape[1] // n_lanes)
     joint = lines.likelihoods[key] * (said[:, :, None] if of_places else said)
     return replace(lines, likelihoods={**lines.likelihoods, key: joint})

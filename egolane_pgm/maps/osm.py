@@ -14,7 +14,6 @@ import numpy as np
 from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points, metres_per_degree
 from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
-from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import NOTE, BoolArray, FloatArray, InputError, IntArray
 
 #: The largest number of warnings about the tags of a map.
@@ -94,7 +93,6 @@ def _osmium() -> Any:
 
 
 def _read(path: str | Path) -> _Raw:
-    check_name(path)
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file")
     osmium = _osmium()

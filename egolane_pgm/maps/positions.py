@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.tools.files import check_name, read_parquet, read_text
+from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
 if TYPE_CHECKING:
-    import pandas as pd
+    pass
 
 #: The names that a table's columns may have. The first of each is the one that this package uses.
 COLUMNS = {
@@ -130,7 +130,6 @@ def read_positions(
     Raises InputError for another extension, a file that cannot be read, an option that does not go
     with the format, and what `Positions.make` refuses.
     """
-    check_name(path)
     path = Path(path)
     kind = path.suffix.lower()
     read: Any = {
@@ -163,23 +162,14 @@ def read_positions(
 
 
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
-    import pandas as pd
+    # `egolane locate --help` does without pyarrow.
+    from egolane_pgm.recordings.table import read, typed
 
-    arrow = read_parquet(path) if path.suffix.lower() == ".parquet" else None
-    try:
-        if arrow is not None:
-            table = arrow.to_pandas(ignore_metadata=True)
-        else:
-            table = pd.read_csv(path, encoding="utf-8-sig", skipinitialspace=True)
-    except (OSError, ValueError) as error:
-        # pandas' own errors are ValueErrors.
-        text = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: cannot be read as a table ({text})") from None
-    names = _column_names(path, [str(name) for name in table.columns], dict(columns or {}))
-    values = {
-        ours: _times(path, table[theirs]) if ours == "t_s" else _numbers(path, table[theirs])
-        for ours, theirs in names.items()
-    }
+    table = read(path)
+    values = {}
+    for ours, theirs in _column_names(path, table.column_names, dict(columns or {})).items():
+        times = _dates(path, theirs, table[theirs]) if ours == "t_s" else None
+        values[ours] = typed(path, ours, table[theirs], theirs) if times is None else times
     return Positions.make(**values, source=str(path))
 
 
@@ -200,40 +190,30 @@ def _column_names(path: Path, there: list[str], chosen: dict[str, str]) -> dict[
         raise InputError(
             f"{path}: no column {', '.join(lacking)}; the table has {', '.join(there) or 'none'}"
         )
+    twice = next((theirs for theirs in found.values() if there.count(theirs) > 1), None)
+    if twice is not None:
+        raise InputError(f"{path}: column {twice} occurs more than once")
     return found
 
 
-def _numbers(path: Path, column: pd.Series) -> FloatArray:
-    """The numbers of a column, (T,); an empty cell is NaN."""
+def _dates(path: Path, name: str, column: Any) -> FloatArray | None:
+    """The times of a column of dates in ISO 8601, (T,), seconds; those without a zone are UTC. None
+    for a column of numbers."""
     import pandas as pd
 
-    number: FloatArray = pd.to_numeric(column, errors="coerce").to_numpy(
-        dtype=np.float64, na_value=np.nan
-    )
-    _check_cells(path, column, np.isnan(number), "a number")
-    return number
-
-
-def _times(path: Path, column: pd.Series) -> FloatArray:
-    """The times of a column, (T,), seconds; dates in ISO 8601 without a zone are UTC."""
-    import pandas as pd
-
-    if pd.api.types.is_numeric_dtype(column):
-        return _numbers(path, column)
+    cells = column.to_pandas()
+    if pd.api.types.is_numeric_dtype(cells) or cells.isna().all():
+        return None
     try:
-        date = pd.to_datetime(column, errors="coerce", utc=True, format="ISO8601").dt.as_unit("ns")
+        date = pd.to_datetime(cells, errors="coerce", utc=True, format="ISO8601").dt.as_unit("ns")
     except pd.errors.OutOfBoundsDatetime as error:
-        raise InputError(f"{path}: {column.name}: {error}") from None
-    _check_cells(path, column, date.isna().to_numpy(), "a number or a date")
-    return np.asarray((date - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), np.float64)
-
-
-def _check_cells(path: Path, column: pd.Series, unread: BoolArray, needs: str) -> None:
-    bad = unread & column.notna().to_numpy()
+        raise InputError(f"{path}: {name}: {error}") from None
+    bad = (date.isna() & cells.notna()).to_numpy()
     if bad.any():
         row = int(np.argmax(bad))
-        cell = str(column.iloc[row])[:40]
-        raise InputError(f"{path}: row {row + 1}: {column.name} is {cell!r}, not {needs}")
+        cell = str(cells.iloc[row])[:40]
+        raise InputError(f"{path}: row {row + 1}: {name} is {cell!r}, not a number or a date")
+    return np.asarray((date - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), np.float64)
 
 
 # --- GPX, NMEA, bags -------------------------------------------------------------------------
@@ -281,7 +261,8 @@ def _read_nmea(path: Path) -> Positions:
             said = pynmea2.parse(line, check=True)
             # Fields are read only where they are asked for; a damaged time or date stays text.
             values = _nmea_values(said)
-            if any(isinstance(each, str) and each for each in _when(said)):
+            when = (said.timestamp, getattr(said, "datestamp", None))
+            if any(isinstance(each, str) and each for each in when):
                 raise ValueError
         except (pynmea2.ParseError, ValueError):
             damaged += 1
@@ -300,7 +281,8 @@ def _read_nmea(path: Path) -> Positions:
             date += timedelta(days=1)
         clock = said.timestamp
         for at, its in (*waiting, (clock, values)):
-            found.setdefault(_moment(date, at), {}).update(its)
+            moment = datetime.combine(date, at.replace(tzinfo=None), tzinfo=UTC)
+            found.setdefault(moment, {}).update(its)
         waiting = []
     if waiting:
         raise InputError(f"{path}: has no date, which an RMC sentence would give")
@@ -318,15 +300,6 @@ def _read_nmea(path: Path) -> Positions:
     return _from_rows(path, rows)
 
 
-def _moment(date: Any, clock: Any) -> datetime:
-    return datetime.combine(date, clock.replace(tzinfo=None), tzinfo=UTC)
-
-
-def _when(said: Any) -> tuple[Any, ...]:
-    date = (said.datestamp,) if said.sentence_type == "RMC" else ()
-    return (said.timestamp, *date)
-
-
 def _nmea_values(said: Any) -> dict[str, float]:
     values = {}
     is_fix = said.status == "A" if said.sentence_type == "RMC" else bool(said.gps_qual)
@@ -340,13 +313,36 @@ def _nmea_values(said: Any) -> dict[str, float]:
     return values
 
 
-def _read_bag(path: Path, topic: str | None) -> Positions:
-    from egolane_pgm.recordings.fixes import read_fixes
+#: The name of the message type of a receiver's fixes, whatever its package, and the fields that are
+#: read of it.
+_FIX = "NavSatFix"
+_FIX_FIELDS = ("header.stamp", "status.status", "latitude", "longitude", "position_covariance")
 
-    fixes = read_fixes(path, topic=topic)
-    return Positions.make(
-        fixes.t_s, fixes.latitude, fixes.longitude, sigma_m=fixes.sigma_m, source=str(path)
-    )
+
+def _read_bag(path: Path, topic: str | None) -> Positions:
+    """The fixes on a topic, by default the only one that carries some; by the headers' stamps."""
+    # What reads bags is loaded for them only.
+    from egolane_pgm.recordings.rosbag import messages_of, open_bag, topic_of
+
+    rows = []
+    with open_bag(path) as bag:
+        if topic is None:
+            names = {c.topic for c in bag.connections if c.msgtype.split("/")[-1] == _FIX}
+            if len(names) != 1:
+                several = f"; name one of {', '.join(sorted(names))}" if names else ""
+                raise InputError(f"{path}: {len(names)} topics of type {_FIX} in the bag{several}")
+            (topic,) = names
+        chosen, _ = topic_of(bag, path, topic, _FIX_FIELDS, "a position")
+        for fix, _ in messages_of(bag, path, chosen):
+            place = (fix.latitude, fix.longitude) if fix.status.status >= 0 else (np.nan, np.nan)
+            # East and north; a covariance of zeros says that it is not known.
+            variance = (fix.position_covariance[0] + fix.position_covariance[4]) / 2
+            sigma = np.sqrt(variance) if variance > 0 else np.nan
+            rows.append((fix.header.stamp.sec + fix.header.stamp.nanosec * 1e-9, *place, sigma))
+    t_s, latitude, longitude, sigma_m = np.array(rows, dtype=np.float64).T
+    if not t_s.any():
+        raise InputError(f"{path}: the positions have no time, all stamps are zero")
+    return Positions.make(t_s, latitude, longitude, sigma_m=sigma_m, source=str(path))
 
 
 def _seconds(when: datetime) -> float:

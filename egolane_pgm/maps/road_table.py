@@ -20,7 +20,6 @@ from egolane_pgm.types import FloatArray, InputError, IntArray
 VERSION = "2"
 
 _WORDS = ("next_join", "next_optional")
-_WHOLE = ("segment", "n_lanes", "next_n_lanes", "next_side")
 
 
 @dataclass(frozen=True)
@@ -91,25 +90,9 @@ def save(table: RoadTable, path: str | Path) -> None:
 def load(path: str | Path) -> RoadTable:
     """Read a road table.
 
-    Raises InputError for a file that cannot be read, that is no road table or one of another
-    version, and as `RoadTable` does.
+    Raises InputError as `read_stored` and `RoadTable` do.
     """
-    import pyarrow as pa
-
     table = read_stored(path, "road table", VERSION, "egolane locate MAP POSITIONS")
-    missing = [name for name in COLUMNS if name not in table.column_names]
-    if missing:
-        raise InputError(f"{path}: lacks the column {', '.join(missing)}")
-    columns = {}
-    for name in COLUMNS:
-        kind = "string" if name in _WORDS else "int64" if name in _WHOLE else "float64"
-        try:
-            column = table[name].cast(kind)
-        except pa.ArrowException:
-            raise InputError(f"{path}: {name}: has values that are no {kind}") from None
-        if column.null_count and kind != "float64":
-            raise InputError(f"{path}: {name}: has {column.null_count} empty cells")
-        columns[name] = column.to_numpy()
-    for name in _WORDS:
-        columns[name] = columns[name].astype(np.str_)
+    columns = {name: table[name].to_numpy() for name in COLUMNS}
+    columns |= {name: columns[name].astype(np.str_) for name in _WORDS}
     return RoadTable(**columns, source=str(path))

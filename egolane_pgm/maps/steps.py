@@ -228,7 +228,8 @@ def lanes_along(
             frame = max([frame, *(before + 1 for before in frames.values())])
             if frame < len(time_s):
                 frames[c] = frame
-    first_n = _lanes_at(found, driven[0])
+    behind = np.flatnonzero(found.at_m <= driven[0])
+    first_n = int(found.steps[behind[-1]].after if len(behind) else found.n_lanes[0])
     step_of = np.full(len(time_s), -1, dtype=np.int64)
     n_map = np.full(len(time_s), first_n, dtype=np.int64)
     origin = np.zeros(len(time_s), dtype=np.int64)
@@ -290,12 +291,6 @@ def check_overlap(table: RoadTable, time_s: FloatArray, source: str) -> None:
             f"{table.source}: has the times {table.t_s[0]:g} to {table.t_s[-1]:g} s, and {source}"
             f" has {span}: they do not overlap"
         )
-
-
-def _lanes_at(found: RoadChanges, metres: float) -> int:
-    """Lanes of the map after `metres` driven."""
-    behind = np.flatnonzero(found.at_m <= metres)
-    return int(found.steps[behind[-1]].after if len(behind) else found.n_lanes[0])
 
 
 def _served(step: Step, n_lanes: int, optional: tuple[int, ...]) -> FloatArray:

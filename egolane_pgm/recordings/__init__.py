@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError, LineLog, problems_in, suggestion
 
 #: Format: (extensions, module, function that reads a file into a LineLog).
@@ -80,7 +79,6 @@ def read_lines(
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
-    check_name(path)
     name = format_of(path) if format is None else format
     with problems_in(str(path)):
         read = reader_of(name)
@@ -112,7 +110,6 @@ def write_lines(path: str | Path, log: LineLog) -> None:
 def writer_of(path: str | Path) -> Callable[[str | Path, LineLog], None]:
     """The function that writes the format of the file's extension, with the libraries that it needs
     loaded. Raises InputError for an unknown extension."""
-    check_name(path)
     name = format_of(path)
     if name not in _WRITERS or Path(path).suffix.lower() == ".db3":
         raise InputError(f"{path}: a recording is written as .csv, .parquet, .bag or .mcap")

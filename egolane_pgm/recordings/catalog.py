@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from platformdirs import user_cache_path
 
-from egolane_pgm.tools.files import file_sha256, in_home
+from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import InputError
 
 #: The folder `bag/` of github trigal/rle at tag SpecialIssueTIV.submission.1 (BSD licence).
@@ -85,7 +85,7 @@ def find_file(
 
     Raises InputError, with every place that was looked in, if it is nowhere.
     """
-    wanted = in_home(path)
+    wanted = Path(path).expanduser()
     if wanted.is_absolute():
         places = [wanted]
     else:
@@ -106,7 +106,7 @@ def data_folders() -> list[Path]:
     """The folders that are looked in for the data set, the first one that has a file first:
     `$EGOLANE_DATA`, then the download folder."""
     data = os.environ.get("EGOLANE_DATA", "")
-    return [in_home(data), download_folder()] if data else [download_folder()]
+    return [Path(data).expanduser(), download_folder()] if data else [download_folder()]
 
 
 def verify(folder: str | Path | None = None) -> list[Outcome]:
@@ -116,7 +116,7 @@ def verify(folder: str | Path | None = None) -> list[Outcome]:
       file that is nowhere is missing in the download folder.
     """
     if folder is not None:
-        return [_verify(file, in_home(folder) / file.target) for file in list_files()]
+        return [_verify(file, Path(folder).expanduser() / file.target) for file in list_files()]
     places = [[place / file.target for place in data_folders()] for file in list_files()]
     found = [next((p for p in paths if p.is_file()), paths[-1]) for paths in places]
     return [_verify(file, path) for file, path in zip(list_files(), found, strict=True)]

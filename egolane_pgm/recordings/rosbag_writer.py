@@ -11,20 +11,12 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from egolane_pgm.recordings.rosbag import (
-    DEFINITIONS,
-    DEFINITIONS_2,
-    LINE_TYPE,
-    LINE_TYPE_2,
-    LINES_TYPE,
-    LINES_TYPE_2,
-    TOPIC,
-)
+from egolane_pgm.recordings import rosbag
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
 
 
-def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
+def write_rosbag(path: str | Path, log: LineLog, *, topic: str = rosbag.TOPIC) -> None:
     """Write a log as a ROS 1 bag of the published message type, or (.mcap) as an MCAP file of the
     same type in ROS 2, stamped with the log's times.
 
@@ -45,11 +37,11 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPIC) -> None:
         )
     is_ros2 = path.suffix.lower() == ".mcap"
     store = get_typestore(Stores.ROS2_HUMBLE if is_ros2 else Stores.ROS1_NOETIC)
-    for name, definition in (DEFINITIONS_2 if is_ros2 else DEFINITIONS).items():
+    for name, definition in (rosbag.DEFINITIONS_2 if is_ros2 else rosbag.DEFINITIONS).items():
         store.register(get_types_from_msg(definition, name))
-    lines_type, serialised = LINES_TYPE, store.serialize_ros1
+    lines_type, serialised = rosbag.LINES_TYPE, store.serialize_ros1
     if is_ros2:
-        lines_type, serialised = LINES_TYPE_2, store.serialize_cdr
+        lines_type, serialised = rosbag.LINES_TYPE_2, store.serialize_cdr
     with atomic(path) as temporary, (_mcap if is_ros2 else Writer)(temporary) as bag:
         connection = bag.add_connection(topic, lines_type, typestore=store)
         for t in np.flatnonzero(~log.is_missing):
@@ -81,7 +73,7 @@ def _message(
     stamp = types["builtin_interfaces/msg/Time"](seconds % 2**31, ns)
     header = types["std_msgs/msg/Header"](*([] if is_ros2 else [t]), stamp, "")
     lines = [
-        types[LINE_TYPE_2 if is_ros2 else LINE_TYPE](
+        types[rosbag.LINE_TYPE_2 if is_ros2 else rosbag.LINE_TYPE](
             bool(log.is_valid[t, k]),
             bool(log.is_continuous[t, k]),
             int(log.lri[t, k]),
@@ -90,6 +82,6 @@ def _message(
         for k in np.flatnonzero(listed)
     ]
     n_valid, unknown = float(log.is_valid[t].sum()), 0.0
-    return types[LINES_TYPE_2 if is_ros2 else LINES_TYPE](
+    return types[rosbag.LINES_TYPE_2 if is_ros2 else rosbag.LINES_TYPE](
         header, float(len(lines)), n_valid, unknown, unknown, int(log.frame_id[t]), lines
     )

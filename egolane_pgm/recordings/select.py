@@ -7,18 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from egolane_pgm.types import (
-    NOTE,
-    FloatArray,
-    InputError,
-    IntArray,
-    LaneTruth,
-    LineLog,
-    not_one_of,
-)
-
-#: The policies for frame ids that the recording lacks.
-MISSING_FRAMES: tuple[str, ...] = ("skip", "hold", "predict")
+from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LaneTruth, LineLog
 
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
@@ -54,11 +43,8 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
       puts in frames without any line, flagged `is_missing`, so that a filter only predicts there.
     - frame_rate: frames per second, for the times of the frames that are put in.
 
-    Raises InputError for an unknown policy, and where the gaps are so large that the ids cannot
-    be frame numbers.
+    Raises InputError where the gaps are so large that the ids cannot be frame numbers.
     """
-    if policy not in MISSING_FRAMES:
-        raise InputError(f"missing_frames: {not_one_of(policy, MISSING_FRAMES)}")
     if policy == "skip" or len(log) == 0:
         return log
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
@@ -112,12 +98,7 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
 
 
 def clip_lri(log: LineLog, max_lri: float) -> LineLog:
-    """The log with every LRI clipped to 0..max_lri; unknown ones (NaN) stay unknown.
-
-    Raises InputError for a max_lri that is not greater than 0.
-    """
-    if not max_lri > 0:
-        raise InputError(f"max_lri: {max_lri} must be greater than 0")
+    """The log with every LRI clipped to 0..max_lri; unknown ones (NaN) stay unknown."""
     return replace(log, lri=np.clip(log.lri, 0.0, max_lri))
 
 

@@ -57,15 +57,19 @@ class Source(Protocol):
 
     def files_in(self, place: Path) -> Sequence[Path]:
         """The files that a folder or a glob among `Read.files` stands for."""
+        return []
 
     def frame_rate(self) -> float | None:
         """Frames per second, where the recording itself says them."""
+        return None
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
         """The keys of `recording` that also hold for another recording.
 
         - detector: the one that was asked for together with it.
         """
+        # What a simulation does not read is meant for the other recording.
+        return READING
 
 
 def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Path:
@@ -85,13 +89,12 @@ def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Pa
 
 
 @dataclass(frozen=True)
-class LinesFile:
+class LinesFile(Source):
     """Lines in a file or a folder, in a format of the package or of a user's own."""
 
     experiment: Experiment
 
     def check(self) -> None:
-        """See `Source`."""
         experiment, recording = self.experiment, self.experiment.recording
         with all_problems() as part:
             with part():
@@ -130,7 +133,6 @@ class LinesFile:
         return find_named(self.experiment, "recording.path", folders=True)
 
     def read(self) -> Read:
-        """See `Source`."""
         path, recording = self._path(), self.experiment.recording
         options: dict[str, Any] = {**recording.options, "frame_rate": recording.frame_rate}
         files = [path]
@@ -151,15 +153,13 @@ class LinesFile:
             return Read(reader.read(path, **options), None, tuple(files))
 
     def key(self) -> str:
-        """See `Source`."""
         return whole_path(self.experiment)
 
     def files_in(self, place: Path) -> Sequence[Path]:
-        """See `Source`."""
         return files_of(place)
 
     def frame_rate(self) -> float | None:
-        """See `Source`: that of a table with times. The stamps of a bag's messages are no rate."""
+        # That of a table with times; the stamps of a bag's messages are no rate.
         path, recording = self._path(), self.experiment.recording
         if self._is_own_format() or (recording.format or format_of(path)) != "table":
             return None
@@ -169,7 +169,7 @@ class LinesFile:
         return own_rate(path, recording.columns)
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
-        """See `Source`: all that says how to read, where the extension is the same."""
+        # All that says how to read, where the extension is the same.
         own = str(self.experiment.recording.path)
         is_alike = Path(recording).suffix == Path(own).suffix
         return READING | {"camera"} if is_alike else frozenset()

@@ -53,9 +53,9 @@ COLUMNS = {
 }
 
 #: What a cell of each column must be.
-CELLS = dict.fromkeys(
-    ("frame_id", "time_s", "line", "offset_m", "lri", "lane"), "a number"
-) | dict.fromkeys(("is_valid", "is_continuous", "is_missing", "is_crossing"), "true, false, 1 or 0")
+CELLS = dict.fromkeys(COLUMNS, "a number") | dict.fromkeys(
+    ("is_valid", "is_continuous", "is_missing", "is_crossing"), "true, false, 1 or 0"
+)
 
 #: Frames per second of a table without times, where nothing else is said.
 FRAME_RATE = 10.0
@@ -90,7 +90,7 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
-    table = _read(path)
+    table = read(path)
     cells = _cells(path, table.column_names, table.columns, columns or {})
     return _log_of(path, cells, frame_rate)
 
@@ -101,7 +101,7 @@ def own_rate(path: str | Path, columns: Mapping[str, str] | None = None) -> floa
     Raises InputError as `read_table`, as far as frame ids and times are wrong.
     """
     path = Path(path)
-    table = _read(path)
+    table = read(path)
     names = _renamed(path, table.column_names, columns or {})
     if not {"frame_id", "time_s"} <= {*names}:
         return None
@@ -254,8 +254,8 @@ def _check_columns(path: Path, names: list[str], given: list[str]) -> list[str]:
     return [name for name in names if name in known]
 
 
-def _read(path: Path) -> pa.Table:
-    """The whole table. pyarrow finds the types of the columns of a CSV file."""
+def read(path: Path) -> pa.Table:
+    """A whole CSV or Parquet file. pyarrow finds the types of the columns of a CSV file."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     extension = path.suffix.lower()
@@ -341,7 +341,7 @@ def _numbers(column: Any) -> FloatArray:
 
 def _needs(name: str) -> str:
     """What a cell of a column must be."""
-    return CELLS[re.sub(r"_\d+$", "", name)]
+    return CELLS.get(re.sub(r"_\d+$", "", name), "a number")
 
 
 def _is_flag(name: str) -> bool:

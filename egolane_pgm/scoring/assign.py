@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.checks import as_belief
-from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, InputError, IntArray
+from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, IntArray
 
 
 def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
@@ -18,12 +17,9 @@ def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
     unassigned_below: a row whose maximum is less than this is Unassigned too (the reject option,
         for normalised beliefs; 0 for none).
 
-    Returns (T,). Raises InputError for a belief of another shape, or with negative or NaN values,
-    and for an unassigned_below outside 0..1.
+    Returns (T,).
     """
-    if not 0 <= unassigned_below <= 1:
-        raise InputError(f"unassigned_below: {unassigned_below} is not a probability (0 to 1)")
-    values = as_belief(belief, normalised=False)
+    values = np.asarray(belief, dtype=np.float64)
     n_lanes = values.shape[1]
     # A row per lane: NumPy reduces over a short last axis one frame at a time, which is slow.
     rows = np.ascontiguousarray(values.T)

@@ -118,7 +118,7 @@ def confusion_counts(
     """Per frame its confusion matrix, (T, n + 1, n): True in one cell, none where it is crossing.
 
     For `bootstrap_interval` with `scoring.confusion.accuracy`, `macro_f1` and the like. Arguments
-    and errors as `scoring.confusion.confusion`.
+    as `scoring.confusion.confusion`.
     """
     cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
     counts = np.zeros((len(cell), (n_lanes + 1) * n_lanes), dtype=bool)

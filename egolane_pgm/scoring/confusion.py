@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.checks import as_lanes, as_mask, check_range
 from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
 
@@ -61,24 +60,17 @@ def confusion_cell(
     lane (T,): 1..n; not looked at in crossing frames.
     is_crossing (T,): marks crossing frames.
 
-    Returns (T,): row * n + column. Raises InputError, naming the row, for lanes outside 1..n.
+    Returns (T,): row * n + column.
     """
-    if n_lanes < 1:
-        raise InputError(f"n_lanes: {n_lanes} must be at least 1")
-    predicted = as_lanes(assigned, np.size(assigned), "assigned")
-    n_frames = len(predicted)
-    actual = as_lanes(lane, n_frames, "lane")
-    is_scored = ~as_mask(is_crossing, n_frames)
-    check_range(predicted, is_scored, UNASSIGNED, n_lanes, "assigned")
-    check_range(actual, is_scored, 1, n_lanes, "ground truth")
+    predicted, actual = np.asarray(assigned), np.asarray(lane)
     row = np.where(predicted == UNASSIGNED, n_lanes, predicted - 1)
-    return np.where(is_scored, row * n_lanes + actual - 1, -1)
+    return np.where(np.asarray(is_crossing), -1, row * n_lanes + actual - 1)
 
 
 def confusion(
     assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_lanes: int
 ) -> IntArray:
-    """The confusion matrix (n + 1, n) of counts; arguments and errors as `confusion_cell`."""
+    """The confusion matrix (n + 1, n) of counts; arguments as `confusion_cell`."""
     cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
     # Crossing frames, -1, are counted in front of the first cell, and left out.
     counts = np.bincount(cell + 1, minlength=1 + (n_lanes + 1) * n_lanes)[1:]
@@ -96,19 +88,6 @@ def on_widest(matrices: Sequence[IntArray]) -> IntArray:
     return found
 
 
-def check_confusion(matrix: ArrayLike) -> IntArray:
-    """The matrix or matrices (..., n + 1, n) as int64; InputError for another shape or content."""
-    values = np.asarray(matrix)
-    if values.ndim < 2 or values.shape[-1] < 1 or values.shape[-2] != values.shape[-1] + 1:
-        raise InputError(
-            f"confusion matrix has shape {values.shape}, needs (n + 1, n): the predicted lanes and"
-            " Unassigned by the actual lanes"
-        )
-    if values.dtype.kind not in "iu" or (values.size and values.min() < 0):
-        raise InputError("confusion matrix: needs counts (whole numbers, not negative)")
-    return values.astype(np.int64, copy=False)
-
-
 def _ratio(numerator: IntArray | FloatArray, denominator: IntArray | FloatArray) -> FloatArray:
     """numerator / denominator, 0 where the denominator is 0 (the numerator is then 0 as well)."""
     return np.asarray(numerator / np.where(denominator == 0, 1, denominator), dtype=np.float64)
@@ -123,7 +102,7 @@ def precision(matrix: ArrayLike) -> FloatArray:
 
     `precision[k] = C[k, k] / sum_j C[k, j]`
     """
-    m = check_confusion(matrix)
+    m = np.asarray(matrix)
     return _ratio(_right(m), m[..., :-1, :].sum(axis=-1))
 
 
@@ -132,7 +111,7 @@ def recall(matrix: ArrayLike) -> FloatArray:
 
     `recall[k] = C[k, k] / sum_i C[i, k]`, i from 1 to n + 1
     """
-    m = check_confusion(matrix)
+    m = np.asarray(matrix)
     return _ratio(_right(m), m.sum(axis=-2))
 
 
@@ -141,7 +120,7 @@ def f1(matrix: ArrayLike) -> FloatArray:
 
     `f1[k] = 2 C[k, k] / (sum_j C[k, j] + sum_i C[i, k])`
     """
-    m = check_confusion(matrix)
+    m = np.asarray(matrix)
     return _ratio(2 * _right(m), m[..., :-1, :].sum(axis=-1) + m.sum(axis=-2))
 
 
@@ -158,7 +137,7 @@ def accuracy(matrix: ArrayLike) -> FloatArray:
 
     `accuracy = sum_k C[k, k] / N`
     """
-    m = check_confusion(matrix)
+    m = np.asarray(matrix)
     return _ratio(_right(m).sum(axis=-1), m.sum(axis=(-2, -1)))
 
 
@@ -167,7 +146,7 @@ def coverage(matrix: ArrayLike) -> FloatArray:
 
     `coverage = 1 - sum_k C[n + 1, k] / N`
     """
-    m = check_confusion(matrix)
+    m = np.asarray(matrix)
     return _ratio(m[..., :-1, :].sum(axis=(-2, -1)), m.sum(axis=(-2, -1)))
 
 
@@ -188,13 +167,8 @@ def is_maximised(score: str) -> bool:
 
 
 def scores_from_confusion(matrix: ArrayLike) -> ConfusionScores:
-    """All scores of one confusion matrix (n + 1, n); see the module for the rules.
-
-    Raises InputError for a matrix of another shape, or one that does not hold counts.
-    """
-    m = check_confusion(matrix)
-    if m.ndim != 2:
-        raise InputError(f"confusion matrix has shape {m.shape}, needs one matrix (n + 1, n)")
+    """All scores of one confusion matrix (n + 1, n); see the module for the rules."""
+    m = np.asarray(matrix)
     precisions, recalls, f1s = precision(m), recall(m), f1(m)
     return ConfusionScores(
         confusion=m,
@@ -217,7 +191,7 @@ def frames_off(a: ArrayLike, b: ArrayLike) -> int:
     that moves from one cell to another changes two cells, one that is missing changes one. Raises
     InputError where the shapes differ.
     """
-    first, second = check_confusion(a), check_confusion(b)
+    first, second = np.asarray(a), np.asarray(b)
     if first.shape != second.shape:
         raise InputError(
             f"confusion matrices of shapes {first.shape} and {second.shape} cannot be compared;"

@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.checks import as_lanes, as_mask
 from egolane_pgm.scoring.health import roc_auc
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth, runs_of
@@ -42,10 +41,7 @@ WARNED = 0.5
 
 
 def event_scores(
-    events: LaneEvents,
-    crossing: FloatArray | None,
-    truth: LaneTruth,
-    frame_rate: float,
+    events: LaneEvents, crossing: FloatArray | None, truth: LaneTruth, frame_rate: float
 ) -> dict[str, Any]:
     """What scores.json says of lane changes: `score_events`, and under `crossing` what
     `score_crossing` gives, or None.
@@ -139,7 +135,7 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
     """
     values = np.asarray(crossing, dtype=np.float64)
-    is_crossing = as_mask(truth.is_crossing, len(values))
+    is_crossing = truth.is_crossing
     is_warned = values >= WARNED
     both = int((is_warned & is_crossing).sum())
     ids = truth.frame_id
@@ -181,11 +177,10 @@ def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: LaneTrut
 
     - begin, end: the first and the last rows of the warnings, in order.
     """
-    lane = as_lanes(truth.lane, len(truth))
     lead = np.full(len(changes), np.nan)
     for c in range(len(changes)):
         start, stop = changes.start[c], changes.end[c]
-        label = start + int(np.argmax(lane[start : stop + 1] == changes.to_lane[c]))
+        label = start + int(np.argmax(truth.lane[start : stop + 1] == changes.to_lane[c]))
         first = int(np.searchsorted(end, start))
         if first < len(begin) and begin[first] < max(stop, start + 1):
             lead[c] = truth.frame_id[label] - truth.frame_id[begin[first]]

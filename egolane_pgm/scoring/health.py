@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.checks import as_belief, as_lanes, check_range, scored_frames
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray
 
 
@@ -35,22 +34,16 @@ class DetectorErrors:
 def detector_errors(
     tentative: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
 ) -> DetectorErrors:
-    """The errors of a tentative vector (T, n) against lane (T,) and is_crossing (T,).
-
-    Raises InputError for arrays that do not fit or lanes outside 1..n on a non-crossing frame.
-    """
-    values, actual, is_scored = scored_frames(tentative, lane, is_crossing, normalised=False)
-    assigned = assigned_lane(values)
+    """The errors of a tentative vector (T, n) against lane (T,) and is_crossing (T,)."""
+    assigned, is_scored = assigned_lane(tentative), ~np.asarray(is_crossing)
     is_committed = is_scored & (assigned != UNASSIGNED)
-    return DetectorErrors(assigned, is_committed, is_scored, assigned != actual)
+    return DetectorErrors(assigned, is_committed, is_scored, assigned != np.asarray(lane))
 
 
 def doubt(belief: ArrayLike, assigned: ArrayLike) -> FloatArray:
     """A health score (T,): 1 - P(assigned lane), by a belief (T, n), for lanes that somebody else
     assigned (T,), 1..n; 1 where no lane is assigned (0)."""
-    values = as_belief(belief, normalised=True)
-    lanes = as_lanes(assigned, len(values), "assigned")
-    check_range(lanes, np.ones(len(lanes), dtype=bool), UNASSIGNED, values.shape[1], "assigned")
+    values, lanes = np.asarray(belief), np.asarray(assigned)
     given = values[np.arange(len(values)), np.maximum(lanes, 1) - 1]
     return np.asarray(1.0 - np.where(lanes == UNASSIGNED, 0.0, given))
 

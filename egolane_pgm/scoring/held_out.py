@@ -12,7 +12,6 @@ from typing import Generic, Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.scoring.checks import as_belief
 from egolane_pgm.types import Beliefs, BoolArray, InputError, IntArray
 
 #: The default number of blocks.
@@ -106,7 +105,7 @@ def held_out(
     for b in range(n_blocks):
         parameters.append(fit(*without_block(drive, n_blocks, b), b))
         found = beliefs_with(parameters[-1])
-        if len(as_belief(found.lane, normalised=True)) != len(drive):
+        if len(found) != len(drive):
             raise InputError(
                 f"block {b + 1} of {n_blocks}: beliefs of {len(found)} frames, not of {len(drive)}"
             )

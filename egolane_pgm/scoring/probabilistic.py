@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.checks import scored_frames
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray
 
 #: Smaller probabilities count as this in the log-loss: a certain error costs 34.5, not infinity.
@@ -42,11 +41,11 @@ def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
 
     `-ln belief[t, lane[t]]`
 
-    Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), lane (T,).
-    Raises InputError for a belief that does not sum to 1, or lanes outside 1..n.
+    Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), rows sum to 1;
+    lane (T,).
     """
-    values, actual, _ = scored_frames(belief, lane, np.zeros(np.size(lane), dtype=bool))
-    given = values[np.arange(len(values)), actual - 1]
+    values = np.asarray(belief)
+    given = values[np.arange(len(values)), np.asarray(lane) - 1]
     return np.asarray(-np.log(np.maximum(given, SMALLEST_PROBABILITY)))
 
 
@@ -65,13 +64,12 @@ def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
 
     `brier = (1 / N) sum_t sum_k (belief[t, k] - [k = lane[t]])^2`, over N frames
 
-    0 is perfect, 2 the worst. belief (T, n), lane (T,), is_crossing (T,). NaN without a
-    non-crossing frame. Raises InputError for a belief that does not sum to 1, or lanes outside 1..n
-    on a non-crossing frame.
+    0 is perfect, 2 the worst. belief (T, n), rows sum to 1; lane (T,), is_crossing (T,). NaN
+    without a non-crossing frame.
     """
-    values, actual, is_scored = scored_frames(belief, lane, is_crossing)
-    truth = actual[:, None] == np.arange(1, values.shape[1] + 1)
-    return _mean(((values - truth) ** 2).sum(axis=1)[is_scored])
+    values = np.asarray(belief)
+    truth = np.asarray(lane)[:, None] == np.arange(1, values.shape[1] + 1)
+    return _mean(((values - truth) ** 2).sum(axis=1)[~np.asarray(is_crossing)])
 
 
 def calibration_curve(
@@ -79,11 +77,11 @@ def calibration_curve(
 ) -> CalibrationCurve:
     """The calibration curve over the non-crossing frames, equal-width bins of the maximum.
 
-    Arguments and errors as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
+    Arguments as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
     not go to the lane that happens to come first.
     """
-    values, actual, is_scored = scored_frames(belief, lane, is_crossing)
-    values, actual = values[is_scored], actual[is_scored]
+    is_scored = ~np.asarray(is_crossing)
+    values, actual = np.asarray(belief)[is_scored], np.asarray(lane)[is_scored]
     largest = values.max(axis=1)
     is_right = assigned_lane(values) == actual
     k = np.clip(np.ceil(largest * n_bins).astype(np.int64) - 1, 0, n_bins - 1)
@@ -101,8 +99,7 @@ def expected_calibration_error(
 
     `ece = sum_b (N_b / N) |accuracy_b - confidence_b|`, over bins b of N_b frames
 
-    Arguments, errors and the treatment of ties as `calibration_curve`. NaN without a non-crossing
-    frame.
+    Arguments and the treatment of ties as `calibration_curve`. NaN without a non-crossing frame.
     """
     curve = calibration_curve(belief, lane, is_crossing, n_bins)
     filled = curve.count > 0
@@ -159,16 +156,12 @@ class CoverageCurve:
 
 
 def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> CoverageCurve:
-    """The curve of a belief (T, n), rows summing to 1, against lane (T,) and is_crossing (T,).
-
-    Raises InputError for a belief that does not sum to 1, or lanes outside 1..n on a non-crossing
-    frame.
-    """
-    values, actual, is_scored = scored_frames(belief, lane, is_crossing)
+    """The curve of a belief (T, n), rows summing to 1, against lane (T,) and is_crossing (T,)."""
+    values, is_scored = np.asarray(belief), ~np.asarray(is_crossing)
     assigned = assigned_lane(values)
     is_answered = is_scored & (assigned != UNASSIGNED)
     largest = values[is_answered].max(axis=1) if is_answered.any() else np.zeros(0)
-    return answers_curve(largest, (assigned == actual)[is_answered], int(is_scored.sum()))
+    return answers_curve(largest, (assigned == np.asarray(lane))[is_answered], int(is_scored.sum()))
 
 
 def answers_curve(

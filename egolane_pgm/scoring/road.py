@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.scoring.confusion import confusion
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray, LaneTruth
+from egolane_pgm.types import UNASSIGNED, BoolArray, IntArray, LaneTruth
 
 #: What counts as just behind a change of lanes, seconds.
 BEHIND_S = 10.0
@@ -37,16 +37,13 @@ def road_scores(
     """
     scored = ~truth.is_crossing
     right = assigned == truth.lane
-    since = log_frames - _last_change(log_frames, changes)
-    is_behind = since < BEHIND_S * frame_rate
+    last_change = np.array([-np.inf, *changes])[np.searchsorted(changes, log_frames, side="right")]
+    is_behind = log_frames - last_change < BEHIND_S * frame_rate
     most = int(n_lanes.max(initial=1))
     is_on_map = scored & (truth.lane <= n_lanes) & (assigned <= n_lanes)
     answer = np.where(assigned == UNASSIGNED, UNASSIGNED, n_lanes + 1 - assigned)
     from_right = confusion(
-        answer[is_on_map],
-        (n_lanes + 1 - truth.lane)[is_on_map],
-        truth.is_crossing[is_on_map],
-        most,
+        answer[is_on_map], (n_lanes + 1 - truth.lane)[is_on_map], truth.is_crossing[is_on_map], most
     )
     return {
         "behind_s": BEHIND_S,
@@ -58,12 +55,6 @@ def road_scores(
         },
         "from_right": from_right.tolist(),
     }
-
-
-def _last_change(frames: IntArray, changes: IntArray) -> FloatArray:
-    """The last change up to each frame; minus infinity before the first."""
-    before = np.searchsorted(changes, frames, side="right")
-    return np.concatenate([[-np.inf], changes])[before]
 
 
 def _accuracy(right: BoolArray, among: BoolArray) -> dict[str, Any]:

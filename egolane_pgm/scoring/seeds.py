@@ -13,15 +13,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.scoring.bootstrap import (
-    BLOCK_FRAMES,
-    INTERVAL_STATISTICS,
-    LEVEL,
-    _of_all_frames,
-    _percentiles,
-    circular_block_bootstrap,
-    resampled_sums,
-)
+from egolane_pgm.scoring import bootstrap
 from egolane_pgm.types import FloatArray, IntArray
 
 #: Per score the values of all frames and of each of R resamples, (S, 1 + R).
@@ -39,20 +31,20 @@ def resampled_scores(
     None where the drive is too short for an interval.
     """
     n_frames = len(counts[0]["accuracy"])
-    if n_frames < 2 * BLOCK_FRAMES:
+    if n_frames < 2 * bootstrap.BLOCK_FRAMES:
         return None
-    drawn = circular_block_bootstrap(n_frames, seed=seed)
+    drawn = bootstrap.circular_block_bootstrap(n_frames, seed=seed)
     return {
         name: np.array(
             [
                 [
-                    _of_all_frames(mine[name], statistic),
-                    *statistic(resampled_sums(mine[name], drawn)),
+                    bootstrap._of_all_frames(mine[name], statistic),
+                    *statistic(bootstrap.resampled_sums(mine[name], drawn)),
                 ]
                 for mine in counts
             ]
         )
-        for name, statistic in INTERVAL_STATISTICS.items()
+        for name, statistic in bootstrap.INTERVAL_STATISTICS.items()
     }
 
 
@@ -73,7 +65,7 @@ def over_seeds(values: FloatArray, chance: str) -> FloatArray:
 
 def with_bounds(values: FloatArray) -> list[float]:
     """A score of all frames and of the resamples (1 + R,) as [estimate, low, high], 95 %."""
-    return [float(values[0]), *_percentiles(values[1:], LEVEL)]
+    return [float(values[0]), *bootstrap._percentiles(values[1:], bootstrap.LEVEL)]
 
 
 def spread(values: Sequence[float]) -> float | None:

@@ -32,8 +32,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.checks import as_lanes, as_mask, check_frame_rate
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 #: The new lane counts as found once it is held for this many frames.
 HELD_FRAMES = 5
@@ -83,7 +82,7 @@ def false_switch_frames(
     is_counted (T,); the first row is never counted. The sums of the two give the rate, also over
     resampled frames.
     """
-    predicted, actual, crossing = _aligned(assigned, lane, is_crossing)
+    predicted, actual, crossing = map(np.asarray, (assigned, lane, is_crossing))
     is_counted = np.zeros(len(predicted), dtype=bool)
     is_counted[1:] = ~crossing[1:] & ~crossing[:-1] & (actual[1:] == actual[:-1])
     is_false_switch = is_counted.copy()
@@ -97,10 +96,8 @@ def false_switches_per_minute(
     """False switches per minute: the assigned lane changes between consecutive frames, truth not.
 
     Arguments as `false_switch_frames`; frame_rate in frames per second. NaN where no two
-    consecutive non-crossing frames share a true lane. Raises InputError for a frame rate that is
-    not positive.
+    consecutive non-crossing frames share a true lane.
     """
-    check_frame_rate(frame_rate)
     is_false, is_counted = false_switch_frames(assigned, lane, is_crossing)
     counted = int(is_counted.sum())
     return int(is_false.sum()) / (counted / (60.0 * frame_rate)) if counted else float("nan")
@@ -108,8 +105,8 @@ def false_switches_per_minute(
 
 def lane_changes(lane: ArrayLike, is_crossing: ArrayLike) -> LaneChanges:
     """The lane changes in a ground truth: lane (T,), is_crossing (T,); rules in the module."""
-    actual = as_lanes(lane, np.size(lane))
-    scored = np.flatnonzero(~as_mask(is_crossing, len(actual)))
+    actual = np.asarray(lane)
+    scored = np.flatnonzero(~np.asarray(is_crossing))
     before, after = scored[:-1], scored[1:]
     is_change = actual[before] != actual[after]
     before, after = before[is_change], after[is_change]
@@ -129,14 +126,10 @@ def delay_after_lane_change(
     """Frames from the end of each crossing until the new lane is first held for `held_frames`.
 
     assigned (T,), lane (T,), is_crossing (T,), frame_id (T,) strictly increasing; rules in the
-    module. Raises InputError for arrays of different lengths or ids that do not increase.
+    module.
     """
-    predicted, actual, crossing = _aligned(assigned, lane, is_crossing)
-    ids = as_lanes(frame_id, len(predicted), "frame_id")
-    if (np.diff(ids) <= 0).any():
-        k = int(np.argmax(np.diff(ids) <= 0))
-        raise InputError(f"frame_id: {ids[k]} is followed by {ids[k + 1]}, needs to increase")
-    changes = lane_changes(actual, crossing)
+    predicted, ids = np.asarray(assigned), np.asarray(frame_id)
+    changes = lane_changes(lane, is_crossing)
     delay = np.full(len(changes), np.nan)
     for c in range(len(changes)):
         start, end, until = changes.start[c], changes.end[c], changes.until[c]
@@ -154,11 +147,3 @@ def delay_after_lane_change(
         share_missed=1.0 - found.size / delay.size if delay.size else nan,
         changes=len(changes),
     )
-
-
-def _aligned(
-    assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
-) -> tuple[IntArray, IntArray, BoolArray]:
-    predicted = as_lanes(assigned, np.size(assigned), "assigned")
-    n_frames = len(predicted)
-    return predicted, as_lanes(lane, n_frames), as_mask(is_crossing, n_frames)

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
-from egolane_pgm.scoring.checks import as_belief, as_lanes, as_mask, check_frame_rate
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute
@@ -38,13 +37,9 @@ def score_all(
     `delay` {`median_frames`, `p90_frames`, `share_missed`, `changes`}, `per_lane` {`precision`,
     `recall`, `f1`: a list each}, `confusion` (n + 1 rows of n counts), `frames` (T),
     `frames_scored` (those not crossing).
-
-    Raises InputError as the single scores do.
     """
-    values = as_belief(belief, normalised=True)
+    values, lane, crossing = map(np.asarray, (belief, truth_lane, is_crossing))
     n_frames, n_lanes = values.shape
-    lane, crossing = as_lanes(truth_lane, n_frames, "truth_lane"), as_mask(is_crossing, n_frames)
-    check_frame_rate(frame_rate)
     if assigned is None:
         assigned = assigned_lane(values, unassigned_below)
     scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
@@ -77,7 +72,7 @@ def stability_scores(
     frame_rate: float,
 ) -> dict[str, Any]:
     """The scores of `score_all` that look from frame to frame: `false_switches_per_minute` and
-    `delay`. Parameters and errors as there."""
+    `delay`. Parameters as there."""
     delay = delay_after_lane_change(assigned, truth_lane, is_crossing, frame_id)
     switches = false_switches_per_minute(assigned, truth_lane, is_crossing, frame_rate)
     return {

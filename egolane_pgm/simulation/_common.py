@@ -3,25 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Annotated, get_type_hints
 
 import numpy as np
 
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.types import FloatArray, InputError
 
+#: Kinds of numbers, as of `parameters.Parameter`; "count" is a whole number of at least 1.
+Positive = Annotated[float, "positive"]
+NotNegative = Annotated[float, "non_negative"]
+Share = Annotated[float, "probability"]
+Count = Annotated[int, "count"]
+Whole = Annotated[int, "integer"]
+
 
 def check_fields(
-    instance: object, kinds: Mapping[str, str], most: Mapping[str, float] | None = None
+    instance: object,
+    kinds: Mapping[str, str] | None = None,
+    most: Mapping[str, float] | None = None,
 ) -> None:
     """Checks the numbers of a frozen dataclass and converts them in place, in `__post_init__`.
 
-    - kinds: for each field a kind of `parameters.Parameter`, or "count" for a whole number of at
-      least 1
+    - kinds: of each field; by default those that its annotation has
     - most: the largest value of some fields; it is a million for the others, which is a slip of
       the finger in any unit
 
     Raises InputError (`simulation.<field>: ...`) for a value that is not of its kind.
     """
+    if kinds is None:
+        hints = get_type_hints(type(instance), include_extras=True)
+        kinds = {name: hint.__metadata__[0] for name, hint in hints.items()}
     for name, kind in kinds.items():
         where = f"simulation.{name}"
         highest = (most or {}).get(name, 1_000_000)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from egolane_pgm.experiment import INTERCHANGE, Experiment
-from egolane_pgm.recordings.source import READING, Read
+from egolane_pgm.recordings.source import Read, Source
 from egolane_pgm.types import InputError, problems_in, suggestion
 
 if TYPE_CHECKING:
@@ -17,13 +15,12 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Simulated:
-    """A drive of one of the presets; see `recordings.source.Source`."""
+class Simulated(Source):
+    """A drive of one of the presets."""
 
     experiment: Experiment
 
     def check(self) -> None:
-        """See `Source`."""
         from egolane_pgm.simulation.presets import PRESETS
 
         experiment, name = self.experiment, str(self.experiment.recording.simulate)
@@ -40,7 +37,6 @@ class Simulated:
             )
 
     def read(self) -> Read:
-        """See `Source`."""
         from egolane_pgm.simulation.presets import simulate
 
         self.check()
@@ -52,21 +48,8 @@ class Simulated:
         return Read(drive.log, drive.truth)
 
     def key(self) -> str:
-        """See `Source`."""
         recording = self.experiment.recording
         return repr((recording.simulate, recording.seed, self.experiment.n_lanes))
-
-    def files_in(self, place: Path) -> Sequence[Path]:
-        """See `Source`."""
-        return []
-
-    def frame_rate(self) -> float | None:
-        """See `Source`: the experiment says it."""
-        return None
-
-    def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
-        """See `Source`: a simulation reads nothing, so these are meant for the other recording."""
-        return READING
 
 
 @dataclass(frozen=True)
@@ -74,7 +57,6 @@ class OverMap(Simulated):
     """A drive through interchanges, which brings its road table; see `maps.interchange`."""
 
     def read(self) -> Read:
-        """See `Source`."""
         self.check()
         trip = self._trip()
         return Read(trip.log, trip.truth)

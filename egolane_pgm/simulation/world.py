@@ -10,7 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
+from egolane_pgm.simulation._common import (
+    Count,
+    NotNegative,
+    Positive,
+    Share,
+    check_fields,
+    check_seed,
+    slow_noise,
+)
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth
 
 #: The largest wander inside the lane, in standard deviations.
@@ -50,40 +58,22 @@ class World:
     Raises InputError, naming the key, for a value out of range.
     """
 
-    n_lanes: int = 3
-    lane_width_m: float = 3.75
-    n_frames: int = 1200
-    frame_rate: float = 10.0
-    changes_per_minute: float = 5.0
-    change_s: float = 4.0
-    change_spread: float = 0.2
-    min_stay_s: float = 1.0
-    wander_m: float = 0.2
-    wander_s: float = 5.0
-    crossing_share: float = 0.5
-    label_flips_at: float = 1.0
-    shoulder_m: float = 0.0
+    n_lanes: Count = 3
+    lane_width_m: Positive = 3.75
+    n_frames: Count = 1200
+    frame_rate: Positive = 10.0
+    changes_per_minute: NotNegative = 5.0
+    change_s: Positive = 4.0
+    change_spread: NotNegative = 0.2
+    min_stay_s: NotNegative = 1.0
+    wander_m: NotNegative = 0.2
+    wander_s: NotNegative = 5.0
+    crossing_share: Share = 0.5
+    label_flips_at: Share = 1.0
+    shoulder_m: NotNegative = 0.0
 
     def __post_init__(self) -> None:
-        check_fields(
-            self,
-            {
-                "n_lanes": "count",
-                "lane_width_m": "positive",
-                "n_frames": "count",
-                "frame_rate": "positive",
-                "changes_per_minute": "non_negative",
-                "change_s": "positive",
-                "change_spread": "non_negative",
-                "min_stay_s": "non_negative",
-                "wander_m": "non_negative",
-                "wander_s": "non_negative",
-                "crossing_share": "probability",
-                "label_flips_at": "probability",
-                "shoulder_m": "non_negative",
-            },
-            _MOST,
-        )
+        check_fields(self, most=_MOST)
         shortest = _SHORTEST * self.change_s * self.frame_rate
         if shortest < 4:
             raise InputError(

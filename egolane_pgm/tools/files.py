@@ -32,28 +32,6 @@ from egolane_pgm.types import InputError
 YAML_VERSION = 1
 
 
-def check_name(path: object) -> None:
-    """Raise InputError for the name of a file that is not text in UTF-8 (from another system, or
-    under a locale that lacks its letters): libraries refuse it, and OpenCV crashes on it. Also for
-    one with a NUL, which no file can have."""
-    if "\0" in str(path):
-        raise InputError(f"{str(path)!a}: no file can have this name")
-    try:
-        str(path).encode()
-    except UnicodeEncodeError:
-        raise InputError(f"{str(path)!a}: the name is not text in UTF-8; rename it") from None
-
-
-def in_home(path: str | Path) -> Path:
-    """The path, with the home folder for `~`. Raises InputError where there is none, and for a name
-    that no file can have."""
-    check_name(path)
-    try:
-        return Path(path).expanduser()
-    except RuntimeError:
-        raise InputError(f"{path}: there is no home folder of that user") from None
-
-
 def file_sha256(path: Path) -> str:
     """The checksum of a file."""
     with path.open("rb") as file:
@@ -85,7 +63,6 @@ def atomic(path: str | Path, *, make_folder: bool = False) -> Iterator[Path]:
     in its place.
     """
     path = Path(path)
-    check_name(path)
     try:
         if make_folder:
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -197,7 +174,6 @@ def open_parquet(path: Path) -> Iterator[Any]:
     import pyarrow as pa
     from pyarrow import OSFile, parquet
 
-    check_name(path)
     try:
         # Its error says in plain words what is wrong with the place.
         path.stat()
@@ -249,7 +225,6 @@ def _of_numpy(value: Any) -> Any:
 
 def make_directory(directory: Path) -> None:
     """Create a directory and its parents. Raises InputError where that cannot be done."""
-    check_name(directory)
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -294,7 +269,6 @@ def atomic_directory(directory: Path) -> Iterator[Path]:
 
 def check_place(path: Path) -> None:
     """Raise InputError where no file or directory of that name could be put."""
-    check_name(path)
     nearest = path.absolute().parent
     try:
         while not nearest.exists():
@@ -322,7 +296,6 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 def read_text(path: Path) -> str:
     """The text of a file in UTF-8, without the mark that some editors put before it. Raises
     InputError where it cannot be read or is no text."""
-    check_name(path)
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:

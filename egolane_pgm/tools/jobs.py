@@ -14,7 +14,6 @@ import platform
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent import futures
 from functools import partial
@@ -89,8 +88,9 @@ def _pool(jobs: Jobs, n_items: int) -> Iterator[tuple[Callable[..., Any], Any, A
 
     pool = ProcessPoolExecutor(
         min(jobs, n_items),
+        # A process whose parent was killed ends once it has nothing to do.
+        timeout=300,
         initializer=_begin,
-        initargs=(os.getpid(),),
         env=dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1"),
     )
     try:
@@ -99,20 +99,12 @@ def _pool(jobs: Jobs, n_items: int) -> Iterator[tuple[Callable[..., Any], Any, A
         pool.shutdown(kill_workers=True)
 
 
-def _begin(parent: int) -> None:
+def _begin() -> None:
     """What a process does first."""
     # Ctrl-C is the command's, which ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # Bars share a lock of the system's by default, of which Python warns where a process is killed.
     tqdm.set_lock(threading.RLock())
-
-    # It would work on, and then wait for ever, once its parent was killed.
-    def watch() -> None:
-        while os.getppid() == parent:
-            time.sleep(1)
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextlib.contextmanager

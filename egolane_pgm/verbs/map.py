@@ -10,7 +10,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from egolane_pgm.maps import load_map
-from egolane_pgm.maps.lane_graph import LaneGraph, check_lanes_path, save
+from egolane_pgm.maps.lane_graph import LaneGraph, save
+from egolane_pgm.maps.stored import check_path
 from egolane_pgm.tools.files import check_not_read, check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath
@@ -43,7 +44,7 @@ def map(
     """
     lanes, figure = (None if each is None else Path(each) for each in (out, plot))
     if lanes is not None:
-        check_lanes_path(lanes)
+        check_path(lanes, "lane graph")
         check_place(lanes)
         check_not_read(lanes, [Path(file)])
     if figure is not None:

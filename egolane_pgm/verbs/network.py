@@ -15,10 +15,7 @@ EXAMPLES = ("egolane network sensor_failure graph.svg",)
 
 
 def network(
-    graph: Annotated[StrPath, Option(plugins=("graphs",))],
-    target: StrPath,
-    *,
-    n_lanes: NLanes = 3,
+    graph: Annotated[StrPath, Option(plugins=("graphs",))], target: StrPath, *, n_lanes: NLanes = 3
 ) -> str:
     """Write a graph (a name, or a file of your own), two slices: a picture (.png, .svg, .pdf), text
     for Graphviz (.dot), or its tables for other programs (.bif).

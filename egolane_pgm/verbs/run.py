@@ -12,13 +12,7 @@ from typing import Annotated, Any, overload
 
 from egolane_pgm.drive import source_of, with_recording
 from egolane_pgm.drive_table import DriveTable
-from egolane_pgm.experiment import (
-    Experiment,
-    Given,
-    Overrides,
-    experiment_path,
-    load_experiment,
-)
+from egolane_pgm.experiment import Experiment, Given, Overrides, experiment_path, load_experiment
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
 from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable

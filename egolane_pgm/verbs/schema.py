@@ -57,9 +57,7 @@ class _Untitled(GenerateJsonSchema):
         return False
 
 
-def schema(
-    kind: Annotated[Kind, Option("[KIND]")] = "experiment",
-) -> Mapping[str, Any]:
+def schema(kind: Annotated[Kind, Option("[KIND]")] = "experiment") -> Mapping[str, Any]:
     """Print the JSON Schema of a YAML file, by which an editor completes and checks its keys.
 
     KIND is experiment (the default), tuning, or network (which describes a lane network); or

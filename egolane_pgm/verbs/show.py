@@ -23,10 +23,7 @@ from egolane_pgm.views.description import (
     description_text,
 )
 
-EXAMPLES = (
-    "egolane show sensor_failure --tables",
-    "egolane show detector:ml --json -",
-)
+EXAMPLES = ("egolane show sensor_failure --tables", "egolane show detector:ml --json -")
 
 NLanes = Annotated[int, Ge(1), Le(MAX_LANES)]
 

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.confusion import check_confusion, confusion
+from egolane_pgm.scoring.confusion import confusion
 from egolane_pgm.types import FloatArray, InputError, IntArray
 from egolane_pgm.views.answers import (
     FAINT,
@@ -64,13 +64,11 @@ class Group:
 
 
 def dispersion(matrix: IntArray) -> IntArray:
-    """The counts of a bar, (n + 1,), from a confusion matrix (n + 1, n). Raises InputError for
-    another shape."""
-    m = check_confusion(matrix)
-    n = m.shape[1]
+    """The counts of a bar, (n + 1,), from a confusion matrix (n + 1, n)."""
+    n = matrix.shape[1]
     off = np.abs(np.arange(n)[:, None] - np.arange(n))
-    right_or_off = np.bincount(off.ravel(), weights=m[:-1].ravel(), minlength=n)
-    return np.append(right_or_off, m[-1].sum()).astype(np.int64)
+    right_or_off = np.bincount(off.ravel(), weights=matrix[:-1].ravel(), minlength=n)
+    return np.append(right_or_off, matrix[-1].sum()).astype(np.int64)
 
 
 def dispersion_bars(result: Result) -> tuple[Bar, ...]:

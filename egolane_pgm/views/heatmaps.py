@@ -9,7 +9,7 @@ from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.confusion import accuracy, check_confusion, confusion
+from egolane_pgm.scoring.confusion import accuracy, confusion
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.answers import (
     FAINT,
@@ -37,9 +37,8 @@ def confusions(result: Result) -> dict[str, IntArray]:
 
 def column_shares(matrix: IntArray) -> FloatArray:
     """Each count over the sum of its column, (n + 1, n); NaN in the column of an unused lane."""
-    m = check_confusion(matrix)
-    total = m.sum(axis=0)
-    return np.asarray(m / np.where(total == 0, np.nan, total), dtype=np.float64)
+    total = matrix.sum(axis=0)
+    return np.asarray(matrix / np.where(total == 0, np.nan, total), dtype=np.float64)
 
 
 def confusion_figure(result: Result) -> Figure:

@@ -12,9 +12,9 @@ import numpy as np
 import egolane_pgm as ego
 from egolane_pgm.experiment import Gnss, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.maps.across import across
 from egolane_pgm.maps.interchange import InterchangeDrive, mirrored
 from egolane_pgm.maps.lane_graph import LaneGraph
+from egolane_pgm.maps.lanes_from_gnss import across
 from egolane_pgm.maps.on_map import with_positions
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.road_table import RoadTable

@@ -93,10 +93,6 @@ def one_slice() -> Any:
     return network
 
 
-def transition() -> list[Any]:
-    return [cpd(t) for t in RIGHT if t.node in (("Lane", 1), ("Sensor", 1))]
-
-
 def initialised(*left_out: tuple[str, int]) -> Any:
     network = dynamic(without(*left_out))
     with quiet():
@@ -119,7 +115,6 @@ FORMS: dict[str, Callable[[], Declared]] = {
     "unrolled": lambda: read_network(constant()),
     "names of two slices": lambda: read_network(static(underscored)),
     "pairs": lambda: read_network(static(tuple)),
-    "one slice": lambda: read_network(one_slice(), transition()),
 }
 
 
@@ -305,38 +300,6 @@ def test_a_network_with_a_fault_is_refused_naming_the_node(fault: str) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("cpds", "said"),
-    [
-        ([halves(("Lame", 1), ("Lane", 0))], "Lame is not a node of the network (did you mean 'La"),
-        ([halves(("Lane", 0))], "has a table of Lane in slice 0, which the network gives"),
-        ([TabularCPD("Lane", 3, uniform(3, 1))], "a table has 'Lane'; write ('Lane', 1), and"),
-        ([halves(("Lane", 1), ("WOR", 1)), halves(("WOR", 1), ("Lane", 1))], "WOR"),
-    ],
-)  # fmt: skip
-def test_a_transition_that_does_not_go_with_the_slice_is_refused(
-    cpds: list[Any], said: str
-) -> None:
-    with pytest.raises(InputError) as error:
-        read_network(one_slice(), cpds)
-    assert said in str(error.value)
-    if len(cpds) == 1:
-        assert str(error.value).startswith("transition: ")
-    else:
-        assert "form a cycle" in str(error.value)
-
-
-@pytest.mark.parametrize("given", ["Lane", [3], halves(("Lane", 1), ("Lane", 0))])
-def test_a_transition_is_a_list_of_cpds(given: Any) -> None:
-    with pytest.raises(InputError, match="transition: needs a list of pgmpy's TabularCPDs"):
-        read_network(one_slice(), given)
-
-
-def test_a_transition_goes_with_one_slice_only() -> None:
-    with pytest.raises(InputError, match="transition: goes with a network of one slice"):
-        read_network(dynamic(RIGHT), transition())
-
-
 @pytest.fixture(scope="module")
 def bif(tmp_path_factory: pytest.TempPathFactory) -> str:
     path = tmp_path_factory.mktemp("bif") / "network.bif"
@@ -376,15 +339,3 @@ def test_a_file_that_is_no_network_is_refused(
         read_file(tmp_path / name)
     assert str(error.value).startswith(f"{tmp_path / name}: {said}")
     assert "\n" not in str(error.value)
-
-
-def test_a_file_of_one_slice_is_read_together_with_a_transition(tmp_path: Path) -> None:
-    path = tmp_path / "slice.bif"
-    names = {**NAMES, "Seen": ["1", "2", "3"], "WOR": ["OK", "BAD"]}
-    network = one_slice()
-    network.cpds = [cpd(t, lambda node: node[0], **names) for t in RIGHT if t.node[1] == 0]
-    with quiet():
-        BIFWriter(network).write(path)
-    assert_right(read_network(path, transition()))
-    with pytest.raises(InputError, match=r"slice\.bif: Lane: is of neither slice"):
-        read_network(path)

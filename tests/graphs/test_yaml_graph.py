@@ -36,7 +36,6 @@ SMALL = """
 nodes: {Lane: 2, Seen: 2}
 hidden: [Lane]
 observed: [Seen]
-edges: {within: [Lane -> Seen], across: [Lane -> Lane]}
 tables:
   Lane:
     first: {rows: {values: [0.5, 0.5]}}
@@ -122,9 +121,6 @@ def test_the_numbers_stand_in_the_order_of_the_parents(tmp_path: Path) -> None:
         hidden: [Lane, S]
         observed: [[D, S], E]
         unused: [WOR, [X, Y]]
-        edges:
-          within: [Lane -> D, S -> D, S -> E]
-          across: [Lane -> Lane, S -> S, S -> Lane]
         tables:
           Lane:
             first: {rows: {values: [0.25, 0.75]}}
@@ -162,7 +158,6 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
         hidden: [Lane]
         observed: [Seen]
         inputs: [InputSpeed]
-        edges: {within: [InputSpeed -> Lane, Lane -> Seen], across: [Lane -> Lane]}
         tables:
           Lane:
             first: {rows: {of: [InputSpeed], values: [[0.5, 0.5], [0.5, 0.5]]}}
@@ -197,10 +192,7 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
         (changed(tables__Seen=None), "tables.Seen: is missing"),
         (changed(tables__Sen={"rows": {}}), "tables: unknown key 'Sen' (did you mean 'Seen'?)"),
         (changed(tables__Seen="uniform"), "tables.Seen: needs keys and values"),
-        (changed(edges__wthin=[]), "edges: unknown key 'wthin' (did you mean 'within'?)"),
-        (changed(edges__within=["Lane > Seen"]), "edges.within.0: is not an edge, e.g. 'Lane -> "),
-        (changed(edges__within=["Lane -> Sen"]), "edges.within: no node 'Sen' (did you mean 'Se"),
-        (changed(tables__Lane={"rows": {"values": [0.5, 0.5]}}), "so it needs first and next"),
+        (changed(tables__Lane={"rows": {"of": ["Lane before"], "values": []}}), "under `next`"),
     ],
 )  # fmt: skip
 def test_a_file_that_does_not_fit_together_is_refused_by_its_name_and_key(
@@ -215,10 +207,8 @@ def test_a_file_that_does_not_fit_together_is_refused_by_its_name_and_key(
     ("seen", "said"),
     [
         ({"normal": {}}, "tables.Seen: unknown key 'normal' (known: rows)"),
-        ({"rows": {"values": [1, 0]}}, "tables.Seen: the table is of no parent, its edges come f"),
         ({"rows": {"of": "Lane", "values": [1]}}, "tables.Seen: rows.of: needs a list (got 'Lan"),
-        ({"rows": {"of": ["Lan"], "values": [1]}}, "the table is of Lan, its edges come from Lane"),
-        ({"rows": {"of": ["Lane"] * 2, "values": [1]}}, "is of Lane, Lane, its edges come from La"),
+        ({"rows": {"of": ["Lan"], "values": [1]}}, "tables.Seen: of: no node 'Lan' (did you mean"),
         ({"rows": {"of": ["Lane"]}}, "tables.Seen: rows.values: is missing"),
         ({"rows": {"of": ["Lane"], "values": [[1, 0]]}}, "needs 2 x 2 numbers, has 1 x 2"),
         ({"rows": {"of": ["Lane"], "values": [[1], [0, 1]]}}, "needs 2 x 2 numbers, has others"),
@@ -278,7 +268,6 @@ def test_a_cycle_in_a_graph_in_yaml_is_refused_naming_its_nodes(tmp_path: Path) 
     (tmp_path / "g.yaml").write_text(
         "nodes: {Lane: 2, X: 2, Y: 2, DetectorOutput: 2}\nhidden: [Lane, X, Y]\n"
         "observed: [DetectorOutput]\nunused: [WOR]\n"
-        "edges: {within: [Lane -> DetectorOutput, X -> Y, Y -> X], across: [Lane -> Lane]}\n"
         "tables:\n  Lane: {first: {rows: {values: [0.5, 0.5]}},"
         f" next: {{rows: {{of: [Lane before], {of}}}}}}}\n"
         f"  X: {{rows: {{of: [Y], {of}}}}}\n  Y: {{rows: {{of: [X], {of}}}}}\n"

@@ -532,23 +532,6 @@ def test_a_joint_state_of_just_the_largest_size_is_taken(monkeypatch: pytest.Mon
         compile(network, hidden=["A"], observed=["D"])
 
 
-def test_a_transition_or_emission_too_large_is_refused_with_its_nodes(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    tables = [
-        *within("I", [], uniform(3)),
-        *prior("A", uniform(3, 2), ["I"]),
-        *dynamics("A", ["I", previous("A")], uniform(3, 2, 2)),
-        *within("D", ["A"], uniform(2, 7)),
-    ]
-    monkeypatch.setattr(_roles, "MAX_ENTRIES", 11)
-    message = refused(tables, inputs=["I"])
-    assert message == "the transition has 3 x 2 x 2 entries (I 3 x A 2), more than 11"
-    monkeypatch.setattr(_roles, "MAX_ENTRIES", 13)
-    message = refused(tables, inputs=["I"])
-    assert message == "D: D 7 values for 2 joint states are more than 13 entries"
-
-
 def test_a_network_without_a_state_is_refused() -> None:
     tables = [*within("A", [], [0.0, 1.0]), *within("D", ["A"], SEES)]
     assert refused(tables).startswith("every hidden node (A) is a constant")

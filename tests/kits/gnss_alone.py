@@ -11,16 +11,16 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
+from egolane_pgm.experiment import Gnss
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior
 from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.maps.lanes_from_gnss import GnssNoise, _density, _drifts, _wander
+from egolane_pgm.maps.lanes_from_gnss import _density, _drifts, _wander
 from egolane_pgm.types import Evidence, FloatArray
 
 
-@dataclass(frozen=True)
-class AloneNoise(GnssNoise):
+class AloneNoise(Gnss):
     """How a receiver errs across the road, and how often cars change lanes.
 
     - change: P(change to the lane at the left), and to that at the right, per second
@@ -28,6 +28,10 @@ class AloneNoise(GnssNoise):
     - count_stays: P(the map stays as right or wrong as it is), per second
     """
 
+    lane_width_m: float = 3.5
+    sigma_m: float = 1.0
+    drift_sigma_m: float = 2.0
+    drift_s: float = 300.0
     change: float = 0.02
     count_wrong: float = 0.1
     count_stays: float = 0.999

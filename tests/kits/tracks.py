@@ -7,7 +7,7 @@ Rotterdam: github tomdries/gps-lane-changes (BSD-2). Munich: github lilManta/Lan
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -72,7 +72,9 @@ def rotterdam_lanes(
     changes = pd.read_csv(data / ROTTERDAM / "lane change annotations with sections trip 1.csv")
     offset = match(graph, index, drove).offset_m
     noise = noise or AloneNoise(count_wrong=0.0, count_stays=1.0)
-    thinned = replace(noise, drift_s=noise.drift_s / every, change=noise.change * every)
+    thinned = noise.model_copy(
+        update={"drift_s": noise.drift_s / every, "change": noise.change * every}
+    )
     found = []
     after = np.append(changes.t_lc.to_numpy()[1:], np.inf)
     for row, later in zip(changes.itertuples(), after, strict=True):

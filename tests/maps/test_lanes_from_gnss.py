@@ -8,13 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from egolane_pgm.maps.across import Across, across
-from egolane_pgm.maps.lanes_from_gnss import (
-    GnssNoise,
-    _drifts,
-    _wander,
-    beside_lines,
-)
+from egolane_pgm.experiment import Gnss
+from egolane_pgm.maps.lanes_from_gnss import Across, _drifts, _wander, across, beside_lines
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import FloatArray
 from tests.kits.gnss_alone import AloneNoise, lanes_from_offsets
@@ -83,14 +78,14 @@ def test_the_smoothed_answer_of_the_last_second_is_the_filtered_one() -> None:
 
 # --- beside the lines --------------------------------------------------------------------------
 
-NOISE = GnssNoise(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=1.0, drift_s=20.0)
+NOISE = Gnss(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=1.0, drift_s=20.0)
 
 
 def seen(metres: list[float], sigma: float = np.nan) -> Across:
     return Across(np.array(metres), np.full(len(metres), sigma))
 
 
-def enumerated(metres: FloatArray, lanes: list[int], noise: GnssNoise) -> FloatArray:
+def enumerated(metres: FloatArray, lanes: list[int], noise: Gnss) -> FloatArray:
     """P(position at t | lane at t, positions and lanes before) by every path of the drift."""
     drift, (first, rates) = _drifts(noise), _wander(noise)
     moves = expm(rates)
@@ -114,14 +109,14 @@ def enumerated(metres: FloatArray, lanes: list[int], noise: GnssNoise) -> FloatA
 
 
 def test_where_the_lines_are_sure_the_likelihood_is_that_of_all_paths_of_the_drift() -> None:
-    noise = GnssNoise(lane_width_m=3.5, sigma_m=1.5, drift_sigma_m=1.5, drift_s=4.0)
+    noise = Gnss(lane_width_m=3.5, sigma_m=1.5, drift_sigma_m=1.5, drift_s=4.0)
     metres, lanes = np.array([6.5, 9.9, 8.8]), [1, 2, 2]
     said = beside_lines(seen(list(metres)), np.arange(3.0), np.eye(3)[lanes], noise)
     np.testing.assert_allclose(said, enumerated(metres, lanes, noise), rtol=1e-9)
 
 
 def test_without_drift_a_position_is_worth_its_noise() -> None:
-    noise = GnssNoise(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=0.0)
+    noise = Gnss(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=0.0)
     said = beside_lines(seen([5.0]), np.zeros(1), np.full((1, 3), 1 / 3), noise)
     off = 5.0 - np.array([1.75, 5.25, 8.75])
     normal = 0.95 * np.exp(-0.5 * off**2) / np.sqrt(2 * np.pi) + 0.05 / 50

@@ -148,7 +148,8 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
     ("text", "said"),
     [
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
-        ("t,lat,lon\n0,52,4\n1,x,4\n", "row 2: lat is 'x', not a number"),
+        ("t,lat,lat,lon\n0,52,52,4\n", "column lat occurs more than once"),
+        ("t,lat,lon\n0,52,4\n1,x,4\n", r"line 3: lat \(latitude\) is 'x', not a number"),
         ("t,lat,lon\nsoon,52,4\n", "row 1: t is 'soon', not a number or a date"),
         ("t,lat,lon\n,52,4\n", "position 1 has no time"),
         ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
@@ -156,7 +157,7 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
         ("t,lat,lon\n1,52,184\n", "position 1 has a longitude beyond 180"),
         ("t,lat,lon,sigma_m\n1,52,4,0\n", "position 1 has a sigma_m that is not greater than 0"),
         ("t,lat,lon\n", "has no position"),
-        ("", "cannot be read as a table"),
+        ("", "cannot be read as CSV"),
     ],
 )
 def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:

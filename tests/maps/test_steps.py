@@ -222,9 +222,5 @@ def test_what_is_no_road_table_is_refused(tmp_path: Path) -> None:
     parquet.write_table(pa.table({"t_s": [1.0]}), other)
     with pytest.raises(InputError, match=r"no road table; `egolane locate"):
         load(other)
-    version = {"egolane_road_table": "2"}
-    parquet.write_table(pa.table({"t_s": [1.0]}).replace_schema_metadata(version), other)
-    with pytest.raises(InputError, match="lacks the column segment"):
-        load(other)
     with pytest.raises(InputError, match="row 1: t_s does not increase"):
         replace(table, t_s=np.zeros(len(table)))

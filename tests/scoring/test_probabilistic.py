@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from egolane_pgm.scoring.probabilistic import (
     log_loss,
     log_loss_per_frame,
 )
-from egolane_pgm.types import InputError
 
 Drive = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -134,25 +132,3 @@ def test_reversing_the_lanes_changes_no_score(drive: Drive) -> None:
         assert score(mirrored, other, is_crossing) == pytest.approx(
             score(belief, lane, is_crossing)
         )
-
-
-@pytest.mark.parametrize(
-    "score",
-    [
-        lambda belief, lane: log_loss(belief, lane),
-        lambda belief, lane: brier(belief, lane, np.zeros(len(belief), dtype=bool)),
-        lambda belief, lane: calibration_curve(belief, lane, np.zeros(len(belief), dtype=bool)),
-    ],
-)
-def test_beliefs_and_lanes_that_cannot_be_scored_are_refused(
-    score: Callable[[object, object], object],
-) -> None:
-    with pytest.raises(InputError, match=r"row 1 sums to 1\.5, not 1"):
-        score([[0.5, 0.5], [0.75, 0.75]], [1, 1])
-    with pytest.raises(InputError, match=r"row 0 sums to 1\.0001, not 1"):
-        score([[0.5, 0.5001]], [1])
-    score(np.array([[1 / 3, 2 / 3]], dtype=np.float32), [1])
-    with pytest.raises(InputError, match=r"row 1 has lane 3, outside 1\.\.2"):
-        score([[0.5, 0.5], [0.5, 0.5]], [1, 3])
-    with pytest.raises(InputError, match="lane has shape"):
-        score([[0.5, 0.5], [0.5, 0.5]], [1])

@@ -337,12 +337,6 @@ def test_what_cannot_be_simulated_is_refused_by_name(
         simulate(**arguments)  # type: ignore[arg-type]
 
 
-def test_failures_of_another_length_than_the_road_are_refused() -> None:
-    road = simulate_road(World(n_frames=100, changes_per_minute=0), 0)
-    with pytest.raises(InputError, match=r"is_failing has shape \(99,\), needs \(100,\)"):
-        detect_lines(road, np.zeros(99, dtype=bool), DetectorModel(), 0)
-
-
 def test_no_name_is_both_a_road_and_a_detector_parameter() -> None:
     assert not {f.name for f in fields(World)} & {f.name for f in fields(DetectorModel)}
 

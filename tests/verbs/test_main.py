@@ -75,31 +75,6 @@ def test_a_command_line_that_makes_no_sense_is_one_line(tmp_path: Path) -> None:
     assert "--trials" in refused("tune", "x.yaml", "--trials", "0")
 
 
-@needs_links
-def test_a_name_that_is_not_text_is_refused_by_every_reader_and_writer(tmp_path: Path) -> None:
-    """OpenCV dies of such a name, and with it what was computed."""
-    path = write_drive(tmp_path)
-    write_place(tmp_path, 3)
-    odd = os.fsdecode(b"a\xff")
-    (tmp_path / f"{odd}.csv").write_bytes((tmp_path / "lines.csv").read_bytes())
-    (tmp_path / f"{odd}.avi").write_bytes((tmp_path / "drive.avi").read_bytes())
-    camera = ["--camera", tmp_path / "cam.yaml"]
-    drive, lanes = tmp_path / "drive.avi", ["--n-lanes", 2]
-    for words in (
-        ("run", path, "--recording", tmp_path / f"{odd}.csv"),
-        ("run", path, "--out", tmp_path / odd),
-        ("lines", tmp_path / f"{odd}.csv", "--frame", 1),
-        ("detect", tmp_path / f"{odd}.avi", *camera, "-o", tmp_path / "l.csv"),
-        ("detect", drive, *camera, "-o", tmp_path / f"{odd}.parquet"),
-        ("video", tmp_path / f"{odd}.avi", *camera, *lanes, "-o", tmp_path / "o.mp4"),
-        ("video", drive, *camera, *lanes, "-o", tmp_path / f"{odd}.mp4"),
-        ("video", drive, *camera, *lanes, "-o", tmp_path / odd),
-        ("simulate", "--out", tmp_path / odd),
-        ("simulate", "--images", "--frames", 1, "--out", tmp_path / odd),
-    ):
-        assert "the name is not text in UTF-8; rename it" in refused(*words)
-
-
 def test_empty_names_are_not_taken_for_the_folder_one_is_in(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
     write_place(tmp_path, 3)

@@ -38,21 +38,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import kernels
+from egolane_pgm.evidence.line_geometry import habits, kernels, reading
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
-from egolane_pgm.evidence.line_geometry.habits import (
-    FULL_LRI,
-    Columns,
-    Habits,
-    LineCounts,
-    added,
-    columns,
-    count_lines,
-    habits_of,
-    is_placed,
-    translated,
-    translated_recording,
-)
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
     LANE_M,
@@ -65,19 +52,6 @@ from egolane_pgm.evidence.line_geometry.model import (
     without_flags,
 )
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
-from egolane_pgm.evidence.line_geometry.reading import (
-    NO_FRAME,
-    UPDATE_EVERY,
-    SeenLines,
-    as_metres,
-    count_once,
-    frame_weights,
-    one_width,
-    read_lines,
-    recording_width,
-    warn_of_doubles,
-    warn_of_offsets,
-)
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
 from egolane_pgm.parameters import Parameters, Value, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
@@ -111,23 +85,23 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     Warnings say which lane width was found, and what is unusual about the lines.
     """
     recorded = log
-    log, detector = translated_recording(log)
-    width = recording_width(log, parameters)
-    warn_of_offsets(log, width, width * REACH_M / LANE_M)
+    log, detector = habits.translated_recording(log)
+    width = reading.recording_width(log, parameters)
+    reading.warn_of_offsets(log, width, width * REACH_M / LANE_M)
     widths = np.full((len(log), 1), width)
     kind, _ = line_classes(log)
     held = detector.repeats_are_held
-    seen, _ = read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
+    seen, _ = reading.read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
     lines = seen.lines.sum(axis=0)
-    warn_of_doubles(lines, log.source)
+    reading.warn_of_doubles(lines, log.source)
     if parameters["lane_width_m"] == "causal":
         return online(n_lanes, parameters)(recorded)
     model = line_model(n_lanes, parameters)
     if not _has_flag(log).any():
         model = without_flags(model)
     tables = line_tables(model, LANE_M)
-    weights, _ = frame_weights(log)
-    return _evidence(count_once(seen, lines), widths, weights, tables, parameters)
+    weights, _ = reading.frame_weights(log)
+    return _evidence(reading.count_once(seen, lines), widths, weights, tables, parameters)
 
 
 def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence]:
@@ -143,23 +117,23 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     tables = {True: line_tables(model, LANE_M), False: line_tables(without_flags(model), LANE_M)}
     given = parameters["lane_width_m"]
     width = new_belief(number(parameters, "fallback_width_m"))
-    detector = Habits(FULL_LRI, says_valid=True, says_continuous=True)
-    seen_before: list[LineCounts] = []
-    recent: list[Columns] = []
+    detector = habits.Habits(habits.FULL_LRI, says_valid=True, says_continuous=True)
+    seen_before: list[habits.LineCounts] = []
+    recent: list[habits.Columns] = []
     has_flags = False
-    n_frames, last, last_s = 0, NO_FRAME, -math.inf
+    n_frames, last, last_s = 0, reading.NO_FRAME, -math.inf
     lines = np.zeros(2, dtype=np.int64)
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """The evidence of frames that are all read in the same way."""
         nonlocal detector, has_flags, n_frames, last, last_s, lines
-        if n_frames and n_frames % UPDATE_EVERY == 0:
-            seen_before[:] = [added([*seen_before, count_lines(recent)])]
+        if n_frames and n_frames % reading.UPDATE_EVERY == 0:
+            seen_before[:] = [habits.added([*seen_before, habits.count_lines(recent)])]
             recent.clear()
-            detector = habits_of(seen_before[0], recorded.source)
+            detector = habits.habits_of(seen_before[0], recorded.source)
             has_flags &= detector.says_continuous
-        recent.append(columns(recorded))
-        log = translated(recorded, detector)
+        recent.append(habits.columns(recorded))
+        log = habits.translated(recorded, detector)
         has_flags |= bool(_has_flag(log).any())
         n_frames += len(log)
         kind, is_strong = line_classes(log)
@@ -169,17 +143,19 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
             widths = np.full((len(log), 1), given)
         middle = np.ascontiguousarray(widths[:, widths.shape[1] // 2])
         held = detector.repeats_are_held
-        seen, last = read_lines(log, kind, middle, parameters, repeats_are_held=held, last=last)
+        seen, last = reading.read_lines(
+            log, kind, middle, parameters, repeats_are_held=held, last=last
+        )
         of_frame = seen.lines
-        seen = count_once(seen, lines + of_frame.cumsum(axis=0))
+        seen = reading.count_once(seen, lines + of_frame.cumsum(axis=0))
         lines = lines + of_frame.sum(axis=0)
-        weights, last_s = frame_weights(recorded, last_s)
+        weights, last_s = reading.frame_weights(recorded, last_s)
         return _evidence(seen, widths, weights, tables[has_flags], parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         if len(recorded) == 1:
             return evidence_of_part(recorded)
-        updates = np.arange(-n_frames % UPDATE_EVERY, len(recorded), UPDATE_EVERY)
+        updates = np.arange(-n_frames % reading.UPDATE_EVERY, len(recorded), reading.UPDATE_EVERY)
         starts = np.unique([0, *updates])
         is_continuous = np.asarray(_has_flag(recorded).any(axis=1))
         # The first frame with a continuous line may change how lines are read, so a part ends
@@ -201,18 +177,20 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
 
 def _has_flag(log: LineLog) -> BoolArray:
     """Whether a line has an offset and is continuous, (T, L)."""
-    return np.asarray(log.is_continuous & is_placed(log.offset_m))
+    return np.asarray(log.is_continuous & habits.is_placed(log.offset_m))
 
 
 def _evidence(
-    seen: SeenLines,
+    seen: reading.SeenLines,
     widths: FloatArray,
     weights: FloatArray,
     tables: LineTables,
     parameters: Parameters,
 ) -> Evidence:
     """The evidence of T frames. widths: (T, K) equally probable lane widths; weights: (T,)."""
-    alpha, beta = (_weighted(number(parameters, name), weights) for name in ("alpha", "beta"))
+    exponents = (number(parameters, name) for name in ("alpha", "beta"))
+    # Limited so that no line counts more than once.
+    alpha, beta = (np.minimum(each * weights, max(each, 1.0)) for each in exponents)
     n_positions = len(tables.expected) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
     kernels.weigh_positions(
@@ -232,17 +210,8 @@ def _evidence(
     return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
 
 
-def _weighted(exponent: float, weights: FloatArray) -> FloatArray:
-    """The exponent of each frame, (T,), limited so that no line counts more than once."""
-    return np.minimum(exponent * weights, max(exponent, 1.0))
-
-
 def fit(
-    log: LineLog,
-    lane: IntArray,
-    is_used: BoolArray,
-    n_lanes: int,
-    parameters: Parameters,
+    log: LineLog, lane: IntArray, is_used: BoolArray, n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
     """Learns the parameters `LEARNED` from frames whose lane is known.
 
@@ -266,13 +235,13 @@ def fit_pooled(
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
     for recorded, lane, is_used in parts:
-        log, detector = translated_recording(recorded, say=False)
-        width = one_width(log, parameters)
-        first_width = first_width or as_metres(width, parameters)
+        log, detector = habits.translated_recording(recorded, say=False)
+        width = reading.one_width(log, parameters)
+        first_width = first_width or reading.as_metres(width, parameters)
         kind, _ = line_classes(log)
         held, widths = detector.repeats_are_held, np.full(len(log), width)
-        seen, _ = read_lines(log, kind, widths, parameters, repeats_are_held=held)
-        seen = count_once(seen, seen.lines.sum(axis=0))
+        seen, _ = reading.read_lines(log, kind, widths, parameters, repeats_are_held=held)
+        seen = reading.count_once(seen, seen.lines.sum(axis=0))
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (LANE_M / width))
         kinds.append(seen.kind[used])

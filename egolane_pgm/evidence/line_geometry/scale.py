@@ -18,17 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.lane_width import (
-    ALIKE,
-    DOUBLE,
-    ENOUGH_PAIRS,
-    EXPECTED_WITHIN,
-    GAP_SIGMA,
-    LEAST_PAIRS,
-    MOST_LANES,
-    PAIR_WITHIN,
-)
+from egolane_pgm.evidence.line_geometry import kernels, lane_width
 from egolane_pgm.types import BoolArray, FloatArray
 
 #: The grid: logarithmic steps from the narrowest to the widest width, in any unit.
@@ -73,7 +63,7 @@ RATES = np.array(
         MAY_WANDER,
         CHANGES,
         KEPT_PAIRS,
-        ALIKE,
+        lane_width.ALIKE,
         ALIKE_WANDERING,
     ]
 )
@@ -115,7 +105,7 @@ class _GapTables:
 
 def new_belief(expected_m: float) -> WidthBelief:
     """The belief before the first frame. expected_m: the expected width."""
-    away = (np.log(grid()) - math.log(expected_m)) / EXPECTED_WITHIN
+    away = (np.log(grid()) - math.log(expected_m)) / lane_width.EXPECTED_WITHIN
     prior = 1 / (1 + away**2)
     prior /= prior.sum()
     counts = np.array([MAY_WANDER, 0.0])
@@ -143,9 +133,9 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
         tables.first,
         tables.spread,
         RATES,
-        DOUBLE,
-        ENOUGH_PAIRS,
-        LEAST_PAIRS,
+        lane_width.DOUBLE,
+        lane_width.ENOUGH_PAIRS,
+        lane_width.LEAST_PAIRS,
         math.log(_NARROWEST),
         _STEP,
         widths,
@@ -162,13 +152,15 @@ def grid() -> FloatArray:
 def _tables() -> _GapTables:
     """The tables for this grid."""
     first = math.floor(math.log(0.02) / _STEP)
-    last = math.ceil(math.log(MOST_LANES + 1.5) / _STEP)
+    last = math.ceil(math.log(lane_width.MOST_LANES + 1.5) / _STEP)
     gap = np.exp(_STEP * np.arange(first, last + 1))
     lanes = np.maximum(1, np.round(gap))
-    normal = np.exp(-0.5 * ((gap - lanes) / GAP_SIGMA) ** 2) / (GAP_SIGMA * math.sqrt(2 * math.pi))
-    density = np.where(lanes <= MOST_LANES, normal, 0.0)
+    normal = np.exp(-0.5 * ((gap - lanes) / lane_width.GAP_SIGMA) ** 2) / (
+        lane_width.GAP_SIGMA * math.sqrt(2 * math.pi)
+    )
+    density = np.where(lanes <= lane_width.MOST_LANES, normal, 0.0)
     log_likelihood = np.log((1 - OFF_LATTICE) * density + OFF_LATTICE)
     half = round(3 * WANDERS / _STEP)
     spread = np.exp(-0.5 * (np.arange(-half, half + 1) * _STEP / WANDERS) ** 2)
-    is_two = np.where(np.abs(gap - 2) < PAIR_WITHIN, 1.0, 0.0)
+    is_two = np.where(np.abs(gap - 2) < lane_width.PAIR_WITHIN, 1.0, 0.0)
     return _GapTables(log_likelihood, is_two, first, spread / spread.sum())

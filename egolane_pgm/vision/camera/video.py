@@ -20,7 +20,6 @@ from pathlib import Path
 
 import cv2
 
-from egolane_pgm.tools.files import check_name
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 
@@ -35,7 +34,6 @@ def open_video(path: Path) -> cv2.VideoCapture:
     """Opens a video before its first picture. Raises InputError for a file that is no video."""
     # Without this, FFmpeg prints its own lines about files that our one-line error explains.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    check_name(path)
     with path.open("rb") as file:
         if not file.read(1):
             raise InputError(f"{path}: the file is empty")

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.recordings import FORMATS, files_of, format_of
 from egolane_pgm.recordings.source import VIDEOS, Read, find_named, whole_path
-from egolane_pgm.tools.files import in_home
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, read_camera
@@ -147,7 +146,7 @@ def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
     if not is_pattern(path):
         return open_source(find_named(experiment, f"recording.{key}", folders=True))
     try:
-        return open_source(str(experiment.folder / in_home(path)))
+        return open_source(str(experiment.folder / Path(path).expanduser()))
     except InputError as error:
         raise InputError(f"{experiment.source}: recording.{key}: {error}") from error
 
@@ -157,7 +156,7 @@ def _are_pictures(recording: str, old: str | None, detector: str | None) -> bool
     with the recording, which means that pictures are meant."""
     from egolane_pgm.vision.camera.pictures import PICTURES, is_pattern
 
-    path = in_home(recording)
+    path = Path(recording).expanduser()
     if path.is_dir():
         return _is_folder_of_pictures(path, detector)
     ending = path.suffix.lower()
