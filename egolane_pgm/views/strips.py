@@ -193,7 +193,7 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     longest = max(s.last - s.first + 1 for s in rows)
     frame_width = (_WIDTH - _LEFT - _RIGHT) / longest
     tops = [
-        _HEAD + k * (block + _ROW_GAP) + _TICKS + np.arange(n_strips) * (strip + _STRIP_GAP)
+        _HEAD + k * (block + _ROW_GAP) + _TICKS + np.arange(float(n_strips)) * (strip + _STRIP_GAP)
         for k in range(len(rows))
     ]
     for strips, at in zip(rows, tops, strict=True):
