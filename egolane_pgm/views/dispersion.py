@@ -155,7 +155,15 @@ def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:
     at, ticks = _GROUP_GAP / 2, []
     for group, tall in zip(groups, group_height, strict=True):
         size = min(8.5, 8.5 * (left - _NAMES - _EDGE) / (0.068 * len(group.title)))
-        ax.text(outer, at + tall / 2 - 0.015, group.title, va="bottom", fontsize=size, color=INK)
+        ax.text(
+            outer,
+            at + tall / 2 - 0.015,
+            group.title,
+            va="bottom",
+            fontsize=size,
+            color=INK,
+            parse_math=False,
+        )
         ax.text(outer, at + tall / 2 + 0.03, group.note, va="top", fontsize=7.5, color=INK)
         for k, bar in enumerate(group.bars):
             top = at + k * (_BAR + _BAR_GAP)

@@ -30,6 +30,7 @@ from egolane_pgm.views.answers import (
     FAINT,
     INK,
     PROBABILITY_COLOURS,
+    UNSEEN,
     answers,
     lane_names,
     title_of,
@@ -47,9 +48,6 @@ _WIDTH, _LEFT, _LEFT_NAME, _RIGHT = 9.0, 1.5, 0.2, 0.2
 _LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
 _TICKS, _TICK, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.05, 0.14, 0.42, 0.72
 _DASHES = (0, (3, 2))
-
-#: What is believed of a lane that the map does not have is shown from this probability.
-_UNSEEN = 0.02
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ def strip_columns(result: Result, first: int, last: int, max_columns: int = MAX_
         no_lane = np.arange(result.n_lanes)[:, None] >= road
         for image in (*beliefs.values(), *([] if truth is None else [truth])):
             # The map may be wrong by a lane: what is believed there is shown.
-            image[no_lane & (np.nan_to_num(image) < _UNSEEN)] = np.nan
+            image[no_lane & (np.nan_to_num(image) < UNSEEN)] = np.nan
     return Strips(first, last, edge.astype(np.int64), beliefs, truth, is_crossing, road)
 
 

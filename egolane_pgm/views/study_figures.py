@@ -126,7 +126,7 @@ def _titled(ax: Axes, title: str, size: tuple[float, float]) -> Figure:
     if len(figure.axes) == 1:
         ax.set_title("", loc="left")
         ax.set_title("")
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)
     figure.set_size_inches(*size)
     # Matplotlib cannot constrain a single plot with a colour bar.
     figure.set_layout_engine("tight" if len(figure.axes) == 2 else "constrained")

@@ -17,7 +17,7 @@ from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
 from egolane_pgm.views import reliability, style
-from egolane_pgm.views.answers import PROBABILITY_COLOURS, percent, reliabilities
+from egolane_pgm.views.answers import PROBABILITY_COLOURS, percent
 from egolane_pgm.views.dispersion import (
     bonus_ablation_figure,
     category_colours,
@@ -27,7 +27,7 @@ from egolane_pgm.views.dispersion import (
     dispersion_figure,
 )
 from egolane_pgm.views.heatmaps import column_shares, confusion_figure, confusions
-from egolane_pgm.views.reliability import reliability_figure
+from egolane_pgm.views.reliability import reliabilities, reliability_figure
 from egolane_pgm.views.strips import strips_figure
 from egolane_pgm.views.style import write_figure
 from tests.kits.tiny_result import (
@@ -188,8 +188,7 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
     upper, lower = reliability_figure(a_result()).axes
     found = reliabilities(a_result())
     colours = {"Detector only": style.DETECTOR_COLOUR, "Model": style.MODEL_COLOUR}
-    for (name, entry), bars in zip(found.items(), lower.containers, strict=True):
-        curve = entry.curve
+    for (name, (curve, _)), bars in zip(found.items(), lower.containers, strict=True):
         filled = curve.count > 0
         with_data = [
             x for x in upper.lines if x.get_color() == colours[name] and len(x.get_xdata())
@@ -198,7 +197,7 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
         np.testing.assert_array_equal(with_data[0].get_ydata(), curve.accuracy[filled])
         assert [bar.get_height() for bar in bars] == curve.count.tolist()
     # Model: maxima 0.9, 0.7, 0.8, 0.6 in bins of their own, the last one wrong.
-    assert found["Model"].error == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)
+    assert found["Model"][1] == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)
 
 
 def test_bins_of_few_frames_are_hollow_and_those_of_many_filled() -> None:
@@ -300,7 +299,7 @@ def test_a_percentage_never_hides_that_something_is_there(share: float) -> None:
 def test_one_lane_can_be_drawn(tmp_path: Path) -> None:
     ones = np.ones((7, 1))
     one = a_result(
-        run={**a_result().run, "n_lanes": 1},
+        run={**a_result().run, "n_lanes": 1, "name": "two $\\frac$ dollars"},
         marginals={"Lane": ones},
         tentative=ones,
         assigned_lane=np.ones(7, dtype=int),
