@@ -20,11 +20,10 @@ from egolane_pgm.views import reliability, style
 from egolane_pgm.views.answers import PROBABILITY_COLOURS, percent
 from egolane_pgm.views.dispersion import (
     bonus_ablation_figure,
-    category_colours,
-    category_names,
+    categories,
     dispersion,
-    dispersion_bars,
     dispersion_figure,
+    dispersions,
 )
 from egolane_pgm.views.heatmaps import column_shares, confusion_figure, confusions
 from egolane_pgm.views.reliability import reliabilities, reliability_figure
@@ -50,12 +49,12 @@ def test_dispersion_counts_right_off_by_k_and_unassigned() -> None:
 
 
 def test_bars_count_only_annotated_frames_that_are_not_crossing() -> None:
-    detector, model = dispersion_bars(a_result())
+    bars = dispersions(a_result())
     # Scored are 100, 101, 105, 106, truth 1, 1, 2, 2: the detector says -, 3, 2, 1; the model
     # says 1, 1, 2, 3.
-    assert (detector.label, model.label) == ("Detector only", "Model")
-    np.testing.assert_array_equal(detector.counts, [1, 1, 1, 1])
-    np.testing.assert_array_equal(model.counts, [3, 1, 0, 0])
+    assert list(bars) == ["Detector only", "Model"]
+    np.testing.assert_array_equal(bars["Detector only"], [1, 1, 1, 1])
+    np.testing.assert_array_equal(bars["Model"], [3, 1, 0, 0])
 
 
 @pytest.fixture(scope="module")
@@ -66,13 +65,13 @@ def dispersion_sheet() -> Any:
 
 def test_bar_widths_are_the_counted_shares_and_sum_to_one(dispersion_sheet: Any) -> None:
     (ax,) = dispersion_sheet.axes
-    bars = [*dispersion_bars(a_result()), *dispersion_bars(without_tentative())]
+    bars = [*dispersions(a_result()).values(), *dispersions(without_tentative()).values()]
     rectangles = [p for container in ax.containers for p in container]
     assert len(rectangles) == 4 * len(bars)
     for k, bar in enumerate(bars):
         drawn = rectangles[4 * k : 4 * k + 4]
         widths = [p.get_width() for p in drawn]
-        np.testing.assert_allclose(widths, bar.counts / bar.counts.sum())
+        np.testing.assert_allclose(widths, bar / bar.sum())
         np.testing.assert_allclose([p.get_x() for p in drawn], np.cumsum([0, *widths[:-1]]))
         assert len({p.get_y() for p in drawn}) == 1
 
@@ -86,15 +85,14 @@ def test_bars_are_named_labelled_with_percentages_and_in_sample_runs_marked(
     assert {"tiny (in-sample)", "other", "3 lanes, 4 frames"} <= set(drawn)
     assert drawn.count("25.0") == 4 + 1 + 1
     assert drawn.count("75.0") == 2
-    assert legend_labels(dispersion_sheet.legends[0]) == category_names(3)
+    assert legend_labels(dispersion_sheet.legends[0]) == list(categories(3))
 
 
 def test_categories_of_any_number_of_lanes_have_names_and_distinct_colours() -> None:
-    assert category_names(1) == ["right", "Unassigned"]
-    assert category_names(3) == ["right", "off by 1 lane", "off by 2 lanes", "Unassigned"]
+    assert list(categories(1)) == ["right", "Unassigned"]
+    assert list(categories(3)) == ["right", "off by 1 lane", "off by 2 lanes", "Unassigned"]
     for n in range(1, 9):
-        colours = category_colours(n)
-        assert len(set(colours)) == len(category_names(n)) == n + 1
+        assert len(set(categories(n).values())) == n + 1
 
 
 def test_dispersion_needs_results_and_ground_truth() -> None:
@@ -284,7 +282,7 @@ def test_text_keeps_a_readable_contrast_on_every_colour_it_stands_on() -> None:
         return float(linear @ [0.2126, 0.7152, 0.0722])
 
     ramp = LinearSegmentedColormap.from_list("", PROBABILITY_COLOURS)
-    for colour in [*category_colours(6), *ramp(np.linspace(0, 1, 50))[:, :3]]:
+    for colour in [*categories(6).values(), *ramp(np.linspace(0, 1, 50))[:, :3]]:
         pair = sorted([luminance(colour), luminance(style.text_colour(colour))])
         assert (pair[1] + 0.05) / (pair[0] + 0.05) >= 4.5
 
@@ -305,7 +303,7 @@ def test_one_lane_can_be_drawn(tmp_path: Path) -> None:
         assigned_lane=np.ones(7, dtype=int),
         true_lane=np.ones(7, dtype=int),
     )
-    assert [bar.counts.tolist() for bar in dispersion_bars(one)] == [[5, 0], [5, 0]]
+    assert [bar.tolist() for bar in dispersions(one).values()] == [[5, 0], [5, 0]]
     assert confusions(one)["Model"].tolist() == [[5], [0]]
     for make in (strips_figure, confusion_figure, reliability_figure):
         path = write_figure(partial(make, one), tmp_path / f"{make.__name__}.png")
