@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterator, Sequence
-from importlib import resources
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from egolane_pgm.inference.events import SURE
 from egolane_pgm.page import lists
 from egolane_pgm.page.films import films_of
 from egolane_pgm.page.packed import MAX_STEPS, Packed, packed
-from egolane_pgm.page.timeline import Panels, embedded, timeline
+from egolane_pgm.page.timeline import Panels, embedded, text_of, timeline
 from egolane_pgm.results import Result
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
@@ -58,7 +57,7 @@ def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str,
     page = _template().render(
         version=__version__,
         title=titles[0] if len(results) == 1 else f"{len(results)} results side by side",
-        style=_read("page.css"),
+        style=text_of("page.css"),
         results=list(map(_part, results, titles, changes)),
         warnings=_warnings(results, titles),
         notes=[*_notes(results, packs, titles), *lacking],
@@ -69,8 +68,8 @@ def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str,
         legend=_legend(panels),
         films=films,
         scores=_scores(results, titles),
-        parameters=_parameters(results, titles),
-        provenance=_provenance(results, titles),
+        parameters=_beside("parameter", list(map(_parameters, results)), titles, " (differs)"),
+        provenance=_beside("", list(map(_provenance_of, results)), titles),
         names=[
             {"title": title if len(results) > 1 else "", "curves": pack.curves}
             for title, pack in zip(titles, packs, strict=True)
@@ -83,11 +82,7 @@ def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str,
 def _template() -> Any:
     # Names that contain HTML are shown as text.
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    return environment.from_string(_read("page.html"))
-
-
-def _read(name: str) -> str:
-    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return environment.from_string(text_of("page.html"))
 
 
 def _told_apart(results: Sequence[Result]) -> list[str]:
@@ -246,34 +241,27 @@ def _confusions(result: Result) -> list[dict[str, Any]]:
     return found
 
 
-def _parameters(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
-    sets = [dict(result.config.get("parameters") or {}) for result in results]
-    keys = list(dict.fromkeys(key for each in sets for key in each))
+def _parameters(result: Result) -> dict[str, str]:
+    given = result.config.get("parameters") or {}
+    return {key: f"{v:g}" if isinstance(v, float) else str(v) for key, v in given.items()}
+
+
+def _beside(
+    what: str, each: Sequence[Mapping[str, str]], titles: Sequence[str], differs: str = ""
+) -> dict[str, Any]:
+    """A table of what is known of each result, a row for each thing.
+
+    - differs: what follows the name of a thing that is not the same of all.
+    """
     rows = []
-    for key in keys:
-        values = [_text(each.get(key, "-")) for each in sets]
-        mark = " (differs)" if len(set(values)) > 1 else ""
-        rows.append([f"{key}{mark}", *values])
-    return {"header": ["parameter", *_columns(titles)], "rows": rows}
-
-
-def _columns(titles: Sequence[str]) -> list[str]:
-    return list(titles) if len(titles) > 1 else ["value"]
-
-
-def _text(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _provenance(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
-    """Where the numbers of each result come from, a row for each thing that is known."""
-    each = [_provenance_of(result) for result in results]
-    keys = list(dict.fromkeys(key for found in each for key in found))
-    rows = [[key, *(found.get(key, "-") for found in each)] for key in keys]
-    return {"header": ["", *_columns(titles)], "rows": rows}
+    for key in dict.fromkeys(key for found in each for key in found):
+        values = [found.get(key, "-") for found in each]
+        rows.append([key + differs * (len(set(values)) > 1), *values])
+    return {"header": [what, *(titles if len(titles) > 1 else ["value"])], "rows": rows}
 
 
 def _provenance_of(result: Result) -> dict[str, str]:
+    """Where the numbers of a result come from."""
     run = result.run
     found = {
         "directory": str(result.directory),

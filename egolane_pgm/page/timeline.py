@@ -276,7 +276,7 @@ def timeline(panels: Panels) -> tuple[Any, CustomJS]:
             "right": _RIGHT,
         },
     }
-    return plot, CustomJS(args=arguments, code=_read("page.js"))
+    return plot, CustomJS(args=arguments, code=text_of("page.js"))
 
 
 def embedded(plot: Any, when_ready: CustomJS) -> tuple[str, str]:
@@ -294,5 +294,6 @@ def embedded(plot: Any, when_ready: CustomJS) -> tuple[str, str]:
     return f"{bokeh}\n{script}", element
 
 
-def _read(name: str) -> str:
+def text_of(name: str) -> str:
+    """The text of a file beside this one."""
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")

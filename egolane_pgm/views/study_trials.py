@@ -21,6 +21,7 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.trial import create_trial
 from pydantic_core import from_json
 
+from egolane_pgm.paper import load_published, parameters_for
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import FloatArray, InputError
@@ -158,8 +159,6 @@ def _distribution(bounds: Sequence[Any], column: Sequence[Any]) -> BaseDistribut
 
 def _reference(content: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     """The paper's values for one of its runs; else what all the experiments came with."""
-    from egolane_pgm.paper import load_published, parameters_for
-
     if content.get("run") is not None:
         return dict(parameters_for(load_published()[content["run"]], "published")), "the paper's"
     points = [_per_lane(e["parameters"]) for e in content.get("experiments", ())] or [{}]
