@@ -239,7 +239,6 @@ def declare(
         sizes = [cardinality[name, 0] for name in names]
         tables += within(ve_name(target), names, np.full((*sizes, 2), 0.5))
     with quiet():
-        import networkx as nx
         from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DynamicBayesianNetwork
         from pgmpy.models.DynamicBayesianNetwork import DynamicNode
@@ -254,7 +253,7 @@ def declare(
         for table in tables:
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
-                nx.DiGraph.add_node(network, DynamicNode(*table.node))
+                super(DynamicBayesianNetwork, network).add_node(DynamicNode(*table.node))
             # pgmpy wants the node's values as rows, the parents' combinations as columns.
             columns = table.values.reshape(-1, table.values.shape[-1]).T
             axes = zip((*table.parents, table.node), table.values.shape, strict=True)
@@ -270,7 +269,8 @@ def declare(
                     },
                 )
             )
-        nx.set_node_attributes(network, {t.node: {"note": PLACEHOLDER} for t in tables[n_given:]})
+        for table in tables[n_given:]:
+            network.nodes[table.node]["note"] = PLACEHOLDER
         return network
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,16 @@ from egolane_pgm import __version__
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.page import lists
 from egolane_pgm.page.films import films_of
-from egolane_pgm.page.packed import MAX_STEPS, Packed, is_known, packed
-from egolane_pgm.page.timeline import Panels, embedded, reliability_plot, timeline
+from egolane_pgm.page.packed import MAX_STEPS, Packed, packed
+from egolane_pgm.page.timeline import Panels, embedded, text_of, timeline
 from egolane_pgm.results import Result
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
-from egolane_pgm.views.answers import (
-    percent,
-    reliabilities,
-    title_of,
-)
+from egolane_pgm.views.answers import is_known, percent, title_of
 from egolane_pgm.views.events import event_lines
+from egolane_pgm.views.reliability import reliability_figure
+from egolane_pgm.views.shown import scored
+from egolane_pgm.views.style import figure_bytes
 from egolane_pgm.views.tables import TUNED_ON, score_rows, score_text
 
 
@@ -54,37 +53,23 @@ def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str,
     changes = [lists.changes_of(result) for result in results]
     panels = Panels(packs, changes, titles)
     films, lacking = films_of(results, titles)
-    plot, when_ready = timeline(panels)
-    has_scores = [bool(is_known(result).any()) for result in results]
-    diagrams = [
-        reliability_plot(reliabilities(result), result.n_lanes)
-        for result, is_scored in zip(results, has_scores, strict=True)
-        if is_scored
-    ]
-    scripts, elements = embedded([plot, *diagrams], when_ready)
-    of_timeline, *rest = elements
-    of_diagrams = iter(rest)
+    scripts, plot = embedded(*timeline(panels))
     page = _template().render(
         version=__version__,
         title=titles[0] if len(results) == 1 else f"{len(results)} results side by side",
-        style=_read("page.css"),
-        results=[
-            _part(result, title, found, next(of_diagrams) if is_scored else None)
-            for result, title, found, is_scored in zip(
-                results, titles, changes, has_scores, strict=True
-            )
-        ],
+        style=text_of("page.css"),
+        results=list(map(_part, results, titles, changes)),
         warnings=_warnings(results, titles),
         notes=[*_notes(results, packs, titles), *lacking],
         has_truth=any(result.truth is not None for result in results),
-        timeline=of_timeline,
+        timeline=plot,
         height=panels.height,
         panels=list(zip(panels.all, panels.top, strict=True)),
         legend=_legend(panels),
         films=films,
         scores=_scores(results, titles),
-        parameters=_parameters(results, titles),
-        provenance=_provenance(results, titles),
+        parameters=_beside("parameter", list(map(_parameters, results)), titles, " (differs)"),
+        provenance=_beside("", list(map(_provenance_of, results)), titles),
         names=[
             {"title": title if len(results) > 1 else "", "curves": pack.curves}
             for title, pack in zip(titles, packs, strict=True)
@@ -97,11 +82,7 @@ def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str,
 def _template() -> Any:
     # Names that contain HTML are shown as text.
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    return environment.from_string(_read("page.html"))
-
-
-def _read(name: str) -> str:
-    return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")
+    return environment.from_string(text_of("page.html"))
 
 
 def _told_apart(results: Sequence[Result]) -> list[str]:
@@ -150,9 +131,7 @@ def _legend(panels: Panels) -> list[tuple[str, tuple[tuple[str, str], ...]]]:
     return [(title.split(":")[0], legend) for legend, title in found.items()]
 
 
-def _part(
-    result: Result, title: str, changes: lists.Changes, diagram: str | None
-) -> dict[str, Any]:
+def _part(result: Result, title: str, changes: lists.Changes) -> dict[str, Any]:
     """What the page says of one result."""
     said, header, places = lists.worst_stretches(result)
     change_header, change_places = lists.change_places(changes.listed)
@@ -167,11 +146,19 @@ def _part(
         "clips": _first(clip_header, clips),
         "event_lines": event_lines(events) if "within" in events else [],
         "confusions": _confusions(result),
-        "reliability": diagram,
+        "reliability": _reliability(result),
         "experiment": yaml.safe_dump(
             json.loads(json.dumps(result.config)), sort_keys=False, allow_unicode=True
         ),
     }
+
+
+def _reliability(result: Result) -> str | None:
+    """The picture of the calibration, as an address that holds it whole; None without truth."""
+    if not is_known(result).any():
+        return None
+    picture = figure_bytes(lambda: reliability_figure(result), ".svg")
+    return f"data:image/svg+xml;base64,{base64.b64encode(picture).decode()}"
 
 
 def _first(header: Sequence[str], places: Sequence[lists.Place]) -> dict[str, Any]:
@@ -183,7 +170,7 @@ def _figures(
     result: Result, changes: lists.Changes, worst: Sequence[lists.Place]
 ) -> Iterator[tuple[str, str, lists.Place | None]]:
     """A result in a few figures: each with what it is, and the place that a click on it goes to."""
-    scores = _scores_of(result)
+    scores = scored(result)
     if "model" in scores:
         said = "lane right"
         if interval := scores["model"].get("intervals", {}).get("accuracy"):
@@ -209,22 +196,17 @@ def _lead(result: Result) -> str:
     said = [f"{len(result.frame_id):,} frames, {result.n_lanes} lanes"]
     said.append(f"graph {experiment.get('graph')}, evidence {experiment.get('evidence')}")
     tuned_on = str(run.get("tuned_on", ""))
-    has_scores = bool(_scores_of(result))
+    has_scores = bool(scored(result))
     said.append(TUNED_ON.get(tuned_on, tuned_on) if has_scores else "no ground truth")
     said.append("causal" if run.get("is_causal") else "not causal")
     return "; ".join(said)
-
-
-def _scores_of(result: Result) -> dict[str, Mapping[str, Any]]:
-    """The scores of the model, and of the detector alone where they are known."""
-    return {who: result.scores[who] for who in ("detector", "model") if who in result.scores}
 
 
 def _scores(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
     """One table of all scores: a row for each, a column for each answer."""
     header, rows = ["score"], list[list[str]]()
     for result, title in zip(results, titles, strict=True):
-        scores = _scores_of(result)
+        scores = scored(result)
         if not scores:
             continue
         mine, found = score_rows(scores)
@@ -241,7 +223,7 @@ def _scores(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
 
 def _confusions(result: Result) -> list[dict[str, Any]]:
     found = []
-    for who, scores in _scores_of(result).items():
+    for who, scores in scored(result).items():
         matrix = scores["confusion"]
         n = len(matrix[0])
         total = [max(sum(row[k] for row in matrix), 1) for k in range(n)]
@@ -259,34 +241,27 @@ def _confusions(result: Result) -> list[dict[str, Any]]:
     return found
 
 
-def _parameters(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
-    sets = [dict(result.config.get("parameters") or {}) for result in results]
-    keys = list(dict.fromkeys(key for each in sets for key in each))
+def _parameters(result: Result) -> dict[str, str]:
+    given = result.config.get("parameters") or {}
+    return {key: f"{v:g}" if isinstance(v, float) else str(v) for key, v in given.items()}
+
+
+def _beside(
+    what: str, each: Sequence[Mapping[str, str]], titles: Sequence[str], differs: str = ""
+) -> dict[str, Any]:
+    """A table of what is known of each result, a row for each thing.
+
+    - differs: what follows the name of a thing that is not the same of all.
+    """
     rows = []
-    for key in keys:
-        values = [_text(each.get(key, "-")) for each in sets]
-        mark = " (differs)" if len(set(values)) > 1 else ""
-        rows.append([f"{key}{mark}", *values])
-    return {"header": ["parameter", *_columns(titles)], "rows": rows}
-
-
-def _columns(titles: Sequence[str]) -> list[str]:
-    return list(titles) if len(titles) > 1 else ["value"]
-
-
-def _text(value: Any) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _provenance(results: Sequence[Result], titles: Sequence[str]) -> dict[str, Any]:
-    """Where the numbers of each result come from, a row for each thing that is known."""
-    each = [_provenance_of(result) for result in results]
-    keys = list(dict.fromkeys(key for found in each for key in found))
-    rows = [[key, *(found.get(key, "-") for found in each)] for key in keys]
-    return {"header": ["", *_columns(titles)], "rows": rows}
+    for key in dict.fromkeys(key for found in each for key in found):
+        values = [found.get(key, "-") for found in each]
+        rows.append([key + differs * (len(set(values)) > 1), *values])
+    return {"header": [what, *(titles if len(titles) > 1 else ["value"])], "rows": rows}
 
 
 def _provenance_of(result: Result) -> dict[str, str]:
+    """Where the numbers of a result come from."""
     run = result.run
     found = {
         "directory": str(result.directory),

@@ -12,8 +12,8 @@ import numpy as np
 from egolane_pgm.results import Result
 from egolane_pgm.types import InputError
 
-#: The most pictures of a recording, their height in pixels, and the most bytes of all of a page.
-PICTURES, HEIGHT, BYTES = 64, 120, 2_000_000
+#: The most pictures of a recording, and their height in pixels: some kilobytes each.
+PICTURES, HEIGHT = 64, 120
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Fil
     made, lacking = [], []
     for path, group in found.items():
         try:
-            pictures = _stills(path, results[group[0]], BYTES // len(found))
+            pictures = _stills(path, results[group[0]])
         except InputError as error:
             lacking.append(f"no pictures of the recording: {error}")
             continue
@@ -53,7 +53,7 @@ def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Fil
     return made, lacking
 
 
-def _stills(path: str, result: Result, most_bytes: int) -> list[Still]:
+def _stills(path: str, result: Result) -> list[Still]:
     from egolane_pgm.vision.camera.stills import small_pictures
 
     # Evenly over the time, not over the frames: a gap has no pictures.
@@ -63,14 +63,10 @@ def _stills(path: str, result: Result, most_bytes: int) -> list[Still]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         taken = small_pictures(path, result.frame_id[at].tolist(), HEIGHT)
-    pictures, total = [], 0
-    # In an order that thins out evenly where there are too many bytes.
-    order = sorted(range(len(at)), key=lambda k: (-(k & -k) if k else -len(at) * 2, k))
-    for k in order:
-        content = taken.get(int(result.frame_id[at[k]]))
-        if content is None or total + len(content) > most_bytes:
-            continue
-        total += len(content)
-        src = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
-        pictures.append(Still(round(float(t[at[k]]), 3), src))
-    return sorted(pictures, key=lambda still: still.time_s)
+    pictures = []
+    for k in at:
+        content = taken.get(int(result.frame_id[k]))
+        if content is not None:
+            src = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
+            pictures.append(Still(round(float(t[k]), 3), src))
+    return pictures

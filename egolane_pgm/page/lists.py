@@ -9,11 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from egolane_pgm.inference.events import SURE, tracks_of
-from egolane_pgm.page.packed import is_known, is_wrong
+from egolane_pgm.page.packed import is_wrong
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.events import TOLERANCES_S, is_judged, match_events
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.types import UNASSIGNED, IntArray, LaneEvents, LaneTruth, joined, pieces_of
+from egolane_pgm.views.answers import is_known
 
 #: How many stretches are listed, and how many lane changes or clips.
 STRETCHES, ROWS = 10, 300

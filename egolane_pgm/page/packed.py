@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.results import Result
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.views.answers import UNSEEN, is_known
 
 #: The bytes of the probability 1, and of what is not drawn.
 CERTAIN, BLANK = 254, 255
@@ -24,9 +25,6 @@ MAX_STEPS = 200_000
 
 #: Of a node with more values than this (a position in the lane) no probability is drawn.
 FEW_VALUES = 4
-
-#: What is believed of a lane that the map does not have is shown from this probability.
-UNSEEN = 0.02
 
 #: How a line is drawn.
 NOT_VALID, VALID, CONTINUOUS = 1, 2, 3
@@ -100,12 +98,6 @@ def _told(result: Result, starts: IntArray, each: int) -> IntArray:
     found = np.searchsorted(wrong, starts)
     first = np.append(wrong, last + each)[found]
     return np.where(first < starts + each, first, middle)
-
-
-def is_known(result: Result) -> BoolArray:
-    """(T,): whether the frame is annotated and not crossing: an answer is right or wrong."""
-    known: BoolArray = (result.true_lane != UNASSIGNED) & ~result.is_crossing
-    return known
 
 
 def is_wrong(result: Result) -> BoolArray:

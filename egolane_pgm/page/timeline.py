@@ -1,4 +1,4 @@
-"""A page's timeline, whose panels stand on one time axis, and its diagrams, as Bokeh's models."""
+"""A page's timeline, whose panels stand on one time axis, as a plot of Bokeh's."""
 
 from __future__ import annotations
 
@@ -15,7 +15,6 @@ from bokeh.models import (
     BoxZoomTool,
     ColumnDataSource,
     CustomJS,
-    HoverTool,
     PanTool,
     Range1d,
     WheelZoomTool,
@@ -32,7 +31,6 @@ from egolane_pgm.views.answers import (
     INK,
     MODEL_COLOUR,
     PROBABILITY_COLOURS,
-    Reliability,
 )
 
 #: Colours of the curves: Okabe and Ito's blue, vermillion, green and purple.
@@ -278,79 +276,24 @@ def timeline(panels: Panels) -> tuple[Any, CustomJS]:
             "right": _RIGHT,
         },
     }
-    return plot, CustomJS(args=arguments, code=_read("page.js"))
+    return plot, CustomJS(args=arguments, code=text_of("page.js"))
 
 
-def reliability_plot(found: dict[str, Reliability], n_lanes: int) -> Any:
-    """How often each belief is right, against how often it says that it is."""
-    low = 1 / n_lanes if n_lanes > 1 else 0.0
-    made = figure(
-        height=300,
-        sizing_mode="stretch_width",
-        x_range=Range1d(start=low - 0.03, end=1.03),
-        y_range=Range1d(start=-0.03, end=1.03),
-        tools=[],
-        toolbar_location=None,
-        x_axis_label="largest probability over the lanes",
-        y_axis_label="share right",
-        min_border=0,
-    )
-    made.line([0, 1], [0, 1], color=FAINT, line_dash="dashed")
-    looks = {
-        "Detector only": (DETECTOR_COLOUR, "square", "dashed"),
-        "Model": (MODEL_COLOUR, "circle", "solid"),
-    }
-    dots: list[Any] = []
-    for name, each in found.items():
-        colour, marker, dash = looks[name]
-        filled = each.curve.count > 0
-        source = ColumnDataSource(
-            {
-                "said": each.curve.confidence[filled],
-                "right": each.curve.accuracy[filled],
-                "frames": each.curve.count[filled],
-            }
-        )
-        label = f"{name}, calibration error {each.error:.3f}"
-        made.line("said", "right", source=source, color=colour, line_dash=dash, legend_label=label)
-        dots.append(
-            made.scatter(
-                "said",
-                "right",
-                source=source,
-                color=colour,
-                marker=marker,
-                size=8,
-                legend_label=label,
-            )
-        )
-    tips = [("says", "@said{0.000}"), ("right", "@right{0.000}"), ("frames", "@frames")]
-    made.add_tools(HoverTool(renderers=dots, tooltips=tips))
-    [legend] = made.legend
-    # On the points it would hide some.
-    made.add_layout(legend, "above")
-    legend.label_text_font_size = "11px"
-    legend.border_line_color = None
-    return made
+def embedded(plot: Any, when_ready: CustomJS) -> tuple[str, str]:
+    """The scripts of a page, and the element of its plot.
 
-
-def embedded(models: Sequence[Any], when_ready: CustomJS) -> tuple[str, list[str]]:
-    """The scripts of a page, and an element for each of the models.
-
-    - when_ready: runs when they are drawn.
+    - when_ready: runs when it is drawn.
 
     Nothing is loaded: Bokeh's own script is in the page.
     """
     document = Document()
-    # Otherwise all models are counted anew for each root.
-    with document.models.freeze():
-        for model in models:
-            document.add_root(model)
+    document.add_root(plot)
     document.js_on_event(DocumentReady, when_ready)
-    script, elements = components(list(models))
+    script, element = components(plot)
     bokeh = Resources(mode="inline", components=["bokeh"]).render_js()
-    return f"{bokeh}\n{script}", list(elements)
+    return f"{bokeh}\n{script}", element
 
 
-def _read(name: str) -> str:
+def text_of(name: str) -> str:
+    """The text of a file beside this one."""
     return resources.files(__package__).joinpath(name).read_text(encoding="utf-8")

@@ -1,16 +1,9 @@
-"""What figures and pages show of a result: titles, answers with the truth, their calibration, and
-colours that colour-blind readers can tell apart."""
+"""What figures and pages show of a result: titles, answers with the truth, and colours that
+colour-blind readers can tell apart."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.probabilistic import (
-    CalibrationCurve,
-    calibration_curve,
-    expected_calibration_error,
-)
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, InputError, IntArray
 
 INK, FAINT, CROSSING = "#222222", "#b8b8b8", "#8c8c8c"
@@ -26,6 +19,10 @@ PROBABILITY_COLOURS = ("#ffffff", "#bcd7ec", "#5fa5d6", "#0072b2", "#00355c")
 RIGHT_COLOUR, UNASSIGNED_COLOUR = "#0072b2", "#1a1a1a"
 
 
+#: What is believed of a lane that the map does not have is shown from this probability.
+UNSEEN = 0.02
+
+
 def title_of(result: Result) -> str:
     """The run's name, marked where its parameters were tuned on the frames that are scored."""
     mark = " (in-sample)" if result.run.get("tuned_on") == "same_frames" else ""
@@ -37,9 +34,15 @@ def title_with_frames(result: Result) -> str:
     return f"{title_of(result)}: {int(is_scored(result).sum()):,} frames"
 
 
+def is_known(result: Result) -> BoolArray:
+    """Which frames, (T,), are annotated and not crossing: an answer is right or wrong."""
+    known: BoolArray = (result.true_lane != UNASSIGNED) & ~result.is_crossing
+    return known
+
+
 def is_scored(result: Result) -> BoolArray:
-    """Which frames, (T,), are annotated and not crossing. Raises InputError if there are none."""
-    scored: BoolArray = (result.true_lane != UNASSIGNED) & ~result.is_crossing
+    """`is_known`. Raises InputError if there are none."""
+    scored = is_known(result)
     if not scored.any():
         raise InputError(
             f"{result.directory}: has no ground truth to compare with (no annotated frame that is"
@@ -68,28 +71,6 @@ def scored_answers(
     return {
         name: (belief[chosen], assigned[chosen], *truth)
         for name, (belief, assigned) in answers(result).items()
-    }
-
-
-@dataclass(frozen=True)
-class Reliability:
-    """The calibration curve of one belief, and its expected calibration error (0 to 1)."""
-
-    curve: CalibrationCurve
-    error: float
-
-
-def reliabilities(result: Result) -> dict[str, Reliability]:
-    """The curves of "Detector only" (if there is a tentative vector) and "Model".
-
-    Raises InputError if no frame is annotated.
-    """
-    return {
-        name: Reliability(
-            calibration_curve(belief, lane, crossing),
-            expected_calibration_error(belief, lane, crossing),
-        )
-        for name, (belief, _, lane, crossing) in scored_answers(result).items()
     }
 
 

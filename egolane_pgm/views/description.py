@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 import itertools
 import re
-import textwrap
 from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
@@ -15,7 +14,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.views.structure import structure_of
-from egolane_pgm.views.tables import line_width
+from egolane_pgm.views.tables import line_width, wrapped
 
 #: A table of more numbers is not printed: nobody reads them, and they are in the JSON.
 MAX_PRINTED = 1000
@@ -137,7 +136,7 @@ def description_text(found: Mapping[str, Any]) -> str:
     lines = [f"{found['kind']} {found['name']}"]
     lines += [found["file"]] if found["file"] != found["name"] else []
     if found["about"]:
-        lines += ["", *_wrapped(found["about"].split("\n\n")[0], 0)]
+        lines += ["", wrapped(" ".join(found["about"].split("\n\n")[0].split()))]
     if found["kind"] == "graph":
         lines += _graph_lines(found)
     elif found["kind"] == "evidence rule":
@@ -157,7 +156,9 @@ def _graph_lines(found: Mapping[str, Any]) -> list[str]:
         name, role = node["name"], node["role"]
         evidence = f"the likelihood of {', '.join(parents[name])}"
         said = evidence if role == "virtual evidence" else _values(node["values"])
-        lines += _wrapped(f"  {name:{width}}  {role:{len('virtual evidence')}}  {said}", width + 22)
+        lines.append(
+            wrapped(f"  {name:{width}}  {role:{len('virtual evidence')}}  {said}", width + 20)
+        )
     roles = {node["name"]: node["role"] for node in found["nodes"]}
     for title, which in (("within a frame", "within"), ("to the next frame", "across")):
         children: dict[str, list[str]] = {}
@@ -166,7 +167,7 @@ def _graph_lines(found: Mapping[str, Any]) -> list[str]:
                 children.setdefault(parent, []).append(child)
         lines += ["", f"edges {title}"]
         for parent, names in children.items():
-            lines += _wrapped(f"  {parent:{width}}  -> {', '.join(names)}", width + 7)
+            lines.append(wrapped(f"  {parent:{width}}  -> {', '.join(names)}", width + 5))
     lines += ["", "tables (the axes are the parents and the node itself)"]
     values = {node["name"]: node["values"] for node in found["nodes"]}
     for table in found["tables"]:
@@ -174,7 +175,7 @@ def _graph_lines(found: Mapping[str, Any]) -> list[str]:
         frames = "" if table["frames"] == "every frame" else f"  ({table['frames']})"
         shape = " x ".join(map(str, table["shape"]))
         text = f"  P({node}{' | ' if given else ''}{', '.join(given)})"
-        lines += _wrapped(f"{text:58} {shape}{frames}", 4)
+        lines.append(wrapped(f"{text:58} {shape}{frames}", 2))
         if "values" in table:
             lines += _numbers(table, values)
     return lines
@@ -222,7 +223,7 @@ def _rule_lines(found: Mapping[str, Any]) -> list[str]:
     if found["detector_only"]:
         lines.append(f"  {found['detector_only']} is also the detector's own answer")
     if found["looks_ahead"]:
-        lines += _wrapped(f"  it is not causal: {found['looks_ahead']}", 4)
+        lines.append(wrapped(f"  it is not causal: {found['looks_ahead']}", 2))
     if found["can_learn"]:
         lines.append("  it learns from a recording (`egolane learn`)")
     return lines
@@ -245,7 +246,7 @@ def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
         if each["choices"]:
             number = "" if each["kind"] == "choice" else "a number or "
             said = f"{number}{' or '.join(each['choices'])}: {said}"
-        lines[k:k] = _wrapped(f"      {said}", 6)
+        lines.insert(k, wrapped(f"      {said}"))
     return lines
 
 
@@ -253,15 +254,3 @@ def _short(value: Any) -> str:
     if isinstance(value, (tuple, list)):
         return " to ".join(map(_short, value)) if len(value) == 2 else f"{len(value)} numbers"
     return f"{value:g}" if isinstance(value, (int, float)) else str(value)
-
-
-def _wrapped(text: str, indent: int) -> list[str]:
-    first = len(text) - len(text.lstrip())
-    return textwrap.wrap(
-        text.strip(),
-        line_width(),
-        initial_indent=" " * first,
-        subsequent_indent=" " * indent,
-        break_long_words=False,
-        break_on_hyphens=False,
-    )

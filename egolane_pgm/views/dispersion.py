@@ -6,8 +6,8 @@ A bar divides the annotated, non-crossing frames into right, off by 1, 2, ... la
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,17 +15,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.confusion import confusion
-from egolane_pgm.types import FloatArray, InputError, IntArray
+from egolane_pgm.types import InputError, IntArray
 from egolane_pgm.views.answers import (
     FAINT,
     INK,
     RIGHT_COLOUR,
     UNASSIGNED_COLOUR,
     percent,
-    scored_answers,
     title_of,
+    title_with_frames,
 )
+from egolane_pgm.views.heatmaps import confusions
 from egolane_pgm.views.style import (
     axes_at,
     new_figure,
@@ -41,26 +41,15 @@ _LABELLED = 0.04
 _LEGEND_COLUMNS = 6
 
 
-@dataclass(frozen=True)
-class Bar:
-    """One bar. counts: (n + 1,) frames that are right, off by 1 to n - 1 lanes, Unassigned."""
+class Group(NamedTuple):
+    """Bars that belong together, with a title and, in smaller type, a note.
 
-    label: str
-    counts: IntArray
-
-    @property
-    def shares(self) -> FloatArray:
-        """The counts over their sum, (n + 1,)."""
-        return np.asarray(self.counts / self.counts.sum(), dtype=np.float64)
-
-
-@dataclass(frozen=True)
-class Group:
-    """Bars that belong together, with a title and, in smaller type, a note."""
+    - bars: by their names, (n + 1,) frames that are right, off by 1 to n - 1 lanes, Unassigned.
+    """
 
     title: str
     note: str
-    bars: tuple[Bar, ...]
+    bars: Mapping[str, IntArray]
 
 
 def dispersion(matrix: IntArray) -> IntArray:
@@ -71,15 +60,12 @@ def dispersion(matrix: IntArray) -> IntArray:
     return np.append(right_or_off, matrix[-1].sum()).astype(np.int64)
 
 
-def dispersion_bars(result: Result) -> tuple[Bar, ...]:
+def dispersions(result: Result) -> dict[str, IntArray]:
     """The bars of "Detector only" (if there is a tentative vector) and "Model".
 
     Raises InputError if no frame is annotated.
     """
-    return tuple(
-        Bar(name, dispersion(confusion(assigned, lane, crossing, result.n_lanes)))
-        for name, (_, assigned, lane, crossing) in scored_answers(result).items()
-    )
+    return {name: dispersion(matrix) for name, matrix in confusions(result).items()}
 
 
 def dispersion_figure(results: Sequence[Result]) -> Figure:
@@ -91,8 +77,8 @@ def dispersion_figure(results: Sequence[Result]) -> Figure:
         raise InputError("error dispersion: no result directory was given")
     groups = []
     for result in results:
-        bars = dispersion_bars(result)
-        note = f"{result.n_lanes} lanes, {int(bars[0].counts.sum()):,} frames"
+        bars = dispersions(result)
+        note = f"{result.n_lanes} lanes, {int(bars['Model'].sum()):,} frames"
         groups.append(Group(title_of(result), note, bars))
     return _bar_sheet(groups, "Error dispersion", max(r.n_lanes for r in results))
 
@@ -106,14 +92,13 @@ def bonus_ablation_figure(with_bonus: Result, without_bonus: Result) -> Figure:
     """
     _check_ablation(with_bonus, without_bonus)
     value = with_bonus.config["parameters"]["bonus_value"]
-    bars_with, bars_without = dispersion_bars(with_bonus), dispersion_bars(without_bonus)
+    found, lost = dispersions(with_bonus), dispersions(without_bonus)
     groups = []
-    for a, b in zip(bars_with, bars_without, strict=True):
-        change = 100 * (b.shares[0] - a.shares[0])
-        pair = (Bar(f"BV = {value:g}", a.counts), Bar("no BV", b.counts))
-        groups.append(Group(a.label, f"right without BV: {change:+.1f} points", pair))
-    frames = f"{int(bars_with[0].counts.sum()):,} frames"
-    title = f"Bonus value (BV), {title_of(with_bonus)}, {frames}"
+    for name, counts in found.items():
+        change = 100 * (lost[name][0] - counts[0]) / counts.sum()
+        pair = {f"BV = {value:g}": counts, "no BV": lost[name]}
+        groups.append(Group(name, f"right without BV: {change:+.1f} points", pair))
+    title = f"Bonus value (BV), {title_with_frames(with_bonus).replace(': ', ', ')}"
     others = _other_differences(with_bonus, without_bonus)
     title += f"; also different: {', '.join(others)}" if others else "; all else the same"
     return _bar_sheet(groups, title, with_bonus.n_lanes)
@@ -153,12 +138,20 @@ def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:
     at, ticks = _GROUP_GAP / 2, []
     for group, tall in zip(groups, group_height, strict=True):
         size = min(8.5, 8.5 * (left - _NAMES - _EDGE) / (0.068 * len(group.title)))
-        ax.text(outer, at + tall / 2 - 0.015, group.title, va="bottom", fontsize=size, color=INK)
+        ax.text(
+            outer,
+            at + tall / 2 - 0.015,
+            group.title,
+            va="bottom",
+            fontsize=size,
+            color=INK,
+            parse_math=False,
+        )
         ax.text(outer, at + tall / 2 + 0.03, group.note, va="top", fontsize=7.5, color=INK)
-        for k, bar in enumerate(group.bars):
+        for k, (name, counts) in enumerate(group.bars.items()):
             top = at + k * (_BAR + _BAR_GAP)
-            ticks.append((top + _BAR / 2, bar.label))
-            _draw_bar(ax, bar, top)
+            ticks.append((top + _BAR / 2, name))
+            _draw_bar(ax, counts, top)
         at += tall + _GROUP_GAP
         if group is not groups[-1]:
             between = [at - _GROUP_GAP / 2] * 2
@@ -179,25 +172,17 @@ def _left_margin(groups: Sequence[Group]) -> float:
     return min(_EDGE + widest + _NAMES, 4.0)
 
 
-def category_colours(n_lanes: int) -> list[str]:
-    """The colours of right, off by 1 to n - 1 lanes, Unassigned."""
-    return [RIGHT_COLOUR, *off_colours(n_lanes - 1), UNASSIGNED_COLOUR]
-
-
-def category_names(n_lanes: int) -> list[str]:
-    """The names of right, off by 1 to n - 1 lanes, Unassigned."""
+def categories(n_lanes: int) -> dict[str, str]:
+    """Right, off by 1 to n - 1 lanes, Unassigned: their names and colours."""
     off = [f"off by {k} lane{'s' if k > 1 else ''}" for k in range(1, n_lanes)]
-    return ["right", *off, "Unassigned"]
+    colours = dict(zip(off, off_colours(n_lanes - 1), strict=True))
+    return {"right": RIGHT_COLOUR, **colours, "Unassigned": UNASSIGNED_COLOUR}
 
 
-def _draw_bar(ax: Axes, bar: Bar, top: float) -> None:
+def _draw_bar(ax: Axes, counts: IntArray, top: float) -> None:
     left = 0.0
-    for share, colour, name in zip(
-        bar.shares,
-        category_colours(len(bar.counts) - 1),
-        category_names(len(bar.counts) - 1),
-        strict=True,
-    ):
+    named = categories(len(counts) - 1).items()
+    for share, (name, colour) in zip(counts / counts.sum(), named, strict=True):
         ax.barh(
             top, share, _BAR, left=left, align="edge", color=colour, edgecolor="white",
             linewidth=0.5, label=name,
@@ -213,7 +198,7 @@ def _draw_bar(ax: Axes, bar: Bar, top: float) -> None:
 def _draw_legend(figure: Figure, n_lanes: int, left: float) -> None:
     # The names for more than four lanes need the whole width.
     start = left if n_lanes <= 4 and left < 3.2 else _EDGE
-    named = zip(category_names(n_lanes), category_colours(n_lanes), strict=True)
+    named = categories(n_lanes).items()
     figure.legend(
         handles=[Patch(facecolor=colour, label=name) for name, colour in named],
         loc="upper left",

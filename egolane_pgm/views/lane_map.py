@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -54,7 +56,7 @@ def lane_map_figure(graph: LaneGraph, around: tuple[float, float, float] | None 
     Raises InputError where nothing is there, or more than one could see.
     """
     point = _metres(graph, around)
-    shown = _shown(graph, point, around)
+    shown = np.ones(len(graph), dtype=bool) if around is None else _near(graph, point, around[2])
     if not shown.any():
         raise InputError("map: no road lies there")
     if shown.sum() > MOST_SEGMENTS:
@@ -110,17 +112,12 @@ def _metres(graph: LaneGraph, around: tuple[float, float, float] | None) -> Floa
     return metres
 
 
-def _shown(
-    graph: LaneGraph, point: FloatArray, around: tuple[float, float, float] | None
-) -> BoolArray:
-    """Which segments, (S,), touch the picture."""
-    if around is None:
-        return np.ones(len(graph), dtype=bool)
-    near = np.zeros(len(graph), dtype=bool)
-    for k in range(len(graph)):
-        line = _resampled(point[graph.first[k] : graph.first[k + 1]], 20.0)[0]
-        near[k] = bool((np.abs(line) <= around[2]).all(axis=1).any())
-    return near
+def _near(graph: LaneGraph, point: FloatArray, reach_m: float) -> BoolArray:
+    """Which segments, (S,), come as near to the middle as this."""
+    lines = [point[graph.first[k] : graph.first[k + 1]] for k in range(len(graph))]
+    return np.array(
+        [(np.abs(_resampled(line, 20.0)[0]) <= reach_m).all(axis=1).any() for line in lines]
+    )
 
 
 def _corners(
@@ -174,15 +171,11 @@ def _draw_map(
 
 def _widths(graph: LaneGraph, k: int, n: int) -> FloatArray:
     """The widths of a segment's n lanes, metres; those that its tag lacks are LANE_M."""
-    words = str(graph.width[k]).split("|") if graph.width[k] else []
     width = np.full(n, LANE_M)
-    for lane, word in enumerate(words[:n]):
-        try:
-            metres = float(word)
-        except ValueError:
-            continue
-        if _WIDTHS_M[0] <= metres <= _WIDTHS_M[1]:
-            width[lane] = metres
+    for lane, word in enumerate(str(graph.width[k]).split("|")[:n]):
+        with contextlib.suppress(ValueError):
+            if _WIDTHS_M[0] <= float(word) <= _WIDTHS_M[1]:
+                width[lane] = float(word)
     return width
 
 
@@ -246,13 +239,7 @@ def _draw_direction(ax: Axes, sides: list[FloatArray], along: FloatArray) -> Non
         return
     at = along[inside].mean() + np.array([-0.5, 0.5]) * _ARROW_M
     middle = np.stack([np.interp(at, along, edge[:, k]) for k in (0, 1)], axis=1)
-    ax.annotate(
-        "",
-        tuple(middle[1]),
-        xytext=tuple(middle[0]),
-        arrowprops={"arrowstyle": "-|>", "lw": 1.0, "color": INK, "mutation_scale": 9},
-        zorder=4,
-    )
+    _draw_arrow(ax, middle[0], middle[1], 1.0)
 
 
 def _mark_changes(ax: Axes, graph: LaneGraph, point: FloatArray, shown: BoolArray) -> None:
@@ -394,13 +381,12 @@ def _draw_link(ax: Axes, km: float, across: float, n: int, side: int, *, leaves:
     edge = across if side < 0 else across + max(n, 1)
     outside = edge + (-1.1 if side < 0 else 1.1)
     tip, tail = (outside, edge) if leaves else (edge, outside)
-    ax.annotate(
-        "",
-        (km, tip),
-        xytext=(km, tail),
-        arrowprops={"arrowstyle": "-|>", "lw": 0.8, "color": INK, "mutation_scale": 7},
-        annotation_clip=False,
-    )
+    _draw_arrow(ax, (km, tail), (km, tip), 0.8)
+
+
+def _draw_arrow(ax: Axes, tail: Any, tip: Any, width: float) -> None:
+    look = {"arrowstyle": "-|>", "lw": width, "color": INK, "mutation_scale": 9 * width}
+    ax.annotate("", tip, xytext=tail, arrowprops=look, annotation_clip=False, zorder=4)
 
 
 def _bound(graph: LaneGraph, road: list[tuple[int, float]]) -> str:
@@ -408,5 +394,14 @@ def _bound(graph: LaneGraph, road: list[tuple[int, float]]) -> str:
     start, stop = graph.line(road[0][0])[0], graph.line(road[-1][0])[-1]
     north, east = metres_per_degree(start[0])
     angle = np.degrees(np.arctan2((stop[0] - start[0]) * north, (stop[1] - start[1]) * east))
-    names = ("east", "north-east", "north", "north-west", "west", "south-west", "south")
-    return "to the " + (*names, "south-east")[int(np.rint(angle / 45)) % 8]
+    names = [
+        "east",
+        "north-east",
+        "north",
+        "north-west",
+        "west",
+        "south-west",
+        "south",
+        "south-east",
+    ]
+    return f"to the {names[int(np.rint(angle / 45)) % 8]}"

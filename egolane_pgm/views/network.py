@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import networkx as nx
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Patch, Rectangle
+from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from egolane_pgm.graphs.cpds import SliceNode
 from egolane_pgm.graphs.flat import bif
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
-from egolane_pgm.views.structure import KINDS, Structure, graphviz, structure_of
-from egolane_pgm.views.style import FORMATS, write_figure
+from egolane_pgm.views.answers import INK
+from egolane_pgm.views.structure import Structure, graphviz, structure_of
+from egolane_pgm.views.style import FORMATS, axes_at, new_figure, write_figure
 
 #: How the name of a file ends that a network can be written to.
 ENDINGS = (*FORMATS, ".dot", ".bif")
 
-Place = tuple[float, float]
+Node = Ellipse | Rectangle
 
 # Kinds of nodes differ in lightness, outline and shape as well as in hue, so that colour is not
 # needed.
@@ -37,96 +35,52 @@ _FILL = {
     "input": "#f2dfb3",
     "virtual evidence": "#4d5a66",
 }
-_INK, _TEMPORAL, _FRAME = "#222222", "#b3541e", "#f4f4f2"
+_TEMPORAL, _FRAME = "#b3541e", "#f4f4f2"
 _RADIUS, _SMALL = 0.52, 0.17
 
-# Distances in the units of the radii: between columns, between rows, down to virtual evidence.
-_COLUMN, _ROW, _EVIDENCE_ROW = 1.5, 1.5, 1.2
-_SLICE_GAP, _MARGIN = 1.3, 0.75
-_INCHES = 0.82
+# Distances in the units of the radii: between columns and rows, down to virtual evidence, between
+# the slices, around them; and inches of a unit.
+_STEP, _EVIDENCE_STEP, _SLICE_GAP, _MARGIN, _INCHES = 1.5, 1.2, 1.3, 0.75, 0.82
 
 
-@dataclass(frozen=True)
-class _Drawing:
-    """The place and radius of each node, and the size of one slice."""
-
-    structure: Structure
-    place: Mapping[SliceNode, Place]
-    radius: Mapping[SliceNode, float]
-    width: float
-    height: float
-    step: float
-
-
-def _layers(structure: Structure) -> list[list[str]]:
-    """The names in layers, by the longest path to them from a root within a slice."""
-    within = nx.DiGraph(structure.within)
-    within.add_nodes_from(structure.kind)
-    try:
-        layers = [set(layer) for layer in nx.topological_generations(within)]
-    except nx.NetworkXUnfeasible:
-        raise InputError(
-            "network: the edges within a slice form a cycle, it cannot be drawn"
-        ) from None
-    return [[name for name in structure.kind if name in layer] for layer in layers]
-
-
-def _columns(layers: Sequence[Sequence[str]], structure: Structure) -> dict[str, float]:
-    """The horizontal place of each name: below the middle of its parents, if there is room."""
+def _places(structure: Structure) -> dict[str, tuple[float, float]]:
+    """The middle of each node of a slice: a name below its parents, and right below them if there
+    is room. The upper left one is at (0, 0)."""
+    depth = dict.fromkeys(structure.kind, 0)
+    for _ in depth:
+        for parent, child in structure.within:
+            depth[child] = max(depth[child], depth[parent] + 1)
+    temporal = {name for edge in structure.across for name in edge}
     x: dict[str, float] = {}
-    for layer in layers:
-        parents = [[x[a] for a, b in structure.within if b == name] for name in layer]
-        wanted = np.array([np.mean(of) if of else i * _COLUMN for i, of in enumerate(parents)])
+    y: dict[str, float] = {}
+    at = _STEP
+    for layer in range(max(depth.values()) + 1):
+        names = [name for name in depth if depth[name] == layer]
+        parents = [[x[a] for a, b in structure.within if b == name] for name in names]
+        wanted = np.array([np.mean(of) if of else i * _STEP for i, of in enumerate(parents)])
         order = np.argsort(wanted, kind="stable")
-        steps = np.arange(len(layer)) * _COLUMN
+        steps = np.arange(len(names)) * _STEP
         placed = np.maximum.accumulate(wanted[order] - steps) + steps
         placed += np.mean(wanted[order] - placed)
-        x.update(zip((layer[k] for k in order), placed.tolist(), strict=True))
-    return {name: x[name] - min(x.values()) for name in structure.kind}
-
-
-def _rows(layers: Sequence[Sequence[str]], structure: Structure) -> dict[str, float]:
-    """The vertical place of each name, 0 at the top.
-
-    A name with arrows to or from the other slice gets a row of its own, so that these arrows run
-    between the slices without crossing another node.
-    """
-    temporal = {name for edge in structure.across for name in edge}
-    y: dict[str, float] = {}
-    at = _ROW
-    for layer in layers:
-        shared = [name for name in layer if name not in temporal]
-        for row in [[name] for name in layer if name in temporal] + ([shared] if shared else []):
+        x.update(zip((names[k] for k in order), placed.tolist(), strict=True))
+        # A name with arrows to or from the other slice gets a row of its own, so that these arrows
+        # run between the slices without crossing another node.
+        shared = [name for name in names if name not in temporal]
+        for row in [[name] for name in names if name in temporal] + [shared] * bool(shared):
             is_small = all(structure.kind[name] == "virtual evidence" for name in row)
-            at -= _EVIDENCE_ROW if is_small else _ROW
+            at -= _EVIDENCE_STEP if is_small else _STEP
             y.update(dict.fromkeys(row, at))
-    return y
+    return {name: (x[name] - min(x.values()), y[name]) for name in structure.kind}
 
 
-def _lay_out(structure: Structure) -> _Drawing:
-    if not structure.kind:
-        raise InputError("network: it has no nodes, nothing to draw")
-    layers = _layers(structure)
-    x, y = _columns(layers, structure), _rows(layers, structure)
-    width, height = max(x.values()), -min(y.values())
-    step = width + 2 * _MARGIN + _SLICE_GAP
-    place = {(name, s): (x[name] + s * step, y[name]) for name in x for s in (0, 1)}
-    radius = {
-        (name, s): _SMALL if kind == "virtual evidence" else _RADIUS
-        for name, kind in structure.kind.items()
-        for s in (0, 1)
-    }
-    return _Drawing(structure, place, radius, width, height, step)
-
-
-def _curvature(start: SliceNode, end: SliceNode, drawing: _Drawing) -> float:
+def _bend(start: SliceNode, end: SliceNode, nodes: dict[SliceNode, Node]) -> float:
     """The smallest bend (`rad` of matplotlib's arc3) with which an arrow clears all other nodes."""
-    ends = np.array([drawing.place[start], drawing.place[end]])
-    others = [node for node in drawing.place if node not in (start, end)]
+    ends = np.array([nodes[start].get_center(), nodes[end].get_center()])
+    others = [patch for node, patch in nodes.items() if node not in (start, end)]
     if not others:
         return 0.0
-    middle = np.array([drawing.place[node] for node in others])
-    radius = np.array([drawing.radius[node] for node in others])
+    middle = np.array([patch.get_center() for patch in others])
+    radius = np.array([patch.get_width() / 2 for patch in others])
     across = (ends[1] - ends[0])[::-1] * (1, -1)
     s = np.linspace(0.0, 1.0, 60)[:, np.newaxis]
 
@@ -140,50 +94,40 @@ def _curvature(start: SliceNode, end: SliceNode, drawing: _Drawing) -> float:
     return next((bend for bend in bends if room(bend) > 0.1), max(bends, key=room))
 
 
-def _wrapped(name: str) -> str:
-    """A name with one word per line, split at capitals and underscores."""
-    words = re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name)
-    return "\n".join(words) if words else name
-
-
-def _draw_node(ax: Axes, node: SliceNode, drawing: _Drawing) -> Patch:
-    (x, y), radius = drawing.place[node], drawing.radius[node]
-    kind = drawing.structure.kind[node[0]]
-    patch: Patch = Circle((x, y), radius)
+def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Node:
+    radius = _SMALL if kind == "virtual evidence" else _RADIUS
+    look: dict[str, Any] = {"edgecolor": INK, "linewidth": 1.2, "zorder": 3}
     if kind == "input":
-        half = 0.85 * radius
-        patch = Rectangle((x - half, y - half), 2 * half, 2 * half)
-    patch.set(facecolor=_FILL[kind], edgecolor=_INK, linewidth=1.2, zorder=3)
-    patch.set_gid(f"node {node[0]} {node[1]}")
-    ax.add_patch(patch)
+        side = 1.7 * radius
+        node: Node = Rectangle((x - side / 2, y - side / 2), side, side, fc=_FILL[kind], **look)
+    else:
+        node = Circle((x, y), radius, fc=_FILL[kind], **look)
+    ax.add_patch(node)
     if kind == "function":
-        inner = {"fill": False, "edgecolor": _INK, "linewidth": 0.9, "zorder": 4}
-        ax.add_patch(Circle((x, y), radius - 0.06, **inner))
+        ax.add_patch(Circle((x, y), radius - 0.06, fill=False, **look))
     if kind == "virtual evidence":
-        label = node[0].replace("+", "\n+ ")
-        ax.text(x, y - radius - 0.08, label, fontsize=7, color=_INK, ha="center", va="top")
-        return patch
-    label = _wrapped(node[0])
-    longest = max(len(line) for line in label.split("\n"))
-    size = min(9.5, 78 / longest, 34 / (label.count("\n") + 1))
-    ax.text(x, y, label, fontsize=size, color=_INK, ha="center", va="center", zorder=5)
-    return patch
+        label = name.replace("+", "\n+ ")
+        ax.text(x, y - radius - 0.08, label, fontsize=7, color=INK, ha="center", va="top")
+        return node
+    # One word per line, split at capitals and underscores.
+    words = re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name) or [name]
+    size = min(9.5, 78 / max(map(len, words)), 34 / len(words))
+    text = "\n".join(words)
+    ax.text(x, y, text, fontsize=size, color=INK, ha="center", va="center", zorder=4)
+    return node
 
 
-def _draw_arrow(
-    ax: Axes, start: SliceNode, end: SliceNode, drawing: _Drawing, drawn: Mapping[SliceNode, Patch]
-) -> None:
+def _draw_arrow(ax: Axes, start: SliceNode, end: SliceNode, nodes: dict[SliceNode, Node]) -> None:
     is_temporal = start[1] != end[1]
     arrow = FancyArrowPatch(
-        drawing.place[start],
-        drawing.place[end],
-        connectionstyle=f"arc3,rad={_curvature(start, end, drawing)}",
-        patchA=drawn[start],
-        patchB=drawn[end],
+        *np.array([nodes[start].get_center(), nodes[end].get_center()]).tolist(),
+        connectionstyle=f"arc3,rad={_bend(start, end, nodes)}",
+        patchA=nodes[start],
+        patchB=nodes[end],
         shrinkA=0,
         shrinkB=1,
         arrowstyle="-|>,head_length=5,head_width=2.8",
-        color=_TEMPORAL if is_temporal else _INK,
+        color=_TEMPORAL if is_temporal else INK,
         linewidth=1.9 if is_temporal else 1.1,
         zorder=2,
     )
@@ -194,74 +138,63 @@ def _draw_arrow(
 def _legend(structure: Structure) -> dict[str, tuple[Line2D, ...]]:
     """The marks of the legend by their labels; a function's is two circles."""
     entries: dict[str, tuple[Line2D, ...]] = {}
-    for kind in KINDS:
-        look: dict[str, Any] = {
-            "marker": "s" if kind == "input" else "o",
-            "markerfacecolor": _FILL[kind],
-        }
-        sizes = (10, 7) if kind == "function" else (6,) if kind == "virtual evidence" else (10,)
+    for kind, fill in _FILL.items():
         if kind in structure.kind.values():
+            sizes = {"function": (10, 7), "virtual evidence": (6,)}.get(kind, (10,))
+            marker = "s" if kind == "input" else "o"
             entries["function of its parents" if kind == "function" else kind] = tuple(
-                Line2D([], [], ls="none", markeredgecolor=_INK, markersize=size, **look)
+                Line2D([], [], ls="none", marker=marker, mfc=fill, mec=INK, markersize=size)
                 for size in sizes
             )
-    entries["within a frame"] = (Line2D([], [], color=_INK, linewidth=1.1),)
+    entries["within a frame"] = (Line2D([], [], color=INK, linewidth=1.1),)
     if structure.across:
         entries["to the next frame"] = (Line2D([], [], color=_TEMPORAL, linewidth=1.9),)
     return entries
 
 
 def network_figure(structure: Structure) -> Figure:
-    """Draws the two slices side by side, as in the paper's Figure
-    `fig:model`.
+    """Draws the two slices side by side, as in the paper's Figure `fig:model`.
 
     Hidden nodes are white circles, functions of other nodes have a double outline, observed nodes
     are blue-grey, inputs are squares, and virtual-evidence nodes are small and dark.
-
-    Raises InputError for a network without nodes or with a cycle.
     """
-    drawing = _lay_out(structure)
+    places = _places(structure)
+    width, height = max(x for x, _ in places.values()), -min(y for _, y in places.values())
+    step = width + 2 * _MARGIN + _SLICE_GAP
     entries = _legend(structure)
-    across = max((drawing.width + drawing.step + 2 * _MARGIN + 0.1) * _INCHES, 4.8)
-    down = (drawing.height + 2 * _MARGIN + 0.5) * _INCHES
+    across = max((width + step + 2 * _MARGIN + 0.1) * _INCHES, 4.8)
     columns = min(len(entries), max(2, int(across / 1.55)))
     # The legend's lines below the network.
     below = 0.15 + 0.24 * -(-len(entries) // columns)
-    figure = Figure(figsize=(across, down + below))
-    ax = figure.add_axes((0.0, below / (down + below), 1.0, down / (down + below)))
-    ax.set_xlim(-_MARGIN - 0.05, drawing.width + drawing.step + _MARGIN + 0.05)
-    ax.set_ylim(-drawing.height - _MARGIN - 0.05, _MARGIN + 0.45)
-    ax.set_aspect("equal")
+    down = (height + 2 * _MARGIN + 0.5) * _INCHES
+    figure = new_figure(across, down + below)
+    ax = axes_at(figure, 0, 0, across, down)
+    ax.set(
+        xlim=(-_MARGIN - 0.05, width + step + _MARGIN + 0.05),
+        ylim=(-height - _MARGIN - 0.05, _MARGIN + 0.45),
+        aspect="equal",
+    )
     ax.axis("off")
+    nodes: dict[SliceNode, Node] = {}
     for s, title in enumerate(("frame $t$", "frame $t + 1$")):
+        corner, size = (s * step - _MARGIN, -height - _MARGIN), 2 * _MARGIN
         ax.add_patch(
             FancyBboxPatch(
-                (s * drawing.step - _MARGIN, -drawing.height - _MARGIN),
-                drawing.width + 2 * _MARGIN,
-                drawing.height + 2 * _MARGIN,
-                boxstyle="round,pad=0,rounding_size=0.2",
-                facecolor=_FRAME,
-                edgecolor="none",
-                zorder=0,
+                corner, width + size, height + size, boxstyle="round,pad=0,rounding_size=0.2",
+                facecolor=_FRAME, edgecolor="none", zorder=0,
             )
-        )
-        middle = s * drawing.step + drawing.width / 2
-        ax.text(middle, _MARGIN + 0.1, title, ha="center", fontsize=10)
-    drawn = {node: _draw_node(ax, node, drawing) for node in drawing.place}
+        )  # fmt: skip
+        ax.text(s * step + width / 2, _MARGIN + 0.1, title, ha="center", fontsize=10)
+        for name, (x, y) in places.items():
+            nodes[name, s] = _draw_node(ax, name, structure.kind[name], s * step + x, y)
+            nodes[name, s].set_gid(f"node {name} {s}")
     for start, end in structure.edges:
-        _draw_arrow(ax, start, end, drawing, drawn)
+        _draw_arrow(ax, start, end, nodes)
     ax.legend(
-        [*entries.values()],
-        [*entries],
-        loc="upper center",
-        bbox_to_anchor=(0.5, 0.0),
-        ncols=columns,
-        labelspacing=0.7,
-        frameon=False,
-        fontsize=8.5,
-        handletextpad=0.6,
+        [*entries.values()], [*entries], loc="upper center", bbox_to_anchor=(0.5, 0.0),
+        ncols=columns, labelspacing=0.7, frameon=False, fontsize=8.5, handletextpad=0.6,
         columnspacing=1.6,
-    )
+    )  # fmt: skip
     return figure
 
 

@@ -6,12 +6,29 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from egolane_pgm.results import Result
-from egolane_pgm.scoring.probabilistic import N_BINS
-from egolane_pgm.views.answers import FAINT, INK, reliabilities, title_with_frames
+from egolane_pgm.scoring.probabilistic import (
+    N_BINS,
+    CalibrationCurve,
+    calibration_curve,
+    expected_calibration_error,
+)
+from egolane_pgm.views.answers import FAINT, INK, scored_answers, title_with_frames
 from egolane_pgm.views.style import ANSWER_STYLE, axes_at, new_figure, put_title
 
 #: A bin with fewer frames is drawn hollow, because its accuracy says little.
 FEW_FRAMES = 30
+
+
+def reliabilities(result: Result) -> dict[str, tuple[CalibrationCurve, float]]:
+    """The calibration curve and the expected calibration error (0 to 1) of "Detector only" (if
+    there is a tentative vector) and "Model". Raises InputError if no frame is annotated."""
+    return {
+        name: (
+            calibration_curve(belief, lane, crossing),
+            expected_calibration_error(belief, lane, crossing),
+        )
+        for name, (belief, _, lane, crossing) in scored_answers(result).items()
+    }
 
 
 def reliability_figure(result: Result) -> Figure:
@@ -29,9 +46,8 @@ def reliability_figure(result: Result) -> Figure:
     upper.plot([0, 1], [0, 1], color=FAINT, linewidth=1.2, label="perfectly calibrated", zorder=1)
     edge = np.linspace(0, 1, N_BINS + 1)
     bar = 0.8 / (N_BINS * len(found))
-    for k, (name, reliability) in enumerate(found.items()):
+    for k, (name, (curve, error)) in enumerate(found.items()):
         colour, marker, dashes = ANSWER_STYLE[name]
-        curve = reliability.curve
         filled = curve.count > 0
         upper.plot(
             curve.confidence[filled], curve.accuracy[filled], linestyle=dashes, color=colour,
@@ -43,13 +59,13 @@ def reliability_figure(result: Result) -> Figure:
                 curve.confidence[some], curve.accuracy[some], linestyle="none", marker=marker,
                 markersize=5.5, markeredgecolor=colour, markerfacecolor=face, zorder=3,
             )  # fmt: skip
-        label = f"{name}, ECE {reliability.error:.3f}"
+        label = f"{name}, ECE {error:.3f}"
         upper.plot(
             [], [], color=colour, linestyle=dashes, marker=marker, markersize=5.5, label=label
         )
         left = edge[:-1] + 0.1 / N_BINS + k * bar
         lower.bar(left, curve.count, bar, align="edge", color=colour, label=name)
-    if any(((r.curve.count > 0) & (r.curve.count < FEW_FRAMES)).any() for r in found.values()):
+    if any(((c.count > 0) & (c.count < FEW_FRAMES)).any() for c, _ in found.values()):
         upper.plot(
             [], [], linestyle="none", marker="o", markerfacecolor="white", markeredgecolor=INK,
             markersize=5.5, label=f"fewer than {FEW_FRAMES} frames",

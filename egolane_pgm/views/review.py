@@ -101,8 +101,8 @@ def _draw_belief(ax: Axes, labels: Labels, rows: IntArray) -> None:
     column = ids - ids[0]
     image = np.full((n_lanes, int(column[-1]) + 1), np.nan)
     image[:, column] = run.beliefs.lane[rows].T
-    extent = ((ids[0] - 0.5) / rate, (ids[-1] + 0.5) / rate, n_lanes + 0.5, 0.5)
-    show_belief(ax, image, extent)
+    ends = np.array([ids[0] - 0.5, ids[-1] + 0.5]) / rate
+    show_belief(ax, ends, np.array([0.5, n_lanes + 0.5]), image)
     # White edges set the marks off from a dark belief.
     marks: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white"}
     ax.plot(

@@ -19,7 +19,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
-from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import AutoLocator
@@ -31,6 +30,7 @@ from egolane_pgm.views.answers import (
     FAINT,
     INK,
     PROBABILITY_COLOURS,
+    UNSEEN,
     answers,
     lane_names,
     title_of,
@@ -48,9 +48,6 @@ _WIDTH, _LEFT, _LEFT_NAME, _RIGHT = 9.0, 1.5, 0.2, 0.2
 _LANE, _STRIP_MIN, _STRIP_GAP = 0.2, 0.78, 0.07
 _TICKS, _TICK, _ROW_GAP, _HEAD, _FOOT = 0.2, 0.05, 0.14, 0.42, 0.72
 _DASHES = (0, (3, 2))
-
-#: What is believed of a lane that the map does not have is shown from this probability.
-_UNSEEN = 0.02
 
 
 @dataclass(frozen=True)
@@ -74,6 +71,12 @@ class Strips:
     truth: FloatArray | None
     is_crossing: BoolArray
     road_lanes: IntArray | None = None
+
+    @property
+    def images(self) -> dict[str, FloatArray]:
+        """The probabilities of each strip, (n, C), from above."""
+        truth = {} if self.truth is None else {"Ground truth": self.truth}
+        return {**self.beliefs, **truth}
 
     @property
     def frames_per_column(self) -> int:
@@ -133,7 +136,7 @@ def strip_columns(result: Result, first: int, last: int, max_columns: int = MAX_
         no_lane = np.arange(result.n_lanes)[:, None] >= road
         for image in (*beliefs.values(), *([] if truth is None else [truth])):
             # The map may be wrong by a lane: what is believed there is shown.
-            image[no_lane & (np.nan_to_num(image) < _UNSEEN)] = np.nan
+            image[no_lane & (np.nan_to_num(image) < UNSEEN)] = np.nan
     return Strips(first, last, edge.astype(np.int64), beliefs, truth, is_crossing, road)
 
 
@@ -187,8 +190,13 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     # All rows have the same scale, though one may be a frame shorter than another.
     longest = max(s.last - s.first + 1 for s in rows)
     frame_width = (_WIDTH - _LEFT - _RIGHT) / longest
-    for k, strips in enumerate(rows):
-        _draw_row(sheet, result, strips, _HEAD + k * (block + _ROW_GAP), strip, frame_width)
+    tops = [
+        _HEAD + k * (block + _ROW_GAP) + _TICKS + np.arange(float(n_strips)) * (strip + _STRIP_GAP)
+        for k in range(len(rows))
+    ]
+    for strips, at in zip(rows, tops, strict=True):
+        _draw_row(sheet, result, strips, at, strip, frame_width)
+    _draw_cells(sheet, rows, np.concatenate(tops), strip)
     middle = (_LEFT + _WIDTH - _RIGHT) / 2
     sheet.text(middle, _HEAD, "frame id", fontsize=9, ha="center", va="bottom")
     sheet.text(middle, end, "time [s]", fontsize=9, ha="center", va="top")
@@ -199,18 +207,34 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     return figure
 
 
+def _draw_cells(sheet: Axes, rows: list[Strips], tops: FloatArray, height: float) -> None:
+    """Draw the probabilities of all strips as one image, with empty cells between the strips: one
+    image for each would take three times the time."""
+    images = [image for strips in rows for image in strips.images.values()]
+    n_lanes, n_columns = len(images[0]), max(image.shape[1] for image in images)
+    cells = np.full((len(images), n_lanes + 1, n_columns), np.nan)
+    for cell, image in zip(cells, images, strict=True):
+        cell[:-1, : image.shape[1]] = image
+    x = np.linspace(_LEFT, _WIDTH - _RIGHT, n_columns + 1)
+    y = tops[:, None] + np.arange(n_lanes + 1) * height / n_lanes
+    show_belief(sheet, x, y.ravel(), cells.reshape(-1, n_columns)[:-1])
+
+
 def _draw_row(
-    sheet: Axes, result: Result, strips: Strips, top: float, height: float, frame_width: float
+    sheet: Axes,
+    result: Result,
+    strips: Strips,
+    tops: FloatArray,
+    height: float,
+    frame_width: float,
 ) -> None:
-    """Draw the strips of one row below each other; everything is in inches from the top left."""
-    images = dict(strips.beliefs)
-    if strips.truth is not None:
-        images["Ground truth"] = strips.truth
+    """Draw what surrounds the cells of one row's strips; everything is in inches from the top left.
+
+    - tops: where each strip begins.
+    """
     lanes = np.arange(result.n_lanes)
     left, right = _LEFT, _LEFT + (strips.last - strips.first + 1) * frame_width
-    tops = top + _TICKS + np.arange(len(images)) * (height + _STRIP_GAP)
-    for at, (name, image) in zip(tops, images.items(), strict=True):
-        show_belief(sheet, image, (left, right, at + height, at)).set_label(name)
+    for at, name in zip(tops, strips.images, strict=True):
         sheet.text(
             _LEFT_NAME, at + height / 2, name.replace(" ", "\n"), rotation=90, fontsize=9,
             fontweight="bold", ha="center", va="center",
@@ -224,13 +248,16 @@ def _draw_row(
             right_edge = at + right_edge * height / len(lanes)
             sheet.stairs(right_edge, edges, baseline=None, color=INK, linewidth=0.9, zorder=2.2)
     boxes = [_box(left, right, at, height) for at in tops]
-    blank: dict[str, Any] = {
-        "facecolors": "white",
-        "edgecolors": FAINT,
-        "hatch": "//////",
-        "linewidths": 0,
-    }
-    sheet.add_collection(PolyCollection(boxes, zorder=0, **blank))
+    blank = [
+        box
+        for box, image in zip(boxes, strips.images.values(), strict=True)
+        if np.isnan(image).any()
+    ]
+    sheet.add_collection(
+        PolyCollection(
+            blank, facecolors="white", edgecolors=FAINT, hatch="//////", linewidths=0, zorder=0
+        )
+    )
     edges_of_lanes = [
         [(left, y), (right, y)] for at in tops for y in at + lanes[1:] * height / len(lanes)
     ]
@@ -283,20 +310,13 @@ def _add_lines(sheet: Axes, lines: Any, colour: str, width: float, **style: Any)
     sheet.add_collection(LineCollection(lines, colors=colour, linewidths=width, **style))
 
 
-def show_belief(
-    ax: Axes, image: FloatArray, extent: tuple[float, float, float, float]
-) -> AxesImage:
-    """Draw probabilities (lanes, frames) as an image; where they are NaN it stays empty."""
-    return ax.imshow(
-        np.ma.masked_invalid(image),
-        cmap=LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS),
-        vmin=0,
-        vmax=1,
-        aspect="auto",
-        interpolation="nearest",
-        extent=extent,
-        zorder=1,
-    )
+def show_belief(ax: Axes, x: FloatArray, y: FloatArray, cells: FloatArray) -> None:
+    """Draw probabilities, (rows, columns), as an image; where they are NaN it stays empty.
+
+    - x, y: the edges of the columns and of the rows; if all are alike, the first and the last do.
+    """
+    ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
+    ax.pcolorfast(x, y, np.ma.masked_invalid(cells), cmap=ramp, vmin=0, vmax=1, zorder=1)
 
 
 def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float) -> None:

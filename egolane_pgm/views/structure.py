@@ -9,12 +9,10 @@ from dataclasses import dataclass
 from egolane_pgm.graphs.cpds import SliceNode, ve_name
 from egolane_pgm.inference.compile import Compiled
 
-#: What a node can be, in the order in which it is explained.
-KINDS = ("hidden", "function", "observed", "input", "virtual evidence")
-
 Edge = tuple[SliceNode, SliceNode]
 
-#: How Graphviz draws each kind: shapes and lightness differ, so that colour is not needed.
+#: What a node can be, and how Graphviz draws it: shapes and lightness differ, so that colour is
+#: not needed.
 _SHAPES = {
     "hidden": "shape=ellipse",
     "function": "shape=ellipse, peripheries=2",
@@ -30,8 +28,9 @@ _SHAPES = {
 class Structure:
     """Nodes and edges of a two-slice network.
 
-    - kind: one of KINDS for each node's name. A node that is a function has no probabilities of its
-      own; a node that is both hidden and observed counts as hidden.
+    - kind: of each node's name, "hidden", "function", "observed", "input" or "virtual evidence". A
+      node that is a function has no probabilities of its own; a node that is both hidden and
+      observed counts as hidden.
     - edges: the parent first; slice 0 is time t, slice 1 is time t + 1.
     """
 

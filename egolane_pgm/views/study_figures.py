@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -18,12 +19,19 @@ import optuna.visualization.matplotlib as plots
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 
+from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tools.files import make_directory
-from egolane_pgm.types import BoolArray, InputError
+from egolane_pgm.types import InputError
 from egolane_pgm.views import study_trials as numbers
 from egolane_pgm.views.answers import DETECTOR_COLOUR, FAINT, INK, MODEL_COLOUR
-from egolane_pgm.views.study_trials import TOLERANCE, Searched, Trials
+from egolane_pgm.views.study_trials import TOLERANCE, Trials
 from egolane_pgm.views.style import FORMATS, axes_at, new_figure, put_title, write_figure
 
 #: Parameters whose pairs are drawn.
@@ -32,8 +40,6 @@ PAIRED = 3
 #: Slices show the trials above this quantile: bad ones would squeeze the good ones together.
 SHOWN_FROM = 0.05
 
-#: The markers of a row stand above each other, so that none hides another.
-_OFFSET = {"|": 0.0, "s": -0.15, "o": 0.15}
 _PALE = "#9ecae1"
 
 
@@ -74,42 +80,40 @@ def figures_of(trials: Trials) -> dict[str, Callable[[], Figure]]:
 
 def history_figure(trials: Trials) -> Figure:
     """Draw the score of each trial, the best so far and, where there is one, the held-out score."""
-    ax = plots.plot_optimization_history(numbers.study_of(trials), target_name=_score(trials))
-    if np.isfinite(trials.held_out):
+    ax = plots.plot_optimization_history(trials.study, target_name=_score(trials))
+    held_out = trials.held_out.get("all_frames", {}).get(trials.objective)
+    if held_out is not None:
         ax.axhline(
-            trials.held_out, color=DETECTOR_COLOUR, linewidth=1.4, linestyle=(0, (4, 2)),
-            label=f"held out: {trials.held_out:.3f}",
+            held_out, color=DETECTOR_COLOUR, linewidth=1.4, linestyle=(0, (4, 2)),
+            label=f"held out: {held_out:.3f}",
         )  # fmt: skip
         ax.legend()
-    shown = [trials.score[trials.best], np.quantile(trials.gain, SHOWN_FROM) * _sign(trials)]
-    _limit(ax, [v for v in (*shown, trials.held_out) if np.isfinite(v)])
-    n = len(trials.score)
+    _limit(ax, trials, held_out)
+    n = len(trials.study.trials)
     return _titled(ax, f"{trials.name}: {_score(trials)} of {n:,} trials, in-sample", (9, 4))
 
 
 def importances_figure(trials: Trials) -> Figure:
     """Draw what good scores depend on: bars, most important first."""
     evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-    ax = plots.plot_param_importances(numbers.study_of(trials), evaluator)
+    ax = plots.plot_param_importances(trials.study, evaluator)
     ax.set_xlabel("share of what sets the best tenth of the trials apart (PED-ANOVA)")
     title = f"{trials.name}: what good {_score(trials)} depends on (in-sample)"
-    return _titled(ax, title, (7, 1.2 + 0.3 * len(trials.searched)))
+    return _titled(ax, title, (7, 1.2 + 0.3 * len(trials.space)))
 
 
 def slices_figure(trials: Trials) -> Figure:
     """Draw the score against each parameter, the later a trial the darker."""
-    axes = plots.plot_slice(numbers.study_of(trials), target_name=_score(trials))
-    # The worst trials would squeeze the good ones together.
-    bottom = np.quantile(trials.gain, SHOWN_FROM) * _sign(trials)
+    axes = plots.plot_slice(trials.study, target_name=_score(trials))
     first = np.asarray(axes).flat[0]
-    _limit(first, [trials.score[trials.best], bottom])
+    _limit(first, trials)
     title = f"{trials.name}: {_score(trials)} against each parameter (in-sample)"
-    return _titled(first, title, (2.6 * len(trials.searched) + 1, 3.4))
+    return _titled(first, title, (2.6 * len(trials.space) + 1, 3.4))
 
 
 def pairs_figure(trials: Trials, keys: list[str]) -> Figure:
     """Draw the score over the ranges of two parameters, for all pairs of `keys`."""
-    axes = plots.plot_contour(numbers.study_of(trials), keys, target_name=_score(trials))
+    axes = plots.plot_contour(trials.study, keys, target_name=_score(trials))
     title = f"{trials.name}: {_score(trials)} over two parameters (in-sample)"
     side = 3.2 * len(keys)
     return _titled(np.asarray(axes).flat[0], title, (side + 1, side))
@@ -122,7 +126,7 @@ def _titled(ax: Axes, title: str, size: tuple[float, float]) -> Figure:
     if len(figure.axes) == 1:
         ax.set_title("", loc="left")
         ax.set_title("")
-    figure.suptitle(title)
+    figure.suptitle(title, parse_math=False)
     figure.set_size_inches(*size)
     # Matplotlib cannot constrain a single plot with a colour bar.
     figure.set_layout_engine("tight" if len(figure.axes) == 2 else "constrained")
@@ -131,118 +135,107 @@ def _titled(ax: Axes, title: str, size: tuple[float, float]) -> Figure:
     return figure
 
 
-def _sign(trials: Trials) -> int:
-    return 1 if trials.is_maximised else -1
+def _limit(ax: Axes, trials: Trials, *others: float | None) -> None:
+    """Show all but the worst trials, which would squeeze the good ones together, and other scores,
+    with a margin."""
+    sign = 1 if is_maximised(trials.objective) else -1
+    shown = [sign * trials.gain.max(), sign * np.quantile(trials.gain, SHOWN_FROM)]
+    shown += [score for score in others if score is not None]
+    margin = 0.06 * float(np.ptp(shown)) or 0.01
+    ax.set_ylim(min(shown) - margin, max(shown) + margin)
+
+
+def _score(trials: Trials) -> str:
+    return trials.objective.replace("_", " ")
 
 
 def flatness_figure(trials: Trials, tolerance: float = TOLERANCE) -> Figure:
     """Which values of each parameter do as well as the best, on the range that was searched; the
-    best pinned down first."""
-    flat = numbers.flat_ranges(trials, tolerance)
+    best pinned down first. It is what the search has seen: the real range can only be wider."""
     good = numbers.as_good(trials, tolerance)
-    rows = sorted(trials.searched, key=lambda s: flat[s.key].share)
-    step, n = 0.42, len(rows)
+    values = {key: sorted({point[key] for point in good}) for key in trials.space}
+    bars = {key: _bars(space, values[key]) for key, space in trials.space.items()}
+    share = {key: sum(width for _, width in each) for key, each in bars.items()}
+    step, n = 0.42, len(bars)
     figure = new_figure(8.8, 1.3 + step * n)
     put_title(
         figure,
         f"{trials.name}: values within {tolerance:g} of the best {_score(trials)} (in-sample,"
-        f" {int(good.sum()):,} of {len(good):,} trials)",
+        f" {len(good):,} of {len(trials.gain):,} trials)",
     )
     ax = axes_at(figure, 1.75, 0.85, 4.3, step * n)
-    for row, s in enumerate(rows):
-        here = flat[s.key]
+    nested = [each["point"] for each in trials.held_out.get("studies", ())]
+    marks = (
+        # The markers of a row stand above each other, so that none hides another.
+        (nested, 0.0, "|", INK, "found without a part of the frames (held-out studies)"),
+        ([trials.reference], -0.15, "s", DETECTOR_COLOUR, trials.reference_name),
+        ([trials.study.best_params], 0.15, "o", MODEL_COLOUR, "ours"),
+    )
+    text: dict[str, Any] = {"fontsize": 8.5, "va": "center", "color": INK}
+    keys = sorted(bars, key=lambda key: share[key])
+    for row, key in enumerate(keys):
+        space = trials.space[key]
         ax.plot([0, 1], [row, row], color=FAINT, linewidth=0.8, zorder=0)
-        ends = s.share(np.array([here.low, here.high]))
-        half = 0.5 / (s.high - s.low + 1) if s.is_integer else 0.0
-        if s.choices:
-            for cell in np.unique(trials.values[s.key][good]):
-                at = float(s.share(np.array([cell]))[0])
-                ax.barh(row, 2 * half, left=at - half, height=0.5, color=_PALE, zorder=1)
-        else:
+        for left, width in bars[key]:
             # A range that is too narrow to see is drawn as a hair.
-            length = max(float(ends[1] - ends[0]) + 2 * half, 0.004)
-            ax.barh(row, length, left=ends[0] - half, height=0.5, color=_PALE, zorder=1)
-        for k, point in enumerate(trials.nested):
-            _mark(
-                ax,
-                s,
-                point,
-                row,
-                "|",
-                INK,
-                "found without a part of the frames (held-out studies)" if k == 0 else None,
-            )
-        _mark(ax, s, trials.reference, row, "s", DETECTOR_COLOUR, trials.reference_name)
-        best = {s.key: float(trials.values[s.key][trials.best])}
-        _mark(ax, s, best, row, "o", MODEL_COLOUR, "ours")
-        ax.text(-0.02, row, s.label(s.low), fontsize=8, ha="right", va="center", color=INK)
-        ax.text(1.02, row, s.label(s.high), fontsize=8, ha="left", va="center", color=INK)
-        ax.text(
-            1.14, row, f"{_span(s, here, trials, good)}  ({_percent(here.share)})",
-            fontsize=8.5, va="center", color=INK,
-        )  # fmt: skip
-    ax.text(1.14, -0.75, "as good (share of range)", fontsize=8.5, va="center", color=INK)
-    ax.set_yticks(range(n), [s.key for s in rows], fontsize=9)
+            ax.barh(row, max(width, 0.004), left=left, height=0.5, color=_PALE, zorder=1)
+        for points, above, marker, colour, label in marks:
+            at = numbers.places(space, [point[key] for point in points if key in point])
+            if np.isfinite(at).any():
+                is_line = marker == "|"
+                ax.plot(
+                    at, np.full(len(at), row + above), marker, color=colour, label=label,
+                    markersize=17 if is_line else 6.5, clip_on=False,
+                    markeredgecolor=colour if is_line else "white",
+                    markeredgewidth=1.4 if is_line else 0.7, zorder=2 if is_line else 3,
+                )  # fmt: skip
+        ends = _ends(space)
+        ax.text(-0.02, row, _label(space, ends[0]), **{**text, "fontsize": 8}, ha="right")
+        ax.text(1.02, row, _label(space, ends[1]), **{**text, "fontsize": 8})
+        seen = [_label(space, value) for value in values[key]]
+        if not isinstance(space, CategoricalDistribution):
+            seen = [" to ".join(dict.fromkeys([seen[0], seen[-1]]))]
+        percent = f"{100 * share[key]:.0f} %" if share[key] >= 0.005 else "<1 %"
+        ax.text(1.14, row, f"{', '.join(seen)}  ({percent})", **text)
+    ax.text(1.14, -0.75, "as good (share of range)", **text)
+    ax.set_yticks(range(n), keys, fontsize=9)
     ax.tick_params(axis="y", length=0, pad=38)
-    ax.set_xticks([])
-    ax.set_xlim(-0.005, 1.005)
-    ax.set_ylim(n - 0.5, -0.5)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
+    ax.set(xticks=[], xlim=(-0.005, 1.005), ylim=(n - 0.5, -0.5))
+    ax.spines[:].set_visible(False)
     handles, names = ax.get_legend_handles_labels()
-    unique = dict(zip(names, handles, strict=True))
-    unique = {"as good as the best": Patch(color=_PALE), **unique}
+    drawn = {"as good as the best": Patch(color=_PALE), **dict(zip(names, handles, strict=True))}
+    across, down = figure.get_size_inches()
     figure.legend(
-        unique.values(), unique.keys(), loc="upper left", ncols=len(unique), fontsize=8.5,
-        bbox_to_anchor=(0.0, 1 - 0.3 / figure.get_size_inches()[1]), frameon=False,
+        drawn.values(), drawn.keys(), loc="upper left", ncols=len(drawn), fontsize=8.5,
+        bbox_to_anchor=(0.0, 1 - 0.3 / down), frameon=False,
     )  # fmt: skip
     note = (
         "A wide bar: the data do not pin the parameter down. The search sees part of what is as"
         " good: bars can only be too short."
     )
-    across, down = figure.get_size_inches()
     figure.text(0.12 / across, 0.14 / down, note, fontsize=8.5, color=INK)
     return figure
 
 
-def _mark(
-    ax: Axes, s: Searched, point: object, row: int, marker: str, colour: str, label: str | None
-) -> None:
-    assert isinstance(point, dict)
-    if s.key not in point:
-        return
-    at = float(s.share(np.array([point[s.key]]))[0])
-    if not 0 <= at <= 1:
-        return
-    size = 17 if marker == "|" else 6.5
-    ax.plot(
-        [at], [row + _OFFSET[marker]], marker=marker, markersize=size, color=colour,
-        linestyle="none", clip_on=False, markeredgecolor=colour if marker == "|" else "white",
-        markeredgewidth=1.4 if marker == "|" else 0.7, label=label,
-        zorder=2 if marker == "|" else 3,
-    )  # fmt: skip
+def _bars(space: BaseDistribution, values: list[Any]) -> list[tuple[float, float]]:
+    """The left end and the width of what good values take of the range: choices one by one, numbers
+    from the least to the largest."""
+    at, cell = numbers.places(space, values), numbers.cell(space)
+    if isinstance(space, CategoricalDistribution):
+        return [(float(each) - cell / 2, cell) for each in at]
+    return [(float(at[0]) - cell / 2, float(at[-1] - at[0]) + cell)]
 
 
-def _span(s: Searched, flat: numbers.Flat, trials: Trials, good: BoolArray) -> str:
-    if s.choices:
-        return ", ".join(s.label(v) for v in np.unique(trials.values[s.key][good]))
-    return (
-        s.label(flat.low)
-        if flat.low == flat.high
-        else f"{s.label(flat.low)} to {s.label(flat.high)}"
-    )
+def _ends(space: BaseDistribution) -> tuple[Any, Any]:
+    if isinstance(space, CategoricalDistribution):
+        return space.choices[0], space.choices[-1]
+    assert isinstance(space, (IntDistribution, FloatDistribution))
+    return space.low, space.high
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %" if share >= 0.005 else "<1 %"
-
-
-def _limit(ax: Axes, values: list[float]) -> None:
-    """Show from the smallest to the largest of these, with a margin."""
-    low, high = float(min(values)), float(max(values))
-    margin = 0.06 * (high - low) or 0.01
-    ax.set_ylim(low - margin, high + margin)
-
-
-def _score(trials: Trials) -> str:
-    return trials.objective.replace("_", " ")
+def _label(space: BaseDistribution, value: Any) -> str:
+    """A value for people."""
+    if not isinstance(space, FloatDistribution):
+        return str(value)
+    # An open range, (0, 3], begins a hair inside: for people it begins at 0.
+    return "0" if abs(value) <= 1e-5 * (space.high - space.low) else f"{value:.3g}"

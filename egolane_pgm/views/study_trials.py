@@ -1,4 +1,4 @@
-"""The trials of a study as arrays, and what its figures show of them."""
+"""The trials of a study as Optuna has them, and what its figures show of them."""
 
 from __future__ import annotations
 
@@ -11,14 +11,20 @@ from typing import Any
 
 import numpy as np
 import optuna
-from optuna import distributions
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
 from optuna.exceptions import ExperimentalWarning
 from optuna.trial import create_trial
 from pydantic_core import from_json
 
+from egolane_pgm.paper import load_published, parameters_for
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tools.files import read_parquet
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import FloatArray, InputError
 
 STUDY_FILE, TRIALS_FILE, SCHEMA_VERSION = "study.json", "trials.parquet", 1
 
@@ -30,70 +36,45 @@ FEWEST = 20
 
 
 @dataclass(frozen=True)
-class Searched:
-    """A parameter that was searched, from `low` to `high`, both included. Choices are counted from
-    0, in the order of `choices`."""
-
-    key: str
-    low: float
-    high: float
-    is_integer: bool = False
-    choices: tuple[str, ...] = ()
-
-    def share(self, values: FloatArray) -> FloatArray:
-        """Where values lie on the range: 0 at the lower, 1 at the upper end; whole numbers and
-        choices at the middle of their cell."""
-        if self.is_integer:
-            return np.asarray((values - self.low + 0.5) / (self.high - self.low + 1))
-        return np.asarray((values - self.low) / (self.high - self.low))
-
-    def value(self, number: float) -> float | int | str:
-        """The parameter's own value."""
-        if self.choices:
-            return self.choices[round(number)]
-        return round(number) if self.is_integer else float(number)
-
-    def label(self, value: float) -> str:
-        """A value for people."""
-        if self.choices:
-            return self.choices[round(value)]
-        if self.is_integer:
-            return f"{value:.0f}"
-        # An open range, (0, 3], begins a hair inside: for people it begins at 0.
-        return "0" if abs(value) <= 1e-5 * (self.high - self.low) else f"{value:.3g}"
-
-
-@dataclass(frozen=True)
 class Trials:
-    """The finished trials of a study, in the order of their numbers.
+    """The finished trials of a study.
 
-    number (N,); score (N,), in-sample, of the first objective; values: per key of `searched` (N,);
-    best: index of the best trial, the first among equals; held_out: the score on frames that were
-    not searched on, NaN where there is none; reference: known values, of the paper where
-    `reference_name` says so; nested: the best point of each study without a part of the frames.
+    - document: its study.json.
+    - study: the trials in the order of their numbers, each with its in-sample score of the first
+      objective.
+    - reference: known values, of the paper where `reference_name` says so.
     """
 
-    name: str
-    objective: str
-    searched: tuple[Searched, ...]
-    number: IntArray
-    score: FloatArray
-    values: Mapping[str, FloatArray]
-    best: int
-    held_out: float
-    reference: Mapping[str, float]
+    document: Mapping[str, Any]
+    study: optuna.Study
+    reference: Mapping[str, Any]
     reference_name: str
-    nested: tuple[Mapping[str, float], ...]
 
     @property
-    def is_maximised(self) -> bool:
-        """Whether a larger score is better."""
-        return is_maximised(self.objective)
+    def name(self) -> str:
+        """The study's name."""
+        return str(self.document["name"])
+
+    @property
+    def objective(self) -> str:
+        """The score that is shown."""
+        return str(self.document["tuning"]["objective"][0])
+
+    @property
+    def space(self) -> dict[str, BaseDistribution]:
+        """What each parameter was searched on."""
+        return self.study.trials[0].distributions
 
     @property
     def gain(self) -> FloatArray:
         """(N,): the score, negative where less is better."""
-        return self.score if self.is_maximised else -self.score
+        sign = 1 if is_maximised(self.objective) else -1
+        return sign * np.array([trial.value for trial in self.study.trials])
+
+    @property
+    def held_out(self) -> Mapping[str, Any]:
+        """What study.json says of the frames that were not searched on; empty where none were."""
+        return self.document.get("held_out") or {}
 
 
 def is_study(directory: str | Path) -> bool:
@@ -140,85 +121,47 @@ def trials_of(
     Raises InputError where these do not belong together, and for a study without a finished trial.
     """
     try:
-        return _trials(content, table)
+        study = _study(content, table)
+        reference, name = _reference(content)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
-        if isinstance(error, InputError):
-            raise InputError(f"{directory}: {error}") from None
         raise InputError(
             f"{directory}: {STUDY_FILE} or {TRIALS_FILE} is damaged ({error!r}); tune again"
         ) from error
-
-
-def _trials(content: Mapping[str, Any], table: Mapping[str, Sequence[Any]]) -> Trials:
-    objective = str(content["tuning"]["objective"][0])
-    number = _floats(table["number"])
-    order = np.argsort(number, kind="stable")
-    score = _floats(table[f"{objective}_in_sample"])[order]
-    chosen = order[np.isfinite(score)]
-    score = score[np.isfinite(score)]
-    if not len(score):
-        raise InputError("no trial of this study is finished, there is nothing to draw")
-    bounds = content["space"]["searched"]
-    searched = tuple(_searched(key, bounds[key], table[key]) for key in bounds)
-    held_out = content.get("held_out") or {}
-    reference, named = _reference(content, searched)
-    return Trials(
-        str(content["name"]),
-        objective,
-        searched,
-        number[chosen].astype(np.int64),
-        score,
-        {s.key: _numbers(s, table[s.key])[chosen] for s in searched},
-        int(np.argmax(score if is_maximised(objective) else -score)),
-        float((held_out.get("all_frames") or {}).get(objective, np.nan)),
-        reference,
-        named,
-        tuple(_point(searched, s["point"]) for s in held_out.get("studies", ())),
-    )
-
-
-def _floats(column: Sequence[Any]) -> FloatArray:
-    """A column of numbers, NaN for those that a trial lacks."""
-    return np.array(column, dtype=np.float64)
-
-
-def _searched(key: str, bounds: Sequence[Any], column: Sequence[Any]) -> Searched:
-    if isinstance(bounds[0], str):
-        return Searched(key, 0, len(bounds) - 1, True, tuple(bounds))
-    is_integer = all(v is None or isinstance(v, int) for v in column)
-    return Searched(key, float(bounds[0]), float(bounds[1]), is_integer)
-
-
-def _numbers(searched: Searched, column: Sequence[Any]) -> FloatArray:
-    if not searched.choices:
-        return _floats(column)
-    return np.array([np.nan if v is None else searched.choices.index(v) for v in column])
-
-
-def _point(searched: Sequence[Searched], point: Mapping[str, Any]) -> dict[str, float]:
-    found = {}
-    for s in searched:
-        value = point.get(s.key)
-        if s.choices and value in s.choices:
-            found[s.key] = float(s.choices.index(value))
-        elif isinstance(value, (int, float)):
-            found[s.key] = float(value)
-    return found
-
-
-def _reference(
-    content: Mapping[str, Any], searched: Sequence[Searched]
-) -> tuple[dict[str, float], str]:
-    """The paper's values for one of its runs; else what all the experiments came with."""
-    from egolane_pgm.paper import load_published, parameters_for
-
-    if content.get("run") is not None:
-        return _point(searched, parameters_for(load_published()[content["run"]], "published")), (
-            "the paper's"
+    if not study.trials:
+        raise InputError(
+            f"{directory}: no trial of this study is finished, there is nothing to draw"
         )
-    points = [
-        _point(searched, _per_lane(e["parameters"])) for e in content.get("experiments", ())
-    ] or [{}]
+    return Trials(content, study, reference, name)
+
+
+def _study(content: Mapping[str, Any], table: Mapping[str, Sequence[Any]]) -> optuna.Study:
+    """The finished trials as a study in memory."""
+    objective = str(content["tuning"]["objective"][0])
+    scores = table[f"{objective}_in_sample"]
+    bounds = content["space"]["searched"]
+    space = {key: _distribution(bounds[key], table[key]) for key in bounds}
+    with quiet():
+        study = optuna.create_study(direction="maximize" if is_maximised(objective) else "minimize")
+    for k in np.argsort(table["number"], kind="stable"):
+        if scores[k] is not None and np.isfinite(scores[k]):
+            point = {key: table[key][k] for key in space}
+            study.add_trial(create_trial(params=point, distributions=space, value=scores[k]))
+    return study
+
+
+def _distribution(bounds: Sequence[Any], column: Sequence[Any]) -> BaseDistribution:
+    if isinstance(bounds[0], str):
+        return CategoricalDistribution(bounds)
+    if all(v is None or isinstance(v, int) for v in column):
+        return IntDistribution(int(bounds[0]), int(bounds[1]))
+    return FloatDistribution(*bounds)
+
+
+def _reference(content: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+    """The paper's values for one of its runs; else what all the experiments came with."""
+    if content.get("run") is not None:
+        return dict(parameters_for(load_published()[content["run"]], "published")), "the paper's"
+    points = [_per_lane(e["parameters"]) for e in content.get("experiments", ())] or [{}]
     common = {k: v for k, v in points[0].items() if all(p.get(k) == v for p in points)}
     return common, "before the search"
 
@@ -232,59 +175,33 @@ def _per_lane(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def as_good(trials: Trials, tolerance: float = TOLERANCE) -> BoolArray:
-    """(N,): the trials whose score is within the tolerance of the best."""
+def as_good(trials: Trials, tolerance: float = TOLERANCE) -> list[Mapping[str, Any]]:
+    """The points of the trials whose score is within the tolerance of the best."""
     # Scores are ratios of counts: the bound itself counts in, whatever its last bit says.
-    return np.asarray(trials.gain >= trials.gain.max() - tolerance - 1e-12)
+    is_good = trials.gain >= trials.gain.max() - tolerance - 1e-12
+    return [trials.study.trials[k].params for k in np.flatnonzero(is_good)]
 
 
-@dataclass(frozen=True)
-class Flat:
-    """Values of one parameter among the trials that are as good as the best: from low to high, and
-    the share of the search range that this is (whole numbers and choices: of its cells)."""
-
-    low: float
-    high: float
-    share: float
-
-
-def flat_ranges(trials: Trials, tolerance: float = TOLERANCE) -> dict[str, Flat]:
-    """Per parameter, the range that the good trials span. It is what the search has seen: the real
-    range can only be wider."""
-    good = as_good(trials, tolerance)
-    found = {}
-    for s in trials.searched:
-        values = trials.values[s.key][good]
-        low, high = float(values.min()), float(values.max())
-        if s.choices:
-            share = len(np.unique(values)) / len(s.choices)
-        else:
-            share = (high - low + s.is_integer) / (s.high - s.low + s.is_integer)
-        found[s.key] = Flat(low, high, share)
-    return found
+def places(space: BaseDistribution, values: Sequence[Any]) -> FloatArray:
+    """Where values lie on the range that was searched: 0 at the lower, 1 at the upper end; whole
+    numbers and choices at the middle of their cell, of which there are 1 / `cell`. NaN for what is
+    outside."""
+    known = np.full(len(values), np.nan)
+    for k, value in enumerate(values):
+        if isinstance(space, CategoricalDistribution):
+            if value in space.choices:
+                known[k] = (space.choices.index(value) + 0.5) * cell(space)
+        elif isinstance(space, (IntDistribution, FloatDistribution)):
+            at = (value - space.low) / (space.high - space.low)
+            known[k] = at * (1 - cell(space)) + cell(space) / 2 if 0 <= at <= 1 else np.nan
+    return known
 
 
-def study_of(trials: Trials) -> optuna.Study:
-    """The trials as a study in memory, for Optuna's figures and importances."""
-    ranges: dict[str, distributions.BaseDistribution] = {}
-    for s in trials.searched:
-        if s.choices:
-            ranges[s.key] = distributions.CategoricalDistribution(s.choices)
-        elif s.is_integer:
-            ranges[s.key] = distributions.IntDistribution(int(s.low), int(s.high))
-        else:
-            ranges[s.key] = distributions.FloatDistribution(s.low, s.high)
-    with quiet():
-        study = optuna.create_study(direction="maximize" if trials.is_maximised else "minimize")
-    study.add_trials(
-        create_trial(
-            params={s.key: s.value(trials.values[s.key][k]) for s in trials.searched},
-            distributions=ranges,
-            value=float(score),
-        )
-        for k, score in enumerate(trials.score)
-    )
-    return study
+def cell(space: BaseDistribution) -> float:
+    """The share of the range that one value takes; none of a real number."""
+    if isinstance(space, CategoricalDistribution):
+        return 1 / len(space.choices)
+    return 1 / (space.high - space.low + 1) if isinstance(space, IntDistribution) else 0.0
 
 
 def importances(trials: Trials) -> dict[str, float]:
@@ -293,10 +210,10 @@ def importances(trials: Trials) -> dict[str, float]:
 
     Empty where fewer than 20 trials are finished, or all have one score.
     """
-    if len(trials.score) < FEWEST or np.ptp(trials.score) == 0:
+    if len(trials.study.trials) < FEWEST or np.ptp(trials.gain) == 0:
         return {}
     evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-    return optuna.importance.get_param_importances(study_of(trials), evaluator=evaluator)
+    return optuna.importance.get_param_importances(trials.study, evaluator=evaluator)
 
 
 @contextmanager

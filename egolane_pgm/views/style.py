@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
-from egolane_pgm.tools.files import atomic
+from egolane_pgm.tools.files import write_bytes
 from egolane_pgm.tools.progress import ipython
 from egolane_pgm.types import InputError
 from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
@@ -73,14 +74,18 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
     Raises InputError for another extension and for a file that cannot be written.
     """
     path = check_figure_path(path)
-    extension = path.suffix.lower()
-    with _own_style():
-        figure = make()
-        with atomic(path, make_folder=True) as temporary:
-            figure.savefig(
-                temporary, format=extension[1:], dpi=200, facecolor="white", **_WRITTEN[extension]
-            )
+    write_bytes(path, figure_bytes(make, path.suffix.lower()), make_folder=True)
     return path
+
+
+def figure_bytes(make: Callable[[], Figure], extension: str) -> bytes:
+    """The content of the file that `write_figure` writes, with one of `FORMATS`."""
+    content = io.BytesIO()
+    with _own_style():
+        make().savefig(
+            content, format=extension[1:], dpi=200, facecolor="white", **_WRITTEN[extension]
+        )
+    return content.getvalue()
 
 
 def inline_figure(make: Callable[[], Figure]) -> Figure:
@@ -134,5 +139,6 @@ def put_title(figure: Figure, text: str, left: float = 0.12, size: float = 11) -
     # A letter of the default font is about 0.6 times as wide as its size.
     fitting = (across - left - 0.12) * 72 / (0.6 * max(len(text), 1))
     figure.text(
-        left / across, 1 - 0.1 / down, text, fontsize=min(size, fitting), va="top", color=INK
-    )
+        left / across, 1 - 0.1 / down, text, fontsize=min(size, fitting), va="top", color=INK,
+        parse_math=False,  # A name with two dollars is a name.
+    )  # fmt: skip

@@ -79,9 +79,9 @@ def line_width() -> int:
     return min(100, terminal_width())
 
 
-def wrapped(text: str) -> str:
+def wrapped(text: str, hanging: int = 0) -> str:
     """Text in lines that are no longer than `line_width`; what follows a break is indented as its
-    line is."""
+    line is, and `hanging` characters more."""
     lines = []
     for line in text.splitlines():
         indent = " " * (len(line) - len(line.lstrip()))
@@ -90,7 +90,7 @@ def wrapped(text: str) -> str:
                 line.strip(),
                 line_width(),
                 initial_indent=indent,
-                subsequent_indent=indent,
+                subsequent_indent=indent + " " * hanging,
                 break_long_words=False,
                 break_on_hyphens=False,
             )

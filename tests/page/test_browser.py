@@ -111,24 +111,6 @@ def test_the_wheel_zooms_at_the_mouse_and_dragging_moves(shown: Opened) -> None:
     assert shown.errors == []
 
 
-def test_a_box_zooms_where_that_is_chosen(shown: Opened) -> None:
-    begin, end = shown.range()
-    button = shown.page.get_by_role("button", name="zoom by dragging a box")
-    button.click()
-    assert button.get_attribute("aria-pressed") == "true"
-    x, y = middle(shown)
-    shown.page.mouse.move(x - 150, y)
-    shown.page.mouse.down()
-    shown.page.mouse.move(x + 150, y + 10, steps=5)
-    shown.page.mouse.up()
-    settled(shown)
-    inside = shown.range()
-    assert begin < inside[0] < inside[1] < end
-    button.click()
-    width = plot(shown)["width"]
-    assert (inside[1] - inside[0]) / (end - begin) == pytest.approx(300 / width, rel=0.1)
-
-
 def test_hovering_tells_the_frame_under_the_mouse(shown: Opened, result: Result) -> None:
     tip = shown.page.locator("#tip")
     assert tip.is_hidden()
@@ -171,15 +153,23 @@ def test_what_is_drawn_is_what_was_believed(shown: Opened, result: Result) -> No
     assert np.abs(red - expected).max() <= 2
 
 
-def test_a_click_on_a_worst_stretch_goes_there(shown: Opened) -> None:
-    button = shown.page.locator("#stretches button").first
-    begin, end = (float(button.get_attribute(f"data-{name}")) for name in ("begin", "end"))
+def test_a_click_on_a_worst_stretch_goes_there(shown: Opened, result: Result) -> None:
     before = shown.range()
-    button.click()
-    start, stop = shown.range()
-    assert start <= begin <= end <= stop
-    assert stop - start < before[1] - before[0]
-    assert shown.page.locator("#timeline").bounding_box()["y"] < 900
+    for button in ("#stretches button", "header .figures button"):
+        shown.page.get_by_role("button", name="whole drive").click()
+        place = shown.page.locator(button).first
+        begin, end = (float(place.get_attribute(f"data-{name}")) for name in ("begin", "end"))
+        place.click()
+        start, stop = shown.range()
+        assert start <= begin <= end <= stop
+        assert stop - start < before[1] - before[0]
+        assert shown.page.locator("#timeline").bounding_box()["y"] < 900
+    figures = shown.page.locator("header .figures li").all_inner_texts()
+    accuracy = result.scores["model"]["accuracy"]
+    assert float(figures[0].split(" %")[0]) == pytest.approx(100 * accuracy, abs=0.05)
+    for landmark in ("banner", "navigation", "main"):
+        assert shown.page.get_by_role(landmark).count() == 1
+    assert shown.page.get_by_role("region").count() >= 7
 
 
 def test_a_telephone_shows_it_without_scrolling_sidewards(browser: Any, file: Path) -> None:
@@ -227,18 +217,6 @@ def test_every_text_can_be_read(scheme: str, browser: Any, file: Path) -> None:
     assert lowest >= 4.5, text
 
 
-def test_the_figures_on_top_lead_to_where_it_fails(shown: Opened, result: Result) -> None:
-    figures = shown.page.locator("header .figures li").all_inner_texts()
-    accuracy = result.scores["model"]["accuracy"]
-    assert float(figures[0].split(" %")[0]) == pytest.approx(100 * accuracy, abs=0.05)
-    before = shown.range()
-    shown.page.locator("header .figures button").click()
-    assert shown.range() != before
-    for landmark in ("banner", "navigation", "main"):
-        assert shown.page.get_by_role(landmark).count() == 1
-    assert shown.page.get_by_role("region").count() >= 7
-
-
 def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path: Path) -> None:
     node = {NASTY if name == "SensorState" else name: b for name, b in result.marginals.items()}
     nasty = replace(
@@ -270,7 +248,7 @@ def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path
     assert NASTY in shown.page.locator("#tip").inner_text()
     assert shown.errors == []
     assert len(shown.asked) == 1
-    assert shown.page.locator("img").count() == 0
+    assert shown.page.locator("img[src=x]").count() == 0
     assert NASTY in shown.page.locator("h1, .lead").last.inner_text()
     assert NASTY in shown.page.locator(".warnings").inner_text()
 
@@ -289,15 +267,4 @@ def test_several_results_stand_on_one_axis(browser: Any, result: Result, tmp_pat
     said = shown.page.locator("#tip").inner_text()
     assert "a" in said.split()
     assert "b" in said.split()
-    assert shown.errors == []
-
-
-def test_a_long_drive_is_thinned_out_and_the_page_says_so(
-    browser: Any, result: Result, tmp_path: Path
-) -> None:
-    write_page([result], tmp_path / "thin.html", max_steps=len(result.frame_id) // 3)
-    shown = opened(browser, tmp_path / "thin.html")
-    assert "stands for 3 frames" in shown.page.locator(".note").inner_text()
-    shown.page.mouse.move(*middle(shown))
-    assert "(and 2 beside it)" in shown.page.locator("#tip").inner_text()
     assert shown.errors == []

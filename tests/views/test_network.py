@@ -199,13 +199,9 @@ def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure)
                 assert distance.min() > circle.radius, (patch.get_gid(), node)
 
 
-@pytest.mark.parametrize(
-    ("suffix", "begins"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
-)
-def test_the_ending_chooses_the_format(tmp_path: Path, suffix: str, begins: bytes) -> None:
-    path = tmp_path / f"network{suffix}"
-    write_network(template("sensor_failure", 2), path)
-    assert path.read_bytes().startswith(begins)
+def test_a_picture_is_written(tmp_path: Path) -> None:
+    write_network(template("sensor_failure", 2), tmp_path / "network.svg")
+    assert (tmp_path / "network.svg").read_bytes().startswith(b"<?xml")
 
 
 def test_another_ending_is_refused() -> None:
@@ -225,9 +221,6 @@ def test_graphviz_gets_every_node_once_and_every_edge(tmp_path: Path) -> None:
     assert sorted(tuple(line.split('"')[1:4:2]) for line in lines if "->" in line) == sorted(
         (f"{a}_{s}", f"{b}_{t}") for (a, s), (b, t) in structure.edges
     )
-    assert lines[0] == "digraph network {"
-    assert [text.count("{") for text in lines] != [text.count("}") for text in lines]
-    assert sum(text.count("{") - text.count("}") for text in lines) == 0
     assert 'label="Lane"' in next(line for line in lines if "peripheries=2" in line)
 
 
@@ -265,15 +258,3 @@ def test_a_node_that_bif_cannot_name_is_refused() -> None:
     tables = [Table(("A+B", 0), (), np.ones(1))]
     with pytest.raises(InputError, match=r"A\+B_0: a BIF file cannot hold this name of a node"):
         bif(tables, {})
-
-
-@pytest.mark.parametrize(
-    ("network", "message"),
-    [
-        (declared([], []), "it has no nodes"),
-        (declared([("A", "B"), ("B", "A")], []), "form a cycle"),
-    ],
-)
-def test_what_cannot_be_drawn_is_refused(network: Structure, message: str) -> None:
-    with pytest.raises(InputError, match=message):
-        network_figure(network)

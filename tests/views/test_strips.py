@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.collections import LineCollection
 
 from egolane_pgm.types import InputError
 from egolane_pgm.views import strips
@@ -34,14 +35,28 @@ from tests.kits.tiny_result import (
 )
 
 
-def images_called(figure: Any, name: str) -> list[Any]:
-    (sheet,) = axes_called(figure, "strips")
-    return [image for image in sheet.images if image.get_label() == name]
+class Strip(NamedTuple):
+    """A strip as it is drawn: its name, its cells (n, C), and its place in inches."""
+
+    name: str
+    cells: Any
+    left: float
+    right: float
+    top: float
+    bottom: float
 
 
-def strips_of(figure: Any) -> list[str]:
+def strips_of(figure: Any) -> list[Strip]:
+    """The strips of a figure from above, out of the one image of their cells."""
     (sheet,) = axes_called(figure, "strips")
-    return [image.get_label() for image in sheet.images]
+    [image] = sheet.images
+    x, y, cells = image._Ax, image._Ay, image.get_array().filled(np.nan)
+    names = [text.get_text().replace("\n", " ") for text in sheet.texts if text.get_rotation()]
+    n = (len(cells) + 1) // len(names)
+    return [
+        Strip(name, cells[k * n : (k + 1) * n - 1], x[0], x[-1], y[k * n], y[(k + 1) * n - 1])
+        for k, name in enumerate(names)
+    ]
 
 
 LANES = ["lane 1 (leftmost)", "lane 2", "lane 3"]
@@ -69,29 +84,26 @@ def test_crossings_are_grey_from_their_first_frame_to_their_last() -> None:
     figure = strips_figure(a_result())
     (sheet,) = axes_called(figure, "strips")
     (grey,) = [c.get_paths() for c in sheet.collections if c.get_label() == "crossings"]
-    (truth,) = images_called(figure, "Ground truth")
-    left, right, bottom, top = truth.get_extent()
-    frame = (right - left) / 8
-    np.testing.assert_allclose(grey[0].vertices.min(axis=0), [left + 2 * frame, top])
-    np.testing.assert_allclose(grey[0].vertices.max(axis=0), [left + 4 * frame, bottom])
+    truth = strips_of(figure)[-1]
+    frame = (truth.right - truth.left) / 8
+    np.testing.assert_allclose(grey[0].vertices.min(axis=0), [truth.left + 2 * frame, truth.top])
+    np.testing.assert_allclose(grey[0].vertices.max(axis=0), [truth.left + 4 * frame, truth.bottom])
 
 
 def test_the_figure_shows_model_above_detector_above_truth_with_lane_1_as_the_top_row() -> None:
     figure = strips_figure(a_result(), 100, 106)
-    order = ["Model", "Detector only", "Ground truth"]
-    images = [images_called(figure, name)[0] for name in order]
+    shown = strips_of(figure)
+    assert [strip.name for strip in shown] == ["Model", "Detector only", "Ground truth"]
     (sheet,) = axes_called(figure, "strips")
     below, above = sheet.get_ylim()
     assert below > above, "the y axis points down, so row 1 is at the top"
-    edges = [y for image in images for y in reversed(image.get_extent()[2:])]
+    edges = [y for strip in shown for y in (strip.top, strip.bottom)]
     assert edges == sorted(edges)
-    for image in images:
-        bottom, top = image.get_extent()[2:]
-        named = [t for t in sheet.texts if top < t.get_position()[1] < bottom]
-        assert [t.get_text() for t in named if t.get_text().startswith("lane")] == LANES
     drawn = strip_columns(a_result(), 100, 106)
-    for shown, image in zip(images, [*drawn.beliefs.values(), drawn.truth], strict=True):
-        np.testing.assert_array_equal(shown.get_array().filled(np.nan), image)
+    for strip, image in zip(shown, drawn.images.values(), strict=True):
+        named = [t for t in sheet.texts if strip.top < t.get_position()[1] < strip.bottom]
+        assert [t.get_text() for t in named if t.get_text().startswith("lane")] == LANES
+        np.testing.assert_array_equal(strip.cells, image)
     assert {"frame id", "time [s]"} <= set(texts(figure))
     assert "tiny (in-sample): frames 100 to 106" in texts(figure)
 
@@ -99,18 +111,17 @@ def test_the_figure_shows_model_above_detector_above_truth_with_lane_1_as_the_to
 def test_time_runs_below_the_strips_in_seconds_and_frame_ids_above() -> None:
     figure = strips_figure(a_result())
     (sheet,) = axes_called(figure, "strips")
-    (model,), (truth,) = images_called(figure, "Model"), images_called(figure, "Ground truth")
-    left, right = model.get_extent()[:2]
-    above, below = model.get_extent()[3], truth.get_extent()[2]
+    model, *_, truth = strips_of(figure)
     at = {t.get_text(): t.get_position() for t in sheet.texts}
-    middle_of_102 = left + 2.5 * (right - left) / 8
+    middle_of_102 = model.left + 2.5 * (model.right - model.left) / 8
     assert at["102"][0] == pytest.approx(at["10.2"][0]) == pytest.approx(middle_of_102)
-    assert at["102"][1] < above < below < at["10.2"][1]
+    assert at["102"][1] < model.top < truth.bottom < at["10.2"][1]
     assert {"100", "107", "10", "10.7"} <= set(at), "the first and the last frame are numbered"
 
 
 def test_more_probable_lanes_are_drawn_darker() -> None:
-    image = images_called(strips_figure(a_result()), "Model")[0]
+    (sheet,) = axes_called(strips_figure(a_result()), "strips")
+    [image] = sheet.images
     grey = image.cmap(np.linspace(0, 1, 21))[:, :3] @ [0.299, 0.587, 0.114]
     assert (np.diff(grey) < 0).all()
     assert image.get_clim() == (0, 1)
@@ -118,14 +129,14 @@ def test_more_probable_lanes_are_drawn_darker() -> None:
 
 def test_without_ground_truth_there_are_two_strips_and_no_grey() -> None:
     figure = strips_figure(without_truth())
-    assert strips_of(figure) == ["Model", "Detector only"]
+    assert [s.name for s in strips_of(figure)] == ["Model", "Detector only"]
     assert strip_columns(without_truth(), 100, 107).truth is None
     assert legend_labels(figure.legends[0]) == ["no frame recorded"]
 
 
 def test_without_a_tentative_vector_the_detector_strip_is_left_out() -> None:
     figure = strips_figure(without_tentative())
-    assert strips_of(figure) == ["Model", "Ground truth"]
+    assert [s.name for s in strips_of(figure)] == ["Model", "Ground truth"]
 
 
 def test_the_legend_says_why_a_strip_is_blank() -> None:
@@ -149,11 +160,13 @@ def test_a_range_that_reaches_beyond_the_recording_is_cut_to_it() -> None:
 
 def test_a_long_range_goes_on_in_further_rows_of_the_same_scale() -> None:
     figure = strips_figure(long_drive(3000))
-    rows = images_called(figure, "Model")
-    np.testing.assert_allclose(np.diff([row.get_extent()[:2] for row in rows]), 7.3)
-    assert [row.get_array().shape for row in rows] == [(3, 1000)] * 3
+    rows = [strip for strip in strips_of(figure) if strip.name == "Model"]
+    assert [row.cells.shape for row in rows] == [(3, 1000)] * 3
     (sheet,) = axes_called(figure, "strips")
-    edges = [y for image in sheet.images for y in reversed(image.get_extent()[2:])]
+    lines = [c for c in sheet.collections if isinstance(c, LineCollection)]
+    outlines = [line for c in lines for line in c.get_segments() if len(line) == 5]
+    np.testing.assert_allclose([np.ptp(line[:, 0]) for line in outlines], 7.3)
+    edges = [y for strip in strips_of(figure) for y in (strip.top, strip.bottom)]
     assert edges == sorted(edges)
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +14,6 @@ from matplotlib.figure import Figure
 from pyarrow import parquet
 
 from egolane_pgm.paper import load_published
-from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.types import InputError
 from egolane_pgm.views import study_figures as tuning
 from egolane_pgm.views import study_trials as numbers
@@ -56,32 +53,30 @@ def write_study(folder: Path, scores: list[float | None] = SCORES, **changes: An
     return folder
 
 
-def made(score: list[float], x: list[float], name: str = "accuracy") -> numbers.Trials:
-    """Trials of one parameter between 0 and 1."""
-    gain = np.array(score) * (1 if is_maximised(name) else -1)
-    return numbers.Trials(
-        "made", name, (numbers.Searched("x", 0.0, 1.0),), np.arange(len(score)), np.array(score),
-        {"x": np.array(x)}, int(gain.argmax()), math.nan, {}, "", (),
-    )  # fmt: skip
+def made(columns: dict[str, list[float]], name: str = "accuracy") -> numbers.Trials:
+    """Trials of parameters between 0 and 1, and their `score`."""
+    scores = columns.pop("score")
+    content = {
+        "name": "made",
+        "tuning": {"objective": [name]},
+        "space": {"searched": {key: [0.0, 1.0] for key in columns}},
+    }
+    table = {"number": range(len(scores)), f"{name}_in_sample": scores, **columns}
+    return numbers.trials_of(content, table, "made")
 
 
 def test_failed_trials_are_left_out_and_the_first_of_equal_ones_is_the_best(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
-    assert trials.number.tolist() == [0, 1, 2, 3, 4, 6]
-    assert trials.best == 1
-    assert trials.values["normal"].tolist() == [0, 1, 1, 0, 1, 1]
-    assert [s.is_integer for s in trials.searched] == [False, True, True]
-    assert trials.held_out == 0.61
-    assert trials.nested == ({"sigma1": 0.4, "bonus_value": 8.0, "normal": 1.0},)
-    assert trials.reference == {"sigma1": 0.25, "bonus_value": 3.0, "normal": 2.0}
+    assert trials.gain.tolist() == [0.5, 0.8, 0.796, 0.7, 0.795, 0.8]
+    assert trials.study.best_params == {"sigma1": 0.3, "bonus_value": 7, "normal": "cells"}
+    assert trials.reference == {"sigma1": 0.25, "bonus_value": 3.0, "normal": "other"}
     assert trials.reference_name == "before the search"
 
 
 def test_a_run_of_the_paper_is_shown_beside_the_published_values(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path, run=1))
-    published = load_published()[1]["parameters"]
     assert trials.reference_name == "the paper's"
-    assert trials.reference == {k: published[k] for k in ("sigma1", "bonus_value")}
+    assert trials.reference == load_published()[1]["parameters"]
 
 
 def best_values(trials: numbers.Trials) -> list[float]:
@@ -94,42 +89,28 @@ def best_values(trials: numbers.Trials) -> list[float]:
 def test_the_best_value_so_far_follows_the_direction_of_the_score(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
     assert best_values(trials) == [0.5, 0.8, 0.8, 0.8, 0.8, 0.8]
-    losses = made([0.9, 0.4, 0.6, 0.3], [0.0, 0.1, 0.2, 0.3], "log_loss")
+    losses = made({"score": [0.9, 0.4, 0.6, 0.3], "x": [0.0, 0.1, 0.2, 0.3]}, "log_loss")
     assert best_values(losses) == [0.9, 0.4, 0.4, 0.3]
-
-
-def test_the_flat_range_spans_the_trials_within_half_a_point_of_the_best(tmp_path: Path) -> None:
-    trials = numbers.read_trials(write_study(tmp_path))
-    # 0.8, 0.796, 0.795 and 0.8: the bound itself counts in.
-    assert numbers.as_good(trials).tolist() == [False, True, True, False, True, True]
-    flat = numbers.flat_ranges(trials)
-    assert (flat["sigma1"].low, flat["sigma1"].high) == (0.2, 0.9)
-    assert flat["sigma1"].share == pytest.approx(0.7 / 3, rel=1e-5)
-    assert (flat["bonus_value"].low, flat["bonus_value"].high) == (7, 9)
-    assert flat["bonus_value"].share == pytest.approx(0.3)
-    assert flat["normal"].share == pytest.approx(1 / 3)
-    assert numbers.flat_ranges(trials, 0.0)["bonus_value"].share == pytest.approx(0.1)
 
 
 def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
     rng = np.random.default_rng(0)
     x, y = rng.random((2, 300))
     score = (1 - np.abs(x - 0.3)).round(2)
-    searched = (numbers.Searched("y", 0, 1), numbers.Searched("x", 0, 1))
-    trials = numbers.Trials(
-        "made", "accuracy", searched, np.arange(300), score, {"y": y, "x": x},
-        int(score.argmax()), math.nan, {}, "", (),
-    )  # fmt: skip
-    found = numbers.importances(trials)
+    columns = {"score": score.tolist(), "y": y.tolist(), "x": x.tolist()}
+    found = numbers.importances(made(columns))
     assert next(iter(found)) == "x"
     assert found["x"] > 0.8
     assert sum(found.values()) == pytest.approx(1)
-    assert numbers.importances(made([0.5] * 30, np.linspace(0, 1, 30).tolist())) == {}
-    assert numbers.importances(made([0.1, 0.2], [0.3, 0.4])) == {}
+    same = {"score": [0.5] * 30, "x": np.linspace(0, 1, 30).tolist()}
+    assert numbers.importances(made(same)) == {}
+    assert numbers.importances(made({"score": [0.1, 0.2], "x": [0.3, 0.4]})) == {}
 
 
 def test_history_and_flatness_draw_the_numbers(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
+    # 0.8, 0.796, 0.795 and 0.8: the bound itself counts in.
+    assert [point["sigma1"] for point in numbers.as_good(trials)] == [0.3, 0.5, 0.2, 0.9]
     ax = tuning.history_figure(trials).axes[0]
     lines = {str(line.get_label()).partition(":")[0]: line for line in ax.lines}
     assert np.asarray(lines["held out"].get_ydata()).tolist() == [0.61, 0.61]
@@ -138,13 +119,19 @@ def test_history_and_flatness_draw_the_numbers(tmp_path: Path) -> None:
     assert {"0.2 to 0.9  (23 %)", "7 to 9  (30 %)", "cells  (33 %)"} <= drawn
     assert "in-sample, 4 of 6 trials" in figure.texts[0].get_text()
     bars = [(p.get_x(), p.get_width()) for p in figure.axes[0].patches]  # type: ignore[attr-defined]
-    assert any(np.allclose(bar, (0.2 / 3, 0.7 / 3), atol=1e-5) for bar in bars)
-    assert any(np.allclose(bar, (0.7, 0.3)) for bar in bars)
+    # The middle one of three choices; 7 to 9 of ten; 0.2 to 0.9 of 3.
+    np.testing.assert_allclose(
+        sorted(bars), [(0.2 / 3, 0.7 / 3), (1 / 3, 1 / 3), (0.7, 0.3)], atol=1e-5
+    )
+    known = [
+        x for line in figure.axes[0].lines if line.get_marker() == "s" for x in line.get_xdata()
+    ]
+    np.testing.assert_allclose(sorted(known), [0.25 / 3, 3.5 / 10, 2.5 / 3], atol=1e-5)
 
 
 def test_every_title_says_in_sample(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
-    keys = [s.key for s in trials.searched]
+    keys = list(trials.space)
     for figure in (
         tuning.history_figure(trials),
         tuning.slices_figure(trials),
@@ -162,11 +149,9 @@ def test_few_trials_get_no_importances_and_no_pairs(tmp_path: Path) -> None:
 
 
 def test_a_study_of_one_or_two_parameters_is_drawn(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    x, y = rng.random((2, 30))
-    one = made(x.tolist(), x.tolist())
-    searched = (numbers.Searched("y", 0.0, 1.0), numbers.Searched("x", 0.0, 1.0))
-    two = replace(one, searched=searched, values={"x": x, "y": y}, score=x + y)
+    x, y = np.random.default_rng(0).random((2, 30)).tolist()
+    one = made({"score": x, "x": x})
+    two = made({"score": x, "x": x, "y": y})
     drawn: list[Callable[[], Figure]] = [
         lambda: tuning.slices_figure(one),
         lambda: tuning.importances_figure(one),
@@ -203,16 +188,22 @@ def test_a_directory_without_a_study_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "figures").exists()
 
 
-def test_damaged_studies_are_refused_with_the_file_and_the_remedy(tmp_path: Path) -> None:
-    write_study(tmp_path, schema_version=2)
-    with pytest.raises(InputError, match=r"study\.json: is not of schema version 1; tune again"):
-        numbers.read_trials(tmp_path)
-    write_study(tmp_path, space={"searched": {**SPACE, "p1": [0.0, 1.0]}})
-    with pytest.raises(InputError, match=r"trials\.parquet is damaged .*p1.*; tune again"):
-        numbers.read_trials(tmp_path)
-    write_study(tmp_path, [None] * 7)
-    with pytest.raises(InputError, match="no trial of this study is finished"):
-        numbers.read_trials(tmp_path)
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"schema_version": 2}, r"study\.json: is not of schema version 1; tune again"),
+        ({"space": {"searched": {"p1": [0, 1]}}}, r"trials\.parquet is damaged .*p1.*; tune again"),
+        ({"scores": [None] * 7}, "no trial of this study is finished"),
+    ],
+)
+def test_what_is_no_finished_study_is_refused(
+    tmp_path: Path, changes: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message):
+        numbers.read_trials(write_study(tmp_path, **changes))
+
+
+def test_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
     write_study(tmp_path)
     (tmp_path / "trials.parquet").write_bytes(b"PAR1 but not really")
     with pytest.raises(InputError, match=r"trials\.parquet: is not a whole Parquet file"):
