@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from jinja2 import Environment, StrictUndefined
 
 from egolane_pgm import __version__
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.page import lists
 from egolane_pgm.page.films import films_of
 from egolane_pgm.page.packed import MAX_STEPS, Packed, is_known, packed
-from egolane_pgm.page.timeline import Panels, embedded, reliability_plot, timeline
 from egolane_pgm.results import Result
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
 from egolane_pgm.views.answers import (
@@ -28,6 +27,11 @@ from egolane_pgm.views.answers import (
 from egolane_pgm.views.comparison_tables import trusted_or_all
 from egolane_pgm.views.events import event_lines
 from egolane_pgm.views.tables import TUNED_ON, score_rows, score_text
+
+with needed("a page of results", "page"):
+    from jinja2 import Environment, StrictUndefined
+
+    from egolane_pgm.page.timeline import Panels, embedded, reliability_plot, timeline
 
 
 def write_page(
