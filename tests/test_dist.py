@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
 import tarfile
+from email import message_from_bytes
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
+import yaml
+
+from egolane_pgm import __version__
 
 ROOT = Path(__file__).parents[1]
 
@@ -37,14 +42,51 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return archive, wheel
 
 
-def test_the_source_archive_holds_every_file_of_the_repository(built: tuple[Path, Path]) -> None:
+def test_the_source_archive_holds_every_file_but_pictures_of_results(
+    built: tuple[Path, Path],
+) -> None:
     archive, _ = built
     if shutil.which("git") is None or not (ROOT / ".git").exists():
         pytest.skip("which files belong to the repository: needs git and a clone")
     with tarfile.open(archive) as opened:
         held = {name.partition("/")[2] for name in opened.getnames()}
     listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, check=True)
-    assert set(listed.stdout.decode().strip("\0").split("\0")) <= held
+    left_out = set(listed.stdout.decode().strip("\0").split("\0")) - held
+    assert left_out
+    assert all(Path(name).match("results/*/*.png") for name in left_out)
+
+
+def test_the_wheel_says_what_it_is(built: tuple[Path, Path]) -> None:
+    _, wheel = built
+    with ZipFile(wheel) as opened:
+        [place] = {name.partition("/")[0] for name in opened.namelist() if ".dist-info/" in name}
+        assert opened.read(f"{place}/licenses/LICENSE") == (ROOT / "LICENSE").read_bytes()
+        said = message_from_bytes(opened.read(f"{place}/METADATA"))
+    assert said["License-Expression"] == "BSD-3-Clause"
+    assert "Typing :: Typed" in said.get_all("Classifier", [])
+    needed = [each for each in said.get_all("Requires-Dist", []) if "extra ==" not in each]
+    assert len(needed) <= 16
+    assert any(re.fullmatch(r"pgmpy<[\d.]+,>=[\d.]+", each) for each in needed)
+
+
+def test_all_files_agree_on_the_version() -> None:
+    changelog = (ROOT / "CHANGELOG.md").read_text()
+    assert re.search(r"^## \[(\d[^]]*)\]", changelog, re.MULTILINE)[1] == __version__  # type: ignore[index]
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == __version__
+
+
+def test_workflows_and_issue_forms_are_yaml_with_what_github_asks_for() -> None:
+    jobs = yaml.safe_load((ROOT / ".github/workflows/ci.yml").read_text())["jobs"]
+    runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert runs == [".ci/run", "make docs", "make dist"]
+    forms = [*(ROOT / ".github/ISSUE_TEMPLATE").glob("*.yml")]
+    assert len(forms) == 3
+    for form in forms:
+        content = yaml.safe_load(form.read_text())
+        assert {"name", "description", "body"} <= set(content)
+        ids = [field["id"] for field in content["body"]]
+        assert len(ids) == len(set(ids))
+        assert all(field["attributes"]["label"] for field in content["body"])
 
 
 def test_the_wheel_holds_the_package_and_its_experiments_only(built: tuple[Path, Path]) -> None:

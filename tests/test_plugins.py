@@ -16,10 +16,12 @@ from egolane_pgm.model import prepare_model
 from egolane_pgm.plugins import load_plugin, plugin_names, source_files
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
-from tests.kits.drives import done, refused, short_drive, write_drive
+from tests.kits.drives import done, problems, refused, short_drive, write_drive
 
 with quiet():
     from pgmpy.readwrite import XMLBIFWriter
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 #: The least that a graph and a rule have to say.
 GRAPH = """
@@ -57,6 +59,12 @@ PLAIN = """
         TabularCPD(("Lane", 1), 3, stay, [("Lane", 0)], [3]),
         TabularCPD(("Seen", 0), 3, same, [("Lane", 0)], [3]),
     )
+"""
+READER = """
+    import shutil
+    from egolane_pgm.recordings.table import read_table
+    def read(path, *, frame_rate):
+        return read_table(shutil.copy(path, path.with_suffix(".csv")), frame_rate=frame_rate)
 """
 GIVES_SEEN = 'PROVIDES = ("Seen", "Other")\n'
 
@@ -284,13 +292,7 @@ def test_a_rule_that_gives_more_than_the_graph_observes_is_refused(tmp_path: Pat
 
 
 def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
-    reader = """
-    import shutil
-    from egolane_pgm.recordings.table import read_table
-    def read(path, *, frame_rate):
-        return read_table(shutil.copy(path, path.with_suffix(".csv")), frame_rate=frame_rate)
-    """
-    write(tmp_path / "f.py", reader)
+    write(tmp_path / "f.py", READER)
     experiment = write_drive(
         tmp_path, 20, recording={"path": "lines.dat", "format": "./f.py", "frame_rate": 20}
     )
@@ -303,6 +305,44 @@ def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
     said = refused("run", experiment, "--no-figures", "--out", tmp_path / "out")
     assert "recording.format: " in said
     assert "f.py, line 2: AttributeError" in said
+
+
+def test_plugins_of_an_installed_package_are_found_by_their_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    others, info = tmp_path / "site" / "others", tmp_path / "site" / "others-1.0.dist-info"
+    for folder in (others, info):
+        folder.mkdir(parents=True)
+    for name in ("my_graph", "my_evidence", "my_detector"):
+        (others / f"{name}.py").write_bytes((EXAMPLES / f"{name}.py").read_bytes())
+    write(others / "reader.py", READER)
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(
+        "[egolane_pgm.graphs]\nby_lane = others.my_graph\n"
+        "[egolane_pgm.evidence]\ntempered = others.my_evidence\n"
+        "[egolane_pgm.recordings]\ndat = others.reader\n"
+        "[egolane_pgm.detectors]\nstrips = others.my_detector\nbroken = others.nothing\n"
+    )
+    own = {"graph": str(EXAMPLES / "my_graph.py"), "evidence": str(EXAMPLES / "my_evidence.py")}
+    done("run", write_drive(tmp_path / "own", 20, **own), "--no-figures", "--out", tmp_path / "a")
+    offered = {"graph": "by_lane", "evidence": "tempered"}
+    recording = {"path": "lines.dat", "format": "dat"}
+    experiment = write_drive(tmp_path / "offered", 20, **offered, recording=recording)
+    (tmp_path / "offered" / "lines.csv").rename(tmp_path / "offered" / "lines.dat")
+    assert len(problems("validate", experiment)) == 3
+
+    monkeypatch.syspath_prepend(tmp_path / "site")
+    listed = done("ls").stdout
+    assert all(name in listed for name in ("by_lane", "tempered", "dat", "strips"))
+    assert "contrast" in done("show", "strips").stdout
+    done("run", experiment, "--no-figures", "--out", tmp_path / "b")
+    # What the result holds runs again, too.
+    done("run", tmp_path / "b" / "experiment.yaml", "--no-figures", "--out", tmp_path / "c")
+    one, *others_ = (read_result(tmp_path / name).marginals["Lane"] for name in "abc")
+    for other in others_:
+        np.testing.assert_array_equal(one, other)
+    said = refused("show", "broken")
+    assert "others.nothing cannot be imported: ModuleNotFoundError" in said
 
 
 def test_two_files_of_the_same_name_are_two_modules(tmp_path: Path) -> None:

@@ -24,8 +24,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from mcap.writer import Writer
-
 from egolane_pgm.export.drive import (
     AHEAD_M,
     BAR_GAP_M,
@@ -35,8 +33,12 @@ from egolane_pgm.export.drive import (
     Colour,
     Drive,
 )
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import LineLog
+
+with needed("an .mcap file", "export"):
+    from mcap.writer import Writer
 
 Content = dict[str, Any]
 

@@ -13,7 +13,6 @@ Two timelines: `time` (since 1970, or since the drive's beginning of time) and `
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -22,12 +21,11 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.export.drive import AHEAD_M, BAR_GAP_M, BAR_HEIGHT_M, TRUTH, Drive
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import atomic
-from egolane_pgm.types import FloatArray, InputError, IntArray
+from egolane_pgm.types import FloatArray, IntArray
 
-rr: Any = None
-rrb: Any = None
-with contextlib.suppress(ImportError):
+with needed("an .rrd file", "rerun"):
     import rerun as rr
     import rerun.blueprint as rrb
 
@@ -49,10 +47,8 @@ _LANE_COLOURS = {"model": (0, 114, 178), "detector": (230, 159, 0), "truth": TRU
 
 
 def write_rrd(path: Path, drive: Drive) -> dict[str, int]:
-    """Write a drive; returns the number of rows per entity. Raises InputError where rerun
-    is not installed, the file cannot be written or a picture cannot be read."""
-    if rr is None:
-        raise InputError(f"{path}: needs rerun: pip install 'egolane-pgm[rerun]'")
+    """Write a drive; returns the number of rows per entity. Raises InputError where the
+    file cannot be written or a picture cannot be read."""
     with atomic(path) as temporary:
         recording = rr.RecordingStream("egolane", recording_id=drive.name)
         recording.save(temporary, default_blueprint=_blueprint(drive))

@@ -12,6 +12,7 @@ import numpy as np
 
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.local import Plane, around
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
@@ -59,10 +60,8 @@ def index_of(graph: LaneGraph) -> RoadIndex:
     Raises InputError for a graph without segments, for a point that is no place on Earth, and where
     the libraries of the extra `maps` are not installed.
     """
-    try:
+    with needed("an index of a map", "maps"):
         from shapely import STRtree, box
-    except ImportError:
-        raise InputError("an index of a map needs pip install 'egolane-pgm[maps]'") from None
     if not len(graph):
         raise InputError("the map has no road")
     plane = around(*graph.point.T)

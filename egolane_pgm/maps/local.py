@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.tools.extras import needed
+from egolane_pgm.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -31,10 +32,8 @@ class Plane:
 
     @cached_property
     def _projection(self) -> Any:
-        try:
+        with needed("a position on a map", "maps"):
             import pyproj
-        except ImportError:
-            raise InputError("positions on a map need pip install 'egolane-pgm[maps]'") from None
         return pyproj.Proj(
             proj="tmerc", ellps="WGS84", lat_0=self.latitude, lon_0=self.longitude, units="m"
         )

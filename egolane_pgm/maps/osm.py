@@ -14,6 +14,7 @@ import numpy as np
 from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points, metres_per_degree
 from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import NOTE, BoolArray, FloatArray, InputError, IntArray
 
 #: The largest number of warnings about the tags of a map.
@@ -82,27 +83,18 @@ class _Raw:
     name: IntArray
 
 
-def _osmium() -> Any:
-    try:
-        import osmium
-    except ImportError:
-        raise InputError(
-            "maps: needs the package osmium: pip install 'egolane-pgm[maps]'"
-        ) from None
-    return osmium
-
-
 def _read(path: str | Path) -> _Raw:
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file")
-    osmium = _osmium()
+    with needed(f"{path}", "maps"):
+        import osmium
     way, count, tag_set, name = array("q"), array("q"), array("q"), array("q")
     points = bytearray()
     sets: dict[tuple[str | None, ...], int] = {}
     names: dict[str, int] = {}
     lacking = 0
     as_bytes = osmium.geom.WKBFactory().create_linestring
-    roads = (
+    roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
         .with_locations("sparse_mem_array")
         .with_filter(osmium.filter.EntityFilter(osmium.osm.WAY))

@@ -10,13 +10,13 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
 
@@ -219,18 +219,10 @@ def _dates(path: Path, name: str, column: Any) -> FloatArray | None:
 # --- GPX, NMEA, bags -------------------------------------------------------------------------
 
 
-def _library(name: str, path: Path) -> Any:
-    try:
-        return import_module(name)
-    except ImportError:
-        raise InputError(
-            f"{path}: needs {name}: pip install 'egolane-pgm[maps]', or write the positions as .csv"
-        ) from None
-
-
 def _read_gpx(path: Path) -> Positions:
     """The points of all tracks, in their order."""
-    gpxpy = _library("gpxpy", path)
+    with needed(f"{path}", "maps"):
+        import gpxpy
     try:
         points = list(gpxpy.parse(read_text(path)).walk(only_points=True))
     except gpxpy.gpx.GPXException as error:
@@ -249,7 +241,8 @@ def _read_gpx(path: Path) -> Positions:
 def _read_nmea(path: Path) -> Positions:
     """The fixes of RMC and GGA sentences. RMC has the date, speed and course, GGA the dilution of
     precision; those of one time are one position."""
-    pynmea2 = _library("pynmea2", path)
+    with needed(f"{path}", "maps"):
+        import pynmea2
     found: dict[datetime, dict[str, float]] = {}
     date, clock, waiting = None, None, []
     damaged = sentences = 0

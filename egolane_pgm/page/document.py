@@ -9,15 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from jinja2 import Environment, StrictUndefined
 
 from egolane_pgm import __version__
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.page import lists
 from egolane_pgm.page.films import films_of
 from egolane_pgm.page.packed import MAX_STEPS, Packed, packed
-from egolane_pgm.page.timeline import Panels, embedded, text_of, timeline
 from egolane_pgm.results import Result
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
 from egolane_pgm.views.answers import is_known, percent, title_of
@@ -26,6 +25,11 @@ from egolane_pgm.views.reliability import reliability_figure
 from egolane_pgm.views.shown import scored
 from egolane_pgm.views.style import figure_bytes
 from egolane_pgm.views.tables import TUNED_ON, score_rows, score_text
+
+with needed("a page of results", "page"):
+    from jinja2 import Environment, StrictUndefined
+
+    from egolane_pgm.page.timeline import Panels, embedded, text_of, timeline
 
 
 def write_page(

@@ -8,9 +8,8 @@ import sys
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import ModuleType
 from urllib.parse import urlsplit
-
-from platformdirs import user_cache_path
 
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import InputError
@@ -65,7 +64,16 @@ def list_files() -> tuple[DataFile, ...]:
 
 def download_folder() -> Path:
     """The user's cache folder for this package (XDG_CACHE_HOME is respected)."""
-    return user_cache_path("egolane_pgm")
+    return Path(_pooch().os_cache("egolane_pgm"))
+
+
+def _pooch() -> ModuleType:
+    with warnings.catch_warnings():
+        # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
+        warnings.simplefilter("ignore")
+        import pooch
+    module: ModuleType = pooch
+    return module
 
 
 def find_file(
@@ -86,13 +94,12 @@ def find_file(
     Raises InputError, with every place that was looked in, if it is nowhere.
     """
     wanted = Path(path).expanduser()
-    if wanted.is_absolute():
-        places = [wanted]
-    else:
-        bases = [Path.cwd() if base is None else Path(base), *data_folders()]
-        places = [folder / wanted for folder in bases]
+    # An absolute path stays as it is.
+    places = [(Path.cwd() if base is None else Path(base)) / wanted]
+    if not wanted.is_absolute() and not _is_there(places[0], folders):
+        places += [folder / wanted for folder in data_folders()]
     for place in places:
-        if place.is_file() or (folders and place.is_dir()):
+        if _is_there(place, folders):
             return place
     looked = ", ".join(str(place) for place in places)
     help_ = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
@@ -100,6 +107,10 @@ def find_file(
         f"{path}: no such file; looked for {looked}"
         + (f"; {help_}" if is_fetched and not wanted.is_absolute() else "")
     )
+
+
+def _is_there(place: Path, folders: bool) -> bool:
+    return place.is_file() or (folders and place.is_dir())
 
 
 def data_folders() -> list[Path]:
@@ -151,11 +162,10 @@ def fetch(
     host = urlsplit(address).netloc.rpartition("@")[2]
     if urlsplit(address).scheme not in ("http", "https") or not host:
         raise InputError(f"base_url {base_url}: needs an address http://... or https://...")
-    with warnings.catch_warnings():
-        # In a notebook tqdm, which pooch imports, warns of widgets that nobody asked for.
-        warnings.simplefilter("ignore")
-        import pooch
-        import requests
+    # pooch depends on it, and raises its errors.
+    import requests
+
+    pooch = _pooch()
     # pooch would report each step on standard error.
     pooch.get_logger().setLevel("ERROR")
     loader = pooch.HTTPDownloader(progressbar=progress and sys.stderr.isatty(), timeout=30)

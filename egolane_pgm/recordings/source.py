@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors
+from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors, plugin_names
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.types import InputError, LaneTruth, LineLog, all_problems, suggestion
@@ -90,7 +90,7 @@ def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Pa
 
 @dataclass(frozen=True)
 class LinesFile(Source):
-    """Lines in a file or a folder, in a format of the package or of a user's own."""
+    """Lines in a file or a folder, in a format of this or another package or of a user's own."""
 
     experiment: Experiment
 
@@ -114,10 +114,12 @@ class LinesFile(Source):
         if self._is_own_format():
             load_plugin("recordings", str(format_), self.experiment.folder, where)
         elif format_ is not None and format_ not in FORMATS:
-            raise InputError(f"{where}: unknown format '{format_}'{suggestion(format_, FORMATS)}")
+            known = [*FORMATS, *plugin_names("recordings")]
+            raise InputError(f"{where}: unknown format '{format_}'{suggestion(format_, known)}")
 
     def _is_own_format(self) -> bool:
-        return (self.experiment.recording.format or "").endswith(".py")
+        name = self.experiment.recording.format or "table"
+        return name not in FORMATS and (name.endswith(".py") or name in plugin_names("recordings"))
 
     def _where(self, key: str) -> str:
         return f"{self.experiment.source}: recording.{key}"

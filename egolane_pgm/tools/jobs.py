@@ -21,6 +21,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import code_checksum
 from egolane_pgm.types import InputError
 
@@ -111,11 +112,9 @@ def _begin() -> None:
 def _client(address: str) -> Iterator[Any]:
     """Dask's client of a cluster. Dask does the work of a worker that died on another one, and
     takes workers that come later."""
-    try:
+    with needed("a cluster", "cluster"):
         from distributed import Client, LocalCluster
         from distributed.utils import silence_logging_cmgr
-    except ImportError:
-        raise InputError("a cluster needs Dask: pip install 'egolane-pgm[cluster]'") from None
     # Dask logs each worker and scheduler that it loses, with a traceback.
     with silence_logging_cmgr(logging.CRITICAL), contextlib.ExitStack() as stack:
         place: Any = address

@@ -14,6 +14,7 @@ from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.tuning.sampler import Shade
 from egolane_pgm.tuning.space import Point, SearchSpace, distributions
 from egolane_pgm.types import InputError, suggestion
@@ -73,8 +74,8 @@ def counted(progress: Progress | None, settings: Settings, label: str) -> Report
 def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:
     """Return the sampler's name; by default evolution, for several objectives NSGA-II.
 
-    Raises InputError for an unknown one, with a suggestion, and for one that searches a single
-    objective where several are given.
+    Raises InputError for an unknown one, with a suggestion, for one that searches a single
+    objective where several are given, and for one whose package is not installed.
     """
     if name is None:
         return "evolution" if len(objectives) == 1 else "nsga2"
@@ -85,6 +86,9 @@ def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> st
             f"{where}: {name} searches one objective; for {', '.join(objectives)} take nsga2, tpe"
             " or random"
         )
+    if name == "cma-es":
+        with needed(f"{where}: {name}", "cmaes"):
+            import cmaes  # noqa: F401
     return name
 
 

@@ -59,9 +59,9 @@ def export(
     check_frames(frames)
     for each in (file, *layouts):
         check_place(each)
-    drive = open_drive(Path(result), pictures=pictures, frames=frames)
     module, name = _WRITERS[ending]
     write = getattr(import_module(f"egolane_pgm.export.{module}"), name)
+    drive = open_drive(Path(result), pictures=pictures, frames=frames)
     counts: dict[str, int] = write(file, drive)
     for each in layouts:
         write_layout(each, drive)

@@ -24,7 +24,7 @@ def ls() -> str:
             ("graphs:", ", ".join(plugin_names("graphs"))),
             ("evidence:", ", ".join(plugin_names("evidence"))),
             ("detectors:", ", ".join(plugin_names("detectors"))),
-            ("recordings:", ", ".join(FORMATS)),
+            ("recordings:", ", ".join([*FORMATS, *plugin_names("recordings")])),
             ("simulations:", ", ".join(sorted(PRESETS))),
         ]
     )

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
-from egolane_pgm.page.document import write_page
 from egolane_pgm.results import Result, is_result, read_result
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
@@ -41,6 +40,9 @@ def report(
 
     Returns the page. Raises InputError, one line, for whatever does not fit.
     """
+    # Its packages are an extra's, and `egolane report --help` needs none of them.
+    from egolane_pgm.page.document import write_page
+
     places = [Path(path) for path in several_of(results)]
     file = Path(out or (places[0] / PAGE if len(places) == 1 else PAGE))
     if file.suffix.lower() not in (".html", ".htm"):

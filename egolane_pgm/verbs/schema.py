@@ -112,7 +112,7 @@ def _name_plugins(keys: dict[str, Any]) -> None:
 def _name_sources(keys: dict[str, Any]) -> None:
     if keys:
         _one_of(keys["simulate"], [*PRESETS, INTERCHANGE])
-        _one_of(keys["format"], FORMATS, (".py",))
+        _one_of(keys["format"], [*FORMATS, *plugin_names("recordings")], (".py",))
         _one_of(keys["detector"], plugin_names("detectors"), (".py",))
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.types import InputError
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.views.clips import clip_parts
 from egolane_pgm.views.events import event_lines, event_rows, lane_words, sure_words
 from egolane_pgm.views.tables import (
@@ -57,10 +57,8 @@ def as_dataset(frame: pd.DataFrame) -> xr.Dataset:
 
 def xarray() -> Any:
     """The package xarray. Raises InputError where it is not installed."""
-    try:
+    with needed("to_xarray", "notebook"):
         import xarray
-    except ImportError:
-        raise InputError("to_xarray: needs xarray, `pip install xarray`") from None
     return xarray
 
 

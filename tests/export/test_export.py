@@ -217,17 +217,6 @@ def test_a_rerun_file_is_whole_and_has_what_was_believed(drive: Drive, tmp_path:
         assert f"/{entity}" in told.stdout, entity
 
 
-def test_without_rerun_the_extra_is_named(
-    drive: Drive, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from egolane_pgm.export import rerun_file
-
-    monkeypatch.setattr(rerun_file, "rr", None)
-    with pytest.raises(InputError, match=r"out\.rrd: needs rerun: pip install 'egolane-pgm\[rer"):
-        rerun_file.write_rrd(tmp_path / "out.rrd", drive)
-    assert not list(tmp_path.iterdir())
-
-
 # --- the command ---------------------------------------------------------------------------------
 
 

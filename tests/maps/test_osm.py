@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 import warnings
 from pathlib import Path
 
@@ -112,15 +111,9 @@ def test_a_file_without_a_road_is_refused_in_one_line(
     assert len(error.value.lines) == 1
 
 
-def test_a_map_that_is_not_there_and_a_library_that_is_not_there_are_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_map_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere\.osm: no such file"):
         load_map(tmp_path / "nowhere.osm")
-    path = write_osm(tmp_path / "a.osm", NODES, [(10, [1, 2], ROAD)])
-    monkeypatch.setitem(sys.modules, "osmium", None)
-    with pytest.raises(InputError, match=r"pip install 'egolane-pgm\[maps\]'"):
-        load_map(path)
 
 
 def test_lengths_are_those_of_a_geodesic() -> None:

@@ -156,9 +156,3 @@ def test_a_cluster_that_is_not_there_is_refused_in_one_line(address: str) -> Non
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=f"cluster {address}: no scheduler answers"):
         list(in_order(ten_times, range(2), address))
-
-
-def test_without_dask_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(InputError, match=r"pip install 'egolane-pgm\[cluster\]'"):
-        list(in_order(ten_times, range(2), "local:2"))

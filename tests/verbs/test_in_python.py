@@ -133,14 +133,6 @@ def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.Result) -
     np.testing.assert_array_equal(found["detector"].values, run.tentative)
 
 
-def test_without_xarray_one_line_says_what_to_install(
-    run: ego.Result, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(ego.InputError, match=r"^to_xarray: needs xarray, `pip install xarray`$"):
-        run.to_xarray()
-
-
 def test_a_representation_is_one_line_that_says_how_much_the_scores_are_worth(
     run: ego.Result, drive: Path
 ) -> None:

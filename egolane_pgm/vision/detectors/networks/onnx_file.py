@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
@@ -63,14 +64,9 @@ def weight_files(path: Path, where: str) -> list[Path]:
 
 def _model(path: Path, where: str) -> ModelProto:
     """The file, without weights that are elsewhere."""
-    try:
+    with needed(f"{where}: {path}", "vision"):
         import onnx
         from google.protobuf.message import DecodeError
-    except ImportError:
-        raise InputError(
-            f"{where}: to read {path} the package onnx is needed: pip install"
-            " 'egolane-pgm[network]'"
-        ) from None
     try:
         # Without a format onnx would take a file that ends in .json or .txt for text.
         model = onnx.load(str(path), format="protobuf", load_external_data=False)

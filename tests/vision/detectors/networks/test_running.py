@@ -3,7 +3,6 @@ does not fit is refused in one line."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -355,14 +354,3 @@ def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> No
     said = refused(path)
     assert f"net.yaml: model: the weights of {file} cannot be read: " in said
     assert str(weights) in said
-
-
-def test_without_the_package_onnx_it_is_said_how_to_install_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = conv(tmp_path, (1, 3, 40, 80))
-    monkeypatch.setitem(sys.modules, "onnx", None)
-    assert refused(path).endswith(
-        f"to read {tmp_path / 'x.onnx'} the package onnx is needed: pip install"
-        " 'egolane-pgm[network]'"
-    )

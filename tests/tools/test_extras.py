@@ -1,0 +1,77 @@
+"""What a package that is not installed is missed by, and in which words."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from egolane_pgm.maps import load_map
+from egolane_pgm.maps.local import Plane
+from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.tools.jobs import in_order
+from egolane_pgm.tuning.search import check_sampler
+from egolane_pgm.types import InputError
+from egolane_pgm.verbs.export import export
+from egolane_pgm.vision.detectors.networks.onnx_file import weight_files
+from tests.kits.tiny_result import a_result
+
+#: The modules that import an extra's packages when they are imported themselves.
+AT_ONCE = ("page.document", "page.timeline", "export.mcap_file", "export.rerun_file")
+
+
+def exported(file: Path) -> None:
+    export(file.parent, file)
+
+
+def sampler(_: Path) -> None:
+    check_sampler("cma-es", ["f1"], "sampler")
+
+
+def cluster(_: Path) -> None:
+    list(in_order(abs, [1], "local:2"))
+
+
+def position(_: Path) -> None:
+    Plane(45.0, 9.0).metres([45.0], [9.0])
+
+
+@pytest.mark.parametrize(
+    ("module", "file", "call", "words"),
+    [
+        ("bokeh", "a.html", a_result().report, "a page of results needs bokeh|page"),
+        ("jinja2", "a.html", a_result().report, "a page of results needs jinja2|page"),
+        ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
+        ("rerun", "a.rrd", exported, "an .rrd file needs rerun|rerun"),
+        ("osmium", "a.osm", load_map, "{} needs osmium|maps"),
+        ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),
+        ("pynmea2", "a.nmea", read_positions, "{} needs pynmea2|maps"),
+        ("pyproj", "", position, "a position on a map needs pyproj|maps"),
+        ("onnx", "a.onnx", lambda p: weight_files(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
+        ("distributed", "", cluster, "a cluster needs distributed|cluster"),
+        ("cmaes", "", sampler, "sampler: cma-es needs cmaes|cmaes"),
+        ("xarray", "", lambda p: a_result().to_xarray(), "to_xarray needs xarray|notebook"),
+    ],
+)  # fmt: skip
+def test_a_package_that_is_not_installed_is_named_with_its_extra(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    module: str,
+    file: str,
+    call: Callable[[Path], object],
+    words: str,
+) -> None:
+    for name in AT_ONCE:
+        monkeypatch.delitem(sys.modules, f"egolane_pgm.{name}", raising=False)
+    for name in [name for name in sys.modules if name.partition(".")[0] == module]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, module, None)
+    place = tmp_path / file
+    if file.endswith((".osm", ".gpx", ".nmea", ".onnx")):
+        place.touch()
+    with pytest.raises(InputError) as caught:
+        call(place)
+    said, _, extra = words.format(place).partition("|")
+    assert str(caught.value) == f"{said}: pip install 'egolane-pgm[{extra}]'"
