@@ -5,7 +5,6 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from tests.detectors.simple.test_upright import CAMERA
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.picture import Image
@@ -13,6 +12,7 @@ from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
 from tests.kits.synthetic_road import Paint, road
+from tests.vision.detectors.simple.test_upright import CAMERA
 
 DEFAULTS = resolve_parameters(FINDING, {"streak_width": 0.0035}, 1)
 LINES = (Paint(-1.75), Paint(1.9))
