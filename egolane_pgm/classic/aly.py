@@ -94,11 +94,11 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
         n = int(number(parameters, "lines"))
         grey = red.astype(np.float64)
         shape, ends = [], []
-        for point in points_on(splines.control[:n], number(parameters, "ransac_spline_step")):
+        for point in points_on(splines.control[:n]):
             x = view.x_m[0] - point[:, 1] * view.along_m
             y = view.y_m[0] + point[:, 0] * view.across_m
             seen = np.stack(road_to_image(small, x, y), axis=1)
-            x, y = image_to_road(small, *refined(grey, small, seen, parameters).T)
+            x, y = image_to_road(small, *refined(grey, small, seen).T)
             shape.append(shape_of(x, y))
             ends.append((x.min(), x.max()))
         shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)

@@ -59,18 +59,17 @@ def find_detector(
     specs = getattr(module, "PARAMETERS", ())
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
-        # A parameter may name a user's own file (a stereo matcher, a network), relative to `base`
-        # as well.
+        # A parameter may name a user's own file (a program, a network), relative to `base` as well.
         if isinstance(value, str) and value.endswith((".py", *YAML)):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
 
 
 def own_files(detector: Detector) -> list[Path]:
-    """The user's own files that the parameters name: stereo matchers, networks."""
+    """The user's own files that the parameters name: programs, networks."""
     values = detector.parameters.values()
-    matchers = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
-    return matchers + network_files(detector.parameters)
+    programs = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
+    return programs + network_files(detector.parameters)
 
 
 def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:

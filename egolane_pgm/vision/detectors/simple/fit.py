@@ -24,12 +24,8 @@ from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.vision.detectors.simple.kernels import (
-    along_common,
-    best_beside,
     common_scores,
     line_equations,
-    rows_covered,
-    rows_shown,
 )
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
@@ -282,12 +278,17 @@ def _along(
 ) -> tuple[FloatArray, FloatArray]:
     """For each run, (N,): the offset of the line through it, and how well its contour's direction
     agrees with that line's, from 1 down to 0."""
+    heading, curvature, squeeze, rate = (
+        common.heading, common.curvature, common.squeeze, common.rate,
+    )  # fmt: skip
+    x, middle = strips.x_m, strips.middle_m
+    straight = strips.y_m - x * (heading + x * (curvature / 2 + x * rate / 6))
+    offset = straight / (1 + squeeze * x)
+    expected = heading + middle * (curvature + middle * rate / 2)
     tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)
-    shared = np.array([common.heading, common.curvature, common.squeeze, common.rate])
-    offset, agreement = along_common(
-        strips.x_m, strips.y_m, strips.contour, strips.middle_m, strips.slope, tolerance, shared
-    )
-    return offset, agreement
+    k = strips.contour
+    off = (strips.slope[k] - (expected[k] + squeeze * offset)) / tolerance[k]
+    return offset, np.maximum(1 - off * off, 0.0)
 
 
 def _scores(
@@ -323,14 +324,20 @@ def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
     if not len(lag):
         return np.zeros(len(own))
     likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
-    support: FloatArray = best_beside(np.minimum(own, _MOST_SUPPORT), int(lag[0]), likely)
+    padded = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
+    at = np.arange(len(own))[:, None] + lag[-1]
+    support: FloatArray = (np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1)
     return support
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     """The length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
-    shown = rows_shown(view.x_m, view.y_m[0], view.across_m, view.valid, shape, 4)
-    visible: FloatArray = shown * 4 * view.along_m
+    x, valid = view.x_m[::4], view.valid[::4]
+    s0, s1, s2, s3 = shape.T[:, :, None]
+    column = (s0 + x * (s1 + x * (s2 / 2 + x * s3 / 6)) - view.y_m[0]) / view.across_m + 0.5
+    inside = (column >= 0) & (column < valid.shape[1])
+    is_shown = inside & valid[np.arange(len(x)), np.where(inside, column, 0).astype(np.int64)]
+    visible: FloatArray = is_shown.sum(axis=1) * 4 * view.along_m
     return visible
 
 
@@ -387,7 +394,9 @@ def _coverage(
 ) -> FloatArray:
     """The length (M,), metres, over which contours cover the lines with offsets `found` (M,)."""
     offset, agreement = _along(strips, common, parameters)
-    reach = number(parameters, "reach_m")
-    covered = rows_covered(strips.row, offset, agreement, found, reach, len(view.x_m))
-    length: FloatArray = covered * view.along_m
+    near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
+    line, run = np.nonzero(near & (agreement > 0))
+    covers = np.zeros((len(found), len(view.x_m)), dtype=bool)
+    covers[line, strips.row[run]] = True
+    length: FloatArray = covers.sum(axis=1) * view.along_m
     return length

@@ -11,10 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.parameters import Parameter, Parameters, number
-from egolane_pgm.types import FloatArray
+from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.kernels import paint_contrasts, rows_in_view
+from egolane_pgm.vision.detectors.simple.kernels import paint_contrasts
 
 PARAMETERS = (
     Parameter("paint_length_m", "positive", 10.0, "length of a line that is examined, metres"),
@@ -69,9 +69,7 @@ def painted_share(
     far = min(int((away_m <= reach_m + view.across_m).sum()), aside)
     shares = np.full(len(shape), np.nan)
     for k, line in enumerate(shape):
-        rows, columns = rows_in_view(
-            view.x_m, view.y_m[0], view.across_m, view.valid, line, aside, length_m
-        )
+        rows, columns = _rows_in_view(view, line, aside, length_m)
         if len(rows) * view.along_m < least_m:
             continue
         own, other = paint_contrasts(
@@ -84,6 +82,26 @@ def painted_share(
         )
         shares[k] = (own > least).mean()
     return shares
+
+
+def _rows_in_view(
+    view: BirdsEye, line: FloatArray, aside: int, length_m: float
+) -> tuple[IntArray, IntArray]:
+    """The rows of a view that show the first metres of a line (4,), and the line's columns in these
+    rows, (N,) each, from near to far.
+
+    - aside: number of columns on either side that must be in the picture too
+    - length_m: length of these first metres
+    """
+    x = view.x_m
+    y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
+    columns = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(np.int64)
+    rows = np.flatnonzero((columns >= aside) & (columns < view.valid.shape[1] - aside))
+    # Outside of the picture is not dark road.
+    both = view.valid[rows, columns[rows] - aside] & view.valid[rows, columns[rows] + aside]
+    rows = rows[both][::-1]
+    rows = rows[x[rows] <= x[rows[:1]] + length_m]
+    return rows, columns[rows]
 
 
 def _quantile(values: FloatArray, share: float) -> float:

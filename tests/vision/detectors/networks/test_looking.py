@@ -369,13 +369,6 @@ def test_a_network_is_listed_and_shown() -> None:
     assert "on_road_margin_m" in command("show", "mc").stdout
 
 
-def test_own_files_are_the_network_and_the_matcher(top_hat: Path, tmp_path: Path) -> None:
-    (tmp_path / "match.py").write_text("")
-    detector = find_detector(
-        "sl", {"matcher": "match.py", "on_road": str(top_hat)}, tmp_path, "detector"
-    )
-    assert [file.name for file in own_files(detector)] == [
-        "match.py",
-        "top_hat.yaml",
-        "top_hat.onnx",
-    ]
+def test_own_files_are_those_of_the_network(top_hat: Path, tmp_path: Path) -> None:
+    detector = find_detector("sl", {"on_road": str(top_hat)}, tmp_path, "detector")
+    assert [file.name for file in own_files(detector)] == ["top_hat.yaml", "top_hat.onnx"]

@@ -276,42 +276,15 @@ def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed, n_headings):
 )
 def test_equations_of_lines_near_runs_are_the_same_as_in_numpy(seed, n_lines, curve):
     rng = np.random.default_rng(seed)
-    n, n_contours = 80, 7
-    x, y = rng.uniform(4, 35, n), rng.uniform(-9, 9, n)
-    contours = rng.uniform(4, 35, 7), rng.normal(0, 0.05, 7), rng.uniform(0.04, 0.3, 7)
-    common = np.array([0.02, 4e-4, -0.004, 2e-5])
-    runs = x, y, rng.integers(0, n_contours, n), *contours, common
-    offset, agreement = _kernels.along_common(*runs)
-    twin_offset, twin_agreement = line_finder.along_common(*runs)
-    np.testing.assert_allclose(offset, twin_offset, atol=1e-12)
-    np.testing.assert_allclose(agreement, twin_agreement, atol=1e-9)
+    n = 80
+    x, y, offset = rng.uniform(4, 35, n), rng.uniform(-9, 9, n), rng.uniform(-9, 9, n)
+    agreement = np.maximum(rng.uniform(-0.3, 1, n), 0)
     found = np.sort(rng.uniform(-9, 9, n_lines))
     near = rng.uniform(0.1, 0.3, n), offset, agreement, found, -0.004, _fit._HAS[curve], 1.5
     for ours, twin in zip(
         _kernels.line_equations(x, y, *near), line_finder.line_equations(x, y, *near), strict=True
     ):
         np.testing.assert_allclose(ours, twin, rtol=1e-9, atol=1e-9)
-    covered = rng.integers(0, 30, n), offset, agreement, found, 1.5, 30
-    np.testing.assert_array_equal(
-        _kernels.rows_covered(*covered), line_finder.rows_covered(*covered)
-    )
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_the_rows_that_show_lines_are_the_same_as_in_numpy(seed):
-    rng = np.random.default_rng(seed)
-    shape = rng.normal(0, [8, 0.2, 2e-3, 1e-4], (40, 4))
-    view = VIEW.x_m, VIEW.y_m[0], VIEW.across_m, VIEW.valid, shape, 4
-    shown = _kernels.rows_shown(*view)
-    np.testing.assert_array_equal(shown, line_finder.rows_shown(*view))
-    assert 0 < (shown > 0).sum() < len(shape)
-
-
-@pytest.mark.parametrize(("n", "first", "n_likely"), [(200, 60, 25), (30, 20, 9), (5, 1, 1)])
-def test_the_best_score_beside_a_line_is_the_same_as_in_numpy(n, first, n_likely):
-    rng = np.random.default_rng(n)
-    scores = rng.uniform(0, 1, n), first, rng.uniform(0, 1, n_likely)
-    np.testing.assert_array_equal(_kernels.best_beside(*scores), line_finder.best_beside(*scores))
 
 
 def test_every_constant_is_documented_and_its_name_is_used_once():
@@ -344,32 +317,6 @@ def strips_along(
     slope = slope + middle * (common.curvature + middle * common.rate / 2)
     return Strips(
         row, x, y, np.full(len(x), 0.15), contour, middle, slope, np.full(len(rows), 0.02)
-    )
-
-
-@given(
-    st.floats(-0.1, 0.1),
-    st.floats(-0.003, 0.003),
-    st.floats(-0.008, 0.008),
-    st.floats(-1e-4, 1e-4),
-    st.floats(-8, 8),
-)
-def test_every_point_of_a_line_has_the_lines_offset(
-    heading: float, curvature: float, squeeze: float, rate: float, offset: float
-) -> None:
-    common = _fit._Common(heading, curvature, squeeze, rate)
-    x = np.linspace(4, 35, 9)
-    (line,) = common.shape(np.array([offset]))
-    y = line @ np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6])
-    one = np.ones(1)
-    shared = np.array([heading, curvature, squeeze, rate])
-    runs = x, y, np.zeros(9, dtype=np.int64), one, one, one, shared
-    np.testing.assert_allclose(_kernels.along_common(*runs)[0], offset, atol=1e-9)
-    # Pitching makes distances to the side grow with the distance ahead.
-    np.testing.assert_allclose(
-        y,
-        offset * (1 + squeeze * x) + heading * x + curvature * x**2 / 2 + rate * x**3 / 6,
-        atol=1e-9,
     )
 
 
