@@ -49,6 +49,7 @@ from egolane_pgm.evidence.line_geometry.habits import (
     columns,
     count_lines,
     habits_of,
+    is_placed,
     translated,
     translated_recording,
 )
@@ -122,7 +123,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     if parameters["lane_width_m"] == "causal":
         return online(n_lanes, parameters)(recorded)
     model = line_model(n_lanes, parameters)
-    if not log.is_continuous.any():
+    if not _has_flag(log).any():
         model = without_flags(model)
     tables = line_tables(model, LANE_M)
     weights, _ = frame_weights(log)
@@ -159,7 +160,7 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
             has_flags &= detector.says_continuous
         recent.append(columns(recorded))
         log = translated(recorded, detector)
-        has_flags |= bool(log.is_continuous.any())
+        has_flags |= bool(_has_flag(log).any())
         n_frames += len(log)
         kind, is_strong = line_classes(log)
         if isinstance(given, str):
@@ -180,7 +181,7 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
             return evidence_of_part(recorded)
         updates = np.arange(-n_frames % UPDATE_EVERY, len(recorded), UPDATE_EVERY)
         starts = np.unique([0, *updates])
-        is_continuous = np.asarray(recorded.is_continuous.any(axis=1))
+        is_continuous = np.asarray(_has_flag(recorded).any(axis=1))
         # The first frame with a continuous line may change how lines are read, so a part ends
         # there.
         firsts = [
@@ -196,6 +197,11 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         )
 
     return evidence_of
+
+
+def _has_flag(log: LineLog) -> BoolArray:
+    """Whether a line has an offset and is continuous, (T, L)."""
+    return np.asarray(log.is_continuous & is_placed(log.offset_m))
 
 
 def _evidence(

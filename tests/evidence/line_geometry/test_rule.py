@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.evidence.line_geometry import kernels
@@ -402,6 +402,7 @@ def narrow(log: LineLog) -> LineLog:
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), width=st.sampled_from([3.6, "causal"]))
+@example(seed=13157, width="causal")  # begins with a continuous line without an offset
 def test_each_log_may_have_its_own_number_of_line_slots(seed: int, width: object) -> None:
     """Frames with up to five lines, gaps of frame ids, frames that were put in."""
     rng = np.random.default_rng(seed)

@@ -22,7 +22,7 @@ from makers.camera import carnd, clips, lane_change
 from tests.kits.synthetic_road import CAMERA, PAIR, THREE, Paint, drive
 from tests.kits.tiny_network import top_hat_file
 
-OWN = str(Path(__file__).parents[2] / "examples" / "my_detector.py")
+OWN = str(Path(__file__).parents[3] / "examples" / "my_detector.py")
 NAMES = [*plugin_names("detectors"), OWN]
 N_FRAMES = 14
 

@@ -23,7 +23,7 @@ from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from tests.kits.synthetic_road import CAMERA, Paint, drive, road
 from tests.kits.tiny_network import write_known
 
-PAGE = (Path(__file__).parents[3] / "docs" / "networks.md").read_text()
+PAGE = (Path(__file__).parents[4] / "docs" / "networks.md").read_text()
 DESCRIBED = [text for text in re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL) if "model:" in text]
 
 #: Offsets of the lines that the stand-ins see, metres.
