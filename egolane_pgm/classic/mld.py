@@ -31,8 +31,7 @@ from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.simple.frozen import PARAMETERS as _FROZEN
-from egolane_pgm.vision.detectors.simple.frozen import repeat_counter
+from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 
 STEREO = False
 PARAMETERS = held_fixed(
@@ -93,7 +92,6 @@ PARAMETERS = held_fixed(
             " turning each link on in turn, as published; 0: all of them",
             highest=12,
         ),
-        *_FROZEN,
     )
 )
 
@@ -132,13 +130,13 @@ def follower(
     road = road_of(camera, reach_m, narrowest_m, widest_m)
     exact_up_to, most = int(number(parameters, "exact_up_to")), int(number(parameters, "lines"))
     rng = np.random.default_rng(0)
-    count_repeats = repeat_counter(parameters)
+    count_repeats = repeat_counter()
     nothing = np.zeros(0)
 
     def follow(slots: Slots, picture: Picture) -> Slots:
         check_size(picture.image, camera.width, camera.height)
         repeated = count_repeats(picture)
-        if 0 < repeated < number(parameters, "frozen_after"):
+        if 0 < repeated < FROZEN_AFTER:
             return slots
         if repeated:
             return advance(slots, road, nothing, nothing, np.zeros((0, 3)), most, rng)

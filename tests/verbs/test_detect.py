@@ -106,17 +106,6 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
     assert np.nanmax(log.lri) == 3
 
 
-def test_an_own_detector_is_one_file(place: Path, tmp_path: Path) -> None:
-    own = Path(__file__).parents[2] / "examples" / "my_detector.py"
-    detected(place / "drive.avi", place / "cam.yaml", tmp_path / "l.csv", "--detector", own)
-    assert read_lines(tmp_path / "l.csv").is_valid[-1].sum() == 2
-
-
-def test_ls_lists_the_detectors() -> None:
-    line = next(line for line in done("ls").stdout.splitlines() if line.startswith("detectors"))
-    assert {"ml", "mc"} <= set(line.replace(",", " ").split())
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
@@ -324,36 +313,6 @@ def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
     assert "frame 5: the picture has" in refused(
         "detect", folder, "--camera", place / "cam.yaml", "-o", target
     )
-
-
-@pytest.mark.parametrize("grey", [0, 255])
-def test_black_and_white_pictures_have_no_lines(place: Path, tmp_path: Path, grey: int) -> None:
-    rng = np.random.default_rng(0)
-    noise = rng.integers(-3, 4, (12, CAMERA.height, CAMERA.width, 1))
-    blank = np.clip(grey + noise, 0, 255).astype(np.uint8).repeat(3, axis=3)
-    write_pictures(tmp_path / "blank", list(blank))
-    detected(tmp_path / "blank", place / "cam.yaml", tmp_path / "l.csv")
-    log = read_lines(tmp_path / "l.csv")
-    assert len(log) == 12
-    assert not log.is_valid.any()
-
-
-def test_a_frozen_camera_is_said_once_and_its_lines_become_invalid(
-    place: Path, tmp_path: Path
-) -> None:
-    moving = images(12)
-    folder = write_pictures(tmp_path / "frozen", [*moving, *[moving[-1]] * 14])
-    target = tmp_path / "l.csv"
-    ran = command("detect", folder, "--camera", place / "cam.yaml", "-o", target)
-    assert ran.exit_code == 0
-    said = [line for line in ran.stderr.splitlines() if line.startswith("warning")]
-    assert len(said) == 1
-    assert "frame 14: the picture has not changed for 3 frames" in said[0]
-    log = read_lines(target)
-    assert log.is_valid[11].any()
-    # A picture or two shown twice change nothing (a video converted to another frame rate).
-    np.testing.assert_array_equal(log.lri[13], log.lri[11])
-    assert not log.is_valid[-1].any()
 
 
 def test_a_camera_that_looks_at_the_sky_is_refused_before_any_picture(

@@ -140,16 +140,6 @@ def test_clips_that_are_taken_for_one_drive_are_warned_of(tmp_path: Path) -> Non
 # --- videos --------------------------------------------------------------------------------------
 
 
-def test_a_video_without_frames_is_refused(tmp_path: Path) -> None:
-    for name, codec in (("none.avi", "MJPG"), ("none.mp4", "mp4v")):
-        file = tmp_path / name
-        cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 25.0, (480, 270)).release()
-        if not file.exists() or not file.stat().st_size:
-            file.write_bytes(b"")
-        with pytest.raises(InputError, match=r"is no video that can be read|the file is empty"):
-            open_source(file)
-
-
 def test_pictures_after_a_change_of_size_are_scaled_to_the_first(tmp_path: Path) -> None:
     """A stream of JPEGs, half of them in half the size."""
     pictures = images(8)
