@@ -4,8 +4,8 @@ whose middle the picture shows finer than the view, and continued along them."""
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from egolane_pgm.classic.bezier import kernels
 from egolane_pgm.classic.bezier.ridges import ridge_weights
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
@@ -62,7 +62,12 @@ def _strip(
     """Where on the normal of each point the brightest strip of a marking's width is, (P,) pixels,
     and how much brighter than the profile's median; NaN where no strip is in view."""
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    profile = kernels.profiles(grey, point, normal, half)
+    step = np.arange(-half, half + 1)
+    # The grey levels along the normals, a pixel apart.
+    column, row = point.T[:, :, None] + normal.T[:, :, None] * step
+    height, width = grey.shape
+    inside = (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)
+    profile = np.where(inside, map_coordinates(grey, [row, column], order=1), np.nan)
     x, y = image_to_road(camera, point[:, 0], point[:, 1])
     left, right = (
         np.stack(road_to_image(camera, x, y + side * _HALF_WIDTH_M), axis=1) for side in (-1, 1)
@@ -75,7 +80,6 @@ def _strip(
         return place, contrast
     level, sigma = profile[usable], sigma[usable, None, None]
     level = np.where(seen[usable], level, np.nanmedian(level, axis=1)[:, None])
-    step = np.arange(-half, half + 1)
     ridge = ridge_weights((step[:, None] - step) / sigma)
     answer = (ridge @ level[:, :, None])[:, :, 0]
     best = np.argmax(answer[:, 1:-1], axis=1) + 1
