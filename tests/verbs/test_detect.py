@@ -274,15 +274,6 @@ def test_a_video_that_breaks_off_gives_what_was_there_and_one_warning(
     assert 5 < len(read_lines(tmp_path / "l.csv")) < N_FRAMES
 
 
-def test_pictures_of_another_size_are_refused_with_both_sizes(place: Path, tmp_path: Path) -> None:
-    small = write_video(tmp_path / "small.avi", [image[:200] for image in images(3)])
-    words = ("detect", small, "--camera", place / "cam.yaml", "-o", tmp_path / "l.csv")
-    said = refused(*words)
-    assert (
-        "small.avi: pictures of 480x200 pixels have another aspect ratio than the 480x270" in said
-    )
-
-
 def test_pictures_of_the_same_aspect_ratio_scale_the_camera_and_it_is_said_once(
     place: Path, tmp_path: Path
 ) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
@@ -21,11 +19,9 @@ from egolane_pgm.vision.camera.model import road_to_image, write_camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.camera.pictures import open_source
 from egolane_pgm.vision.camera.writing import frame_writer
-from egolane_pgm.vision.detectors import FrameLines
-from egolane_pgm.vision.video import bar_boxes, layout, scenes, with_recorded_lines
+from egolane_pgm.vision.video import bar_boxes, layout, with_recorded_lines
 from tests.kits.drawn_frames import (
     CAMERA,
-    LINES,
     OFFSETS,
     around,
     drawn,
@@ -202,22 +198,6 @@ def test_a_recording_is_drawn_beside_its_pictures(drive: Path) -> None:
     assert said.endswith("its frames are 100 to 103, the pictures 10 to 15")
 
 
-def test_one_picture_at_a_time_is_in_memory(drive: Path) -> None:
-    made = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
-    experiment = load_experiment(write_experiment(drive / "e.yaml", **made))
-    n_read = 0
-
-    def pairs() -> Iterator[tuple[Picture, FrameLines]]:
-        nonlocal n_read
-        for k in range(20):
-            n_read += 1
-            yield Picture(k, road()), LINES
-
-    for k, (picture, one) in enumerate(scenes(pairs(), experiment, None, "x")):
-        assert (picture.frame_id, one.frame_id, n_read) == (k, k, k + 1)
-    assert n_read == 20
-
-
 def test_frames_before_an_interruption_are_kept(drive: Path) -> None:
     write_detector(drive, "if picture.frame_id == 13: raise KeyboardInterrupt")
     result = command(*words(drive, out="out.mp4"))
@@ -270,17 +250,6 @@ def test_the_pictures_that_are_drawn_are_not_written_over(labels: Path) -> None:
         )
         assert said == f"--out: {target} has the pictures that are drawn; name another place"
     assert contents(folder) == before
-
-
-@pytest.mark.parametrize("lines", [True, False])
-def test_a_drive_without_one_picture_that_can_be_drawn_leaves_no_folder(
-    labels: Path, lines: bool
-) -> None:
-    words: tuple[object, ...] = (labels.parent / "pics", "--camera", labels.with_name("cam.yaml"))
-    words += ("--n-lanes", 3, "--frames", 900, 950, "-o", labels.parent / "new" / "out")
-    said = refused("video", *words, *(("--lines", labels) if lines else ()))
-    assert "no frame from 900 to before 950" in said
-    assert not labels.with_name("new").exists()
 
 
 def test_valid_lines_are_drawn_at_offset_0_and_without_a_reliability_index(tmp_path: Path) -> None:

@@ -18,15 +18,14 @@ from __future__ import annotations
 from egolane_pgm.parameters import Parameter
 
 PARAMETERS = (
-    Parameter("near_m", "positive", 4.0, "near edge of the view, metres ahead", highest=1000),
-    Parameter("far_m", "positive", 20.0, "far edge of the view, metres ahead", highest=1000),
-    Parameter("side_m", "positive", 9.0, "half-width of the view, metres", highest=100),
+    Parameter("near_m", "positive", 4.0, "near edge of the view, metres ahead"),
+    Parameter("far_m", "positive", 20.0, "far edge of the view, metres ahead"),
+    Parameter("side_m", "positive", 9.0, "half-width of the view, metres"),
     Parameter(
         "focal_px",
         "positive",
         618.8,
         "pictures are made smaller until their focal length is this, pixels",
-        lowest=20,
     ),
     Parameter(
         "lower_quantile",

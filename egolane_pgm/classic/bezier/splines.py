@@ -120,7 +120,7 @@ def _hough_lines(point: FloatArray, weight: FloatArray, n_rows: int, least: floa
     at = np.floor((r - r_min) / r_step + 0.5).astype(np.int64)
     i, t = np.nonzero((at >= 0) & (at < n_r))
     votes = np.bincount(at[i, t] * len(theta) + t, weight[i], n_r * len(theta))
-    votes = votes.reshape(n_r, len(theta))
+    votes = votes.astype(np.float64).reshape(n_r, len(theta))
     around = cv2.dilate(votes, np.ones((3, 3), dtype=np.uint8))
     k, t = np.nonzero((votes >= around) & (votes >= max(least, 1e-9)))
     r = r_min + k * r_step

@@ -177,6 +177,9 @@ def test_a_camera_comes_back_from_its_file(tmp_path):
         ("GOOD\nbaseline_m: 120", "baseline_m: 120 is not between 0.01 and 5 (metres between"),
         ("GOOD\nyaw_deg: true", "yaw_deg: True is not a finite number"),
         ("GOOD\nignore: [[0, 9, 10, 5]]", "ignore: [0, 9, 10, 5] is empty"),
+        ("GOOD\nignore: 3", "ignore: needs a list of rectangles"),
+        ("GOOD\nignore: [[1, 2, 3]]", "is not a list of left, top, right, bottom"),
+        ("GOOD\nignore: [[0, 0, 10, 1.5]]", "1.5 is not a whole number"),
     ],
 )
 def test_a_bad_camera_file_is_refused_in_one_line(tmp_path, text, message):

@@ -242,23 +242,6 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
 
 
-@pytest.mark.parametrize(
-    ("setting", "said"),
-    [
-        ("frame_rate=abc", "frame_rate: 'abc' is not a number greater than 0"),
-        ("frame_rate=true", "frame_rate: True is not a number"),
-        ("frame_rate=.inf", "frame_rate: inf is not a number greater than 0"),
-        ("camera=5", "camera: 5 is not the name of a camera's YAML file"),
-        ("camera={fx: 3}", "camera: {'fx': 3} is not the name of a camera's YAML file"),
-        ("format=culane", "format tusimple has no option 'format'"),
-        ("path=x", "format tusimple has no option 'path'"),
-    ],
-)
-def test_an_option_of_another_kind_is_refused(labels: Path, setting: str, said: str) -> None:
-    assert said in refused("convert", labels, labels.with_name("a.csv"), "--set", setting)
-    assert not labels.with_name("a.csv").exists()
-
-
 WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
     "tusimple": lambda folder, ids: tusimple(folder / "labels.json", [entry(k) for k in ids]),
     "culane": lambda folder, ids: culane(folder / "culane", ids),
@@ -422,13 +405,6 @@ def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(
     assert "(formats: rosbag: .bag, .mcap, .db3; table: .csv, .parquet; " in str(info.value)
 
 
-def test_openlane_in_the_wrong_reader_is_told(tmp_path: Path) -> None:
-    folder = openlane(tmp_path / "o", [1])
-    said = whats_wrong(folder / "1.json")
-    assert "line 1: has lane_lines: that is OpenLane's, format: openlane" in said
-    assert len(read(folder / "1.json", format="openlane")) == 1
-
-
 def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
     empty = tusimple(tmp_path / "a.jsonl", [])
     assert whats_wrong(empty) == f"{empty}: no frame in it"
@@ -487,6 +463,7 @@ def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Pa
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        ({"camera": 5}, "camera: 5 is not the name of a camera's YAML file"),
         ({"valid": "allways"}, "valid: 'allways' is not one of hysteresis, always (did you mean"),
         ({"frame_step": 0}, "frame_step: 0 is not a whole number from 1 up"),
         ({"frame_step": 2}, "frame 1 is no multiple of frame_step 2"),

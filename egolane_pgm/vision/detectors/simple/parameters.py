@@ -9,30 +9,12 @@ from __future__ import annotations
 from egolane_pgm.parameters import Parameter
 
 _VIEW = (
-    Parameter(
-        "x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead", highest=1000
-    ),
-    Parameter(
-        "x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead", highest=1000
-    ),
+    Parameter("x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead"),
+    Parameter("x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead"),
     Parameter("straight_to_m", "positive", 25.0, "the same for straight lines, as roads bend"),
-    Parameter("side_m", "positive", 9.0, "half-width of the bird's-eye view, metres", highest=100),
-    Parameter(
-        "along_m",
-        "positive",
-        0.1,
-        "metres per pixel of the bird's-eye view, along",
-        lowest=0.001,
-        highest=10,
-    ),
-    Parameter(
-        "across_m",
-        "positive",
-        0.05,
-        "metres per pixel of the bird's-eye view, across",
-        lowest=0.001,
-        highest=10,
-    ),
+    Parameter("side_m", "positive", 9.0, "half-width of the bird's-eye view, metres"),
+    Parameter("along_m", "positive", 0.1, "metres per pixel of the bird's-eye view, along"),
+    Parameter("across_m", "positive", 0.05, "metres per pixel of the bird's-eye view, across"),
 )
 
 _MARKINGS = (

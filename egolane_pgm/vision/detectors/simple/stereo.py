@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road
-from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple import plane as planes
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
@@ -46,9 +46,7 @@ PARAMETERS = (
         lowest=1,
         highest=100,
     ),
-    Parameter(
-        "nearest_m", "positive", 4.0, "smallest distance that is matched, metres", lowest=0.1
-    ),
+    Parameter("nearest_m", "positive", 4.0, "smallest distance that is matched, metres"),
     Parameter(
         "plane_share", "probability", 0.4, "least share of the matched points on a sure plane"
     ),
@@ -239,13 +237,11 @@ def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
     """
     if picture.right is None:
         raise InputError("the picture of the second camera is missing")
-    size = pair.camera.height, pair.camera.width
     for name, image in (("left", picture.image), ("right", picture.right)):
-        if image.shape[:2] != size:
-            raise InputError(
-                f"the {name} picture has {image.shape[1]}x{image.shape[0]} pixels, but"
-                f" the camera was calibrated for {size[1]}x{size[0]}"
-            )
+        try:
+            check_size(image, pair.camera.width, pair.camera.height)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
     return _small(pair, picture.image), _small(pair, picture.right)
 
 

@@ -287,8 +287,8 @@ def test_a_camera_that_is_no_rectified_pair_on_a_road_is_named(
     ("wrong", "message"),
     [
         ("no right one", "the picture of the second camera is missing"),
-        ("right one smaller", "the right picture has 1312x500 pixels"),
-        ("left one smaller", "the left picture has 656x540 pixels"),
+        ("right one smaller", "right: a picture of 1312x500 pixels"),
+        ("left one smaller", "left: a picture of 656x540 pixels"),
         ("swapped", "the pictures of left and right are swapped"),
     ],
 )
@@ -334,7 +334,7 @@ def test_a_second_camera_that_fails_in_mid_drive_is_told_of_once_and_the_lines_s
 
 @pytest.mark.parametrize(
     ("missing", "message"),
-    [(True, "the picture of the second camera is missing"), (False, "the right picture has 656x")],
+    [(True, "the picture of the second camera is missing"), (False, "right: a picture of 656x")],
 )
 def test_a_drive_whose_second_picture_is_lost_in_the_middle_keeps_the_frames_before(
     missing: bool, message: str
