@@ -116,11 +116,11 @@ def _hough_lines(point: FloatArray, weight: FloatArray, n_rows: int, least: floa
     theta = np.deg2rad(np.arange(-_THETA_MAX, _THETA_MAX + 1e-9, _THETA_STEP))
     r_min, r_max, r_step = _R
     n_r = int((r_max - r_min) / r_step) + 1
-    r = np.outer(point[:, 0], np.cos(theta)) + np.outer(point[:, 1], np.sin(theta))
-    at = np.floor((r - r_min) / r_step + 0.5).astype(np.int64)
-    i, t = np.nonzero((at >= 0) & (at < n_r))
-    votes = np.bincount(at[i, t] * len(theta) + t, weight[i], n_r * len(theta))
-    votes = votes.astype(np.float64).reshape(n_r, len(theta))
+    away = np.outer(point[:, 0], np.cos(theta)) + np.outer(point[:, 1], np.sin(theta))
+    at = np.floor((away - r_min) / r_step + 0.5).astype(np.int64)
+    i, j = np.nonzero((at >= 0) & (at < n_r))
+    total = np.bincount(at[i, j] * len(theta) + j, weight[i], n_r * len(theta))
+    votes: FloatArray = total.astype(np.float64).reshape(n_r, len(theta))
     around = cv2.dilate(votes, np.ones((3, 3), dtype=np.uint8))
     k, t = np.nonzero((votes >= around) & (votes >= max(least, 1e-9)))
     r = r_min + k * r_step
