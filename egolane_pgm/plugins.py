@@ -30,8 +30,6 @@ CONTRACTS = {
     "evidence": ("evidence",),
     "recordings": ("read",),
     "detectors": ("STEREO", "start"),
-    # Only users' own files: the package's are names of `vision.detectors.simple.matchers`.
-    "matchers": ("match",),
 }
 
 #: Where the package's plugins lie that are not in the folder of their kind's name.

@@ -38,8 +38,7 @@ from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
-from egolane_pgm.vision.detectors.simple.frozen import PARAMETERS as _FROZEN
-from egolane_pgm.vision.detectors.simple.frozen import repeat_counter
+from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.vision.detectors.simple.paint import painted_share
 from egolane_pgm.vision.detectors.simple.parameters import TRACKING
@@ -55,7 +54,6 @@ PARAMETERS = held_fixed(
         *_FINDING,
         *_PAINT,
         *(replace(p, default=_GATE_M) if p.name == "gate_m" else p for p in TRACKING),
-        *_FROZEN,
     )
 )
 
@@ -94,11 +92,11 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
         n = int(number(parameters, "lines"))
         grey = red.astype(np.float64)
         shape, ends = [], []
-        for point in points_on(splines.control[:n], number(parameters, "ransac_spline_step")):
+        for point in points_on(splines.control[:n]):
             x = view.x_m[0] - point[:, 1] * view.along_m
             y = view.y_m[0] + point[:, 0] * view.across_m
             seen = np.stack(road_to_image(small, x, y), axis=1)
-            x, y = image_to_road(small, *refined(grey, small, seen, parameters).T)
+            x, y = image_to_road(small, *refined(grey, small, seen).T)
             shape.append(shape_of(x, y))
             ends.append((x.min(), x.max()))
         shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)
@@ -118,13 +116,13 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     side = number(parameters, "side_m")
     # Only the pixels along the lines are looked at, so that a fine view costs nothing.
     near = make_view(camera, *_PAINT_M, -side, side, along_m=0.1, across_m=0.05)
-    count_repeats = repeat_counter(parameters)
+    count_repeats = repeat_counter()
     tracks = no_tracks(rule)
 
     def step(picture: Picture) -> FrameLines:
         nonlocal tracks
         repeated = count_repeats(picture)
-        if repeated >= number(parameters, "frozen_after"):
+        if repeated >= FROZEN_AFTER:
             tracks = advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
         elif not repeated:
             shape = find(picture.image).shape

@@ -31,8 +31,7 @@ from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.simple.frozen import PARAMETERS as _FROZEN
-from egolane_pgm.vision.detectors.simple.frozen import repeat_counter
+from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 
 STEREO = False
 PARAMETERS = held_fixed(
@@ -61,22 +60,13 @@ PARAMETERS = held_fixed(
             "a line is shown when it was seen in more than this many of the last 10 pictures",
             highest=9,
         ),
-        Parameter(
-            "reach_m",
-            "positive",
-            55.0,
-            "how far ahead the road is looked at, metres",
-            lowest=15,
-            highest=300,
-        ),
-        Parameter("narrowest_m", "non_negative", 0.078, "the narrowest marking, metres", highest=1),
+        Parameter("reach_m", "positive", 55.0, "how far ahead the road is looked at, metres"),
+        Parameter("narrowest_m", "non_negative", 0.078, "the narrowest marking, metres"),
         Parameter(
             "widest_m",
             "positive",
             0.3,
             "the widest marking, metres; the authors' pixels are .23 for TuSimple's camera",
-            lowest=0.05,
-            highest=2,
         ),
         Parameter(
             "filled",
@@ -93,7 +83,6 @@ PARAMETERS = held_fixed(
             " turning each link on in turn, as published; 0: all of them",
             highest=12,
         ),
-        *_FROZEN,
     )
 )
 
@@ -132,13 +121,13 @@ def follower(
     road = road_of(camera, reach_m, narrowest_m, widest_m)
     exact_up_to, most = int(number(parameters, "exact_up_to")), int(number(parameters, "lines"))
     rng = np.random.default_rng(0)
-    count_repeats = repeat_counter(parameters)
+    count_repeats = repeat_counter()
     nothing = np.zeros(0)
 
     def follow(slots: Slots, picture: Picture) -> Slots:
         check_size(picture.image, camera.width, camera.height)
         repeated = count_repeats(picture)
-        if 0 < repeated < number(parameters, "frozen_after"):
+        if 0 < repeated < FROZEN_AFTER:
             return slots
         if repeated:
             return advance(slots, road, nothing, nothing, np.zeros((0, 3)), most, rng)

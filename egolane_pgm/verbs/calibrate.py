@@ -255,7 +255,7 @@ def _draw(road: SeenRoad, target: Path) -> None:
     path, lines = road.straightest()
     if path is None:
         raise InputError("picture: none of the labelled pictures is there to draw on")
-    write_picture(target, draw_view(read_image(path), road.view, lines), make_folder=True)
+    write_picture(target, draw_view(read_image(path), road.view, lines))
 
 
 def _warn_of(skipped: Sequence[str]) -> None:

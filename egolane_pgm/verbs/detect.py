@@ -93,7 +93,7 @@ def detect(
     began, total = time.perf_counter(), None if frames else left.n_frames
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
-        lines = detect_lines(found, of_camera, shows, left.frame_rate)
+        lines = detect_lines(found, of_camera, shows)
         done = collect(lines, left.frame_rate or 10.0, pictures)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")

@@ -22,11 +22,11 @@ from egolane_pgm.vision.camera.pictures import (
     open_source,
     read_pictures,
 )
+from egolane_pgm.vision.camera.writing import frame_writer
 from egolane_pgm.vision.detectors.runner import Detector as Found
 from egolane_pgm.vision.detectors.runner import check_pair, find_detector
 from egolane_pgm.vision.video import (
     draw_frame,
-    frame_writer,
     layout,
     scenes,
     with_detected_lines,

@@ -10,11 +10,9 @@ instead. Only one frame is in memory at a time.
 
 from __future__ import annotations
 
-import contextlib
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import cv2
@@ -23,12 +21,10 @@ from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.online import filter_logs
-from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.pictures import Source
-from egolane_pgm.vision.camera.writing import video_writer, write_picture
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import Detector, detect
 
@@ -467,39 +463,3 @@ def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour:
 def _write(image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour) -> None:
     font: Any = cv2.FONT_HERSHEY_SIMPLEX
     cv2.putText(image, text, at, font, scale, colour, 1, cv2.LINE_AA)
-
-
-# --- files ---------------------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def frame_writer(
-    target: str | Path, frame_rate: float, size: tuple[int, int]
-) -> Iterator[Callable[[int, Image], None]]:
-    """A context that gives a function to write a drawn frame and its frame id to a video (`.mp4`)
-    or a folder of pictures (`frame_000123.png`). Whatever ends the block, the frames written so far
-    are kept.
-
-    - frame_rate: Hz
-    - size: width and height, pixels
-
-    Raises InputError if the target cannot be written.
-    """
-    target = Path(target)
-    if target.suffix.lower() == ".mp4":
-        if target.is_dir():
-            raise InputError(
-                f"{target}: is a folder; a video is a file, PNG pictures need a folder"
-                " whose name does not end in .mp4"
-            )
-        with video_writer(target, frame_rate, size) as write:
-            yield lambda _, image: write(image)
-        return
-    if (target.suffix or target.exists()) and not target.is_dir():
-        raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
-    check_place(target)
-
-    # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
-    yield lambda frame_id, image: write_picture(
-        target / f"frame_{frame_id:06d}.png", image, make_folder=True
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,6 @@ from hypothesis import strategies as st
 
 from egolane_pgm.classic import aly
 from egolane_pgm.classic.aly import Found, line_finder, nearest
-from egolane_pgm.classic.bezier.parameters import LEFT_OUT
 from egolane_pgm.classic.bezier.picture import refined
 from egolane_pgm.classic.bezier.ridges import ridges, smaller, view_for
 from egolane_pgm.classic.bezier.road import shape_of
@@ -32,34 +30,6 @@ CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4
 DEFAULTS = resolve_parameters(aly.PARAMETERS, {}, 1)
 WIDTH = 3.66
 
-#: The keys of the public configuration, as far as they are a line's and not a stop line's.
-KEYS = """
-ipmWidth ipmHeight ipmLeft ipmRight ipmTop ipmBottom ipmInterpolation ipmVpPortion lineWidth
-lineHeight kernelWidth kernelHeight lowerQuantile localMaxima groupingType binarize
-detectionThreshold smoothScores rMin rMax rStep thetaMin thetaMax thetaStep getEndPoints group
-groupThreshold ransac ransacLineNumSamples ransacLineNumIterations ransacLineNumGoodFit
-ransacLineThreshold ransacLineScoreThreshold ransacLineBinarize ransacLineWindow
-ransacSplineNumSamples ransacSplineNumIterations ransacSplineNumGoodFit ransacSplineThreshold
-ransacSplineScoreThreshold ransacSplineBinarize ransacSplineWindow ransacSpline ransacSplineDegree
-ransacLine ransacSplineStep splineScoreJitter splineScoreLengthRatio splineScoreAngleRatio
-splineScoreStep overlapThreshold localizeAngleThreshold localizeNumLinePixels extendAngleThreshold
-extendMeanDirAngleThreshold extendLinePixelsTangent extendLinePixelsNormal extendContThreshold
-extendDeviationThreshold extendRectTop extendRectBottom extendIPMAngleThreshold
-extendIPMMeanDirAngleThreshold extendIPMLinePixelsTangent extendIPMLinePixelsNormal
-extendIPMContThreshold extendIPMDeviationThreshold extendIPMRectTop extendIPMRectBottom
-splineTrackingNumAbsentFrames splineTrackingNumSeenFrames mergeSplineThetaThreshold
-mergeSplineRThreshold mergeSplineMeanThetaThreshold mergeSplineMeanRThreshold
-mergeSplineCentroidThreshold lineTrackingNumAbsentFrames lineTrackingNumSeenFrames
-mergeLineThetaThreshold mergeLineRThreshold numStrips checkSplines checkSplinesCurvenessThreshold
-checkSplinesLengthThreshold checkSplinesThetaDiffThreshold checkSplinesThetaThreshold
-checkIPMSplines checkIPMSplinesCurvenessThreshold checkIPMSplinesLengthThreshold
-checkIPMSplinesThetaDiffThreshold checkIPMSplinesThetaThreshold finalSplineScoreThreshold
-useGroundPlane checkColor checkColorWindow checkColorNumBins checkColorNumYellowMin
-checkColorRGMin checkColorRGMax checkColorGBMin checkColorRBMin checkColorRBFThreshold
-checkColorRBF ipmWindowClear ipmWindowLeft ipmWindowRight checkLaneWidth checkLaneWidthMean
-checkLaneWidthStd
-"""
-
 
 def parallel(
     offset: float, heading: float = 0.0, curvature: float = 0.0, **more: Any
@@ -75,17 +45,6 @@ def found_in(image: Image, camera: Camera = CAMERA, **given: Any) -> Found:
 
 def places(found: Found, x: float) -> np.ndarray:
     return found.shape @ np.array([1, x, x**2 / 2, x**3 / 6])
-
-
-def test_every_key_of_the_public_configuration_is_a_parameter_or_left_out_for_a_reason() -> None:
-    def own(key: str) -> str:
-        return re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", key).lower()
-
-    names = {parameter.name for parameter in aly.PARAMETERS}
-    keys = KEYS.split()
-    for key in keys:
-        assert (own(key) in names) != (key in LEFT_OUT), key
-    assert set(LEFT_OUT) <= set(keys)
 
 
 @needs_compiler
@@ -122,14 +81,7 @@ def test_a_mirrored_picture_has_mirrored_lines(offset: float, heading: float, se
     "given",
     [
         {"grouping_type": "hough", "detection_threshold": 1.0},
-        {"ransac_line": "no"},
-        {"ransac_spline": "no"},
-        {"binarize": "yes", "ransac_line_binarize": "yes", "ransac_spline_binarize": "yes"},
-        {"smooth_scores": "no"},
-        {"localize": "no"},
-        {"extend": "no"},
         {"focal_px": 2000.0},
-        {"ransac_spline_num_samples": 6},
     ],
     ids=str,
 )
@@ -237,11 +189,10 @@ def test_points_beside_a_marking_are_moved_onto_it_and_continued() -> None:
     image = road([Paint(1.5, width_m=0.2)], camera=CAMERA, noise=1.0)[:, :, 2].astype(np.float64)
     x = np.linspace(14, 8, 8)
     beside = np.stack(road_to_image(CAMERA, x, np.full(8, 1.56)), axis=1)
-    only = refined(image, CAMERA, beside, {**DEFAULTS, "extend": "no"})
-    assert np.abs(image_to_road(CAMERA, *only.T)[1] - 1.5).max() < 0.02
-    longer = refined(image, CAMERA, beside, DEFAULTS)
-    assert len(longer) > len(only)
-    assert longer[0, 1] < only[0, 1] < only[-1, 1] < longer[-1, 1]
+    longer = refined(image, CAMERA, beside)
+    assert np.abs(image_to_road(CAMERA, *longer.T)[1] - 1.5).max() < 0.03
+    assert longer[0, 1] < beside[0, 1] - 2
+    assert longer[-1, 1] > beside[-1, 1] + 2
 
 
 def test_a_drive_over_four_lanes_gives_four_lines_in_each_frame() -> None:

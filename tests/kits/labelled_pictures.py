@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import struct
-import zlib
 from pathlib import Path
 
 import cv2
@@ -61,18 +59,4 @@ def write_labelled(folder: Path) -> Path:
     path = folder / "labels.jsonl"
     path.write_text("".join(json.dumps(entry) + "\n" for entry in entries))
     write_camera(folder / "cam.yaml", CAMERA)
-    return path
-
-
-def huge_picture(path: Path) -> Path:
-    """A file that says it is a picture of more pixels than OpenCV takes."""
-
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return (
-            struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        )
-
-    size = struct.pack(">IIBBBBB", 100_000, 100_000, 8, 2, 0, 0, 0)
-    data = chunk(b"IHDR", size) + chunk(b"IDAT", zlib.compress(b"")) + chunk(b"IEND", b"")
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
     return path

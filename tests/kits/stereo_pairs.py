@@ -13,7 +13,6 @@ from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import sl
-from egolane_pgm.vision.detectors.simple import matchers as _matchers
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
 from egolane_pgm.vision.detectors.simple.plane import Plane
 from egolane_pgm.vision.rendering import traffic as traffics
@@ -65,6 +64,5 @@ def plane_of(frame: Frame, camera: Camera, **more: Any) -> tuple[_stereo.Pair, P
     """How its pairs are matched, the plane that was found, and the disparities."""
     parameters = settled(**more)
     pair = _stereo.make_pair(camera, parameters)
-    match = _matchers.find_matcher(parameters, "matcher")
-    disparity = _stereo.disparities(pair, match, *_stereo.reduced(pair, picture(frame)))
+    disparity = _stereo.disparities(pair, *_stereo.reduced(pair, picture(frame)))
     return pair, _stereo.find_plane(pair, disparity, parameters), disparity

@@ -3,29 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
 from egolane_pgm.types import FloatArray, IntArray
-
-
-def hough_votes(
-    column: FloatArray,
-    row: FloatArray,
-    value: FloatArray,
-    theta: FloatArray,
-    r_min: float,
-    r_step: float,
-    n_r: int,
-) -> FloatArray:
-    """(n_r, T): votes of points for lines, as `kernels.hough_votes`."""
-    r = column[:, None] * np.cos(theta) + row[:, None] * np.sin(theta)
-    k = np.floor((r - r_min) / r_step + 0.5).astype(int)
-    votes = np.zeros((n_r, len(theta)))
-    inside = (k >= 0) & (k < n_r)
-    angle = np.broadcast_to(np.arange(len(theta)), k.shape)
-    count = np.broadcast_to(value[:, None], k.shape)
-    np.add.at(votes, (k[inside], angle[inside]), count[inside])
-    return votes
 
 
 def ransac_line(
@@ -117,12 +96,3 @@ def ransac_spline(
         if score > best:
             best, control = score, one
     return control, best
-
-
-def profiles(grey: FloatArray, point: FloatArray, normal: FloatArray, half: int) -> FloatArray:
-    """Grey levels along normals, as `kernels.profiles`."""
-    step = np.arange(-half, half + 1)[:, None]
-    at = point[:, None] + step * normal[:, None]
-    level = map_coordinates(grey, [at[..., 1], at[..., 0]], order=1, mode="nearest")
-    limit = np.array(grey.shape[::-1]) - 1
-    return np.where(((at >= 0) & (at <= limit)).all(axis=2), level, np.nan)

@@ -53,23 +53,6 @@ def common_scores(
     return out
 
 
-def along_common(
-    x: FloatArray,
-    y: FloatArray,
-    contour: IntArray,
-    middle: FloatArray,
-    slope: FloatArray,
-    tolerance: FloatArray,
-    common: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Offsets and agreement of runs, as `kernels.along_common`."""
-    heading, curvature, squeeze, rate = common
-    offset = (y - heading * x - curvature * x**2 / 2 - rate * x**3 / 6) / (1 + squeeze * x)
-    expected = heading + curvature * middle + rate * middle**2 / 2
-    off = slope[contour] - expected[contour] - squeeze * offset
-    return offset, np.maximum(1 - (off / tolerance[contour]) ** 2, 0)
-
-
 def line_equations(
     x: FloatArray,
     y: FloatArray,
@@ -91,62 +74,6 @@ def line_equations(
     design[np.arange(len(near)), 4 + line] = 1 + squeeze * x
     weighted = (width * agreement)[near, None] * design
     return design.T @ weighted, weighted.T @ (y[near] + squeeze * found[line] * x)
-
-
-def rows_covered(
-    row: IntArray,
-    offset: FloatArray,
-    agreement: FloatArray,
-    found: FloatArray,
-    reach_m: float,
-    n_rows: int,
-) -> IntArray:
-    """In how many rows runs cover each line, as `kernels.rows_covered`."""
-    near = (np.abs(offset - found[:, None]) <= reach_m) & (agreement > 0)
-    return np.array([len(np.unique(row[covers])) for covers in near])
-
-
-def rows_shown(
-    x: FloatArray,
-    left_m: float,
-    across_m: float,
-    valid: BoolArray,
-    shape: FloatArray,
-    step: int,
-) -> IntArray:
-    """In how many rows the picture shows each line, as `kernels.rows_shown`."""
-    x, valid = x[::step], valid[::step]
-    y = shape @ np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6])
-    column = np.floor((y - left_m) / across_m + 0.5).astype(np.int64)
-    inside = (column >= 0) & (column < valid.shape[1])
-    return (inside & valid[np.arange(len(x)), np.where(inside, column, 0)]).sum(axis=1)
-
-
-def best_beside(score: FloatArray, first: int, likely: FloatArray) -> FloatArray:
-    """The best of the scores on either side, as `kernels.best_beside`."""
-    lag = first + np.arange(len(likely))
-    padded = np.pad(score, lag[-1])
-    at = np.arange(len(score))[:, None] + lag[-1]
-    return (np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1)
-
-
-def rows_in_view(
-    x: FloatArray,
-    left_m: float,
-    across_m: float,
-    valid: BoolArray,
-    line: FloatArray,
-    aside: int,
-    length_m: float,
-) -> tuple[IntArray, IntArray]:
-    """Rows and columns of a line's first metres in view, as `kernels.rows_in_view`."""
-    y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
-    columns = np.floor((y - left_m) / across_m + 0.5).astype(np.int64)
-    rows = np.flatnonzero((columns >= aside) & (columns < valid.shape[1] - aside))
-    rows = rows[valid[rows, columns[rows] - aside] & valid[rows, columns[rows] + aside]]
-    if len(rows):
-        rows = rows[x[rows] <= x[rows[-1]] + length_m]
-    return rows[::-1], columns[rows[::-1]]
 
 
 def paint_contrasts(

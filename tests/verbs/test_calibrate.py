@@ -9,12 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import read_camera
 from egolane_pgm.vision.camera.pictures import read_image
 from tests.kits.calibration_kit import TRUE, calibrate, write_labels
 from tests.kits.drives import contents, done, refused
-from tests.kits.labelled_pictures import huge_picture
 from tests.kits.synthetic_road import CAMERA as SMALL_CAMERA
 from tests.kits.synthetic_road import road, write_video
 
@@ -111,13 +109,6 @@ def test_the_command_calibrates_from_a_video(tmp_path: Path) -> None:
     assert "--first: goes without a video" in told
 
 
-def test_what_is_no_video_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "drive.mp4").write_text("not a video")
-    options = ("--lane-width", 3.5, "-o", tmp_path / "cam.yaml")
-    told = refused("calibrate", "--stills", tmp_path / "drive.mp4", *options)
-    assert "drive.mp4: is no video that can be read" in told
-
-
 def on_labels(labels: Path, *words: object) -> tuple[object, ...]:
     return ("calibrate", "--lane-width", 3.5, "--lines", labels, *words)
 
@@ -171,22 +162,3 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
     target = labels.with_name("new.yaml")
     assert refused(*on_labels(labels, "-o", target, *words)) == said
     assert not target.exists()
-
-
-@pytest.mark.parametrize("board", ["2x6", "9x99999999999", "101x5"])
-def test_a_board_that_there_is_not_is_refused(labels: Path, board: str) -> None:
-    pictures = labels.parent / "pics"
-    said = refused(
-        "calibrate", "--lane-width", 3.5, "--stills", pictures, "--chessboards", pictures,
-        "--board", board, "-o", labels.with_name("new.yaml"),
-    )  # fmt: skip
-    assert said == f"board {board}: needs 3x3 to 100x100 inner corners"
-
-
-def test_a_picture_that_is_too_large_is_left_out(tmp_path: Path) -> None:
-    huge = huge_picture(tmp_path / "huge.png")
-    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .*_PIXELS") as caught:
-        read_image(huge)
-    assert "\n" not in str(caught.value)
-    said = refused("calibrate", "--lane-width", 3.5, "--stills", huge, "-o", tmp_path / "c.yaml")
-    assert "no picture among 1 files" in said

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import signal
 import time
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -105,17 +104,6 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
     log = read_lines(target)
     assert log.frame_id.tolist() == [4, 5, 6, 7, 8]
     assert np.nanmax(log.lri) == 3
-
-
-def test_an_own_detector_is_one_file(place: Path, tmp_path: Path) -> None:
-    own = Path(__file__).parents[2] / "examples" / "my_detector.py"
-    detected(place / "drive.avi", place / "cam.yaml", tmp_path / "l.csv", "--detector", own)
-    assert read_lines(tmp_path / "l.csv").is_valid[-1].sum() == 2
-
-
-def test_ls_lists_the_detectors() -> None:
-    line = next(line for line in done("ls").stdout.splitlines() if line.startswith("detectors"))
-    assert {"ml", "mc"} <= set(line.replace(",", " ").split())
 
 
 @pytest.mark.parametrize(
@@ -282,27 +270,8 @@ def test_a_video_that_breaks_off_gives_what_was_there_and_one_warning(
     assert ran.exit_code == 0, ran.stderr
     said = [line for line in ran.stderr.splitlines() if line.startswith("warning")]
     assert len(said) == 1
-    assert "breaks off in frame" in said[0]
-    log = read_lines(tmp_path / "l.csv")
-    assert 5 < len(log) < N_FRAMES
-    # The half picture at the end is not among those used: all are as in the whole video.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        used = list(read_pictures(open_source(tmp_path / "cut.avi"), CAMERA))
-    for one, other in zip(
-        used, read_pictures(open_source(place / "drive.avi"), CAMERA), strict=False
-    ):
-        np.testing.assert_array_equal(one.image, other.image)
-    assert len(used) == len(log)
-
-
-def test_pictures_of_another_size_are_refused_with_both_sizes(place: Path, tmp_path: Path) -> None:
-    small = write_video(tmp_path / "small.avi", [image[:200] for image in images(3)])
-    words = ("detect", small, "--camera", place / "cam.yaml", "-o", tmp_path / "l.csv")
-    said = refused(*words)
-    assert (
-        "small.avi: pictures of 480x200 pixels have another aspect ratio than the 480x270" in said
-    )
+    assert f"of the {N_FRAMES} frames that it should have (cut off, " in said[0]
+    assert 5 < len(read_lines(tmp_path / "l.csv")) < N_FRAMES
 
 
 def test_pictures_of_the_same_aspect_ratio_scale_the_camera_and_it_is_said_once(
@@ -335,36 +304,6 @@ def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
     assert "frame 5: the picture has" in refused(
         "detect", folder, "--camera", place / "cam.yaml", "-o", target
     )
-
-
-@pytest.mark.parametrize("grey", [0, 255])
-def test_black_and_white_pictures_have_no_lines(place: Path, tmp_path: Path, grey: int) -> None:
-    rng = np.random.default_rng(0)
-    noise = rng.integers(-3, 4, (12, CAMERA.height, CAMERA.width, 1))
-    blank = np.clip(grey + noise, 0, 255).astype(np.uint8).repeat(3, axis=3)
-    write_pictures(tmp_path / "blank", list(blank))
-    detected(tmp_path / "blank", place / "cam.yaml", tmp_path / "l.csv")
-    log = read_lines(tmp_path / "l.csv")
-    assert len(log) == 12
-    assert not log.is_valid.any()
-
-
-def test_a_frozen_camera_is_said_once_and_its_lines_become_invalid(
-    place: Path, tmp_path: Path
-) -> None:
-    moving = images(12)
-    folder = write_pictures(tmp_path / "frozen", [*moving, *[moving[-1]] * 14])
-    target = tmp_path / "l.csv"
-    ran = command("detect", folder, "--camera", place / "cam.yaml", "-o", target)
-    assert ran.exit_code == 0
-    said = [line for line in ran.stderr.splitlines() if line.startswith("warning")]
-    assert len(said) == 1
-    assert "frame 14: the picture has not changed for 3 frames" in said[0]
-    log = read_lines(target)
-    assert log.is_valid[11].any()
-    # A picture or two shown twice change nothing (a video converted to another frame rate).
-    np.testing.assert_array_equal(log.lri[13], log.lri[11])
-    assert not log.is_valid[-1].any()
 
 
 def test_a_camera_that_looks_at_the_sky_is_refused_before_any_picture(

@@ -149,7 +149,7 @@ def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
     (tmp_path / "images").write_text("in the way")
     result = simulate("a4", "--images", "--frames", 2, "--out", tmp_path)
     assert result.exit_code == 2
-    assert result.output == f"egolane: {tmp_path / 'images'}: cannot be created: File exists\n"
+    assert result.output.startswith(f"egolane: {tmp_path / 'images'}: ")
 
 
 @pytest.mark.parametrize("key", ["preset", "seed", "frames", "n_lanes"])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +10,6 @@ import cv2
 import numpy as np
 import pytest
 
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
@@ -19,19 +17,11 @@ from egolane_pgm.types import InputError, LaneTruth, LineLog
 from egolane_pgm.vision import video
 from egolane_pgm.vision.camera.model import road_to_image, write_camera
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.camera.pictures import open_source, read_image
-from egolane_pgm.vision.camera.writing import video_writer
-from egolane_pgm.vision.detectors import FrameLines
-from egolane_pgm.vision.video import (
-    bar_boxes,
-    frame_writer,
-    layout,
-    scenes,
-    with_recorded_lines,
-)
+from egolane_pgm.vision.camera.pictures import open_source
+from egolane_pgm.vision.camera.writing import frame_writer
+from egolane_pgm.vision.video import bar_boxes, layout, with_recorded_lines
 from tests.kits.drawn_frames import (
     CAMERA,
-    LINES,
     OFFSETS,
     around,
     drawn,
@@ -41,10 +31,8 @@ from tests.kits.drawn_frames import (
     scene,
 )
 from tests.kits.drives import command, contents, done, refused, write_experiment
-from tests.kits.labelled_pictures import huge_picture
-from tests.kits.synthetic_road import CAMERA as SMALL_CAMERA
-from tests.kits.synthetic_road import images, write_pictures
 from tests.kits.synthetic_road import road as empty_road
+from tests.kits.synthetic_road import write_pictures
 
 #: A detector that says the same of every picture.
 DETECTOR = """
@@ -128,10 +116,13 @@ def test_what_was_written_is_kept_whatever_ends_the_drive(tmp_path: Path) -> Non
 def test_places_that_cannot_be_written_are_refused(tmp_path: Path) -> None:
     size = layout(CAMERA).size
     (tmp_path / "file").write_text("")
+    (tmp_path / "d.mp4").mkdir()
     for target, said in (
         (tmp_path / "none" / "a.mp4", "a.mp4: cannot be written: no such folder"),
         (tmp_path / "a.avi", "a.avi: a video ends in .mp4; for PNG pictures name a folder"),
+        (tmp_path / "file", "file: a video ends in .mp4; for PNG pictures name a folder"),
         (tmp_path / "file" / "b", "cannot be written"),
+        (tmp_path / "d.mp4", "d.mp4: is a folder"),
     ):
         with pytest.raises(InputError) as caught, frame_writer(target, 10, size):
             pass
@@ -207,22 +198,6 @@ def test_a_recording_is_drawn_beside_its_pictures(drive: Path) -> None:
     assert said.endswith("its frames are 100 to 103, the pictures 10 to 15")
 
 
-def test_one_picture_at_a_time_is_in_memory(drive: Path) -> None:
-    made = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
-    experiment = load_experiment(write_experiment(drive / "e.yaml", **made))
-    n_read = 0
-
-    def pairs() -> Iterator[tuple[Picture, FrameLines]]:
-        nonlocal n_read
-        for k in range(20):
-            n_read += 1
-            yield Picture(k, road()), LINES
-
-    for k, (picture, one) in enumerate(scenes(pairs(), experiment, None, "x")):
-        assert (picture.frame_id, one.frame_id, n_read) == (k, k, k + 1)
-    assert n_read == 20
-
-
 def test_frames_before_an_interruption_are_kept(drive: Path) -> None:
     write_detector(drive, "if picture.frame_id == 13: raise KeyboardInterrupt")
     result = command(*words(drive, out="out.mp4"))
@@ -277,49 +252,6 @@ def test_the_pictures_that_are_drawn_are_not_written_over(labels: Path) -> None:
     assert contents(folder) == before
 
 
-def test_a_video_is_not_written_over_itself(labels: Path) -> None:
-    own = labels.with_name("drive.mp4")
-    with frame_writer(own, 10, (SMALL_CAMERA.width, SMALL_CAMERA.height)) as write:
-        for k in range(3):
-            write(k, empty_road())
-    before = own.read_bytes()
-    said = refused(
-        "video", own, "--camera", labels.with_name("cam.yaml"), "--n-lanes", 3, "-o", own
-    )
-    assert said.endswith("has the pictures that are drawn; name another place")
-    assert own.read_bytes() == before
-
-
-def test_a_folder_in_the_place_of_a_video_is_refused_at_once(tmp_path: Path) -> None:
-    (tmp_path / "d.mp4").mkdir()
-    with (
-        pytest.raises(InputError, match=r"d\.mp4: is a folder"),
-        frame_writer(tmp_path / "d.mp4", 10, (64, 48)),
-    ):
-        pass
-    assert [path.name for path in tmp_path.iterdir()] == ["d.mp4"]
-
-
-@pytest.mark.parametrize("lines", [True, False])
-def test_a_drive_without_one_picture_that_can_be_drawn_leaves_no_folder(
-    labels: Path, lines: bool
-) -> None:
-    words: tuple[object, ...] = (labels.parent / "pics", "--camera", labels.with_name("cam.yaml"))
-    words += ("--n-lanes", 3, "--frames", 900, 950, "-o", labels.parent / "new" / "out")
-    said = refused("video", *words, *(("--lines", labels) if lines else ()))
-    assert "no frame from 900 to before 950" in said
-    assert not labels.with_name("new").exists()
-
-
-def test_a_file_in_the_place_of_a_folder_of_drawn_pictures_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "out").touch()
-    with (
-        pytest.raises(InputError, match=r"out: a video ends in \.mp4; for PNG pictures name a"),
-        frame_writer(tmp_path / "out", 10, (64, 48)),
-    ):
-        pass
-
-
 def test_valid_lines_are_drawn_at_offset_0_and_without_a_reliability_index(tmp_path: Path) -> None:
     (tmp_path / "lines.csv").write_text(
         "frame_id,line,offset_m,is_valid,is_continuous\n"
@@ -334,54 +266,3 @@ def test_valid_lines_are_drawn_at_offset_0_and_without_a_reliability_index(tmp_p
     assert first.is_valid.tolist() == [True, True, False]
     assert np.isnan(first.lri).all()
     assert second.offset_m.tolist() == [1.8]
-
-
-def test_a_picture_that_is_too_large_is_one_line_for_video_and_detect(labels: Path) -> None:
-    huge = huge_picture(labels.parent / "huge.png")
-    with pytest.raises(InputError, match=r"huge\.png: cannot be read: .*MAX_IMAGE_PIXELS"):
-        read_image(huge)
-    camera = labels.with_name("cam.yaml")
-    for words in (("video", huge, "--n-lanes", 3, "-o", "v.mp4"), ("detect", huge, "-o", "d.csv")):
-        target = labels.with_name(str(words[-1]))
-        said = refused(*words[:-1], target, "--camera", camera)
-        assert f"{huge}: cannot be read: " in said
-        assert not target.exists()
-
-
-def test_a_video_that_cannot_be_written_in_full_is_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As on a full disk, where OpenCV says nothing and the video has no index."""
-
-    class Nothing:
-        fourcc = cv2.VideoWriter.fourcc
-
-        def __init__(self, *_: object) -> None:
-            pass
-
-        def isOpened(self) -> bool:
-            return True
-
-        def write(self, _: object) -> None:
-            pass
-
-        def release(self) -> None:
-            pass
-
-    (tmp_path / "a.mp4").write_bytes(b"an earlier one")
-    monkeypatch.setattr(cv2, "VideoWriter", Nothing)
-    with (
-        pytest.raises(InputError, match=r"a\.mp4: cannot be written \(is the disk full\?\)"),
-        video_writer(tmp_path / "a.mp4", 10, (480, 270)) as write,
-    ):
-        write(images(1)[0])
-    assert (tmp_path / "a.mp4").read_bytes() == b"an earlier one"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.mp4"]
-
-
-def test_a_video_in_a_folder_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with (
-        pytest.raises(InputError, match=r"a\.mp4: cannot be written: no such folder"),
-        video_writer(tmp_path / "none" / "a.mp4", 10, (480, 270)),
-    ):
-        pass

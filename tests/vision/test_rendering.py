@@ -343,16 +343,6 @@ def test_bursts_are_of_one_kind_at_a_time() -> None:
     assert strong.any(axis=1).sum() >= 4
 
 
-def test_vehicles_keep_clear_of_the_car() -> None:
-    scene = make_scene("a4", 0, 2000, occlusion=1.0, calm=1.0)
-    assert len(scene.traffic) > 15
-    for k in range(0, 2000, 7):
-        rear = scene.traffic.rear_m(k / 10)
-        beside = np.abs(scene.traffic.d_m - scene.road.position_m[k]) < 2.4
-        here = beside & (rear < 6) & (rear + scene.traffic.length_m > -2)
-        assert not here.any()
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [

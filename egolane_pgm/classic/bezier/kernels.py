@@ -11,32 +11,6 @@ from egolane_pgm.types import FloatArray, IntArray
 
 
 @kernel()
-def hough_votes(
-    column: FloatArray,
-    row: FloatArray,
-    value: FloatArray,
-    theta: FloatArray,
-    r_min: float,
-    r_step: float,
-    n_r: int,
-) -> FloatArray:
-    """The votes (n_r, T) of N points for the lines r = column cos(theta) + row sin(theta).
-
-    - column, row, value: (N,) places of the points, and weights of their votes
-    - theta: (T,) angles, radians
-    - r_min, r_step, n_r: the first distance, the step and the number of distances
-    """
-    votes = np.zeros((n_r, len(theta)))
-    for t in range(len(theta)):
-        across, along = math.cos(theta[t]), math.sin(theta[t])
-        for i in range(len(column)):
-            k = math.floor((column[i] * across + row[i] * along - r_min) / r_step + 0.5)
-            if 0 <= k < n_r:
-                votes[k, t] += value[i]
-    return votes
-
-
-@kernel()
 def ransac_line(
     point: FloatArray,
     value: FloatArray,
@@ -224,27 +198,3 @@ def ransac_spline(
             best = score
             control[:] = one
     return control, best
-
-
-@kernel()
-def profiles(grey: FloatArray, point: FloatArray, normal: FloatArray, half: int) -> FloatArray:
-    """The grey levels (N, 2 half + 1) along the normals of N points, a pixel apart, interpolated
-    bilinearly; NaN outside of the picture.
-
-    - grey: (H, W)
-    - point, normal: (N, 2)
-    """
-    height, width = grey.shape
-    out = np.full((len(point), 2 * half + 1), np.nan)
-    for i in range(len(point)):
-        for k in range(2 * half + 1):
-            c = point[i, 0] + (k - half) * normal[i, 0]
-            r = point[i, 1] + (k - half) * normal[i, 1]
-            if not (0 <= c <= width - 1 and 0 <= r <= height - 1):
-                continue
-            c0, r0 = min(int(c), width - 2), min(int(r), height - 2)
-            u, v = c - c0, r - r0
-            out[i, k] = (1 - v) * ((1 - u) * grey[r0, c0] + u * grey[r0, c0 + 1]) + v * (
-                (1 - u) * grey[r0 + 1, c0] + u * grey[r0 + 1, c0 + 1]
-            )
-    return out

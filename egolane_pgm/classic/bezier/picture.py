@@ -4,45 +4,46 @@ whose middle the picture shows finer than the view, and continued along them."""
 from __future__ import annotations
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
-from egolane_pgm.classic.bezier import kernels
 from egolane_pgm.classic.bezier.ridges import ridge_weights
-from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 
 #: Half the width of a usual marking, metres: how far a profile is smoothed.
 _HALF_WIDTH_M = 0.075
 
+#: Points are moved so far to either side at most, pixels, and keep their direction to this cosine.
+_BESIDE, _KEPT = 10, 0.9
 
-def refined(
-    grey: FloatArray, camera: Camera, point: FloatArray, parameters: Parameters
-) -> FloatArray:
+#: The extension: its step, how far it looks to either side (pixels), and where it ends (metres
+#: ahead); the least cosine to the last step and to the mean direction; and the least contrast, as a
+#: share of the spline's.
+_STEP, _BESIDE_EXTENSION, _FARTHEST_M = 10.0, 20, 28.0
+_TURN, _TURN_OF_ALL, _CONTRAST = 0.86, 0.95, 0.35
+
+
+def refined(grey: FloatArray, camera: Camera, point: FloatArray) -> FloatArray:
     """Points (P, 2), columns and rows of a picture (H, W), along one spline from far to near: moved
     onto the marking, and continued at both ends."""
-    contrast = 0.0
-    if parameters["localize"] == "yes":
-        point, contrast = _localized(grey, camera, point, parameters)
-    if parameters["extend"] == "yes" and contrast > 0:
-        least = contrast * number(parameters, "extend_cont_threshold")
-        ahead = _extension(grey, camera, point[::-1], least, parameters)
-        behind = _extension(grey, camera, point, least, parameters)
+    point, contrast = _localized(grey, camera, point)
+    if contrast > 0:
+        least = contrast * _CONTRAST
+        ahead = _extension(grey, camera, point[::-1], least)
+        behind = _extension(grey, camera, point, least)
         point = np.concatenate([ahead[::-1], point, behind])
     return point
 
 
-def _localized(
-    grey: FloatArray, camera: Camera, point: FloatArray, parameters: Parameters
-) -> tuple[FloatArray, float]:
+def _localized(grey: FloatArray, camera: Camera, point: FloatArray) -> tuple[FloatArray, float]:
     """The points, and the usual contrast of the marking. A point moves if it finds a marking and
     the spline keeps its direction."""
-    half = int(number(parameters, "localize_num_line_pixels"))
     along = _unit(np.gradient(point, axis=0))
-    place, contrast = _strip(grey, camera, point, along, half)
+    place, contrast = _strip(grey, camera, point, along, _BESIDE)
     moved = np.where(np.isfinite(place)[:, None], place_of(point, along, place), point)
     for _ in range(2):
         new = _unit(np.gradient(moved, axis=0))
-        turned = (new * along).sum(axis=1) < number(parameters, "localize_angle_threshold")
+        turned = (new * along).sum(axis=1) < _KEPT
         in_sky = np.isnan(image_to_road(camera, *moved.T)[0])
         moved[turned | in_sky] = point[turned | in_sky]
     found = np.isfinite(contrast)
@@ -61,7 +62,12 @@ def _strip(
     """Where on the normal of each point the brightest strip of a marking's width is, (P,) pixels,
     and how much brighter than the profile's median; NaN where no strip is in view."""
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1)
-    profile = kernels.profiles(grey, point, normal, half)
+    step = np.arange(-half, half + 1)
+    # The grey levels along the normals, a pixel apart.
+    column, row = point.T[:, :, None] + normal.T[:, :, None] * step
+    height, width = grey.shape
+    inside = (column >= 0) & (column <= width - 1) & (row >= 0) & (row <= height - 1)
+    profile = np.where(inside, map_coordinates(grey, [row, column], order=1), np.nan)
     x, y = image_to_road(camera, point[:, 0], point[:, 1])
     left, right = (
         np.stack(road_to_image(camera, x, y + side * _HALF_WIDTH_M), axis=1) for side in (-1, 1)
@@ -74,7 +80,6 @@ def _strip(
         return place, contrast
     level, sigma = profile[usable], sigma[usable, None, None]
     level = np.where(seen[usable], level, np.nanmedian(level, axis=1)[:, None])
-    step = np.arange(-half, half + 1)
     ridge = ridge_weights((step[:, None] - step) / sigma)
     answer = (ridge @ level[:, :, None])[:, :, 0]
     best = np.argmax(answer[:, 1:-1], axis=1) + 1
@@ -87,29 +92,23 @@ def _strip(
     return place, contrast
 
 
-def _extension(
-    grey: FloatArray, camera: Camera, point: FloatArray, least: float, parameters: Parameters
-) -> FloatArray:
+def _extension(grey: FloatArray, camera: Camera, point: FloatArray, least: float) -> FloatArray:
     """Points (E, 2) that continue points behind their last one, while strips are found that are
     bright enough and turn little."""
-    step = number(parameters, "extend_line_pixels_tangent")
-    half = int(number(parameters, "extend_line_pixels_normal"))
     mean = _unit((point[-1] - point[0])[None])[0]
     at, along = point[-1], _unit((point[-1] - point[-2])[None])[0]
     found: list[FloatArray] = []
     while len(found) < 100:
-        ahead = at + step * along
+        ahead = at + _STEP * along
         x, _ = image_to_road(camera, ahead[0], ahead[1])
-        if not 0 < x <= number(parameters, "extend_to_m"):
+        if not 0 < x <= _FARTHEST_M:
             break
-        place, contrast = _strip(grey, camera, ahead[None], along[None], half)
+        place, contrast = _strip(grey, camera, ahead[None], along[None], _BESIDE_EXTENSION)
         if not contrast[0] >= least:
             break
         new = place_of(ahead[None], along[None], place)[0]
         turn = _unit((new - at)[None])[0]
-        if turn @ along < number(parameters, "extend_angle_threshold") or turn @ mean < number(
-            parameters, "extend_mean_dir_angle_threshold"
-        ):
+        if turn @ along < _TURN or turn @ mean < _TURN_OF_ALL:
             break
         found.append(new)
         at, along = new, turn

@@ -11,6 +11,14 @@ from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, make_view
 
+#: Rows and columns of the view.
+_ROWS, _COLUMNS = 240, 320
+
+#: The smoothing along the road: its length and standard deviation, rows. The ridge filter across
+#: it: its reach to either side and standard deviation, columns.
+_SMOOTH_TAPS, _SMOOTH_SIGMA = 33, 8.0
+_RIDGE_REACH, _RIDGE_SIGMA = 4, 0.8
+
 
 def smaller(camera: Camera, focal_px: float) -> Camera:
     """The camera whose pictures are this one's, made smaller to a focal length; one with a shorter
@@ -31,8 +39,8 @@ def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
         far,
         -side,
         side,
-        (far - near) / number(parameters, "ipm_height"),
-        2 * side / number(parameters, "ipm_width"),
+        (far - near) / _ROWS,
+        2 * side / _COLUMNS,
     )
 
 
@@ -42,8 +50,7 @@ def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
 
     Grey levels count from 0 to 1, less their mean; `ridge_weights` make 1 the largest answer.
     """
-    half = int(number(parameters, "ridge_taps")) // 2
-    ridge = ridge_weights(np.arange(-half, half + 1) / number(parameters, "ridge_sigma"))
+    ridge = ridge_weights(np.arange(-_RIDGE_REACH, _RIDGE_REACH + 1) / _RIDGE_SIGMA)
     # The edge of a black part of the picture (a covered lens) is no strip either.
     wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
     lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
@@ -56,9 +63,7 @@ def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
     level = above.astype(np.float32) / 255
     level -= level[seen].mean()
     level[lit == 0] = 0
-    along = cv2.getGaussianKernel(
-        int(number(parameters, "smooth_taps")) | 1, number(parameters, "smooth_sigma")
-    )
+    along = cv2.getGaussianKernel(_SMOOTH_TAPS, _SMOOTH_SIGMA)
     response = cv2.sepFilter2D(level, cv2.CV_32F, ridge, along).astype(np.float64)
     response[~seen | (response < 0)] = 0
     response[response < np.quantile(response[seen], number(parameters, "lower_quantile"))] = 0

@@ -16,6 +16,32 @@ from egolane_pgm.classic.bezier import kernels
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 
+#: Sums of columns: length and standard deviation of their smoothing, columns.
+_SCORE_TAPS, _SCORE_SIGMA = 21, 2.0
+
+#: The Hough transform: least, largest distance from the corner and its step, pixels; the largest
+#: angle and its step, degrees.
+_R, _THETA_MAX, _THETA_STEP = (20.0, 300.0, 2.0), 10.0, 1.0
+
+#: First lines nearer than this are one, columns.
+_GROUP = 30.0
+
+#: RANSAC: samples, and points of each; columns to either side of a first line, and of a line.
+_SAMPLES, _POINTS = 40, 4
+_LINE_WINDOW, _SPLINE_WINDOW = 30.0, 20.0
+
+#: A line: its farthest and its fewest points, and the steepest one across the road.
+_LINE_AWAY, _LINE_POINTS, _MOST_TURN_DEG = 0.4, 10, 5.0
+
+#: A spline: its least straightness and length (pixels), its largest turn (radians); then as
+#: `kernels.spline_score` takes them jitter, step, weight of straightness and of length.
+_STRAIGHT, _LENGTH, _TURN = 0.8, 30.0, 1.22
+_SCORING = (2, 0.01, 1.2, 1.5)
+
+#: Two splines are one if their chords, or the means along them, are nearer than these angles
+#: (radians) and distances (pixels), and their middles than this.
+_MERGE, _MERGE_CENTROID = ((0.1, 5.0), (0.2, 10.0)), 15.0
+
 #: Finds splines: takes ridges (R, C).
 Finder = Callable[[FloatArray], "Splines"]
 
@@ -42,15 +68,8 @@ def spline_finder(parameters: Parameters) -> Finder:
     """Makes the function that finds splines. Each call takes the same random numbers, drawn here
     from the seed, so that a picture's splines do not depend on the pictures before."""
     rng = np.random.default_rng(int(number(parameters, "seed")))
-    line_draw, spline_draw = (
-        rng.random(
-            (
-                int(number(parameters, f"ransac_{what}_num_iterations")),
-                int(number(parameters, f"ransac_{what}_num_samples")),
-            )
-        )
-        for what in ("line", "spline")
-    )
+    line_draw, spline_draw = (rng.random((_SAMPLES, _POINTS)) for _ in range(2))
+    overlap = number(parameters, "overlap_threshold")
 
     def find(ridge: FloatArray) -> Splines:
         rows, columns = np.nonzero(ridge)
@@ -59,23 +78,12 @@ def spline_finder(parameters: Parameters) -> Finder:
         point = np.stack([columns, rows], axis=1).astype(np.float64)
         value = ridge[rows, columns]
         lines = _first_lines(ridge, point, value, parameters)
-        if parameters["ransac_line"] == "yes":
-            window = number(parameters, "ransac_line_window")
-            boxes = _boxes(lines, window, ridge.shape[1], number(parameters, "overlap_threshold"))
-            lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0], parameters)
-        if parameters["ransac_spline"] == "yes":
-            window = number(parameters, "ransac_spline_window")
-            boxes = _boxes(lines, window, ridge.shape[1], number(parameters, "overlap_threshold"))
-            splines = _fitted_splines(boxes, point, value, spline_draw, ridge, parameters)
-        else:
-            splines = _straight(lines, ridge.shape[0])
-        return _checked(splines, parameters)
+        boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1], overlap)
+        lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0])
+        boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1], overlap)
+        return _checked(_fitted_splines(boxes, point, value, spline_draw, ridge))
 
     return find
-
-
-def _weight(value: FloatArray, parameters: Parameters, name: str) -> FloatArray:
-    return np.ones_like(value) if parameters[name] == "yes" else value
 
 
 def _first_lines(
@@ -83,18 +91,15 @@ def _first_lines(
 ) -> _Lines:
     """The lines that the most ridges lie on, near ones made one."""
     least = number(parameters, "detection_threshold")
-    weight = _weight(value, parameters, "binarize")
     if parameters["grouping_type"] == "columns":
-        total = np.bincount(point[:, 0].astype(np.int64), weight, ridge.shape[1]).astype(np.float64)
-        if parameters["smooth_scores"] == "yes":
-            taps = int(number(parameters, "score_taps")) | 1
-            sigma, edge = number(parameters, "score_sigma"), cv2.BORDER_CONSTANT
-            total = cv2.GaussianBlur(total[None], (taps, 1), sigma, borderType=edge)[0]
+        total = np.bincount(point[:, 0].astype(np.int64), value, ridge.shape[1]).astype(np.float64)
+        edge = cv2.BORDER_CONSTANT
+        total = cv2.GaussianBlur(total[None], (_SCORE_TAPS, 1), _SCORE_SIGMA, borderType=edge)[0]
         column, score = column_peaks(total, least)
         lines = _Lines(column, column, score)
     else:
-        lines = _hough_lines(point, weight, ridge.shape[0], least, parameters)
-    return _grouped(lines, number(parameters, "group_threshold"))
+        lines = _hough_lines(point, value, ridge.shape[0], least)
+    return _grouped(lines, _GROUP)
 
 
 def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
@@ -107,14 +112,15 @@ def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArra
     return peak + (left[peak] - right[peak]) / (2 * bend), middle[peak]
 
 
-def _hough_lines(
-    point: FloatArray, weight: FloatArray, n_rows: int, least: float, parameters: Parameters
-) -> _Lines:
-    most = number(parameters, "theta_max")
-    theta = np.deg2rad(np.arange(-most, most + 1e-9, number(parameters, "theta_step")))
-    r_min, r_step = number(parameters, "r_min"), number(parameters, "r_step")
-    n_r = max(int((number(parameters, "r_max") - r_min) / r_step) + 1, 1)
-    votes = kernels.hough_votes(point[:, 0], point[:, 1], weight, theta, r_min, r_step, n_r)
+def _hough_lines(point: FloatArray, weight: FloatArray, n_rows: int, least: float) -> _Lines:
+    theta = np.deg2rad(np.arange(-_THETA_MAX, _THETA_MAX + 1e-9, _THETA_STEP))
+    r_min, r_max, r_step = _R
+    n_r = int((r_max - r_min) / r_step) + 1
+    away = np.outer(point[:, 0], np.cos(theta)) + np.outer(point[:, 1], np.sin(theta))
+    at = np.floor((away - r_min) / r_step + 0.5).astype(np.int64)
+    i, j = np.nonzero((at >= 0) & (at < n_r))
+    total = np.bincount(at[i, j] * len(theta) + j, weight[i], n_r * len(theta))
+    votes: FloatArray = total.astype(np.float64).reshape(n_r, len(theta))
     around = cv2.dilate(votes, np.ones((3, 3), dtype=np.uint8))
     k, t = np.nonzero((votes >= around) & (votes >= max(least, 1e-9)))
     r = r_min + k * r_step
@@ -170,11 +176,9 @@ def _fitted_lines(
     value: FloatArray,
     draw: FloatArray,
     n_rows: int,
-    parameters: Parameters,
 ) -> _Lines:
     """The RANSAC line of each box that has one."""
-    weight = _weight(value, parameters, "ransac_line_binarize")
-    most_turn = float(np.tan(np.deg2rad(number(parameters, "most_turn_deg"))))
+    most_turn = float(np.tan(np.deg2rad(_MOST_TURN_DEG)))
     found = []
     for left, right in boxes:
         inside = (point[:, 0] >= left) & (point[:, 0] <= right)
@@ -182,13 +186,13 @@ def _fitted_lines(
             continue
         line, score = kernels.ransac_line(
             point[inside],
-            weight[inside],
-            _sample(weight[inside], draw),
-            number(parameters, "ransac_line_threshold"),
-            int(number(parameters, "ransac_line_num_good_fit")),
+            value[inside],
+            _sample(value[inside], draw),
+            _LINE_AWAY,
+            _LINE_POINTS,
             most_turn,
         )
-        if score >= max(number(parameters, "ransac_line_score_threshold"), 0):
+        if score >= 0:
             turn = line[2] / line[3]
             ends = line[0] + turn * (np.array([0.0, n_rows - 1]) - line[1])
             found.append((*ends, score))
@@ -202,10 +206,8 @@ def _fitted_splines(
     value: FloatArray,
     draw: FloatArray,
     ridge: FloatArray,
-    parameters: Parameters,
 ) -> Splines:
     """The RANSAC spline of each box that has one."""
-    weight = _weight(value, parameters, "ransac_spline_binarize")
     control, score = np.zeros((len(boxes), 4, 2)), np.full(len(boxes), -np.inf)
     for k, (left, right) in enumerate(boxes):
         inside = (point[:, 0] >= left) & (point[:, 0] <= right)
@@ -213,73 +215,56 @@ def _fitted_splines(
             continue
         control[k], score[k] = kernels.ransac_spline(
             point[inside],
-            np.sort(_sample(weight[inside], draw), axis=1),
-            number(parameters, "check_ipm_splines_curveness_threshold"),
+            np.sort(_sample(value[inside], draw), axis=1),
+            _STRAIGHT,
             ridge,
-            int(number(parameters, "spline_score_jitter")),
-            number(parameters, "spline_score_step"),
-            number(parameters, "spline_score_angle_ratio"),
-            number(parameters, "spline_score_length_ratio"),
+            *_SCORING,
         )
-    good = score > number(parameters, "ransac_spline_score_threshold")
+    good = score > 0
     return Splines(control[good], score[good])
 
 
-def _straight(lines: _Lines, n_rows: int) -> Splines:
-    """Lines through all rows as splines."""
-    share = np.arange(4) / 3
-    column = lines.top[:, None] * (1 - share) + lines.bottom[:, None] * share
-    row = np.broadcast_to(share * (n_rows - 1), column.shape)
-    return Splines(np.stack([column, row], axis=2), lines.score)
-
-
-def points_on(control: FloatArray, step: float) -> FloatArray:
-    """Points (M, P, 2) along splines (M, 4, 2), a step of the parameter apart."""
-    t = np.linspace(0, 1, max(round(1 / max(step, 1e-3)), 1) + 1)
+def points_on(control: FloatArray) -> FloatArray:
+    """Eleven points (M, 11, 2) along splines (M, 4, 2)."""
+    t = np.linspace(0, 1, 11)
     s = 1 - t
     basis = np.stack([s**3, 3 * s**2 * t, 3 * s * t**2, t**3], axis=1)
     points: FloatArray = basis @ control
     return points
 
 
-def _checked(splines: Splines, parameters: Parameters) -> Splines:
-    """The splines, best first, without those that are short, turned or weak, and without the worse
-    one of two that are nearly the same."""
+def _checked(splines: Splines) -> Splines:
+    """The splines, best first, without those that are short or turned, and without the worse one
+    of two that are nearly the same."""
     order = np.argsort(-splines.score, kind="stable")
     kept: list[int] = []
     for k in order:
-        if splines.score[k] < number(parameters, "final_spline_score_threshold"):
-            break
-        if _is_sound(splines.control[k], parameters) and not any(
-            _is_same(splines.control[k], splines.control[other], parameters) for other in kept
+        if _is_sound(splines.control[k]) and not any(
+            _is_same(splines.control[k], splines.control[other]) for other in kept
         ):
             kept.append(int(k))
     return Splines(splines.control[kept], splines.score[kept])
 
 
-def _is_sound(control: FloatArray, parameters: Parameters) -> bool:
+def _is_sound(control: FloatArray) -> bool:
     along = control[3] - control[0]
-    return bool(
-        np.hypot(*along) >= number(parameters, "check_ipm_splines_length_threshold")
-        and abs(np.arctan2(along[0], along[1]))
-        <= number(parameters, "check_ipm_splines_theta_threshold")
-    )
+    turn = abs(np.arctan2(along[0], along[1]))
+    return bool(np.hypot(*along) >= _LENGTH and turn <= _TURN)
 
 
-def _is_same(one: FloatArray, other: FloatArray, parameters: Parameters) -> bool:
+def _is_same(one: FloatArray, other: FloatArray) -> bool:
     """Whether two splines' chords, or the means along them, are near in angle and distance, and so
     are their middles."""
-    points = points_on(np.stack([one, other]), number(parameters, "ransac_spline_step"))
+    points = points_on(np.stack([one, other]))
     apart = np.hypot(*(points[0].mean(axis=0) - points[1].mean(axis=0)))
-    if apart >= number(parameters, "merge_centroid"):
+    if apart >= _MERGE_CENTROID:
         return False
     steps = _poses(points).mean(axis=1)
     chords = _poses(points[:, [0, -1]])[:, 0]
     return any(
-        turn < number(parameters, f"{kind}_theta") and away < number(parameters, f"{kind}_r")
-        for kind, (turn, away) in (
-            ("merge", np.abs(chords[0] - chords[1])),
-            ("merge_mean", np.abs(steps[0] - steps[1])),
+        turn < most_turn and away < most_away
+        for (most_turn, most_away), (turn, away) in zip(
+            _MERGE, (np.abs(chords[0] - chords[1]), np.abs(steps[0] - steps[1])), strict=True
         )
     )
 

@@ -125,7 +125,7 @@ def read_pictures(
     - right: the pictures of the second camera of a stereo pair
     - frames: the first frame id to read and the one after the last; None for all
 
-    Warns of a video that ends too early or lacks pictures, and of folders that look like clips.
+    Warns of a video that lacks pictures, and of folders that look like clips.
     Raises InputError, naming file and frame, for a picture that cannot be read or has another size
     than the calibration or the other camera's, and for two cameras with different numbers of
     pictures.
@@ -213,13 +213,8 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     """
     images: Iterator[tuple[int, str, Image]]
     if source.is_video:
-        rate = source.frame_rate
-        images = (
-            (frame_id, source.path, image)
-            for frame_id, image in video_images(
-                source.path, source.files[0], source.n_frames, rate, frames
-            )
-        )
+        found = video_images(source.path, source.files[0], source.n_frames, frames)
+        images = ((frame_id, source.path, image) for frame_id, image in found)
     else:
         images = _file_images(source, frames)
     is_empty = True
@@ -290,12 +285,8 @@ def read_image(path: Path) -> Image:
         raise InputError(f"{path}: cannot be read: {error.strerror}") from None
     if not content.size:
         raise InputError(f"{path}: the file is empty")
-    try:
-        with silent():
-            image = cv2.imdecode(content, cv2.IMREAD_COLOR)
-    except cv2.error as error:
-        # For example a picture with more pixels than OpenCV accepts.
-        raise InputError(f"{path}: cannot be read: {' '.join(error.err.split())}") from None
+    with silent():
+        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(
             f"{path}: is no picture that can be read (another kind of file, or cut off)"

@@ -9,26 +9,22 @@ import cv2
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import open_source, read_image
 from egolane_pgm.vision.camera.video import open_video
-from egolane_pgm.vision.camera.writing import silent
+from egolane_pgm.vision.camera.writing import as_jpeg, silent
 
 #: Of the JPEG files, per cent.
 QUALITY = 70
 
 
 def small_pictures(path: str, frame_ids: Sequence[int], height: int) -> dict[int, bytes]:
-    """JPEG files of the frames with these ids, as far as they are there, `height` pixels high.
+    """JPEG files of the frames with these ids, as far as they are there, no higher than `height`
+    pixels.
 
     A video is entered at the place of each frame, as exactly as its format lets one.
 
     Raises InputError, naming the path, where there are no pictures.
     """
-    found = {}
-    for frame_id, image in _images(path, sorted(frame_ids)):
-        width = max(round(image.shape[1] * height / image.shape[0]), 1)
-        small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-        options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY]
-        found[frame_id] = cv2.imencode(".jpg", small, options)[1].tobytes()
-    return found
+    images = _images(path, sorted(frame_ids))
+    return {frame_id: as_jpeg(image, height, QUALITY) for frame_id, image in images}
 
 
 def _images(path: str, frame_ids: Sequence[int]) -> Iterator[tuple[int, Image]]:

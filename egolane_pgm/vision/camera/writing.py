@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,19 +26,10 @@ def check_picture_name(path: str | Path) -> None:
         raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
 
 
-def write_picture(
-    file: Path, image: Image, options: Sequence[int] = (), *, make_folder: bool = False
-) -> None:
-    """Writes a picture in the format of its extension, whole or not at all.
-
-    - image: (H, W, 3), blue green red
-    - options: of OpenCV's imencode
-    - make_folder: whether missing folders are made
-
-    Raises InputError where it cannot be written.
-    """
-    content = cv2.imencode(file.suffix, image, list(options))[1]
-    write_bytes(file, content.tobytes(), make_folder=make_folder)
+def write_picture(file: Path, image: Image) -> None:
+    """Writes a picture, (H, W, 3), blue green red, in the format of its extension, whole or not at
+    all; missing folders are made. Raises InputError where it cannot be written."""
+    write_bytes(file, cv2.imencode(file.suffix, image)[1].tobytes(), make_folder=True)
 
 
 def as_jpeg(image: Image, height: int, quality: int = 80) -> bytes:
@@ -74,25 +65,49 @@ def video_writer(
             video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)
         if not video.isOpened():
             raise InputError(f"{target}: cannot be written (is the folder writable?)")
-        n_written = 0
+        is_begun = False
 
         def write(image: Image) -> None:
-            nonlocal n_written
-            with silent():
-                video.write(image)
-            n_written += 1
+            nonlocal is_begun
+            video.write(image)
+            is_begun = True
 
         try:
             yield write
         finally:
-            with silent():
-                video.release()
-                is_readable = cv2.VideoCapture(str(part)).isOpened()
-            if n_written and not is_readable:
-                # OpenCV does not say so itself.
-                raise InputError(f"{target}: cannot be written (is the disk full?)")
-            if n_written:
+            video.release()
+            if is_begun:
                 part.replace(target)
+
+
+@contextlib.contextmanager
+def frame_writer(
+    target: str | Path, frame_rate: float, size: tuple[int, int], name: str = "frame_{:06d}.png"
+) -> Iterator[Callable[[int, Image], None]]:
+    """A context that gives a function to write a picture and its frame id to a video (`.mp4`) or
+    into a folder. Whatever ends the block, the pictures written so far are kept.
+
+    - frame_rate: Hz
+    - size: width and height, pixels
+    - name: of the files in a folder
+
+    Raises InputError if the target cannot be written.
+    """
+    target = Path(target)
+    if target.suffix.lower() == ".mp4":
+        if target.is_dir():
+            raise InputError(
+                f"{target}: is a folder; a video is a file, PNG pictures need a folder"
+                " whose name does not end in .mp4"
+            )
+        with video_writer(target, frame_rate, size) as write:
+            yield lambda _, image: write(image)
+        return
+    if (target.suffix or target.exists()) and not target.is_dir():
+        raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
+    check_place(target)
+    # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
+    yield lambda frame_id, image: write_picture(target / name.format(frame_id), image)
 
 
 @contextlib.contextmanager

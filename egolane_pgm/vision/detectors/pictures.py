@@ -86,10 +86,7 @@ class Pictures:
             unit="frame",
             total=left.n_frames if recording.frames is None else None,
         )
-        is_told = "frame_rate" in recording.model_fields_set
-        rate = recording.frame_rate if is_told else left.frame_rate
-        found = detect(detector, camera, pictures, rate)
-        done = collect(found, recording.frame_rate, left.path)
+        done = collect(detect(detector, camera, pictures), recording.frame_rate, left.path)
         if isinstance(done.stopped, InputError) and done.log is not None:
             raise InputError(
                 f"{done.stopped}; `egolane detect` writes the lines of the frames before"

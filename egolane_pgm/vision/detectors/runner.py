@@ -4,8 +4,6 @@ its lines."""
 from __future__ import annotations
 
 import os
-import time
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,13 +18,7 @@ from egolane_pgm.types import InputError, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step, as_log
-from egolane_pgm.vision.detectors.networks.description import YAML, network_files, networks_of
-
-#: How many frames are collected before they are packed into arrays.
-_PACK = 1000
-
-#: The number of frames that are timed, and that of the first frames, which are not.
-_TIMED, _WARM_UP = 30, 5
+from egolane_pgm.vision.detectors.networks.description import YAML, network_files
 
 
 @dataclass(frozen=True)
@@ -59,18 +51,17 @@ def find_detector(
     specs = getattr(module, "PARAMETERS", ())
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
-        # A parameter may name a user's own file (a stereo matcher, a network), relative to `base`
-        # as well.
+        # A parameter may name a user's own file (a program, a network), relative to `base` as well.
         if isinstance(value, str) and value.endswith((".py", *YAML)):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
 
 
 def own_files(detector: Detector) -> list[Path]:
-    """The user's own files that the parameters name: stereo matchers, networks."""
+    """The user's own files that the parameters name: programs, networks."""
     values = detector.parameters.values()
-    matchers = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
-    return matchers + network_files(detector.parameters)
+    programs = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
+    return programs + network_files(detector.parameters)
 
 
 def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
@@ -96,20 +87,13 @@ def start(detector: Detector, camera: Camera) -> Step:
 
 
 def detect(
-    detector: Detector,
-    camera: Camera,
-    pictures: Iterable[Picture],
-    frame_rate: float | None = None,
+    detector: Detector, camera: Camera, pictures: Iterable[Picture]
 ) -> Iterator[tuple[int, FrameLines]]:
     """Runs a detector over pictures; gives the frame id and the checked lines of each.
-
-    frame_rate: Hz, where it is known. A detector with a network that is slower warns once.
 
     Raises InputError, naming detector and frame, for lines that break the detectors' contract.
     """
     step = start(detector, camera)
-    if frame_rate is not None and networks_of(detector.parameters):
-        step = _timed(step, detector, frame_rate)
     for picture in pictures:
         where = f"{detector.where}: {detector.name}: frame {picture.frame_id}"
         try:
@@ -120,31 +104,6 @@ def detect(
             raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
         _check(lines, where)
         yield picture.frame_id, lines
-
-
-def _timed(step: Step, detector: Detector, frame_rate: float) -> Step:
-    """The same step, which warns if its frames take longer than they come. The first ones, in which
-    code is compiled and memory taken, are left out."""
-    count, spent = 0, 0.0
-
-    def timed(picture: Picture) -> FrameLines:
-        nonlocal count, spent
-        began = time.perf_counter()
-        lines = step(picture)
-        count += 1
-        spent += time.perf_counter() - began if count > _WARM_UP else 0.0
-        if count == _WARM_UP + _TIMED and spent / _TIMED > 1 / frame_rate:
-            warnings.warn(
-                f"{detector.name} takes {1000 * spent / _TIMED:.0f} ms per frame here, but"
-                f" {frame_rate:g} frames come per second, one in {1000 / frame_rate:.0f} ms; to"
-                " keep up with a camera, let the network look at every n-th frame only"
-                " (`every: n` in its YAML)",
-                UserWarning,
-                stacklevel=2,
-            )
-        return lines
-
-    return timed
 
 
 def _check(lines: FrameLines, where: str) -> None:
@@ -177,21 +136,10 @@ def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source:
     - frame_rate: Hz
     - source: where the lines come from, for messages
     """
-    log: LineLog | None = None
-    pending: list[tuple[int, FrameLines]] = []
+    found: list[tuple[int, FrameLines]] = []
     stopped: KeyboardInterrupt | InputError | None = None
-
-    def packed() -> LineLog | None:
-        if not pending:
-            return log
-        latest = as_log(pending, frame_rate, source)
-        return latest if log is None else LineLog.joined([log, latest])
-
     try:
-        for frame in frames:
-            pending.append(frame)
-            if len(pending) == _PACK:
-                log, pending = packed(), []
+        found.extend(frames)
     except (KeyboardInterrupt, InputError) as reason:
         stopped = reason
-    return Collected(packed(), stopped)
+    return Collected(as_log(found, frame_rate, source) if found else None, stopped)

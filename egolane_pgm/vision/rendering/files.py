@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-
-import cv2
 
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import make_directory, write_text, write_yaml
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.camera.model import Camera, write_camera
-from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.camera.writing import video_writer, write_picture
+from egolane_pgm.vision.camera.model import write_camera
+from egolane_pgm.vision.camera.writing import frame_writer
 from egolane_pgm.vision.rendering.render import Frame, render_frame, true_lines
 from egolane_pgm.vision.rendering.scene import Scene
 
@@ -67,22 +64,22 @@ def write_drive(
     - png: whether pictures are PNG instead of JPEG
     - progress: wraps the frame numbers, e.g. tqdm
 
-    The frames rendered before Ctrl-C are kept. Raises InputError if something cannot be written.
+    Raises InputError if something cannot be written.
     """
     make_directory(folder)
     write_camera(folder / "camera.yaml", scene.camera, f"rendered drive {preset}, seed {seed}")
     write_ground_truth(folder / "ground_truth.txt", scene.road.truth)
     write_table(folder / "lines_truth.parquet", true_lines(scene))
-    n_rendered, rate = 0, scene.road.frame_rate
+    _write_texts(folder, scene, preset, seed, places)
+    rate, size = scene.road.frame_rate, (scene.camera.width, scene.camera.height)
+    name = "{:06d}.png" if png else "{:06d}.jpg"
+    n_rendered = 0
     try:
-        _write_texts(folder, scene, preset, seed, places)
         with contextlib.ExitStack() as files:
-            # The table is line buffered, so that a row is on the disk as soon as its picture is.
-            table = (folder / "visibility.csv").open("w", encoding="ascii", buffering=1)
-            files.enter_context(table).write(_COLUMNS)
+            table = files.enter_context((folder / "visibility.csv").open("w", encoding="ascii"))
+            table.write(_COLUMNS)
             writers = [
-                files.enter_context(picture_writer(folder / p, scene.camera, rate, png))
-                for p in places
+                files.enter_context(frame_writer(folder / p, rate, size, name)) for p in places
             ]
             for k in progress(range(len(scene))):
                 frame = render_frame(scene, k)
@@ -90,7 +87,7 @@ def write_drive(
                     if image is not None:
                         write(k, image)
                 table.write(_rows(frame))
-                n_rendered = k + 1
+                n_rendered += 1
     except KeyboardInterrupt:
         raise KeyboardInterrupt(
             f"{n_rendered} of {len(scene)} frames are in {folder}; the same command begins anew"
@@ -132,21 +129,3 @@ def _rows(frame: Frame) -> str:
             f"{int(truth.is_failing)},{truth.camera.pitch_deg:.4f}\n"
         )
     return "".join(rows)
-
-
-@contextlib.contextmanager
-def picture_writer(
-    place: Path, camera: Camera, frame_rate: float, png: bool
-) -> Iterator[Callable[[int, Image], None]]:
-    """A context that gives a function to write a frame's picture to a video (.mp4) or into a folder
-    (JPEG or PNG).
-
-    Raises InputError if something cannot be written.
-    """
-    if place.suffix == ".mp4":
-        with video_writer(place, frame_rate, (camera.width, camera.height)) as append:
-            yield lambda _, image: append(image)
-        return
-    make_directory(place)
-    ending, options = ("png", []) if png else ("jpg", [cv2.IMWRITE_JPEG_QUALITY, 95])
-    yield lambda k, image: write_picture(place / f"{k:06d}.{ending}", image, options)

@@ -24,12 +24,6 @@ def points(rng: np.random.Generator, n: int = 60) -> np.ndarray:
     return np.stack([column, row], axis=1)
 
 
-def test_votes_for_lines(rng: np.random.Generator) -> None:
-    column, row = points(rng).T
-    given = column, row, rng.random(60), np.linspace(-0.7, 0.7, 11), 5.0, 2.0, 30
-    np.testing.assert_allclose(kernels.hough_votes(*given), bezier.hough_votes(*given))
-
-
 def test_the_best_line(rng: np.random.Generator) -> None:
     sample = rng.integers(60, size=(40, 4))
     given = points(rng), rng.random(60), sample, 0.5, 6, 0.3
@@ -77,13 +71,3 @@ def test_a_spline_through_one_point_several_times_is_finite() -> None:
     assert np.isfinite(control).all()
     assert kernels.straightness(control) == pytest.approx(1)
     assert np.isfinite(kernels.bezier_through(same[:3])).all()
-
-
-def test_profiles_are_interpolated_and_end_with_the_picture(rng: np.random.Generator) -> None:
-    grey = rng.random((40, 50))
-    point = rng.uniform(-3, 45, (20, 2))
-    angle = rng.uniform(0, 7, 20)
-    normal = np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    found = kernels.profiles(grey, point, normal, 6)
-    assert np.isnan(found).any()
-    np.testing.assert_allclose(found, bezier.profiles(grey, point, normal, 6), atol=1e-12)

@@ -16,7 +16,6 @@ from egolane_pgm.classic.multilane.road import flattened, road_of, shapes_of
 from egolane_pgm.classic.multilane.slots import (
     BOOTSTRAP,
     FRAMES,
-    PLACES,
     Slots,
     advance,
     no_slots,
@@ -139,15 +138,6 @@ def test_a_line_that_is_gone_leaves_its_slot_after_ten_frames() -> None:
     assert sorted(offsets(slots)) == [slots.at(1)]
 
 
-def test_a_slot_that_is_freed_has_no_line_and_no_hits() -> None:
-    slots = settled([-1.8, 1.8])
-    freed = np.zeros(len(PLACES), dtype=bool)
-    freed[slots.at(0)] = True
-    rest = slots.without(freed)
-    assert rest.is_used.sum() == 1
-    assert rest.counter.sum() == FRAMES
-
-
 # --- the whole detector --------------------------------------------------------------------------
 
 FOUR = (Paint(-5.4), Paint(-1.8, 4.0, 12.0), Paint(1.8, 4.0, 12.0), Paint(5.4))
@@ -165,21 +155,6 @@ def run(given: Sequence[Picture], **more: object) -> list[FrameLines]:
 
 def black(picture: Picture) -> Picture:
     return replace(picture, image=np.zeros_like(picture.image))
-
-
-@needs_compiler
-def test_lines_stay_valid_through_one_black_picture_in_five() -> None:
-    some = [black(p) if k % 5 == 4 else p for k, p in enumerate(pictures())]
-    said = run(some)
-    slots = set()
-    for lines in said[18:]:
-        valid = lines.offset_m[lines.is_valid]
-        for true in (-1.8, 1.8):
-            assert np.abs(valid - true).min() < 0.15
-        ego = np.abs(lines.offset_m) < 3
-        assert lines.slot is not None
-        slots.add(tuple(lines.slot[ego].tolist()))
-    assert len(slots) == 1
 
 
 @needs_compiler

@@ -18,7 +18,7 @@ from egolane_pgm.vision.calibration.labels import (
     read_labels,
     size_of_pictures,
 )
-from egolane_pgm.vision.camera.pictures import files_matching, read_image
+from egolane_pgm.vision.camera.pictures import files_matching
 
 
 def picture(path: Path, width: int = 64, height: int = 48) -> Path:
@@ -45,6 +45,9 @@ def test_every_label_is_checked_when_it_is_read(tmp_path: Path) -> None:
     bad = json.dumps({**label(raw_file="b.png"), "lanes": [[1]]})
     path.write_text(f"{good}\n{bad}\n")
     with pytest.raises(InputError, match=r"labels\.jsonl: line 2"):
+        read_labels(path)
+    path.write_text("")
+    with pytest.raises(InputError, match=r"labels\.jsonl: holds no labelled frame"):
         read_labels(path)
 
 
@@ -115,8 +118,3 @@ def test_the_name_of_a_folder_or_picture_may_look_like_a_pattern(tmp_path: Path)
     assert files_matching(str(first.parent)) == [first]
     assert files_matching(str(first)) == [first]
     assert files_matching(str(tmp_path / "drive?" / "*.png")) == [second]
-
-
-def test_a_picture_that_is_not_there_is_missing(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"gone\.png: is missing"):
-        read_image(tmp_path / "gone.png")

@@ -15,12 +15,11 @@ from egolane_pgm.vision.calibration import road_lines
 from egolane_pgm.vision.calibration.chessboard import calibrate_lens
 from egolane_pgm.vision.calibration.road_lines import find_in_stills
 from egolane_pgm.vision.calibration.straight_road import (
-    FrameFit,
     assumed_camera,
     to_level,
     view_from,
 )
-from egolane_pgm.vision.camera.model import Camera, distorted, image_to_road, vanishing_point
+from egolane_pgm.vision.camera.model import Camera, image_to_road, vanishing_point
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import files_matching
 from tests.kits.calibration_kit import TRUE, draw_road, unturned
@@ -109,12 +108,6 @@ def test_edges_vote_for_points_above_them_that_they_point_at() -> None:
     np.testing.assert_allclose(votes, [lengths.sum(), 0, 0, lengths[1]], atol=1e-9)
 
 
-def test_the_winner_is_the_middle_of_what_is_near_to_the_best() -> None:
-    candidates = np.array([[0.0, 0.0], [0.02, 0.0], [0.5, 0.1], [0.51, 0.1]])
-    winner = road_lines._winner(candidates, np.array([1.0, 1.0, 0.9, 0.9]))
-    np.testing.assert_allclose(winner, [0.01, 0.0], atol=1e-9)
-
-
 def test_the_point_where_most_edges_meet_is_found_and_is_the_same_every_time() -> None:
     points = [(0.03, -0.05), (0.05, -0.04), (0.01, -0.06)]
     stills = [edges_to(point, seed) for seed, point in enumerate(points)]
@@ -189,14 +182,6 @@ def test_both_rims_of_a_wide_marking_are_one_line() -> None:
     assert len(streaks(fan)) == 1
 
 
-def test_a_fan_runs_from_far_to_near_wherever_its_point_is() -> None:
-    grey = np.full((720, 1280), 100, np.float32)
-    for height in (-0.1, 0.0, 0.25, 0.33, 0.5):
-        below = road_lines.fan(PLAIN, grey, WHOLE, np.array([0.0, height])).below
-        assert below[0] == pytest.approx(0.04)
-        assert (np.diff(below) > 0).all()
-
-
 def test_what_is_beside_a_masked_part_is_not_seen_in_a_fan() -> None:
     grey = np.full((720, 1280), 100, np.float32)
     mask = WHOLE.copy()
@@ -263,30 +248,6 @@ def test_a_still_without_lines_says_nothing(stills, tmp_path):
     assert len(found.fits) == 1
 
 
-def test_lines_that_meet_far_from_where_the_edges_do_are_not_used(stills, monkeypatch):
-    ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
-    for away, n_fits in (([0.09, 0.0], 1), ([0.11, 0.0], 0), ([0.0, 0.024], 1), ([0.0, -0.036], 0)):
-
-        def fit(lines, about_b0, away=away):
-            # The horizon is looked for about that of all edges.
-            assert about_b0 == pytest.approx(ahead[1], abs=0.005)
-            return FrameFit(ahead + away, np.array([-1.0, 1.0]), 0.0)
-
-        monkeypatch.setattr(road_lines, "find_lines", lambda *_: [])
-        monkeypatch.setattr(road_lines, "fit_frame", fit)
-        found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
-        assert len(found.fits) == n_fits, away
-
-
-def test_a_still_whose_edges_do_not_meet_is_looked_at_where_those_of_all_do(stills, monkeypatch):
-    ahead = to_level(TRUE, *np.reshape(distorted(TRUE, *vanishing_point(TRUE)), (2, 1)))[0]
-    meeting = (ahead, np.full((1, 2), np.nan))
-    monkeypatch.setattr(road_lines, "meeting_of_stills", lambda *_: meeting)
-    found = find_in_stills(unturned(TRUE), sorted(stills.iterdir())[:1])
-    assert len(found.lines[0]) >= 3
-    assert found.each.shape == (0, 2)
-
-
 def test_of_many_stills_those_with_the_clearest_lines_are_used(stills, tmp_path):
     rng = np.random.default_rng(0)
     for k, path in enumerate(sorted(stills.glob("*.png"))):
@@ -298,10 +259,6 @@ def test_of_many_stills_those_with_the_clearest_lines_are_used(stills, tmp_path)
         cv2.imwrite(str(tmp_path / f"{k}_crossing.png"), crossing)
     found = find_in_stills(TRUE, sorted(tmp_path.glob("*.png")), most=3)
     assert [path.name for path in found.paths] == ["0_road.png", "1_road.png", "2_road.png"]
-
-
-def test_a_still_without_edges_is_not_clear_at_all() -> None:
-    assert road_lines.clearness(np.zeros((0, 4))) == road_lines.clearness(np.ones((1, 4))) == 0.0
 
 
 def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):

@@ -12,7 +12,6 @@ import PIL.Image
 import pytest
 
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.camera import video
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import open_source, read_image, read_pictures
 from tests.kits.synthetic_road import CAMERA, images, write_pictures
@@ -141,16 +140,6 @@ def test_clips_that_are_taken_for_one_drive_are_warned_of(tmp_path: Path) -> Non
 # --- videos --------------------------------------------------------------------------------------
 
 
-def test_a_video_without_frames_is_refused(tmp_path: Path) -> None:
-    for name, codec in (("none.avi", "MJPG"), ("none.mp4", "mp4v")):
-        file = tmp_path / name
-        cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*codec), 25.0, (480, 270)).release()
-        if not file.exists() or not file.stat().st_size:
-            file.write_bytes(b"")
-        with pytest.raises(InputError, match=r"is no video that can be read|the file is empty"):
-            open_source(file)
-
-
 def test_pictures_after_a_change_of_size_are_scaled_to_the_first(tmp_path: Path) -> None:
     """A stream of JPEGs, half of them in half the size."""
     pictures = images(8)
@@ -165,20 +154,3 @@ def test_pictures_after_a_change_of_size_are_scaled_to_the_first(tmp_path: Path)
     for image, expected in zip(seen, pictures, strict=True):
         blurred = [cv2.GaussianBlur(one, (0, 0), 3).astype(float) for one in (image, expected)]
         assert np.abs(blurred[0] - blurred[1]).mean() < 4
-
-
-def test_a_frame_of_another_size_is_named_where_the_size_changes_all_the_same(
-    place: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Not every way in which OpenCV reads videos scales."""
-
-    def shrinking(*given: Any) -> Any:
-        for frame_id, image in whole(*given):
-            yield frame_id, image[:100] if frame_id > 2 else image
-
-    whole = video.video_images
-    monkeypatch.setattr("egolane_pgm.vision.camera.pictures.video_images", shrinking)
-    pictures = read_pictures(open_source(place / "drive.avi"), CAMERA)
-    assert [next(pictures).frame_id for _ in range(3)] == [0, 1, 2]
-    with pytest.raises(InputError, match=r"drive\.avi: frame 3: the picture has 480x100 pixels"):
-        next(pictures)

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import weakref
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.camera.pictures import open_source, read_pictures
-from tests.kits.synthetic_road import CAMERA, images, write_pictures
+from egolane_pgm.vision.camera.pictures import open_source
 
 
 def test_the_order_of_pictures_is_natural_and_their_id_the_number_that_counts(
@@ -33,13 +30,3 @@ def test_the_order_of_pictures_is_natural_and_their_id_the_number_that_counts(
         source = open_source(tmp_path / folder)
         assert [file.name for file in source.files] == names
         assert source.frame_id == tuple(ids)
-
-
-def test_memory_holds_a_picture_or_two_however_long_the_video(place: Path, tmp_path: Path) -> None:
-    folder = write_pictures(tmp_path / "pictures", images(6))
-    for source in (open_source(place / "drive.avi"), open_source(folder)):
-        alive: list[weakref.ref[Image]] = []
-        for picture in read_pictures(source, CAMERA):
-            alive.append(weakref.ref(picture.image))
-            del picture
-            assert sum(image() is not None for image in alive) <= 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,6 @@ from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.detectors import FrameLines, Step
 from egolane_pgm.vision.detectors.runner import Detector, detect, find_detector, start
 from makers.camera import carnd, clips, lane_change
@@ -263,13 +261,3 @@ def test_a_lane_change_to_the_right_is_one_line_that_crosses_and_one_change_of_l
     assert crossed.last_m < -1
     assert 7530 <= crossed.crossed_at <= 7590
     assert lane_change.changes(lane_change.lanes(followed)) == (0, 1)
-
-
-def test_the_pictures_of_a_real_folder_are_numbered_by_their_names() -> None:
-    folder = folder_of(lane_change, "lane_change_right")
-    source = open_source(folder)
-    assert source.frame_id is not None
-    assert source.frame_id[:3] == (7308, 7317, 7326)
-    camera = replace(CAMERA, width=692, height=480)
-    first = next(read_pictures(source, camera, frames=(7317, 7330)))
-    assert first.frame_id == 7317

@@ -18,11 +18,9 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.formats.image_lines import (
     ImageLine,
-    RoadLine,
     frame_numbers,
     offset_of,
     persistence,
-    points,
 )
 from egolane_pgm.vision.formats.openlane import CATEGORIES
 from egolane_pgm.vision.formats.tusimple import entry_lines, read_tusimple
@@ -98,17 +96,6 @@ def test_an_offset_comes_back_whatever_the_heading(offsets: list[float], heading
     assert there == pytest.approx(offsets[0] + 10 * heading, abs=0.02)
 
 
-def test_a_bend_is_not_taken_for_an_offset() -> None:
-    x = np.linspace(5, 50, 40)
-    u, v = road_to_image(CAMERA, x, 1.8 + x**2 / 2 / 800)
-    assert offset_of(ImageLine(u, v), CAMERA) == pytest.approx(1.8, abs=0.05)
-
-
-def test_a_line_whose_points_are_beyond_all_numbers_has_no_offset() -> None:
-    x = np.array([1e-308, 5.0, 10.0])
-    assert np.isnan(offset_of(RoadLine(x, np.full(3, 1e308)), None))
-
-
 def test_a_line_seen_only_far_ahead_or_above_the_horizon_has_no_offset() -> None:
     far = np.linspace(30, 60, 10)
     assert np.isnan(offset_of(ImageLine(*road_to_image(CAMERA, far, 0 * far)), CAMERA))
@@ -140,13 +127,6 @@ def test_lri_counts_the_sightings_in_the_last_ten_frames_and_valid_has_hysteresi
     assert not valid[16].any()
     assert lri[24].tolist() == [9.0]
     assert valid[25].all()
-
-
-def test_a_line_missed_for_a_moment_stays_valid() -> None:
-    seen = [[1.8]] * 10 + [[]] * 3 + [[1.8]] * 2
-    lri, valid = persistence(rows(*seen), np.arange(len(seen)) / 10)
-    assert lri[13].tolist() == [7.0]
-    assert valid[13].all()
 
 
 def test_lines_are_followed_as_they_move_and_new_ones_begin_at_one() -> None:
@@ -182,16 +162,6 @@ def test_lri_is_between_one_and_ten_and_valid_needs_half_of_it(
         assert len(at) == len(flags) == len(row)
         assert ((at >= 1) & (at <= 10)).all()
         assert (at[flags] >= 5).all()
-
-
-def test_lines_of_a_trusted_source_are_valid_at_once(tmp_path: Path) -> None:
-    path = tusimple(tmp_path / "a.jsonl", [entry(20), entry(40)])
-    log = read(path)
-    assert not log.is_valid.any()
-    log = read(path, valid="always", frame_step=20)
-    assert log.frame_id.tolist() == [1, 2]
-    assert log.is_valid.all()
-    assert (log.lri == 10).all()
 
 
 def test_time_stamps_become_frames_of_the_frame_rate() -> None:
@@ -272,23 +242,6 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
 
 
-@pytest.mark.parametrize(
-    ("setting", "said"),
-    [
-        ("frame_rate=abc", "frame_rate: 'abc' is not a number greater than 0"),
-        ("frame_rate=true", "frame_rate: True is not a number"),
-        ("frame_rate=.inf", "frame_rate: inf is not a number greater than 0"),
-        ("camera=5", "camera: 5 is not the name of a camera's YAML file"),
-        ("camera={fx: 3}", "camera: {'fx': 3} is not the name of a camera's YAML file"),
-        ("format=culane", "format tusimple has no option 'format'"),
-        ("path=x", "format tusimple has no option 'path'"),
-    ],
-)
-def test_an_option_of_another_kind_is_refused(labels: Path, setting: str, said: str) -> None:
-    assert said in refused("convert", labels, labels.with_name("a.csv"), "--set", setting)
-    assert not labels.with_name("a.csv").exists()
-
-
 WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
     "tusimple": lambda folder, ids: tusimple(folder / "labels.json", [entry(k) for k in ids]),
     "culane": lambda folder, ids: culane(folder / "culane", ids),
@@ -337,31 +290,6 @@ def test_the_first_column_is_a_point_and_a_line_without_points_is_none() -> None
     [line] = entry_lines(picture, "here")
     assert line.u.tolist() == [0, 7.5]
     assert line.v.tolist() == [400, 420]
-
-
-@pytest.mark.parametrize(
-    ("known", "is_good"), [(20, True), (21, False), (-1, False), (True, False)]
-)
-def test_classes_are_whole_numbers_up_to_twenty(known: Any, is_good: bool) -> None:
-    picture = {"lanes": [[5, 6]], "h_samples": [400, 410], "classes": [known]}
-    if is_good:
-        assert entry_lines(picture, "here", frozenset({20}))[0].is_continuous
-        return
-    with pytest.raises(InputError, match=f"here: lane 1 has class {known}, not one of 0 to 20"):
-        entry_lines(picture, "here")
-
-
-@pytest.mark.parametrize("continuous", [[21], [-1], [2.0], "2", None])
-def test_only_classes_can_be_continuous(tmp_path: Path, continuous: Any) -> None:
-    path = WRITERS["tusimple"](tmp_path, [1])
-    with pytest.raises(InputError, match="is not a list of classes, 0 to 20"):
-        read(path, format="tusimple", continuous=continuous)
-
-
-def test_empty_lines_of_a_file_are_passed_over(tmp_path: Path) -> None:
-    path = WRITERS["tusimple"](tmp_path, [1, 2])
-    path.write_text(path.read_text().replace("\n", "\n\n  \n"))
-    assert len(read(path, format="tusimple")) == 2
 
 
 def test_solid_lines_and_curbs_are_continuous_in_openlane(tmp_path: Path) -> None:
@@ -431,33 +359,6 @@ def test_of_two_lines_near_an_earlier_one_the_nearer_continues_it() -> None:
     assert [row.tolist() for row in found] == [[1], [2, 1], [3, 2]]
 
 
-@pytest.mark.parametrize(("missed", "is_valid"), [(5, True), (6, False)])
-def test_half_of_the_last_ten_sightings_keep_a_line_valid(missed: int, is_valid: bool) -> None:
-    rows = [np.array([1.0])] * 10 + [np.zeros(0)] * missed + [np.array([1.0])]
-    found, valid = persistence(rows, np.arange(len(rows)) / 10)
-    assert found[-1].tolist() == [10 - missed]
-    assert valid[-1].tolist() == [is_valid]
-
-
-def test_a_line_keeps_its_class_whatever_order_the_lines_are_in(tmp_path: Path) -> None:
-    left, middle, right = OFFSETS
-    picture = entry(1, (right, left, middle), classes=[2, 1, 1])
-    log = read(tusimple(tmp_path / "labels.json", [picture]), format="tusimple")
-    assert log.is_continuous.tolist() == [[False, False, True]]
-
-
-def test_time_stamps_of_two_kinds_are_no_frame_numbers() -> None:
-    with pytest.raises(InputError, match=r"frame numbers of \[13, 16\] digits"):
-        frame_numbers(["1700000000000", "1700000000100000"], 10.0, "here")
-    assert frame_numbers(["1700000000000", "1700000000100"], 10.0, "here") == [0, 1]
-
-
-def test_true_is_no_coordinate() -> None:
-    with pytest.raises(InputError, match="here: u is not a list of numbers"):
-        points([1.0, True], "here", "u")
-    assert points([1, 2.5], "here", "u").tolist() == [1, 2.5]
-
-
 def test_broken_json_is_refused_with_its_line(tmp_path: Path) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1), entry(2)])
     path.write_text(path.read_text()[:-40])
@@ -487,13 +388,6 @@ def test_a_bad_picture_is_refused_with_its_line(
     assert said in whats_wrong(path)
 
 
-def test_a_missing_key_is_refused_with_its_line(tmp_path: Path) -> None:
-    without = entry(2)
-    del without["h_samples"]
-    path = tusimple(tmp_path / "a.jsonl", [entry(1), without])
-    assert "line 2: has no h_samples, which TuSimple's format needs" in whats_wrong(path)
-
-
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -509,18 +403,6 @@ def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(
         read_tusimple(tmp_path / "a.json")
     assert str(info.value).startswith(f"{tmp_path / 'a.json'}: line 1: {said}")
     assert "(formats: rosbag: .bag, .mcap, .db3; table: .csv, .parquet; " in str(info.value)
-
-
-def test_a_picture_without_a_number_is_refused(tmp_path: Path) -> None:
-    path = tusimple(tmp_path / "a.jsonl", [entry(1, raw_file="a/b.jpg")])
-    assert "'b' has no frame number in it" in whats_wrong(path)
-
-
-def test_openlane_in_the_wrong_reader_is_told(tmp_path: Path) -> None:
-    folder = openlane(tmp_path / "o", [1])
-    said = whats_wrong(folder / "1.json")
-    assert "line 1: has lane_lines: that is OpenLane's, format: openlane" in said
-    assert len(read(folder / "1.json", format="openlane")) == 1
 
 
 def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
@@ -581,6 +463,7 @@ def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Pa
 @pytest.mark.parametrize(
     ("options", "said"),
     [
+        ({"camera": 5}, "camera: 5 is not the name of a camera's YAML file"),
         ({"valid": "allways"}, "valid: 'allways' is not one of hysteresis, always (did you mean"),
         ({"frame_step": 0}, "frame_step: 0 is not a whole number from 1 up"),
         ({"frame_step": 2}, "frame 1 is no multiple of frame_step 2"),

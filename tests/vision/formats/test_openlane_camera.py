@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import read_camera, write_camera
 from egolane_pgm.vision.formats.openlane import read_own_camera
 from tests.kits.drives import done, refused
@@ -110,11 +110,6 @@ def test_a_file_that_names_no_camera_is_refused(
     assert told.count(str(file)) == 1
     assert said in told
     assert not (tmp_path / "cam.yaml").exists()
-
-
-def test_without_a_camera_lines_in_pixels_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="its lines are in pixels: name the camera's YAML file"):
-        read_lines(write_file(tmp_path, intrinsic=None), format="openlane")
 
 
 def test_openlane_goes_alone(tmp_path: Path) -> None:

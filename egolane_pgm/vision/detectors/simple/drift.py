@@ -42,13 +42,6 @@ PARAMETERS = (
         choices=("warn", "correct", "ignore"),
     ),
     Parameter(
-        "drift_deg",
-        "positive",
-        0.4,
-        "the pitch has drifted if it is off by more than this and two standard deviations, degrees",
-        highest=30,
-    ),
-    Parameter(
         "drift_every",
         "integer",
         50,
@@ -57,6 +50,9 @@ PARAMETERS = (
         lowest=1,
     ),
 )
+
+#: The pitch has drifted if it is off by more than this and two standard deviations, degrees.
+_DRIFT_DEG = 0.4
 
 #: The differences from the calibrated pitch that the belief is about, degrees.
 _GRID = np.linspace(-3.0, 3.0, 121)
@@ -263,7 +259,7 @@ def _complaints(camera: Camera, drift: Drift, parameters: Parameters) -> dict[st
     name = camera.name or "the camera"
     said = {}
     away, sd = drift.pitch_deg, drift.pitch_sd_deg
-    if abs(away) > number(parameters, "drift_deg") + 2 * sd:
+    if abs(away) > _DRIFT_DEG + 2 * sd:
         corrects = parameters["camera_drift"] == "correct"
         then = (
             "the pitch is corrected from here on"

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.parameters import Parameters, number
+from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
@@ -19,8 +19,7 @@ from egolane_pgm.vision.detectors.networks import looking
 from egolane_pgm.vision.detectors.simple import drift
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, view_for
-from egolane_pgm.vision.detectors.simple.frozen import PARAMETERS as _FROZEN
-from egolane_pgm.vision.detectors.simple.frozen import repeat_counter
+from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.vision.detectors.simple.paint import painted_share
 from egolane_pgm.vision.detectors.simple.parameters import FINDING, TRACKING
@@ -42,7 +41,6 @@ PARAMETERS = (
     *TRACKING,
     *drift.PARAMETERS,
     *looking.PARAMETERS,
-    *_FROZEN,
 )
 
 #: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
@@ -96,14 +94,14 @@ def follower(
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
     keep = looking.keep(camera, parameters)
-    count_repeats = repeat_counter(parameters)
+    count_repeats = repeat_counter()
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct" and road is None
     turned, corrected_deg = turned_up(view), 0.0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         repeated = count_repeats(picture)
-        if 0 < repeated < number(parameters, "frozen_after"):
+        if 0 < repeated < FROZEN_AFTER:
             return tracks
         if repeated:
             return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))

@@ -24,19 +24,29 @@ from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.vision.detectors.simple.kernels import (
-    along_common,
-    best_beside,
     common_scores,
     line_equations,
-    rows_covered,
-    rows_shown,
 )
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
 from egolane_pgm.vision.detectors.simple.upright import free_road
 
-#: The values that all lines of a frame share. The last one is not searched for.
-_SHARED = ("heading", "curvature", "squeeze", "rate")
+#: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
+#: height, 1/m) and rate (1/m^2). First their usual sizes, standard deviations, then the largest
+#: ones; the rate is not searched for. It is what a car at 110 km/h meets on the shortest transition
+#: curve that AASHTO's Green Book allows (section 3.3.8: lateral acceleration grows by 1.2 m/s^3 at
+#: most, so 1.2 over the cube of the speed: a clothoid parameter of 155 m).
+_SD = np.array([0.03, 0.001, 0.004, 4e-5])
+_MOST = np.array([0.15, 0.003, 0.008])
+
+#: The factor on these standard deviations (but the rate's) once the frame before is known.
+_PRIOR_SHARE = 0.3
+
+#: How much contours of a line differ in direction, m/m.
+_SLOPE_SD = 0.05
+
+#: `least_rise` in a picture full of streaks: what is left of these adds to the contrast around.
+_STREAKY_RISE = 3.0
 
 #: Which of them each curve has.
 _HAS = {
@@ -155,7 +165,7 @@ def find_lines(
             return _nothing()
         if cover > RAIN:
             image = without_streaks(image, parameters)
-            parameters = {**parameters, "least_rise": parameters["streaky_rise"]}
+            parameters = {**parameters, "least_rise": _STREAKY_RISE}
         above = from_above(view, image)
         view = replace(view, valid=view.valid & free_road(view, above, parameters))
         mask = marking_mask(view, above, parameters)
@@ -183,9 +193,9 @@ def fit_lines(
     """Finds the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
     if len(strips.row) == 0:
         return _nothing()
-    prior = _prior(parameters, prior_shape)
+    prior = _prior(prior_shape)
     common = _find_common(view, strips, parameters, prior)
-    offset, agreement = _along(strips, common, parameters)
+    offset, agreement = _along(strips, common)
     centre, score = _scores(view, strips, offset, agreement, common, parameters)
     peaks = _peaks(centre, score, parameters)
     common, found = _refine(strips, common, centre[peaks], parameters, prior)
@@ -206,11 +216,10 @@ def _select(
     return Found(shape[order], score[order], coverage[order], visible[order])
 
 
-def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+def _prior(prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """Mean and standard deviation, (4,) each, of the prior on what the lines share."""
-    sd = np.array([number(parameters, f"{name}_sd") for name in _SHARED])
     if prior_shape is None or not len(prior_shape):
-        return np.zeros(4), sd
+        return np.zeros(4), _SD
     offset, slope = prior_shape[:, 0], prior_shape[:, 1]
     heading, squeeze = float(np.median(slope)), 0.0
     if len(prior_shape) > 1 and np.ptp(offset) > 1:
@@ -221,8 +230,7 @@ def _prior(parameters: Parameters, prior_shape: FloatArray | None) -> tuple[Floa
     curvature, rate = np.median(prior_shape[:, 2:], axis=0)
     centre = np.array([heading, curvature, squeeze, rate])
     # A clothoid begins and ends at a point: the rate of the frame before does not bind this one's.
-    share = number(parameters, "prior_share")
-    return centre, sd * [share, share, share, 1.0]
+    return centre, _SD * [_PRIOR_SHARE, _PRIOR_SHARE, _PRIOR_SHARE, 1.0]
 
 
 def _find_common(
@@ -231,11 +239,10 @@ def _find_common(
     """Searches for the values that the lines share, on a coarse grid, then on a fine one around the
     best point. The rate is the expected one."""
     has = _HAS[str(parameters["curve"])]
-    most = np.array([number(parameters, f"most_{name}") for name in _SHARED[:3]])
     rate = float(prior[0][3]) if has[3] else 0.0
     x, y, area, contour = _pieces(view, strips)
     y = y - rate * x**3 / 6
-    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)[contour]
+    tolerance = np.hypot(_SLOPE_SD, strips.slope_sd)[contour]
     middle = strips.middle_m[contour]
     slope = strips.slope[contour] - rate * middle**2 / 2
     side = number(parameters, "side_m")
@@ -257,9 +264,9 @@ def _find_common(
         return np.array([values[i] for values, i in zip(grid, index, strict=True)])
 
     first = best(
-        [m * np.linspace(-1, 1, n) for m, n in zip(most, _COARSE, strict=True)], _COARSE_BIN_M
+        [m * np.linspace(-1, 1, n) for m, n in zip(_MOST, _COARSE, strict=True)], _COARSE_BIN_M
     )
-    step = 2 * most / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
+    step = 2 * _MOST / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
     around = [at + s * np.linspace(-1, 1, n) for at, s, n in zip(first, step, _FINE, strict=True)]
     heading, curvature, squeeze = map(float, best(around, _FINE_BIN_M))
     return _Common(heading, curvature, squeeze, rate)
@@ -277,17 +284,20 @@ def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, Flo
     return x, y, width[piece] * view.along_m, piece // per_contour
 
 
-def _along(
-    strips: Strips, common: _Common, parameters: Parameters
-) -> tuple[FloatArray, FloatArray]:
+def _along(strips: Strips, common: _Common) -> tuple[FloatArray, FloatArray]:
     """For each run, (N,): the offset of the line through it, and how well its contour's direction
     agrees with that line's, from 1 down to 0."""
-    tolerance = np.hypot(number(parameters, "slope_sd"), strips.slope_sd)
-    shared = np.array([common.heading, common.curvature, common.squeeze, common.rate])
-    offset, agreement = along_common(
-        strips.x_m, strips.y_m, strips.contour, strips.middle_m, strips.slope, tolerance, shared
-    )
-    return offset, agreement
+    heading, curvature, squeeze, rate = (
+        common.heading, common.curvature, common.squeeze, common.rate,
+    )  # fmt: skip
+    x, middle = strips.x_m, strips.middle_m
+    straight = strips.y_m - x * (heading + x * (curvature / 2 + x * rate / 6))
+    offset = straight / (1 + squeeze * x)
+    expected = heading + middle * (curvature + middle * rate / 2)
+    tolerance = np.hypot(_SLOPE_SD, strips.slope_sd)
+    k = strips.contour
+    off = (strips.slope[k] - (expected[k] + squeeze * offset)) / tolerance[k]
+    return offset, np.maximum(1 - off * off, 0.0)
 
 
 def _scores(
@@ -323,14 +333,20 @@ def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
     if not len(lag):
         return np.zeros(len(own))
     likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
-    support: FloatArray = best_beside(np.minimum(own, _MOST_SUPPORT), int(lag[0]), likely)
+    padded = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
+    at = np.arange(len(own))[:, None] + lag[-1]
+    support: FloatArray = (np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1)
     return support
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     """The length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
-    shown = rows_shown(view.x_m, view.y_m[0], view.across_m, view.valid, shape, 4)
-    visible: FloatArray = shown * 4 * view.along_m
+    x, valid = view.x_m[::4], view.valid[::4]
+    s0, s1, s2, s3 = shape.T[:, :, None]
+    column = (s0 + x * (s1 + x * (s2 / 2 + x * s3 / 6)) - view.y_m[0]) / view.across_m + 0.5
+    inside = (column >= 0) & (column < valid.shape[1])
+    is_shown = inside & valid[np.arange(len(x)), np.where(inside, column, 0).astype(np.int64)]
+    visible: FloatArray = is_shown.sum(axis=1) * 4 * view.along_m
     return visible
 
 
@@ -362,7 +378,7 @@ def _refine(
     for times in _REFINE:
         if not len(found):
             break
-        offset, agreement = _along(strips, common, parameters)
+        offset, agreement = _along(strips, common)
         normal, right = line_equations(
             strips.x_m,
             strips.y_m,
@@ -386,8 +402,10 @@ def _coverage(
     view: BirdsEye, strips: Strips, found: FloatArray, common: _Common, parameters: Parameters
 ) -> FloatArray:
     """The length (M,), metres, over which contours cover the lines with offsets `found` (M,)."""
-    offset, agreement = _along(strips, common, parameters)
-    reach = number(parameters, "reach_m")
-    covered = rows_covered(strips.row, offset, agreement, found, reach, len(view.x_m))
-    length: FloatArray = covered * view.along_m
+    offset, agreement = _along(strips, common)
+    near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
+    line, run = np.nonzero(near & (agreement > 0))
+    covers = np.zeros((len(found), len(view.x_m)), dtype=bool)
+    covers[line, strips.row[run]] = True
+    length: FloatArray = covers.sum(axis=1) * view.along_m
     return length

@@ -8,34 +8,22 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.vision.camera.picture import Picture
 
-PARAMETERS = (
-    Parameter(
-        "frozen_below",
-        "non_negative",
-        0.05,
-        "a picture that differs from the one before by no more than this, grey levels on the"
-        " average, is that picture again: the lines stay as they are",
-    ),
-    Parameter(
-        "frozen_after",
-        "integer",
-        3,
-        "but after this many repeated pictures in a row the camera is frozen: nothing is detected",
-        lowest=1,
-    ),
-)
+#: A picture that differs from the one before by no more than this, grey levels on the average, is
+#: that picture again: the lines stay as they are.
+_BELOW = 0.05
+
+#: But after this many repeated pictures in a row the camera is frozen: nothing is detected.
+FROZEN_AFTER = 3
 
 #: The step in pixels at which a picture is compared with the one before.
 _EVERY = 8
 
 
-def repeat_counter(parameters: Parameters) -> Callable[[Picture], int]:
+def repeat_counter() -> Callable[[Picture], int]:
     """Makes a function that counts how often in a row a picture has repeated the one before. It
     warns once if the camera is frozen."""
-    below, after = number(parameters, "frozen_below"), number(parameters, "frozen_after")
     before: NDArray[np.int16] | None = None
     repeated, has_warned = 0, False
 
@@ -45,11 +33,11 @@ def repeat_counter(parameters: Parameters) -> Callable[[Picture], int]:
         is_same = (
             before is not None
             and before.shape == sample.shape
-            and float(np.abs(sample - before).mean()) <= below
+            and float(np.abs(sample - before).mean()) <= _BELOW
         )
         repeated = repeated + 1 if is_same else 0
         before = sample
-        if repeated == after and not has_warned:
+        if repeated == FROZEN_AFTER and not has_warned:
             has_warned = True
             warnings.warn(
                 f"frame {picture.frame_id}: the picture has not changed for"

@@ -11,13 +11,12 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.parameters import Parameter, Parameters, number
-from egolane_pgm.types import FloatArray
+from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.kernels import paint_contrasts, rows_in_view
+from egolane_pgm.vision.detectors.simple.kernels import paint_contrasts
 
 PARAMETERS = (
-    Parameter("paint_length_m", "positive", 10.0, "length of a line that is examined, metres"),
     Parameter("least_length_m", "positive", 3.0, "shortest piece in view that is judged, metres"),
     Parameter(
         "paint_width_m",
@@ -27,25 +26,19 @@ PARAMETERS = (
         highest=10,
     ),
     Parameter(
-        "paint_reach_m",
-        "positive",
-        0.25,
-        "largest distance of paint from the fitted line, metres",
-        highest=10,
-    ),
-    Parameter(
-        "least_paint", "positive", 0.14, "least contrast of paint, as a share of local brightness"
-    ),
-    Parameter(
-        "paint_share", "probability", 0.15, "the same, as a share of the line's brightest tenth"
-    ),
-    Parameter(
-        "paint_over_noise",
-        "non_negative",
-        2.0,
-        "the same, as a multiple of the contrast beside the line (on the side with less)",
+        "paint_share",
+        "probability",
+        0.15,
+        "least contrast of paint, as a share of the line's brightest tenth",
     ),
 )
+
+#: The length of a line that is examined, and the largest distance of paint from it, metres.
+_LENGTH_M, _REACH_M = 10.0, 0.25
+
+#: The least contrast of paint, as a share of local brightness, and as a multiple of the contrast
+#: beside the line (on the side with less).
+_LEAST, _OVER_NOISE = 0.14, 2.0
 
 #: Added to the local brightness (grey levels), so that noise in the dark does not count as paint.
 _DARK = 10.0
@@ -60,30 +53,47 @@ def painted_share(
     - image: (H, W, 3), blue green red
     - shape: (M, 4) the lines, as in FrameLines
     """
-    reach_m, width_m = number(parameters, "paint_reach_m"), number(parameters, "paint_width_m")
-    length_m, least_m = number(parameters, "paint_length_m"), number(parameters, "least_length_m")
-    aside = round((reach_m + width_m) / view.across_m) + 1
+    width_m, least_m = (number(parameters, name) for name in ("paint_width_m", "least_length_m"))
+    aside = round((_REACH_M + width_m) / view.across_m) + 1
     half = max(round(width_m / view.across_m / 2), 1)
     away_m = np.arange(aside + 1) * view.across_m
-    near = int((away_m <= reach_m + 1e-9).sum()) - 1
-    far = min(int((away_m <= reach_m + view.across_m).sum()), aside)
+    near = int((away_m <= _REACH_M + 1e-9).sum()) - 1
+    far = min(int((away_m <= _REACH_M + view.across_m).sum()), aside)
     shares = np.full(len(shape), np.nan)
     for k, line in enumerate(shape):
-        rows, columns = rows_in_view(
-            view.x_m, view.y_m[0], view.across_m, view.valid, line, aside, length_m
-        )
+        rows, columns = _rows_in_view(view, line, aside, _LENGTH_M)
         if len(rows) * view.along_m < least_m:
             continue
         own, other = paint_contrasts(
             image, view.map_uv[0], rows, columns, aside, half, near, far, _DARK
         )
         least = max(
-            number(parameters, "least_paint"),
+            _LEAST,
             number(parameters, "paint_share") * _quantile(own, 0.9),
-            number(parameters, "paint_over_noise") * _quantile(other, 0.5),
+            _OVER_NOISE * _quantile(other, 0.5),
         )
         shares[k] = (own > least).mean()
     return shares
+
+
+def _rows_in_view(
+    view: BirdsEye, line: FloatArray, aside: int, length_m: float
+) -> tuple[IntArray, IntArray]:
+    """The rows of a view that show the first metres of a line (4,), and the line's columns in these
+    rows, (N,) each, from near to far.
+
+    - aside: number of columns on either side that must be in the picture too
+    - length_m: length of these first metres
+    """
+    x = view.x_m
+    y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
+    columns = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(np.int64)
+    rows = np.flatnonzero((columns >= aside) & (columns < view.valid.shape[1] - aside))
+    # Outside of the picture is not dark road.
+    both = view.valid[rows, columns[rows] - aside] & view.valid[rows, columns[rows] + aside]
+    rows = rows[both][::-1]
+    rows = rows[x[rows] <= x[rows[:1]] + length_m]
+    return rows, columns[rows]
 
 
 def _quantile(values: FloatArray, share: float) -> float:

@@ -9,30 +9,12 @@ from __future__ import annotations
 from egolane_pgm.parameters import Parameter
 
 _VIEW = (
-    Parameter(
-        "x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead", highest=1000
-    ),
-    Parameter(
-        "x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead", highest=1000
-    ),
+    Parameter("x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead"),
+    Parameter("x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead"),
     Parameter("straight_to_m", "positive", 25.0, "the same for straight lines, as roads bend"),
-    Parameter("side_m", "positive", 9.0, "half-width of the bird's-eye view, metres", highest=100),
-    Parameter(
-        "along_m",
-        "positive",
-        0.1,
-        "metres per pixel of the bird's-eye view, along",
-        lowest=0.001,
-        highest=10,
-    ),
-    Parameter(
-        "across_m",
-        "positive",
-        0.05,
-        "metres per pixel of the bird's-eye view, across",
-        lowest=0.001,
-        highest=10,
-    ),
+    Parameter("side_m", "positive", 9.0, "half-width of the bird's-eye view, metres"),
+    Parameter("along_m", "positive", 0.1, "metres per pixel of the bird's-eye view, along"),
+    Parameter("across_m", "positive", 0.05, "metres per pixel of the bird's-eye view, across"),
 )
 
 _MARKINGS = (
@@ -74,12 +56,6 @@ _MARKINGS = (
         "the same where the whole picture has little contrast, as when it is blurred or dim",
     ),
     Parameter("least_rise", "non_negative", 4.0, "the same over the mean contrast around"),
-    Parameter(
-        "streaky_rise",
-        "non_negative",
-        3.0,
-        "the same in a picture full of streaks: what is left of these adds to the contrast around",
-    ),
 )
 
 _UPRIGHT = (
@@ -109,43 +85,6 @@ _FIT = (
         " changes at a constant rate)",
         choices=("line", "parabola", "clothoid"),
     ),
-    Parameter("most_heading", "positive", 0.15, "largest heading of the road, m/m", highest=10),
-    Parameter(
-        "heading_sd", "sigma", 0.03, "usual heading of the road, m/m", lowest=1e-6, highest=10
-    ),
-    Parameter("most_curvature", "positive", 0.003, "largest curvature of the road, 1/m"),
-    Parameter(
-        "curvature_sd", "sigma", 0.001, "usual curvature of the road, 1/m", lowest=1e-9, highest=10
-    ),
-    Parameter(
-        "rate_sd",
-        "sigma",
-        4e-5,
-        "usual rate of a clothoid's curvature, 1/m^2: what a car at 110 km/h meets on the shortest"
-        " transition curve that AASHTO's Green Book allows (section 3.3.8: lateral acceleration"
-        " grows by 1.2 m/s^3 at most, so 1.2 over the cube of the speed: a clothoid parameter of"
-        " 155 m)",
-        lowest=1e-12,
-        highest=10,
-    ),
-    Parameter("most_squeeze", "positive", 0.008, "largest effect of a wrong pitch on widths, 1/m"),
-    Parameter(
-        "squeeze_sd",
-        "sigma",
-        0.004,
-        "usual effect of pitching: radians over height, 1/m",
-        lowest=1e-9,
-        highest=10,
-    ),
-    Parameter(
-        "prior_share",
-        "positive",
-        0.3,
-        "factor on these standard deviations (but the rate's) once the frame before is known",
-        lowest=1e-3,
-        highest=1000,
-    ),
-    Parameter("slope_sd", "sigma", 0.05, "how much contours of a line differ in direction, m/m"),
     Parameter(
         "reach_m",
         "positive",
@@ -219,54 +158,11 @@ TRACKING = (
     ),
     Parameter("farthest_m", "positive", 14.0, "a line farther to the side than this is dropped"),
     Parameter(
-        "track_near_m",
-        "positive",
-        6.0,
-        "nearest distance ahead at which lines are compared",
-        highest=1000,
-    ),
-    Parameter(
-        "track_far_m",
-        "positive",
-        30.0,
-        "farthest distance ahead at which they are compared",
-        highest=1000,
-    ),
-    Parameter(
-        "measure_sigma_m",
-        "positive",
-        0.12,
-        "standard deviation of a found line's place at the near end",
-        lowest=1e-3,
-        highest=100,
-    ),
-    Parameter(
-        "measure_sigma_far_m",
-        "positive",
-        0.35,
-        "the same at the far end, growing in between",
-        lowest=1e-3,
-        highest=100,
-    ),
-    Parameter(
-        "measure_sigma_rate",
-        "positive",
-        2e-5,
-        "standard deviation of the rate of a found clothoid's curvature, 1/m^2",
-        lowest=1e-9,
-        highest=1,
-    ),
-    Parameter(
         "offset_walk_m",
         "positive",
         0.06,
         "standard deviation of a line's own change of offset per frame",
         highest=10,
-    ),
-    Parameter("heading_walk", "positive", 0.004, "the same for its heading, radians", highest=1),
-    Parameter("curvature_walk", "positive", 2e-4, "the same for its curvature, 1/m", highest=0.1),
-    Parameter(
-        "rate_walk", "positive", 4e-6, "the same for the curvature's rate, 1/m^2", highest=0.1
     ),
     Parameter(
         "shift_gain",
@@ -279,13 +175,6 @@ TRACKING = (
         "probability",
         0.4,
         "share of it that enters the steady motion, with which lines are predicted",
-    ),
-    Parameter(
-        "curvature_gain",
-        "probability",
-        0.3,
-        "share of the matched lines' common change of curvature that counts as common motion (the"
-        " road's)",
     ),
     Parameter(
         "vote_frames",

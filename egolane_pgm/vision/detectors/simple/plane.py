@@ -12,47 +12,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import Camera, axes
-from egolane_pgm.vision.detectors.simple.kernels import count_near
 
-PARAMETERS = (
-    Parameter(
-        "plane_px",
-        "positive",
-        0.5,
-        "largest distance of a disparity from a plane that it lies on, pixels as matched",
-    ),
-    Parameter(
-        "plane_trials",
-        "integer",
-        100,
-        "how many planes through three points are tried",
-        lowest=1,
-        highest=10_000,
-    ),
-    Parameter("plane_seed", "integer", 0, "seed of the choice of these points"),
-    Parameter(
-        "plane_points",
-        "integer",
-        200,
-        "least number of points on a sure plane, of at most 3,000",
-        lowest=3,
-    ),
-    Parameter(
-        "plane_share", "probability", 0.4, "least share of the matched points on a sure plane"
-    ),
-    Parameter(
-        "most_pitch_deg",
-        "positive",
-        2.5,
-        "largest difference of the plane's pitch from the calibrated one, degrees",
-        highest=30,
-    ),
-    Parameter("most_roll_deg", "positive", 1.5, "the same for its roll, degrees"),
-    Parameter("most_heave", "positive", 0.12, "the same for the camera's height, as a share of it"),
-)
+#: How many planes through three random points are tried, and the least number of points (of at most
+#: MOST_POINTS) on a sure plane.
+_TRIALS, _POINTS = 100, 200
+
+#: The largest differences of a plane's pitch and roll (degrees) and of the camera's height (share)
+#: from the calibrated ones.
+MOST_PITCH_DEG, _MOST_ROLL_DEG, _MOST_HEAVE = 2.5, 1.5, 0.12
 
 #: The most points that a plane is fitted to.
 MOST_POINTS = 3000
@@ -114,7 +83,7 @@ def fit_plane(
     v: FloatArray,
     disparity: FloatArray,
     tolerance_px: float,
-    parameters: Parameters,
+    least_share: float,
 ) -> Plane:
     """Finds the plane that most points lie on.
 
@@ -123,10 +92,11 @@ def fit_plane(
 
     - u, v, disparity: (N,) the points, pixels; N is at most a few thousand
     - tolerance_px: largest distance of a point from a plane that it lies on, pixels
+    - least_share: of the points, on a sure plane
     """
     calibrated = ground_plane(camera)
     off = disparity - disparity_at(calibrated, u, v)
-    if len(off) < int(number(parameters, "plane_points")):
+    if len(off) < _POINTS:
         return Plane(calibrated, 0.0, False)
     # Points are centred and scaled so that the three equations are well conditioned.
     centre, scale = np.array([u.mean(), v.mean()]), max(float(np.ptp(u)), float(np.ptp(v)), 1.0)
@@ -140,42 +110,43 @@ def fit_plane(
         planes: FloatArray = calibrated + np.concatenate([slope, shift[..., None]], axis=-1)
         return planes
 
-    tilts = _candidates(points.T, off, parameters)
-    is_possible = _possible(camera, whole(tilts), parameters)
+    tilts = _candidates(points.T, off)
+    is_possible = _possible(camera, whole(tilts))
     # The calibrated plane stays a candidate whatever rounding says.
     is_possible[0] = True
     tilts = tilts[is_possible]
-    best = tilts[int(np.argmax(count_near(tilts, points[:2], off, tolerance_px)))]
+    a, b, c = tilts.T[:, :, None]
+    is_near = np.abs(a * points[0] + b * points[1] + c - off) <= tolerance_px
+    best = tilts[int(np.argmax(is_near.sum(axis=1)))]
     for times in _ROUNDS:
         near = np.abs(best @ points - off) <= times * tolerance_px
-        if near.sum() < int(number(parameters, "plane_points")):
+        if near.sum() < _POINTS:
             return Plane(calibrated, float(near.mean()), False)
         design = points * near
         best = np.linalg.lstsq(design @ points.T, design @ off)[0]
     share = float((np.abs(best @ points - off) <= tolerance_px).mean())
     found = whole(best)
-    is_sure = share >= number(parameters, "plane_share")
-    is_sure &= bool(_possible(camera, found[None], parameters)[0])
+    is_sure = share >= least_share
+    is_sure &= bool(_possible(camera, found[None])[0])
     return Plane(found if is_sure else calibrated, share, is_sure)
 
 
-def _candidates(points: FloatArray, off: FloatArray, parameters: Parameters) -> FloatArray:
+def _candidates(points: FloatArray, off: FloatArray) -> FloatArray:
     """The tilts to try, (K, 3): none, then those of planes through three random points each."""
-    rng = np.random.default_rng(int(number(parameters, "plane_seed")))
-    three = rng.integers(0, len(off), (int(number(parameters, "plane_trials")), 3))
+    three = np.random.default_rng(0).integers(0, len(off), (_TRIALS, 3))
     matrices = points[three]
     three = three[np.abs(np.linalg.det(matrices)) > 1e-3]
     through = np.linalg.solve(points[three], off[three][..., None])[..., 0]
     return np.concatenate([np.zeros((1, 3)), through])
 
 
-def _possible(camera: Camera, planes: FloatArray, parameters: Parameters) -> BoolArray:
+def _possible(camera: Camera, planes: FloatArray) -> BoolArray:
     """Whether the camera can be in the pose that planes (K, 3) ask for, (K,)."""
     height, pitch, roll = np.moveaxis(pose(camera, planes), -1, 0)
     heave = np.abs(height / camera.height_m - 1)
     possible: BoolArray = (
-        (np.abs(pitch - camera.pitch_deg) <= number(parameters, "most_pitch_deg"))
-        & (np.abs(roll - camera.roll_deg) <= number(parameters, "most_roll_deg"))
-        & (heave <= number(parameters, "most_heave"))
+        (np.abs(pitch - camera.pitch_deg) <= MOST_PITCH_DEG)
+        & (np.abs(roll - camera.roll_deg) <= _MOST_ROLL_DEG)
+        & (heave <= _MOST_HEAVE)
     )
     return possible

@@ -22,17 +22,13 @@ from numpy.typing import NDArray
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road
-from egolane_pgm.vision.camera.picture import Image, Picture
-from egolane_pgm.vision.detectors.simple import matchers
+from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple import plane as planes
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
-from egolane_pgm.vision.detectors.simple.kernels import full_disparity, off_the_plane
-from egolane_pgm.vision.detectors.simple.matchers import Match
 from egolane_pgm.vision.detectors.simple.plane import Plane
 
 PARAMETERS = (
-    *matchers.PARAMETERS,
     Parameter(
         "match_scale",
         "integer",
@@ -50,32 +46,12 @@ PARAMETERS = (
         lowest=1,
         highest=100,
     ),
+    Parameter("nearest_m", "positive", 4.0, "smallest distance that is matched, metres"),
     Parameter(
-        "nearest_m", "positive", 4.0, "smallest distance that is matched, metres", lowest=0.1
+        "plane_share", "probability", 0.4, "least share of the matched points on a sure plane"
     ),
-    Parameter(
-        "edge_px",
-        "integer",
-        8,
-        "width of the right picture's edge where nothing is matched well, pixels as matched",
-        highest=1000,
-    ),
-    *planes.PARAMETERS,
     Parameter(
         "off_plane_m", "positive", 0.25, "least height above or below the plane of objects, metres"
-    ),
-    Parameter(
-        "off_plane_px",
-        "positive",
-        1.0,
-        "least difference of an object's disparity from the plane's, pixels as matched",
-    ),
-    Parameter(
-        "off_plane_grow",
-        "integer",
-        2,
-        "width of the margin around objects that is no road either, pixels as matched",
-        highest=1000,
     ),
     Parameter(
         "pitch_from",
@@ -85,13 +61,6 @@ PARAMETERS = (
         choices=("plane", "calibration"),
     ),
     Parameter(
-        "pitch_step_deg",
-        "positive",
-        0.1,
-        "steps in which the pitch is corrected, degrees",
-        lowest=0.001,
-    ),
-    Parameter(
         "unsure_after",
         "integer",
         20,
@@ -99,6 +68,17 @@ PARAMETERS = (
         lowest=1,
     ),
 )
+
+#: Side of the blocks that are compared (semi-global matching, `cv2.StereoSGBM`), pixels as matched.
+_BLOCK_PX = 5
+
+#: The largest distance of a disparity from a plane that it lies on, the least difference of an
+#: object's disparity from the plane's, the margin around objects that is no road either, and the
+#: right picture's edge where nothing is matched well, pixels as matched.
+_PLANE_PX, _OFF_PLANE_PX, _GROW_PX, _EDGE_PX = 0.5, 1.0, 2, 8
+
+#: The steps in which the pitch is corrected, degrees.
+_PITCH_STEP_DEG = 0.1
 
 #: How many views for other pitches are cached.
 _VIEWS = 24
@@ -144,20 +124,13 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
     """Makes the `on_road` of `finder.start`: given a view, it makes a function from a picture of
     both cameras to the view with this frame's pitch and its pixels (R, C) on the road plane.
 
-    Raises InputError for a camera without a second one or with lens distortion, and for a matcher
-    that cannot be used.
+    Raises InputError for a camera with lens distortion.
     """
-    if camera.baseline_m is None:
-        raise InputError(
-            "baseline_m: is missing; a stereo detector needs to know how far the second camera is"
-            " to the right of the first, metres"
-        )
     if any(camera.distortion):
         raise InputError(
             "distortion: a stereo pair must be rectified, and then has none: rectify the pictures"
             " and set all five numbers to 0"
         )
-    match = matchers.find_matcher(parameters, "matcher")
     pair = make_pair(camera, parameters)
 
     def for_view(view: BirdsEye) -> OnRoad:
@@ -165,20 +138,20 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
 
         @lru_cache(maxsize=_VIEWS)
         def pitched(steps: int) -> tuple[BirdsEye, NDArray[np.int64]]:
-            seen = turned(steps * number(parameters, "pitch_step_deg"))
+            seen = turned(steps * _PITCH_STEP_DEG)
             return seen, _pixels(pair, seen)
 
-        watch = _watch(pair, match, parameters)
+        watch = _watch(pair, parameters)
 
         def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
             left, right = reduced(pair, picture)
-            disparity = disparities(pair, match, left, right)
+            disparity = disparities(pair, left, right)
             plane = find_plane(pair, disparity, parameters)
             watch(picture.frame_id, plane, left, right)
             steps = 0
             if plane.is_sure and parameters["pitch_from"] == "plane":
                 away = float(planes.pose(camera, plane.abc)[1]) - camera.pitch_deg
-                steps = round(away / number(parameters, "pitch_step_deg"))
+                steps = round(away / _PITCH_STEP_DEG)
             seen, pixels = pitched(steps)
             return seen, ~off_plane(pair, disparity, plane, parameters).ravel()[pixels]
 
@@ -195,7 +168,7 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     scale, rows = int(number(parameters, "match_scale")), int(number(parameters, "match_rows"))
     road = planes.ground_plane(camera)
     top, bottom = _rows(camera, parameters)
-    edge = scale * int(number(parameters, "edge_px"))
+    edge = scale * _EDGE_PX
     height, width = (bottom - top) // rows, camera.width // scale
     if height < 16 or width < 64:
         raise InputError(
@@ -212,7 +185,7 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     grid = np.zeros_like(looked)
     grid[::every, ::every] = True
     assert camera.baseline_m is not None
-    swing = math.radians(number(parameters, "most_pitch_deg"))
+    swing = math.radians(planes.MOST_PITCH_DEG)
     full = camera.fx * camera.baseline_m
     below = math.ceil(swing * full / camera.height_m / scale) + 2
     nearest = full / number(parameters, "nearest_m") - max(float(flat.min()), 0.0)
@@ -251,7 +224,7 @@ def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
     rows = np.flatnonzero(is_road.any(axis=1)) * 4
     with np.errstate(invalid="ignore"):
         in_view = np.flatnonzero((is_road & (x >= number(parameters, "x_min_m"))).any(axis=1)) * 4
-    slack = math.tan(math.radians(number(parameters, "most_pitch_deg"))) * camera.fy
+    slack = math.tan(math.radians(planes.MOST_PITCH_DEG)) * camera.fy
     top = max(int((rows[0] if len(rows) else 0) - slack), 0)
     last = in_view[-1] + 4 + slack if len(in_view) else camera.height
     return top, min(int(last), camera.height)
@@ -264,13 +237,11 @@ def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
     """
     if picture.right is None:
         raise InputError("the picture of the second camera is missing")
-    size = pair.camera.height, pair.camera.width
     for name, image in (("left", picture.image), ("right", picture.right)):
-        if image.shape[:2] != size:
-            raise InputError(
-                f"the {name} picture has {image.shape[1]}x{image.shape[0]} pixels, but"
-                f" the camera was calibrated for {size[1]}x{size[0]}"
-            )
+        try:
+            check_size(image, pair.camera.width, pair.camera.height)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from None
     return _small(pair, picture.image), _small(pair, picture.right)
 
 
@@ -282,7 +253,7 @@ def _small(pair: Pair, image: Image) -> Image:
     return small.astype(np.uint8, copy=False)
 
 
-def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArray:
+def disparities(pair: Pair, left: Image, right: Image) -> FloatArray:
     """The disparity of each pixel of the small left picture, (H, W), in pixels of the full one. NaN
     where none is found, or where the right picture does not show the point.
 
@@ -302,19 +273,34 @@ def disparities(pair: Pair, match: Match, left: Image, right: Image) -> FloatArr
         cv2.copyMakeBorder(image, 0, 0, more, 0, cv2.BORDER_REPLICATE).astype(np.uint8, copy=False)
         for image in (left, moved)
     ]
-    found = match(wide[0], wide[1], more)[:, more:]
-    disparity: FloatArray = full_disparity(
-        found, pair.flat, pair.u, pair.below_px, pair.n_disparities, pair.scale, pair.edge_px
+    area = _BLOCK_PX**2
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=0,
+        numDisparities=more,
+        blockSize=_BLOCK_PX,
+        P1=8 * area,
+        P2=32 * area,
+        disp12MaxDiff=1,
+        preFilterCap=31,
+        uniquenessRatio=5,
+        speckleWindowSize=60,
+        speckleRange=1,
+        mode=cv2.STEREO_SGBM_MODE_SGBM,
     )
-    return disparity
+    # OpenCV counts in sixteenths of a pixel.
+    found = matcher.compute(*wide)[:, more:] / 16
+    disparity = pair.scale * (found - pair.below_px) + pair.flat
+    is_shown = pair.u - np.maximum(disparity, pair.flat) >= pair.edge_px
+    is_found = (found >= 0) & (found < pair.n_disparities)
+    return np.where(is_found & is_shown, disparity, np.nan)
 
 
 def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Plane:
     """Finds the plane of the road in disparities (H, W)."""
     points = pair.points[np.isfinite(disparity.ravel()[pair.points])]
     u, v, d = (a.ravel()[points] for a in (pair.u, pair.v, disparity))
-    tolerance = pair.scale * number(parameters, "plane_px")
-    plane = planes.fit_plane(pair.camera, u, v, d, tolerance, parameters)
+    tolerance, least_share = pair.scale * _PLANE_PX, number(parameters, "plane_share")
+    plane = planes.fit_plane(pair.camera, u, v, d, tolerance, least_share)
     share = plane.share * len(points) / max(len(pair.points), 1)
     return replace(plane, share=share)
 
@@ -322,18 +308,18 @@ def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Pla
 def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Parameters) -> BoolArray:
     """The pixels, (H, W), that are not on the plane. A pixel without disparity counts as on it. If
     the plane is not sure, so does a pixel that would be on it at the largest allowed pitch."""
-    least_px = number(parameters, "off_plane_px") + (0 if plane.is_sure else pair.below_px)
+    least_px = pair.scale * (_OFF_PLANE_PX + (0 if plane.is_sure else pair.below_px))
+    # A point with disparity d is above the plane by the share (d - plane's) / d of the camera's
+    # height.
     least_share = number(parameters, "off_plane_m") / pair.camera.height_m
-    off = off_the_plane(disparity, plane.abc, pair.u, pair.v, least_share, pair.scale * least_px)
-    grow = 2 * int(number(parameters, "off_plane_grow")) + 1
-    grown = cv2.dilate(off, np.ones((grow, grow), dtype=np.uint8))
-    is_off: BoolArray = grown > 0
+    away = np.abs(disparity - planes.disparity_at(plane.abc, pair.u, pair.v))
+    off = (away > least_px) & (away > least_share * np.abs(disparity))
+    grow = 2 * _GROW_PX + 1
+    is_off: BoolArray = cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0
     return is_off
 
 
-def _watch(
-    pair: Pair, match: Match, parameters: Parameters
-) -> Callable[[int, Plane, Image, Image], None]:
+def _watch(pair: Pair, parameters: Parameters) -> Callable[[int, Plane, Image, Image], None]:
     """Makes a function to call after each frame: it raises InputError if the two pictures are
     swapped, and warns once if the plane stays unsure."""
     ever_sure, has_warned, running = False, False, 0
@@ -343,7 +329,7 @@ def _watch(
         ever_sure |= plane.is_sure
         running = 0 if plane.is_sure else running + 1
         if running and not ever_sure and running <= _SWAP_TRIALS:
-            swapped = find_plane(pair, disparities(pair, match, right, left), parameters)
+            swapped = find_plane(pair, disparities(pair, right, left), parameters)
             if swapped.is_sure:
                 raise InputError(
                     "the pictures of left and right are swapped (the road's disparities are"

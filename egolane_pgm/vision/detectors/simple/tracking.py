@@ -21,8 +21,18 @@ from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.detectors import FrameLines
 
-#: How many distances ahead a line is compared at: four parameters need four.
+#: The distances ahead at which a line is compared (four parameters need four), and the standard
+#: deviations of a found line there, metres; that of the rate of a clothoid's curvature, 1/m^2.
 _PLACES = 4
+_AHEAD_M = np.linspace(6.0, 30.0, _PLACES)
+_SIGMA_M, _SIGMA_RATE = np.linspace(0.12, 0.35, _PLACES), 2e-5
+
+#: Standard deviations of a line's own change per frame: heading (radians), curvature (1/m), rate.
+_WALK = (0.004, 2e-4, 4e-6)
+
+#: The share of the matched lines' common change of curvature that counts as common motion (the
+#: road's).
+_CURVATURE_GAIN = 0.3
 
 #: How many of a shape's four values each curve has.
 _VALUES = {"line": 2, "parabola": 3, "clothoid": 4}
@@ -107,15 +117,12 @@ def rules(parameters: Parameters, *, curve: str) -> Rules:
     def value(name: str) -> float:
         return float(parameters[name])  # type: ignore[arg-type]
 
-    near = value("track_near_m")
-    x = np.linspace(near, max(value("track_far_m"), near + 1.0), _PLACES)
+    x = _AHEAD_M
     at = np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=1)
-    sigma = np.linspace(value("measure_sigma_m"), value("measure_sigma_far_m"), _PLACES)
-    noise = np.diag(sigma**2)
+    noise = np.diag(_SIGMA_M**2)
     if n_values == 4:
-        noise = _noise_of_clothoids(at, sigma, value("measure_sigma_rate"))
-    names = ("offset_walk_m", "heading_walk", "curvature_walk", "rate_walk")
-    walk = np.array([value(name) for name in names])
+        noise = _noise_of_clothoids(at, _SIGMA_M, _SIGMA_RATE)
+    walk = np.array([value("offset_walk_m"), *_WALK])
     walk[n_values:] = 0.0
     inverse = np.linalg.pinv(at)
     first = inverse @ noise @ inverse.T
@@ -310,7 +317,7 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
     shift = np.zeros(4)
     middle = np.median(moved, axis=0)
     if rule.n_values > 2:
-        shift[2] = rule["curvature_gain"] * (rule.to_curvature @ middle)
+        shift[2] = _CURVATURE_GAIN * (rule.to_curvature @ middle)
         middle = middle - rule.at[:, 2] * shift[2]
     shift[:2] = rule.to_shift @ middle
     return shift

@@ -113,16 +113,6 @@ def test_pixels_in_the_wrong_unit_are_refused():
         make_view(CAMERA, 5, 30, -5, 5, along_m=1e-3, across_m=0.05)
 
 
-@pytest.mark.parametrize("size", [{"along_m": 0.0}, {"across_m": 0.0}, {"along_m": -0.1}])
-def test_pixels_without_a_size_are_refused(size):
-    with pytest.raises(InputError, match="no region in front of the camera"):
-        make_view(CAMERA, 5, 30, -5, 5, **size)
-
-
-def test_a_region_smaller_than_a_pixel_is_one_pixel():
-    assert make_view(CAMERA, 10, 10.01, 0, 0.01, 0.1, 0.05).valid.shape == (1, 1)
-
-
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (960, 720), (1280, 540)])
 def test_pictures_of_another_size_are_refused(width, height):
     view = make_view(CAMERA, 5, 25, -5, 5)

@@ -92,8 +92,7 @@ def test_masked_parts_of_the_picture_are_not_looked_at() -> None:
 
 def test_a_line_is_looked_at_where_its_clothoid_lies_over_its_first_metres() -> None:
     line = np.array([0.5, -0.05, 0.012, -0.0009])
-    edge, step = VIEW.y_m[0], VIEW.across_m
-    rows, columns = _kernels.rows_in_view(VIEW.x_m, edge, step, VIEW.valid, line, 10, 10.0)
+    rows, columns = _paint._rows_in_view(VIEW, line, 10, 10.0)
     x = VIEW.x_m[rows]
     y = 0.5 - 0.05 * x + 0.012 * x**2 / 2 - 0.0009 * x**3 / 6
     assert np.abs(VIEW.y_m[columns] - y).max() <= 0.05 / 2 + 1e-9
@@ -128,24 +127,6 @@ def test_paint_in_deep_shade_is_paint() -> None:
     image = road([line], noise=0)
     image[190:] = (image[190:] * 0.12).astype(np.uint8)
     assert share(image, line)[0] > 0.95
-
-
-@given(
-    st.tuples(
-        st.floats(-9, 9), st.floats(-0.1, 0.1), st.floats(-5e-3, 5e-3), st.floats(-1e-4, 1e-4)
-    ),
-    st.integers(1, 30),
-    st.floats(1, 40),
-)
-def test_the_rows_that_show_a_line_are_the_same_as_in_numpy(line, aside, length_m):
-    # Parts of the picture are covered, also in the middle.
-    valid = VIEW.valid.copy()
-    valid[:40, 100:140] = valid[200:, 250:] = False
-    where = (VIEW.x_m, float(VIEW.y_m[0]), VIEW.across_m, valid, np.array(line), aside, length_m)
-    for ours, twin in zip(
-        _kernels.rows_in_view(*where), line_finder.rows_in_view(*where), strict=True
-    ):
-        np.testing.assert_array_equal(ours, twin)
 
 
 @given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 5), st.data())

@@ -71,7 +71,3 @@ def test_lines_are_found_in_rain(seed: int) -> None:
     found = find_lines(view_for(CAMERA, DEFAULTS), image, DEFAULTS)
     for line in LINES:
         assert np.abs(found.shape[:, 0] - line.offset_m).min() < 0.15
-
-
-def test_a_picture_of_one_row_is_not_streaky() -> None:
-    assert streak_cover(np.zeros((1, 300, 3), dtype=np.uint8), DEFAULTS) <= RAIN

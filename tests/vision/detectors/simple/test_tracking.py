@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable
 from dataclasses import fields, replace
 
@@ -56,21 +55,6 @@ def test_the_lri_counts_detections_in_the_last_ten_frames() -> None:
     for t, tracks in enumerate(history):
         assert tracks.number.tolist() == [1]
         assert tracks.lri[0] == hits[max(0, t - 9) : t + 1].sum()
-
-
-def test_the_papers_lines_are_valid_at_the_largest_lri_and_until_below_a_share_of_it() -> None:
-    rule = made(valid_when="paper", valid_until=0.5, die_after=100)
-    frames = [seen(at(-1.8))] * 12 + [NOTHING] * 8 + [seen(at(-1.8))] * 11
-    history = followed(rule, frames)
-    lri = [int(t.lri[0]) for t in history]
-    valid = [bool(t.is_valid[0]) for t in history]
-    assert lri[:12] == [*range(1, 11), 10, 10]
-    assert valid[:12] == [False] * 9 + [True] * 3
-    # Down to half of it the flag stays, below it goes; on the way up only the maximum sets it.
-    assert lri[12:20] == [9, 8, 7, 6, 5, 4, 3, 2]
-    assert valid[12:20] == [True] * 5 + [False] * 3
-    assert valid[20:] == [value == 10 for value in lri[20:]]
-    assert valid[-1]
 
 
 @settings(max_examples=40, deadline=None)
@@ -151,26 +135,6 @@ def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
         assert ours.std() < 0.8 * raw.std()
 
 
-def test_the_covariance_stays_symmetric_and_positive() -> None:
-    rng = np.random.default_rng(2)
-    rule = made()
-    frames = [
-        seen(at(-1.8 + rng.normal(0, 0.1), 1.9)) if rng.random() < 0.7 else NOTHING
-        for _ in range(200)
-    ]
-    for tracks in followed(rule, frames):
-        for covariance in tracks.covariance:
-            np.testing.assert_allclose(covariance, covariance.T, rtol=0, atol=1e-12)
-            scale = np.sqrt(np.diag(covariance))
-            assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > -1e-9
-
-
-def test_straight_lines_stay_straight_whatever_is_found() -> None:
-    rule = made(curve="line")
-    history = followed(rule, [seen(at(-1.8, 1.8, curvature=1e-3))] * 20)
-    assert not np.any(history[-1].mean[:, 2:])
-
-
 @pytest.mark.parametrize("sideways", [-0.5, -0.2, 0.2, 0.5])
 def test_a_lane_change_keeps_every_line_its_number(sideways: float) -> None:
     """As fast as 0.5 m per frame (1.5 m/s, three pictures per second), after a gentle start."""
@@ -198,15 +162,6 @@ def test_lines_not_seen_move_with_those_that_are() -> None:
     assert followed(still, frames)[-1].mean[2, 0] == pytest.approx(1.8, abs=0.01)
 
 
-def test_an_outlier_beyond_the_gate_does_not_move_a_line() -> None:
-    rule = made(gate_m=1.0, least_lane_m=1.0)
-    tracks = followed(rule, [seen(at(-1.8, 1.8))] * 15 + [seen(at(-1.8, 3.1))])[-1]
-    kept = tracks.mean[tracks.number == 2]
-    assert kept[0, 0] == pytest.approx(1.8, abs=0.05)
-    assert tracks.missed[tracks.number == 2] == 1
-    assert 3 in tracks.number
-
-
 def test_each_found_line_continues_one_line_at_most() -> None:
     rule = made(tracks_apart_m=0.3, least_lane_m=0.3)
     tracks = followed(rule, [seen(at(-1.8, -1.2))] * 12 + [seen(at(-1.5))])[-1]
@@ -219,14 +174,6 @@ def test_a_new_line_that_is_not_seen_again_dies_soon_a_proven_one_late() -> None
     assert [len(t) for t in once] == [1, 1, 0]
     proven = followed(rule, [seen(at(-1.8))] * 10 + [NOTHING] * 8)
     assert [len(t) for t in proven[10:]] == [1] * 7 + [0]
-
-
-def test_a_line_next_to_a_better_one_is_given_up() -> None:
-    rule = made(tracks_apart_m=1.0, motion_gain=0.0)
-    frames = [seen(at(-1.8))] * 12
-    frames += [seen(at(-1.8, -0.5 - 0.1 * k)) for k in range(8)]
-    tracks = followed(rule, frames)[-1]
-    assert tracks.number.tolist() == [1]
 
 
 def test_a_line_far_to_the_side_is_given_up() -> None:
@@ -245,14 +192,6 @@ def test_dashed_and_continuous_follow_the_majority_of_the_last_votes() -> None:
     history = followed(rule, frames)
     for tracks in history[20:]:
         assert lines_of(tracks, rule).is_continuous.tolist() == [False, True]
-
-
-def test_votes_of_old_detections_are_forgotten() -> None:
-    rule = made(vote_frames=10)
-    dashed, whole = seen(at(1.8), 0.5), seen(at(1.8), 1.0)
-    history = followed(rule, [dashed] * 30 + [whole] * 6)
-    assert continuous_share(history[29])[0] == 0
-    assert continuous_share(history[-1])[0] == pytest.approx(0.6)
 
 
 def test_lines_beyond_a_valid_continuous_one_are_hidden_unless_asked_for() -> None:
@@ -277,37 +216,12 @@ def test_lines_beyond_a_valid_continuous_one_are_hidden_unless_asked_for() -> No
     assert lines_of(history[-1], rule).offset_m.round(1).tolist() == [-2.1, 1.5]
 
 
-def test_lines_are_reported_from_left_to_right() -> None:
-    rule = made()
-    rng = np.random.default_rng(4)
-    for tracks in followed(rule, [seen(at(*rng.uniform(-9, 9, 5))) for _ in range(40)]):
-        lines = lines_of(tracks, rule)
-        assert (np.diff(lines.offset_m) >= 0).all()
-        assert len(lines.lri) == len(tracks)
-
-
 def test_what_is_expected_is_the_valid_lines_moved_on() -> None:
     rule = made()
     history = followed(rule, [seen(at(1.8, -1.8))] * 10 + [seen(at(1.8, -1.8, 5.4))] * 2)
     np.testing.assert_allclose(expected(history[-1])[:, 0], [-1.8, 1.8], atol=0.05)
     np.testing.assert_allclose(expected(history[3])[:, 0], [-1.8, 1.8], atol=0.05)
     assert expected(no_tracks(rule)).shape == (0, 4)
-
-
-def test_a_later_frame_changes_nothing_before_it_and_nothing_given_is_changed() -> None:
-    rng = np.random.default_rng(5)
-    rule = made()
-    frames = [seen(at(*rng.normal([-1.8, 1.8], 0.1))) for _ in range(30)]
-    copies = [(shape.copy(), cover.copy()) for shape, cover in frames]
-    whole = followed(rule, frames)
-    for short, long in zip(followed(rule, frames[:20]), whole, strict=False):
-        np.testing.assert_array_equal(short.mean, long.mean)
-    for (shape, cover), (shape_then, cover_then) in zip(frames, copies, strict=True):
-        np.testing.assert_array_equal(shape, shape_then)
-        np.testing.assert_array_equal(cover, cover_then)
-    again = followed(rule, frames)
-    for one, other in itertools.pairwise([whole[-1], again[-1]]):
-        np.testing.assert_array_equal(one.covariance, other.covariance)
 
 
 def test_a_line_close_beyond_another_bounds_no_lane_and_is_given_up() -> None:
@@ -399,13 +313,6 @@ def test_one_line_that_moves_alone_does_not_take_the_others_along() -> None:
     assert offset_of(tracks, 5) == pytest.approx(9.0, abs=0.03)
 
 
-def test_a_line_not_seen_moves_at_once_by_the_share_of_what_all_others_show() -> None:
-    still = [seen(at(-1.8, 1.8, 5.4))] * 12
-    for gain in (0.0, 0.5, 1.0):
-        tracks = followed(made(shift_gain=gain, motion_gain=0), [*still, seen(at(-1.5, 2.1))])[-1]
-        assert offset_of(tracks, 3) == pytest.approx(5.4 + gain * 0.3, abs=0.03)
-
-
 def test_the_steady_motion_comes_to_rest_where_nothing_tells_of_it() -> None:
     drifting = [seen(at(-1.8 + 0.05 * k, 1.8 + 0.05 * k)) for k in range(30)]
     history = followed(made(motion_gain=0.4), drifting + [NOTHING] * 3)
@@ -462,11 +369,3 @@ def test_straight_lines_have_no_curvature_however_they_wander() -> None:
     ]
     for tracks in followed(made(curve="line"), frames):
         assert (tracks.mean[:, 2:] == 0).all()
-
-
-def test_lines_are_expected_where_the_steady_motion_takes_them() -> None:
-    drifting = [seen(at(-1.8 + 0.05 * k, 1.8 + 0.05 * k)) for k in range(30)]
-    tracks = followed(made(), drifting)[-1]
-    np.testing.assert_allclose(expected(tracks)[:, 0], np.array([-1.8, 1.8]) + 1.5, atol=0.03)
-    order = np.argsort(tracks.mean[:, 0])
-    np.testing.assert_array_equal(expected(tracks), tracks.mean[order] + tracks.motion)
