@@ -21,6 +21,9 @@ settings.register_profile("ours", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "ours")
 
+# A search shares itself out to all cores by default; processes of its own cost seconds each time.
+os.environ["LOKY_MAX_CPU_COUNT"] = "1"
+
 #: For tests that would take minutes when the kernels are interpreted.
 needs_compiler = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"),

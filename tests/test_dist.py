@@ -82,6 +82,3 @@ def test_the_installed_wheel_does_the_main_job_where_nothing_else_can_be_written
     assert ran.returncode == 0, ran.stderr
     assert "| accuracy " in ran.stdout
     assert (here / "results" / "quickstart" / "figures" / "strips.png").is_file()
-    ran = python("-c", program, "reproduce", "--if-available", cwd=here, env=environment)
-    assert ran.returncode == 0, ran.stderr
-    assert "egolane data fetch" in ran.stdout
