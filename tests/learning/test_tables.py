@@ -24,7 +24,7 @@ from egolane_pgm.learning.tables import starting, training_frames
 from egolane_pgm.model import Model, Roles, prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.running import run_experiment
-from egolane_pgm.types import InputError, LaneTruth
+from egolane_pgm.types import LaneTruth
 from tests.conformance.networks import draw_graph, graph_names
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, write_drive
@@ -490,33 +490,6 @@ def test_what_every_block_has_to_say_is_said_once(tmp_path: Path) -> None:
     assert all(line.startswith("warning: ") for line in about)
 
 
-def test_the_experiment_itself_is_not_written_over(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 30)
-    before = path.read_text()
-    assert "is the experiment itself" in refused("learn", path, "--out", path)
-    assert path.read_text() == before
-
-
-def test_a_file_that_the_experiment_reads_is_not_written_over(tmp_path: Path) -> None:
-    """The graph that is learned would be the one that it was learned from."""
-    graph = tmp_path / "out.graph.yaml"
-    graph.write_text(
-        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
-        "observed: [DetectorOutput]\nunused: [WOR]\n"
-        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
-        "tables:\n  Lane: {first: {rows: {values: [.5, .3, .2]}}, next: {rows: {of: [Lane before],"
-        " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}}\n"
-        f"  DetectorOutput: {{rows: {{of: [Lane], values: {SAME}}}}}\n"
-    )
-    before = graph.read_text()
-    path = write_drive(tmp_path, 30, graph="./out.graph.yaml")
-    said = refused("learn", path, "--out", tmp_path / "out.yaml")
-    assert said.endswith(f"{graph}: is read by {path}; name another file")
-    assert refused("learn", path, "--out", tmp_path / "lines.csv").endswith("name another file")
-    assert graph.read_text() == before
-    done("learn", path, "--out", tmp_path / "other.yaml", "--blocks", "2")
-
-
 def test_what_a_rule_learned_is_written_with_four_digits(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"
@@ -541,26 +514,6 @@ def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
     assert recorded.truth is not None
     with pytest.warns(UserWarning, match=r"frame\(s\) to learn from cannot be under graph sensor"):
         fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
-
-
-def test_labels_that_the_graph_never_allows_leave_nothing_to_learn(tmp_path: Path) -> None:
-    """Lane 1 is all that the graph knows of, and the drive is labelled as one in lane 3."""
-    (tmp_path / "g.yaml").write_text(
-        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
-        "observed: [DetectorOutput]\nunused: [WOR]\n"
-        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
-        "tables:\n  Lane: {first: {rows: {values: [1, 0, 0]}},"
-        f" next: {{rows: {{of: [Lane before], values: {SAME}}}}}}}\n"
-        "  DetectorOutput: {rows: {of: [Lane],"
-        " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}\n"
-    )
-    experiment = load_experiment(write_drive(tmp_path, 60, graph="./g.yaml"))
-    model, recorded = prepare_model(experiment), load_recording(experiment)
-    assert recorded.truth is not None
-    n_frames = len(recorded.truth)
-    truth = replace(recorded.truth, lane=np.full(n_frames, 3), is_crossing=np.zeros(n_frames, bool))
-    with pytest.raises(InputError, match="none of the 60 frames to learn from can be under graph"):
-        fit(Drive(experiment, model, replace(recorded, truth=truth)), np.arange(n_frames))
 
 
 def test_learning_that_does_not_stand_still_says_so(tmp_path: Path) -> None:

@@ -308,7 +308,12 @@ def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(tuned: ego.Study, fi
 def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: Path) -> None:
     one = ego.load_experiment(QUICKSTART, SHORT)
     other = ego.load_experiment(one, {"name": "exact", "filter": "exact"})
-    how: dict[str, Any] = {"sampler": "random", "in_sample_only": True, "out": tmp_path, "figures": False}
+    how: dict[str, Any] = {
+        "sampler": "random",
+        "in_sample_only": True,
+        "out": tmp_path,
+        "figures": False,
+    }
     first = ego.tune([one, other], trials=2, **how)
     assert first.names == ["quickstart", "exact"]
     with pytest.raises(ego.InputError, match="there are 2 studies, take one"):
