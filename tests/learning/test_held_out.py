@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
+from egolane_pgm.drive import Drive, Recorded, load_recording
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.learning import fit, held_out_belief, learn
+from egolane_pgm.learning import fit, held_out_belief
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler
-from tests.kits.drives import command, done, problems, refused, write_drive
+from tests.kits.drives import done, problems, refused, write_drive
 
 W = 3.6
 GEOMETRY: dict[str, Any] = {
@@ -209,22 +209,6 @@ def test_learning_again_from_what_was_learned_gives_the_same(folder: Path) -> No
 
 
 @needs_compiler
-def test_frames_that_are_never_fit_are_scored_apart(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 600, **GEOMETRY, tuning={"never_fit": {"from_frame": 500}})
-    experiment = load_experiment(path)
-    recorded = load_recording(experiment)
-    assert recorded.truth is not None
-    ids = recorded.truth.frame_id
-    np.testing.assert_array_equal(load_drive(experiment, needs_truth=None).may_fit, ids < 500)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        learned = learn(experiment, recorded=recorded, n_blocks=3)
-    crossing = recorded.truth.is_crossing
-    assert learned.scores["frames_scored"] == np.count_nonzero(~crossing & (ids < 500))
-    assert learned.scores_all["frames_scored"] == np.count_nonzero(~crossing)
-
-
-@needs_compiler
 def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: Path) -> None:
     write_drive(tmp_path, 600, **GEOMETRY)
     out = tmp_path / "learned_drive.yaml"
@@ -254,23 +238,3 @@ def test_settings_for_tables_are_refused_where_the_rule_learns(tmp_path: Path) -
     said = refused("learn", write_drive(tmp_path, **GEOMETRY), "--unlabelled")
     assert "learning: is about the tables of a graph" in said
     assert "line_geometry learns its own parameters, from labels" in said
-
-
-def test_without_labels_a_recording_is_run_and_the_width_is_said(tmp_path: Path) -> None:
-    write_drive(tmp_path, 300)
-    zero_label = Path(__file__).parents[2] / "experiments" / "zero_label.yaml"
-
-    result = command(
-        "run",
-        zero_label,
-        "--recording",
-        tmp_path / "lines.csv",
-        "--n-lanes",
-        "3",
-        "--no-figures",
-        "--out",
-        tmp_path / "result",
-    )
-    assert result.exit_code == 0
-    assert "lane width 3." in result.stderr
-    assert "no ground truth" in result.stdout

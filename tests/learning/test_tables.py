@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
-from egolane_pgm.experiment import Experiment, load_experiment, resolved
+from egolane_pgm.drive import Drive, Recorded, load_recording
+from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
@@ -212,16 +212,6 @@ def test_frames_that_are_never_fit_are_not_learned_from(tmp_path: Path) -> None:
     again = learn(experiment, recorded=changed, n_blocks=3)
     assert dict(again.parameters) == dict(learned.parameters)
     assert again.held_out.parameters == learned.held_out.parameters
-
-
-def test_several_stretches_may_be_left_out(tmp_path: Path) -> None:
-    ranges = [[5, 10], [20, 30], [50, None]]
-    path = write_drive(tmp_path, 60, tuning={"never_fit": ranges})
-    experiment = load_experiment(path)
-    truth = load_recording(experiment).truth
-    assert truth is not None
-    left_out = truth.frame_id[~load_drive(experiment, needs_truth=None).may_fit]
-    assert left_out.tolist() == [*range(5, 10), *range(20, 30), *range(50, 60)]
 
 
 def test_leaving_out_every_frame_is_refused(tmp_path: Path) -> None:
@@ -475,21 +465,6 @@ def test_evidence_read_by_jeffreys_rule_cannot_be_learned_from(tmp_path: Path) -
     assert "evidence_reading soft or hard" in said
 
 
-def test_how_tables_are_learned_is_no_part_of_what_is_run(tmp_path: Path) -> None:
-    plain = load_experiment(write_drive(tmp_path, 30))
-    learning = load_experiment(write_drive(tmp_path, 30, learning={"labels": False}))
-    assert resolved(plain, {}) == resolved(learning, {})
-
-
-def test_what_every_block_has_to_say_is_said_once(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 60)
-    said = done("learn", path, "--out", tmp_path / "a.yaml").stderr.splitlines()
-    about = [line for line in said if "no frame to learn from has lane" in line]
-    assert about
-    assert len(set(about)) == len(about)
-    assert all(line.startswith("warning: ") for line in about)
-
-
 def test_what_a_rule_learned_is_written_with_four_digits(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"
@@ -513,14 +488,6 @@ def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
     with pytest.warns(UserWarning, match=r"frame\(s\) to learn from cannot be under graph sensor"):
-        fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
-
-
-def test_learning_that_does_not_stand_still_says_so(tmp_path: Path) -> None:
-    experiment = load_experiment(write_drive(tmp_path, 60, learning={"iterations": 1}))
-    model, recorded = prepare_model(experiment), load_recording(experiment)
-    assert recorded.truth is not None
-    with pytest.warns(UserWarning, match="stopped after 1 iterations"):
         fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
 
 
