@@ -136,7 +136,7 @@ def test_lanes_that_the_car_is_never_in_are_not_doubted(simulated: Experiment) -
 def test_a_number_of_lanes_is_doubted_after_hours_as_after_minutes(
     preset: str, n_lanes: int, doubts: dict[int, str], simulated: Experiment
 ) -> None:
-    drive = simulate(preset, seed=0, frames=20_000, n_lanes=n_lanes)
+    drive = simulate(preset, seed=0, frames=60_000 if preset == "a4" else 20_000, n_lanes=n_lanes)
     lines = Recorded(drive.log, None, np.zeros(0, dtype=np.int64), (), ())
     found = motion(with_lanes(simulated, n_lanes), lines)
     assert found[n_lanes + 1] > found[n_lanes] + MORE

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from nbformat import NotebookNode
 
 from egolane_pgm.command import egolane
-from tests.kits.notebooks import NOTEBOOKS, execute
+from tests.kits.notebooks import NOTEBOOKS, execute, shorter
 
 #: Those that take a simulated drive where the recordings are missing.
 ON_RECORDINGS = [path for path in NOTEBOOKS if "try:" in path.read_text()]
@@ -53,7 +53,8 @@ def test_without_the_recordings_a_notebook_takes_a_simulated_drive(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     cells = [cell.source for cell in code(path)]
     choice = next(k for k, source in enumerate(cells) if "try:" in source)
-    exec(compile(shorter("\n".join(cells[: choice + 1])), path.name, "exec"), {})
+    lines = shorter("\n".join(cells[: choice + 1]))
+    exec(compile(lines, path.name, "exec"), {})
     assert "SIMULATED" in capsys.readouterr().out
 
 

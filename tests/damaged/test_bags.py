@@ -35,7 +35,7 @@ def test_a_changed_byte_is_refused_in_one_line_or_loses_no_frame_without_a_word(
     whole = bags[kind].read_bytes()
     damaged = tmp_path / f"a{kind}"
     refused = []
-    for at in np.random.default_rng(0).choice(len(whole), 40, replace=False):
+    for at in np.random.default_rng(0).choice(len(whole), 80, replace=False):
         damaged.write_bytes(whole[:at] + bytes([whole[at] ^ 255]) + whole[at + 1 :])
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
@@ -45,5 +45,5 @@ def test_a_changed_byte_is_refused_in_one_line_or_loses_no_frame_without_a_word(
                 refused += error.lines
                 continue
         assert len(log) == N_FRAMES or said, at
-    assert len(refused) > 2
+    assert len(refused) > 5
     assert all(line.startswith(f"{damaged}: ") for line in refused)
