@@ -13,9 +13,10 @@ run: .venv/.run
 	@echo
 	$(BIN)/egolane reproduce --if-available
 
-# A file's tests share what they make, so one process runs all of them.
+# A file's tests share what they make, so one process runs all of them; tests/conftest.py orders
+# the files.
 test: .venv/.dev
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile --no-loadscope-reorder
 
 check: .venv/.dev
 	$(BIN)/ruff check .

@@ -21,11 +21,32 @@ settings.register_profile("ours", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "ours")
 
+# A search shares itself out to all cores by default; processes of its own cost seconds each time.
+os.environ["LOKY_MAX_CPU_COUNT"] = "1"
+
 #: For tests that would take minutes when the kernels are interpreted.
 needs_compiler = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"),
     reason="whole recordings take too long with the compiler switched off (NUMBA_DISABLE_JIT)",
 )
+
+#: What takes longest, begun first: processes that share the tests by files then end together.
+SLOWEST = (
+    *("docs/test_examples.py", "vision/detectors/simple/test_clothoids.py", "makers/test_drift.py"),
+    *("docs/test_site.py", "comparing/test_events.py", "test_lane_count.py", "test_notebooks.py"),
+    *("tools/test_jobs.py", "vision/detectors/networks/", "makers/test_labels.py", "tuning/"),
+    *("vision/detectors/simple/test_drift.py", "test_dist.py", "test_loading.py", "makers/"),
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the slowest files first."""
+
+    def place(item: pytest.Item) -> int:
+        file = item.nodeid.removeprefix("tests/")
+        return next((k for k, name in enumerate(SLOWEST) if file.startswith(name)), len(SLOWEST))
+
+    items.sort(key=place)
 
 
 @pytest.fixture(scope="session")

@@ -7,11 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import click
 import pytest
-
-import egolane_pgm
-from egolane_pgm.command import COMMANDS, egolane
 
 ROOT = Path(__file__).parents[1]
 HEAVY = {
@@ -43,7 +39,6 @@ def modules_after(code: str) -> set[str]:
     ("words", "allowed"),
     [
         (["--help"], set()),
-        (["--version"], set()),
         (["data", "-h"], {"numpy"}),
         # What this command always uses: numba and, for numba, scipy.
         (["run", "--help"], {"numpy", "numba", "scipy"}),
@@ -59,23 +54,8 @@ def test_help_loads_nothing_heavy(words: list[str], allowed: set[str]) -> None:
     assert not loaded & (HEAVY - allowed)
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_that_is_listed_is_there_and_has_a_help(name: str) -> None:
-    command = egolane.get_command(click.Context(egolane), name)
-    assert command is not None
-    assert command.name == name
-    assert command.help
-
-
 def test_importing_the_package_loads_nothing_heavy() -> None:
     assert not modules_after("import egolane_pgm; egolane_pgm.__version__") & HEAVY
-
-
-def test_what_the_package_offers_is_found_on_first_use() -> None:
-    for name in egolane_pgm.__all__:
-        assert getattr(egolane_pgm, name) is not None
-    with pytest.raises(AttributeError, match="has no attribute 'run_experimnt'"):
-        _ = egolane_pgm.run_experimnt
 
 
 def test_imports_go_downwards_only() -> None:

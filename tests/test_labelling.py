@@ -26,7 +26,6 @@ from egolane_pgm.labelling import (
     label_scores,
     lane_path,
 )
-from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.types import BoolArray, FloatArray, InputError, joined, runs_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
@@ -179,11 +178,6 @@ def test_a_frame_that_is_just_sure_enough_is_not_reviewed() -> None:
     assert sum(map(len, found)) >= np.count_nonzero(~labels.is_crossing)
 
 
-def test_the_worst_stretches_come_first() -> None:
-    worst = [each.expected_wrong for each in simulated().worst]
-    assert worst == sorted(worst, reverse=True)
-
-
 def test_the_review_says_what_makes_frames_hard() -> None:
     labels = simulated()
     log = labels.run.lines
@@ -202,14 +196,6 @@ def test_the_review_says_what_makes_frames_hard() -> None:
 
 
 # --- whole recordings ----------------------------------------------------------------------------
-
-
-def test_labels_are_read_back_as_they_were_written(tmp_path: Path) -> None:
-    truth = simulated().truth
-    write_ground_truth(tmp_path / "labels.txt", truth)
-    again = read_ground_truth(tmp_path / "labels.txt")
-    for name in ("frame_id", "lane", "is_crossing"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
 
 
 def test_a_labeller_looks_back_whatever_the_experiment_says() -> None:

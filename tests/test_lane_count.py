@@ -136,7 +136,7 @@ def test_lanes_that_the_car_is_never_in_are_not_doubted(simulated: Experiment) -
 def test_a_number_of_lanes_is_doubted_after_hours_as_after_minutes(
     preset: str, n_lanes: int, doubts: dict[int, str], simulated: Experiment
 ) -> None:
-    drive = simulate(preset, seed=0, frames=60_000, n_lanes=n_lanes)
+    drive = simulate(preset, seed=0, frames=60_000 if preset == "a4" else 20_000, n_lanes=n_lanes)
     lines = Recorded(drive.log, None, np.zeros(0, dtype=np.int64), (), ())
     found = motion(with_lanes(simulated, n_lanes), lines)
     assert found[n_lanes + 1] > found[n_lanes] + MORE
@@ -181,7 +181,7 @@ def test_parameters_of_one_number_of_lanes_fit_no_other(
 
 
 @needs_compiler
-@pytest.mark.parametrize("run", [1, 5, 8, 10])
+@pytest.mark.parametrize("run", [1, 8])
 def test_the_lines_of_the_paper_s_recordings_tell_how_many_lanes_there_are(
     run: int, simulated: Experiment, recordings: Path
 ) -> None:
@@ -198,7 +198,7 @@ def test_the_lines_of_the_paper_s_recordings_tell_how_many_lanes_there_are(
 
 
 @needs_compiler
-@pytest.mark.parametrize("run", [1, 5, 8, 10])
+@pytest.mark.parametrize("run", [1, 8])
 def test_a_change_of_scale_in_the_paper_s_recordings_is_said(
     run: int, simulated: Experiment, recordings: Path
 ) -> None:

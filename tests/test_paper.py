@@ -21,7 +21,7 @@ from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.rosbag import read_rosbag
 from egolane_pgm.running import run_experiment
 from tests.conftest import needs_compiler
-from tests.kits.drives import command, done, refused, short_drive, write_drive
+from tests.kits.drives import done, refused, short_drive, write_drive
 from tests.reference import counting
 from tests.reference import inference as reference
 
@@ -116,26 +116,6 @@ def test_all_100_printed_scores_are_ours_truncated(
                     differ.add((r.number, key))
     assert compared == 100
     assert differ == below
-
-
-@pytest.mark.parametrize(
-    ("ours", "printed", "agree"),
-    [
-        (0.5584, 0.55, True),
-        (0.5584, 0.56, False),
-        (0.5542, 0.55, True),
-        (0.5542, 0.56, False),
-        (0.55, 0.55, True),
-        (0.5499, 0.54, True),
-        (0.29, 0.29, True),
-        (1.0, 0.99, False),
-        (0.0, 0.0, True),
-    ],
-)
-def test_a_score_agrees_when_it_is_the_printed_one_truncated(
-    ours: float, printed: float, agree: bool
-) -> None:
-    assert agrees(ours, printed) is agree
 
 
 def test_the_recovered_values_of_run_5_are_those_of_the_authors_code() -> None:
@@ -372,17 +352,3 @@ def test_a_graph_gets_those_of_the_papers_parameters_that_it_has(stand_in: dict[
         scores = entry["scores"]["all_frames"]
         assert scores["confusion"] == run.scores[mine]["confusion"]
         assert scores["intervals"] == run.scores[mine]["intervals"]
-
-
-def test_an_interrupted_command_says_so(
-    stand_in: dict[str, Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def interrupted(*words: object, **options: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("egolane_pgm.verbs.reproduce.reproduce_run", interrupted)
-    result = command("reproduce", "--runs", "2")
-    assert result.exit_code == 130
-    assert result.stderr == (
-        "egolane: interrupted; nothing was left half-written; the same command begins anew\n"
-    )

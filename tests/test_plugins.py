@@ -194,47 +194,10 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
     np.testing.assert_array_equal(read_result(tmp_path / "again").marginals["Lane"], beliefs[3])
 
 
-@pytest.mark.parametrize(
-    ("graph", "said"),
-    [
-        (PLAIN + "    network.cpds.clear()", "g.py: the network has no tables: give each node a"),
-        (PLAIN + "    network.remove_cpds(('Seen', 0))", "g.py: Seen: has no table (a TabularCPD)"),
-        (PLAIN.replace('"Seen"', '"Saw"'), "the evidence rule gives Seen, Other, the graph has"),
-        (PLAIN.replace("(3)", "(2)"), "g.py cannot be imported: "),
-        (
-            "from pgmpy.models import LinearGaussianBayesianNetwork as LG\nn = LG([('a', 'b')])",
-            "a LinearGaussianBayesianNetwork is not discrete: cut its continuous nodes into",
-        ),
-    ],
-)
-def test_a_plain_network_with_a_fault_is_refused_naming_the_node(
-    tmp_path: Path, graph: str, said: str
-) -> None:
-    write(tmp_path / "g.py", graph)
-    write(tmp_path / "r.py", GIVES_SEEN + textwrap.dedent(RULE))
-    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
-    assert said in refused("validate", experiment)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("", "g.bif: is empty"),
-        ("{'a': 1}", "g.bif: has no variable; is it a BIF file?"),
-        ("variable Lane_0 {\n type discrete [ 2 ] { a, b };\n}\n", "no probabilities of Lane_0"),
-        (
-            "variable Lane {\n type discrete [ 2 ] { a, b };\n}\n"
-            "probability ( Lane ) {\n table 0.5, 0.5;\n}\n",
-            "Lane: is of neither slice; name the nodes Lane_0 and Lane_1, or",
-        ),
-    ],
-)  # fmt: skip
-def test_a_bif_file_with_a_fault_is_refused_by_its_name(
-    tmp_path: Path, text: str, said: str
-) -> None:
-    (tmp_path / "g.bif").write_text(text)
-    experiment = write_drive(tmp_path, 20, graph="./g.bif")
-    assert said in refused("validate", experiment)
+def test_a_bif_file_with_a_fault_is_refused_by_its_name(tmp_path: Path) -> None:
+    (tmp_path / "g.bif").write_text("{'a': 1}")
+    said = "g.bif: has no variable; is it a BIF file?"
+    assert said in refused("validate", write_drive(tmp_path, 20, graph="./g.bif"))
     assert said in refused("network", tmp_path / "g.bif", tmp_path / "g.dot")
 
 

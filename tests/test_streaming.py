@@ -110,12 +110,6 @@ def test_a_streamed_drive_has_the_numbers_of_one_piece(
     assert_same(whole, streamed(path, tmp_path))
 
 
-@pytest.mark.parametrize("changes", [{}, {"ground_truth": None}, {"filter": "exact"}])
-def test_parts_as_large_as_they_are_change_nothing(tmp_path: Path, changes: dict[str, Any]) -> None:
-    path = write_drive(tmp_path, **changes)
-    assert_same(run_experiment(path), streamed(path, tmp_path))
-
-
 def test_a_run_of_the_paper_and_zero_label_are_the_same_streamed(
     recordings: Path, tmp_path: Path
 ) -> None:

@@ -16,7 +16,6 @@ from egolane_pgm.types import (
     LaneTruth,
     LineLog,
     not_one_of,
-    suggestion,
 )
 
 
@@ -34,14 +33,6 @@ def a_log(n_frames: int = 3, n_lines: int = 2) -> LineLog:
 
 
 # --- line logs and truth -------------------------------------------------------------------------
-
-
-def test_a_log_with_gaps_is_kept_and_nothing_is_missing_by_itself() -> None:
-    log = a_log()
-    assert len(log) == 3
-    assert log.frame_id.tolist() == [10, 12, 14]
-    assert log.is_missing.tolist() == [False] * 3
-    assert len(a_log(0)) == 0
 
 
 @pytest.mark.parametrize(
@@ -189,13 +180,6 @@ def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> 
     assert str(error.value) == f"gt.txt: frame 8: lane {lane} is outside 1..3; is n_lanes right?"
 
 
-def test_lanes_1_to_n_are_all_allowed() -> None:
-    truth = LaneTruth(np.arange(3), np.array([1, 2, 3]), np.zeros(3, dtype=bool))
-    truth.check_lanes(3)
-    with pytest.raises(InputError, match=r"frame 2: lane 3 is outside 1\.\.2"):
-        truth.check_lanes(2)
-
-
 # --- evidence and beliefs ------------------------------------------------------------------------
 
 
@@ -312,17 +296,6 @@ def test_what_is_not_given_has_its_default_and_what_is_given_its_own_type() -> N
     assert (values["count"], type(values["count"])) == (3, int)
     assert values["p3"] == (0.1, 0.2, 1.0)
     assert resolve_parameters(SPECS, {"p1": np.float32(0.5)}, 3)["p1"] == 0.5
-
-
-def test_the_bounds_of_a_probability_are_probabilities() -> None:
-    assert resolve_parameters(SPECS, {"p1": 0}, 3)["p1"] == 0
-    assert resolve_parameters(SPECS, {"p1": 1}, 3)["p1"] == 1
-
-
-def test_suggestions_name_the_nearest_word_else_all_that_are_known() -> None:
-    assert suggestion("lane_width", ["lane_width_m", "p1"]) == " (did you mean 'lane_width_m'?)"
-    assert suggestion("x", ["b", "a"]) == " (known: a, b)"
-    assert suggestion("x", []) == ""
 
 
 def test_choices_are_listed_once_with_the_nearest() -> None:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.types import Evidence, InputError, LineLog
+from egolane_pgm.types import Evidence, LineLog
 from tests.reference import counting as reference
 
 W = 3.5
@@ -261,38 +261,10 @@ def test_garbage_in_lines_that_are_not_valid_is_never_read() -> None:
         np.testing.assert_array_equal(ours, right)
 
 
-def test_a_recording_of_no_line_at_all_is_uniform() -> None:
-    tentative, wor = seen([[], []], 3)
-    np.testing.assert_allclose(tentative, np.full((2, 3), 1 / 3))
-    np.testing.assert_allclose(wor[:, 0], 0.01)
-
-
 def test_without_noise_a_lane_that_no_line_allows_is_impossible() -> None:
     tentative, wor = seen([[(-9.0, True, False, 10.0)]], 3, tentative_noise=0, wor_noise=0)
     np.testing.assert_array_equal(tentative[0], [0, 0, 1])
     np.testing.assert_allclose(wor[0], [0.25, 0.75])
-
-
-def test_the_lane_width_is_a_parameter() -> None:
-    line = (-3.0, True, False, 10.0)
-    np.testing.assert_allclose(seen([[line]], 3)[0][0], np.full(3, 1 / 3))
-    narrow, _ = seen([[line]], 3, lane_width_m=2.02)
-    np.testing.assert_allclose(narrow[0], noisy([0, 1, 1]), rtol=1e-12)
-
-
-def test_parameters_out_of_range_are_refused_by_name() -> None:
-    for values, message in [
-        ({"bonus_value": -1}, "parameters.bonus_value: -1 must not be negative"),
-        ({"lane_width_m": 0}, "parameters.lane_width_m: 0 must be greater than 0"),
-        ({"no_valid_line": "ignored"}, "parameters.no_valid_line: 'ignored' is not one of"),
-        (
-            {"lane_width": 3.5},
-            "parameters: unknown key 'lane_width' (did you mean 'lane_width_m'?)",
-        ),
-    ]:
-        with pytest.raises(InputError) as error:
-            resolved(3, **values)
-        assert str(error.value).startswith(message)
 
 
 @settings(max_examples=60, deadline=None)

@@ -21,7 +21,7 @@ import egolane_pgm as ego
 from egolane_pgm.command import egolane
 from egolane_pgm.export.drive import Drive, open_drive
 from egolane_pgm.export.layouts import foxglove_layout, plotjuggler_layout
-from egolane_pgm.export.mcap_file import schema_of, write_mcap
+from egolane_pgm.export.mcap_file import write_mcap
 from egolane_pgm.recordings import write_lines
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
@@ -146,14 +146,6 @@ def test_pictures_stand_at_the_time_of_their_frame(written: Messages) -> None:
         assert abs(float(image.mean()) - grey) < 2
 
 
-def test_a_schema_is_made_from_an_example() -> None:
-    schema = schema_of({"a": [{"b": None}], "c": b"", "d": True, "e": 1.0})
-    jsonschema.validate({"a": [{"b": None}, {"b": 2}], "c": "", "d": False, "e": 1}, schema)
-    for wrong in ({"a": [{"b": "x"}], "c": "", "d": True, "e": 1}, {"a": [], "c": "", "d": True}):
-        with pytest.raises(jsonschema.ValidationError):
-            jsonschema.validate(wrong, schema)
-
-
 def test_layouts_name_topics_and_keys_that_the_file_has(drive: Drive, written: Messages) -> None:
     found = written
     layout = json.loads(foxglove_layout(drive))
@@ -241,20 +233,6 @@ def test_the_command_writes_file_and_layouts(result: Path, tmp_path: Path) -> No
     assert "out.mcap: /belief 10, /birdseye 10" in done.output
     assert all(file.stat().st_size > 500 for file in layouts)
     assert not done.stderr
-
-
-def test_a_result_without_lines_is_shown_without_them(result: Path, tmp_path: Path) -> None:
-    import shutil
-
-    copy = shutil.copytree(result, tmp_path / "result")
-    (copy / "lines.parquet").unlink()
-    done = export(copy, tmp_path / "out.mcap")
-    assert done.exit_code == 0, done.output
-    (warning,) = done.stderr.strip().splitlines()
-    assert "has no lines (lines.parquet), shown without them; run the experiment again" in warning
-    found = messages(tmp_path / "out.mcap")
-    assert "/lines" not in found
-    assert found["/birdseye"][0][1]["entities"][0]["lines"] == []
 
 
 def test_what_cannot_be_exported_is_said_in_a_line(result: Path, tmp_path: Path) -> None:

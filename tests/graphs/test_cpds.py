@@ -24,7 +24,6 @@ from egolane_pgm.graphs.cpds import (
     prior,
     quiet,
     uniform,
-    ve_name,
     within,
 )
 from egolane_pgm.types import InputError
@@ -128,18 +127,8 @@ def test_far_lanes_keep_the_digits_of_their_small_mass() -> None:
     np.testing.assert_allclose(discretised_normal(4, 0.2, 4, "integral")[::-1], row, rtol=1e-9)
 
 
-def test_one_lane_has_everything() -> None:
-    for normal in NORMALS:
-        np.testing.assert_array_equal(lane_normals(0.4, 1, normal), [[1.0]])
-
-
 def test_binary_rows_are_ok_and_bad_before_columns_ok_and_bad_now() -> None:
     np.testing.assert_allclose(binary(0.9, 0.7), [[0.9, 0.1], [0.3, 0.7]])
-
-
-def test_uniform_is_over_the_last_axis() -> None:
-    np.testing.assert_allclose(uniform(3, 4).sum(axis=-1), np.ones(3))
-    assert uniform(3, 4).shape == (3, 4)
 
 
 # --- tables --------------------------------------------------------------------------------------
@@ -168,11 +157,6 @@ def test_a_table_that_is_no_distribution_is_refused_naming_it(
     assert str(error.value).startswith(message)
 
 
-def test_columns_instead_of_rows_are_noticed() -> None:
-    with pytest.raises(InputError, match="rows of the table must sum to one"):
-        within("D", ["A"], np.array([[0.9, 0.3], [0.1, 0.7]]))
-
-
 def test_the_helpers_place_their_tables_in_the_right_slices() -> None:
     assert [t.node for t in prior("A", [0.5, 0.5])] == [("A", 0)]
     (table,) = prior("B", np.full((2, 2), 0.5), ["A"])
@@ -184,11 +168,6 @@ def test_the_helpers_place_their_tables_in_the_right_slices() -> None:
         (("D", 0), (("A", 0),)),
         (("D", 1), (("A", 1),)),
     ]
-
-
-def test_a_virtual_evidence_node_is_named_after_what_it_observes() -> None:
-    assert ve_name("D") == "D_ve"
-    assert ve_name(("A", "D")) == "A+D_ve"
 
 
 # --- declaration ---------------------------------------------------------------------------------

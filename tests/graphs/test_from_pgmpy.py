@@ -300,26 +300,6 @@ def test_a_network_with_a_fault_is_refused_naming_the_node(fault: str) -> None:
     assert "\n" not in str(error.value)
 
 
-@pytest.fixture(scope="module")
-def bif(tmp_path_factory: pytest.TempPathFactory) -> str:
-    path = tmp_path_factory.mktemp("bif") / "network.bif"
-    with quiet():
-        BIFWriter(static(underscored)).write(path)
-    return path.read_text()
-
-
-@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
-def test_a_truncated_file_is_refused_wherever_it_ends(
-    tmp_path: Path, bif: str, share: float
-) -> None:
-    path = tmp_path / "network.bif"
-    path.write_text(bif[: int(share * len(bif))])
-    with pytest.raises(InputError) as error:
-        read_network(path)
-    assert str(error.value).startswith(f"{path}: ")
-    assert "\n" not in str(error.value)
-
-
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

@@ -12,10 +12,8 @@ import pytest
 import yaml
 
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.model import prepare_model
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin
-from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
 from tests.conformance.networks import (
@@ -26,7 +24,7 @@ from tests.conformance.networks import (
     draw_evidence,
     graph,
 )
-from tests.kits.drives import done, refused, with_changes, write_drive
+from tests.kits.drives import refused, with_changes, write_drive
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -95,21 +93,6 @@ def test_the_example_gives_the_beliefs_of_the_papers_graph() -> None:
     right = run_experiment(experiment.model_copy(update={"graph": "sensor_failure"}))
     np.testing.assert_allclose(ours.beliefs.lane, right.beliefs.lane, atol=1e-3)
     assert ours.scores["model"]["accuracy"] > ours.scores["detector"]["accuracy"]
-
-
-def test_a_result_with_a_yaml_graph_runs_again_where_the_file_is_gone(tmp_path: Path) -> None:
-    file = tmp_path / "paper.yaml"
-    file.write_text((EXAMPLES / "sensor_failure.yaml").read_text())
-    experiment = write_drive(tmp_path, graph="./paper.yaml")
-    four = ("--set", "n_lanes=4")
-    assert "ok (4 lanes, 8 joint states)" in done("validate", experiment, *four).stdout
-    done("run", experiment, *four, "--no-figures", "--out", tmp_path / "out")
-    file.unlink()
-    again = tmp_path / "out" / "experiment.yaml"
-    done("run", again, "--no-figures", "--out", tmp_path / "again")
-    one, other = read_result(tmp_path / "out"), read_result(tmp_path / "again")
-    np.testing.assert_array_equal(one.marginals["Lane"], other.marginals["Lane"])
-    assert one.values["SensorState"] == ("OK", "BAD")
 
 
 def test_the_numbers_stand_in_the_order_of_the_parents(tmp_path: Path) -> None:
@@ -261,29 +244,3 @@ def test_what_is_wrong_is_said_by_validate_with_the_experiments_name(tmp_path: P
     (tmp_path / "g.yaml").write_text(text)
     assert "needs a hidden node Lane with 3 values, has 4" in refused("validate", experiment)
     assert "no file" in refused("validate", experiment, "--set", "graph=./nothing.yaml")
-
-
-def test_a_cycle_in_a_graph_in_yaml_is_refused_naming_its_nodes(tmp_path: Path) -> None:
-    of = "values: [[1, 0], [0, 1]]"
-    (tmp_path / "g.yaml").write_text(
-        "nodes: {Lane: 2, X: 2, Y: 2, DetectorOutput: 2}\nhidden: [Lane, X, Y]\n"
-        "observed: [DetectorOutput]\nunused: [WOR]\n"
-        "tables:\n  Lane: {first: {rows: {values: [0.5, 0.5]}},"
-        f" next: {{rows: {{of: [Lane before], {of}}}}}}}\n"
-        f"  X: {{rows: {{of: [Y], {of}}}}}\n  Y: {{rows: {{of: [X], {of}}}}}\n"
-        f"  DetectorOutput: {{rows: {{of: [Lane], {of}}}}}\n"
-    )
-    said = refused("validate", write_drive(tmp_path, 20, graph="./g.yaml"))
-    assert "the edges within a slice form a cycle: X -> Y -> X" in said
-    assert "experiment.yaml: graph" in said
-
-
-def test_a_new_number_of_levels_compiles_the_network_anew() -> None:
-    from egolane_pgm.model import with_parameters
-
-    experiment = load_experiment(EXAMPLES / "yaml_graph.yaml").model_copy(
-        update={"graph": "wor_levels", "evidence": "counting_levels"}
-    )
-    model = prepare_model(experiment)
-    other = with_parameters(model, {**model.parameters, "wor_levels": 5})
-    assert [m.compiled.groups[1].sizes for m in (model, other)] == [(3,), (5,)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,7 +16,6 @@ from egolane_pgm.graphs.cpds import (
     dynamics,
     previous,
     prior,
-    quiet,
     uniform,
     within,
 )
@@ -120,39 +119,6 @@ def test_tables_that_name_their_axes_in_another_order_compile_to_the_same(seed: 
         assert_same_beliefs(filter_beliefs(renewed, evidence, method), right, 1e-13)
 
 
-def test_a_network_written_in_plain_pgmpy_compiles_whatever_the_order_of_its_edges() -> None:
-    """A, B persist; D depends on both, declared as D | B, A over edges A->D, B->D."""
-    with quiet():
-        from pgmpy.factors.discrete import TabularCPD
-        from pgmpy.models import DynamicBayesianNetwork
-
-        network = DynamicBayesianNetwork(
-            [(("A", 0), ("D", 0)), (("B", 0), ("D", 0)), (("D", 0), ("D_ve", 0))]
-            + [((n, 0), (n, 1)) for n in "AB"]
-        )
-        sees = np.random.default_rng(0).dirichlet(np.ones(2), (2, 2))  # [b, a, d]
-        columns = sees.reshape(-1, 2).T
-        for s in (0, 1):
-            network.add_cpds(
-                TabularCPD(("D", s), 2, columns, [("B", s), ("A", s)], [2, 2]),
-                TabularCPD(("D_ve", s), 2, np.full((2, 2), 0.5), [("D", s)], [2]),
-            )
-        for n in "AB":
-            network.add_cpds(
-                TabularCPD((n, 0), 2, [[0.5], [0.5]]), TabularCPD((n, 1), 2, KEEP.T, [(n, 0)], [2])
-            )
-    compiled = compile(network, hidden=("A", "B"), observed=("D",))
-    emission = compiled.groups[0].emission.reshape(2, 2, 2)
-    np.testing.assert_allclose(emission, sees.transpose(1, 0, 2))  # [a, b, d]
-
-
-def test_a_transition_reads_the_state_before_in_its_rows() -> None:
-    compiled = compiled_simple()
-    np.testing.assert_allclose(compiled.transition[0], KEEP)
-    np.testing.assert_allclose(compiled.prior[0], [0.5, 0.5])
-    np.testing.assert_allclose(compiled.groups[0].emission, SEES)
-
-
 @pytest.mark.parametrize("order", [(0, 1, 2, 3), (0, 3, 2, 1), (2, 0, 3, 1), (3, 2, 1, 0)])
 def test_leaves_that_hang_together_in_a_chain_are_one_group_in_the_order_declared(
     order: tuple[int, ...],
@@ -230,15 +196,6 @@ def test_new_numbers_may_change_the_part_that_a_node_has(changed: list[Table]) -
     assert_filters_agree(with_tables(compiled, changed), evidence, right)
 
 
-def test_new_tables_leave_the_compiled_network_as_it_was() -> None:
-    compiled = compiled_simple()
-    before = compiled.transition.copy()
-    changed = [t for t in simple_tables() if t.node != ("A", 1)]
-    changed += dynamics("A", [previous("A")], KEEP[::-1])
-    assert not np.allclose(with_tables(compiled, changed).transition, before)
-    np.testing.assert_array_equal(compiled.transition, before)
-
-
 def refused(
     tables: Sequence[Table],
     hidden: Sequence[str] = ("A",),
@@ -252,51 +209,6 @@ def refused(
     message = str(error.value)
     assert "\n" not in message
     return message
-
-
-def edited(edit: Callable[[Any, Callable[..., Any]], None]) -> str:
-    """The refusal of the simple network after `edit(network, TabularCPD)`."""
-    with quiet():
-        from pgmpy.factors.discrete import TabularCPD
-
-        network = declare(simple_tables(), ["D"])
-        edit(network, TabularCPD)
-    with pytest.raises(InputError) as error:
-        compile(network, hidden=["A"], observed=["D"])
-    return str(error.value)
-
-
-def cpd_of(network: Any, node: str, s: int) -> Any:
-    return next(c for c in network.cpds if tuple(c.variable) == (node, s))
-
-
-def test_a_table_that_does_not_match_its_parents_is_refused_naming_both() -> None:
-    def edit(network: Any, cpd: Callable[..., Any]) -> None:
-        network.cpds.remove(cpd_of(network, "D", 1))
-        network.cpds.append(cpd(("D", 1), 2, SEES.T, [("A", 0)], [2]))
-
-    message = edited(edit)
-    assert message == "D in slice 1: its table is given A[t], its edges come from A[t+1]"
-
-
-def test_a_missing_table_of_the_second_slice_is_refused() -> None:
-    message = edited(lambda network, _: network.cpds.remove(cpd_of(network, "A", 1)))
-    assert message == (
-        "A: no table for slice 1, where its edges come from A[t]; that of slice 0 is given nothing"
-    )
-
-
-def test_two_tables_for_one_node_are_refused() -> None:
-    message = edited(lambda network, _: network.cpds.append(cpd_of(network, "A", 1)))
-    assert message == "A: two tables for slice 1"
-
-
-def test_a_table_with_another_number_of_rows_than_its_parent_has_values_is_refused() -> None:
-    def edit(network: Any, cpd: Callable[..., Any]) -> None:
-        network.cpds.remove(cpd_of(network, "D", 1))
-        network.cpds.append(cpd(("D", 1), 2, np.full((2, 3), 0.5), [("A", 1)], [3]))
-
-    assert edited(edit) == "D: its table has 3 rows for A, which has 2 values"
 
 
 def test_another_number_of_values_in_the_second_slice_is_refused() -> None:
@@ -343,11 +255,6 @@ def test_all_nodes_that_are_not_observed_are_hidden_and_lane_in_any_case() -> No
     joint = compile(declare(tables, [("Lane", "E"), "D"]), observed=seen)  # type: ignore[arg-type]
     assert joint.hidden == ("Lane",)
     assert set(joint.observed) == {("Lane", "E"), "D"}
-
-
-def test_a_mistyped_name_gets_a_suggestion() -> None:
-    message = refused(simple_tables("Lane"), ["Lain"], ["D"])
-    assert message.endswith("(did you mean 'Lane'?)")
 
 
 def test_missing_virtual_evidence_children_are_added_and_said() -> None:

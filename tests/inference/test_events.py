@@ -154,10 +154,6 @@ def test_a_change_is_told_once_believed_and_dated_from_where_the_new_lane_leads(
     assert lane_events(drive, 10.0).probability == pytest.approx([0.7])
 
 
-def test_a_lane_that_only_leads_is_not_believed() -> None:
-    assert len(lane_events(between((0.1, 10), (0.66, 50), (0.1, 10)), 10.0)) == 0
-
-
 @pytest.mark.parametrize(("short", "n_told"), [(0.0, 3), (1e-9, 1)])
 def test_a_probability_that_just_reaches_is_enough(short: float, n_told: int) -> None:
     back = 1 - (SURELY_BACK - short)
@@ -165,10 +161,6 @@ def test_a_probability_that_just_reaches_is_enough(short: float, n_told: int) ->
     assert len(lane_events(drive, 10.0)) == n_told
     first = between((0.05, 10), (BELIEVED - short, 5))
     assert len(lane_events(first, 10.0)) == (short == 0)
-
-
-def test_the_first_believed_lane_is_no_change() -> None:
-    assert len(lane_events(between((0.45, 10), (0.9, 10)), 10.0)) == 0
 
 
 def test_a_flicker_is_told_back_only_if_it_is_surely_back() -> None:
@@ -188,12 +180,6 @@ def test_a_belief_that_comes_with_a_lag_is_told_when_it_is_known() -> None:
     assert told(lane_events(drive, 10.0, lag=4)) == [(10, 14, 1, 2)]
     # The last beliefs come when the drive is over.
     assert told(lane_events(drive, 10.0, lag=15)) == [(10, 19, 1, 2)]
-
-
-def test_a_drive_without_frames_has_no_events_and_prints() -> None:
-    events = lane_events(between(), 10.0)
-    assert (len(events), repr(events)) == (0, "LaneEvents(0 lane changes)")
-    assert len(events.to_pandas()) == 0
 
 
 def test_a_frame_rate_of_nothing_is_refused() -> None:

@@ -229,15 +229,6 @@ def test_it_agrees_with_the_filter_and_the_smoother() -> None:
     np.testing.assert_allclose(found.counts["Lane", 0], smoothed[0], atol=1e-9)
 
 
-def test_a_long_recording_of_tiny_likelihoods_does_not_underflow() -> None:
-    compiled = compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=["D"])
-    evidence = Evidence({"D": np.tile([1e-300, 3e-300], (2000, 1))})
-    found = expected_counts(compiled, evidence)
-    beliefs = filter_beliefs(compiled, evidence, "exact")
-    assert found.log_evidence == pytest.approx(beliefs.log_evidence.sum())
-    assert totals(found)["A", 1] == pytest.approx(1999)
-
-
 def test_a_known_value_that_cannot_be_is_left_out_and_flagged() -> None:
     tables = [*simple_tables()]
     tables[1] = Table(("A", 1), (("A", 0),), np.eye(2))
@@ -247,24 +238,6 @@ def test_a_known_value_that_cannot_be_is_left_out_and_flagged() -> None:
     found = expected_counts(compiled, evidence, {"A": known})
     assert found.is_impossible.tolist() == [False, True, False, False]
     np.testing.assert_allclose(found.counts["A", 1], [[3, 0], [0, 0]])
-
-
-def test_what_is_given_is_left_as_it_is() -> None:
-    compiled, _, evidence, lane = drawn_case(2, 30)
-    is_first, before = np.zeros(30, dtype=bool), lane.copy()
-    likelihoods = {key: values.copy() for key, values in evidence.likelihoods.items()}
-    expected_counts(compiled, evidence, {"Lane": lane}, is_first)
-    assert not is_first.any()
-    np.testing.assert_array_equal(lane, before)
-    for key, values in likelihoods.items():
-        np.testing.assert_array_equal(evidence.likelihoods[key], values)
-
-
-def test_nothing_is_counted_in_no_frames() -> None:
-    compiled = compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=["D"])
-    found = expected_counts(compiled, Evidence({"D": np.empty((0, 2))}))
-    assert totals(found) == {("A", 0): 0, ("A", 1): 0, ("D", 1): 0}
-    assert found.log_evidence == 0
 
 
 def test_functions_and_tables_that_an_input_selects_are_not_counted() -> None:

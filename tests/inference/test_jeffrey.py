@@ -176,27 +176,6 @@ def test_frame_by_frame_equals_the_whole_sequence_and_scale_does_not_matter(seed
             )
 
 
-@every_method
-def test_stepping_leaves_the_earlier_state_as_it_was(method: str) -> None:
-    compiled = template("sensor_failure", 3)
-    evidence = read_evidence(draw_evidence(compiled, 2, _rng(0), zeros=0), "jeffrey")
-    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
-    before = first.joint.copy()
-    step(compiled, first, evidence.take(slice(1, 2)), method)
-    np.testing.assert_array_equal(first.joint, before)
-
-
-def test_evidence_that_does_not_fit_is_refused_here_too() -> None:
-    compiled = template("sensor_failure", 3)
-    good = draw_evidence(compiled, 2, _rng(0)).likelihoods
-    for likelihoods, message in [
-        ({"DetectorOutput": np.ones((2, 3))}, "observed node WOR: the evidence has nothing"),
-        ({**good, "WOR": np.ones((2, 3))}, "evidence for WOR: shape"),
-    ]:
-        with pytest.raises(InputError, match=message):
-            filter_beliefs(compiled, read_evidence(Evidence(likelihoods), "jeffrey"))
-
-
 def test_where_a_likelihood_is_needed_it_is_refused() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 3, _rng(0), zeros=0)

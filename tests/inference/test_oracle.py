@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import numpy as np
 import pytest
@@ -127,13 +126,3 @@ def test_a_sequence_too_improbable_for_pgmpy_is_refused_not_taken_for_impossible
     evidence = Evidence({"D": np.array([[size, 1.0]] * 4)})
     with pytest.raises(InputError, match="too improbable for the oracle"):
         oracle_filter(declare(tables, ["D"]), ["Lane"], ["D"], evidence)
-
-
-def test_the_oracle_prints_nothing(capfd: pytest.CaptureFixture[Any]) -> None:
-    module = graph("lane_only")
-    network = module.build(2, draw_parameters(module.PARAMETERS, 2, np.random.default_rng(4)))
-    evidence = Evidence({"DetectorOutput": np.array([[0.0, 0.0], [0.6, 0.4]])})
-    for oracle in ORACLES.values():
-        oracle(network, module.HIDDEN, module.OBSERVED, evidence)
-    out, err = capfd.readouterr()
-    assert (out, err) == ("", "")

@@ -9,7 +9,7 @@ import pytest
 
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.model import prepare_model
@@ -122,16 +122,3 @@ def test_frames_that_there_are_not_are_refused(first: int, last: int, said: str)
     evidence = draw_evidence(compiled, 4, np.random.default_rng(0))
     with pytest.raises(InputError, match=said):
         unrolled(compiled, evidence, first, last)
-
-
-def test_posteriors_are_refused() -> None:
-    compiled = template("lane_only", 3)
-    evidence = read_evidence(draw_evidence(compiled, 4, np.random.default_rng(0)), "jeffrey")
-    with pytest.raises(InputError, match="Jeffrey's rule is no likelihood"):
-        unrolled(compiled, evidence, 0, 1)
-
-
-def test_evidence_that_does_not_fit_is_refused() -> None:
-    compiled = template("lane_only", 3)
-    with pytest.raises(InputError, match=r"evidence for DetectorOutput: shape \(2, 4\)"):
-        unrolled(compiled, Evidence({"DetectorOutput": np.ones((2, 4))}), 0, 1)

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.inference.viterbi import Path, disagreement, viterbi
-from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Beliefs, Evidence
 from tests.conformance.networks import (
     any_compiled,
@@ -72,17 +70,6 @@ def test_the_path_is_as_probable_as_that_of_plain_numpy() -> None:
         assert own == pytest.approx(best, abs=1e-9)
 
 
-def test_the_frame_ids_given_are_kept() -> None:
-    compiled = template("lane_only", 3)
-    evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
-    ids = np.array([7, 8, 12])
-    path = viterbi(compiled, evidence, frame_id=ids)
-    np.testing.assert_array_equal(path.frame_id, ids)
-    smoothed = smooth_beliefs(compiled, evidence, frame_id=ids)
-    assert disagreement(path, smoothed) is None
-    assert viterbi(compiled, evidence).frame_id.tolist() == [0, 1, 2]
-
-
 def test_of_equally_probable_paths_the_lowest_numbered_is_taken() -> None:
     compiled = template("sensor_failure", 3)
     says_nothing = Evidence({"DetectorOutput": np.ones((4, 3)), "WOR": np.ones((4, 2))})
@@ -127,14 +114,3 @@ def test_the_longest_stretch_of_doubt_is_found_and_warned_of_beyond_the_limit() 
     assert disagreement(path, smoothed, limit=3) is None
     assert "for 3 frames (103 to 105)" in str(disagreement(path, smoothed, limit=2))
     assert disagreement(*believed([0, 1], [0.9, 0.8]), limit=0) is None
-
-
-def test_the_path_of_a_sensor_that_may_be_bad_for_long_is_found_to_disagree() -> None:
-    """The likeliest story holds one lane; all stories together leave it."""
-    parameters = resolve_parameters(graph("lane_only").PARAMETERS, {"sigma1": 0.8}, 5)
-    compiled = with_tables(template("lane_only", 5), graph("lane_only").tables(5, parameters))
-    evidence = Evidence({"DetectorOutput": np.ones((120, 5))})
-    path = viterbi(compiled, evidence)
-    smoothed = smooth_beliefs(compiled, evidence)
-    assert len(set(path.lane.tolist())) == 1
-    assert "for 120 frames" in str(disagreement(path, smoothed))

@@ -202,25 +202,6 @@ def test_what_is_never_used_stays_possible_without_any_prior() -> None:
     np.testing.assert_array_equal(lane[1:], start[1:])  # rows that were not used
 
 
-def test_only_the_tables_that_are_asked_for_are_learned() -> None:
-    compiled, evidence, known, is_first = a_case(3)
-    start = counted_tables(compiled)
-    (name, _), *_ = start
-    fitted = fit_tables(compiled, evidence, known, is_first, nodes={name})
-    for node, table in start.items():
-        is_same = np.array_equal(fitted.tables[node].values, table.values)
-        assert is_same == (node[0] != name) or np.isin(table.values, (0, 1)).all()
-
-
-def test_without_a_frame_the_tables_stay_what_they_were() -> None:
-    compiled = paper_case()
-    blank = Evidence({"DetectorOutput": np.empty((0, 3)), "WOR": np.empty((0, 2))})
-    fitted = fit_tables(compiled, blank)
-    assert len(fitted.log_posterior) == 2
-    for node, table in counted_tables(compiled).items():
-        np.testing.assert_allclose(fitted.tables[node].values, table.values)
-
-
 @needs_compiler
 @pytest.mark.parametrize("run", [1, 10])
 @pytest.mark.parametrize("labels", [True, False])

@@ -23,7 +23,7 @@ from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.tools.files import plain
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler
-from tests.kits.drives import command, done, problems, refused, write_drive
+from tests.kits.drives import done, problems, refused, write_drive
 
 W = 3.6
 GEOMETRY: dict[str, Any] = {
@@ -237,23 +237,3 @@ def test_settings_for_tables_are_refused_where_the_rule_learns(tmp_path: Path) -
     said = refused("learn", write_drive(tmp_path, **GEOMETRY), "--unlabelled")
     assert "learning: is about the tables of a graph" in said
     assert "line_geometry learns its own parameters, from labels" in said
-
-
-def test_without_labels_a_recording_is_run_and_the_width_is_said(tmp_path: Path) -> None:
-    write_drive(tmp_path, 300)
-    zero_label = Path(__file__).parents[2] / "experiments" / "zero_label.yaml"
-
-    result = command(
-        "run",
-        zero_label,
-        "--recording",
-        tmp_path / "lines.csv",
-        "--n-lanes",
-        "3",
-        "--no-figures",
-        "--out",
-        tmp_path / "result",
-    )
-    assert result.exit_code == 0
-    assert "lane width 3." in result.stderr
-    assert "no ground truth" in result.stdout

@@ -14,8 +14,8 @@ import pytest
 import yaml
 
 import egolane_pgm as ego
-from egolane_pgm.drive import Drive, Recorded, load_drive, load_recording
-from egolane_pgm.experiment import Experiment, load_experiment, resolved
+from egolane_pgm.drive import Drive, Recorded, load_recording
+from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.held_out import held_out_result
 from egolane_pgm.inference.compile import compile
@@ -28,7 +28,7 @@ from egolane_pgm.plugins import load_plugin
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.running import run_experiment
 from egolane_pgm.tools.files import plain
-from egolane_pgm.types import InputError, LaneTruth
+from egolane_pgm.types import LaneTruth
 from tests.conformance.networks import draw_graph, graph_names
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, write_drive
@@ -206,16 +206,6 @@ def test_frames_that_are_never_fit_are_not_learned_from(tmp_path: Path) -> None:
     assert again.scores["parameters"] == learned.scores["parameters"]
     assert again.run["parameters_per_block"] == learned.run["parameters_per_block"]
     assert again.scores["model_all_frames"] != learned.scores["model_all_frames"]
-
-
-def test_several_stretches_may_be_left_out(tmp_path: Path) -> None:
-    ranges = [[5, 10], [20, 30], [50, None]]
-    path = write_drive(tmp_path, 60, tuning={"never_fit": ranges})
-    experiment = load_experiment(path)
-    truth = load_recording(experiment).truth
-    assert truth is not None
-    left_out = truth.frame_id[~load_drive(experiment, needs_truth=None).may_fit]
-    assert left_out.tolist() == [*range(5, 10), *range(20, 30), *range(50, 60)]
 
 
 def test_leaving_out_every_frame_is_refused(tmp_path: Path) -> None:
@@ -465,48 +455,6 @@ def test_evidence_read_by_jeffreys_rule_cannot_be_learned_from(tmp_path: Path) -
     assert "evidence_reading soft or hard" in said
 
 
-def test_how_tables_are_learned_is_no_part_of_what_is_run(tmp_path: Path) -> None:
-    plain = load_experiment(write_drive(tmp_path, 30))
-    learning = load_experiment(write_drive(tmp_path, 30, learning={"labels": False}))
-    assert resolved(plain, {}) == resolved(learning, {})
-
-
-def test_what_every_block_has_to_say_is_said_once(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 60)
-    said = done("learn", path, "--out", tmp_path / "a.yaml").stderr.splitlines()
-    about = [line for line in said if "no frame to learn from has lane" in line]
-    assert about
-    assert len(set(about)) == len(about)
-    assert all(line.startswith("warning: ") for line in about)
-
-
-def test_the_experiment_itself_is_not_written_over(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 30)
-    before = path.read_text()
-    assert "is the experiment itself" in refused("learn", path, "--out", path)
-    assert path.read_text() == before
-
-
-def test_a_file_that_the_experiment_reads_is_not_written_over(tmp_path: Path) -> None:
-    """The graph that is learned would be the one that it was learned from."""
-    graph = tmp_path / "out.graph.yaml"
-    graph.write_text(
-        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
-        "observed: [DetectorOutput]\nunused: [WOR]\n"
-        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
-        "tables:\n  Lane: {first: {rows: {values: [.5, .3, .2]}}, next: {rows: {of: [Lane before],"
-        " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}}\n"
-        f"  DetectorOutput: {{rows: {{of: [Lane], values: {SAME}}}}}\n"
-    )
-    before = graph.read_text()
-    path = write_drive(tmp_path, 30, graph="./out.graph.yaml")
-    said = refused("learn", path, "--out", tmp_path / "out.yaml")
-    assert said.endswith(f"{graph}: is read by {path}; name another file")
-    assert refused("learn", path, "--out", tmp_path / "lines.csv").endswith("name another file")
-    assert graph.read_text() == before
-    done("learn", path, "--out", tmp_path / "other.yaml", "--blocks", "2")
-
-
 def test_what_a_rule_learned_is_written_with_four_digits(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"
@@ -530,34 +478,6 @@ def test_labels_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
     model, recorded = prepare_model(experiment), load_recording(experiment)
     assert recorded.truth is not None
     with pytest.warns(UserWarning, match=r"frame\(s\) to learn from cannot be under graph sensor"):
-        fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
-
-
-def test_labels_that_the_graph_never_allows_leave_nothing_to_learn(tmp_path: Path) -> None:
-    """Lane 1 is all that the graph knows of, and the drive is labelled as one in lane 3."""
-    (tmp_path / "g.yaml").write_text(
-        "nodes: {Lane: 3, DetectorOutput: 3}\nhidden: [Lane]\n"
-        "observed: [DetectorOutput]\nunused: [WOR]\n"
-        "edges: {within: [Lane -> DetectorOutput], across: [Lane -> Lane]}\n"
-        "tables:\n  Lane: {first: {rows: {values: [1, 0, 0]}},"
-        f" next: {{rows: {{of: [Lane before], values: {SAME}}}}}}}\n"
-        "  DetectorOutput: {rows: {of: [Lane],"
-        " values: [[.8, .1, .1], [.1, .8, .1], [.1, .1, .8]]}}\n"
-    )
-    experiment = load_experiment(write_drive(tmp_path, 60, graph="./g.yaml"))
-    model, recorded = prepare_model(experiment), load_recording(experiment)
-    assert recorded.truth is not None
-    n_frames = len(recorded.truth)
-    truth = replace(recorded.truth, lane=np.full(n_frames, 3), is_crossing=np.zeros(n_frames, bool))
-    with pytest.raises(InputError, match="none of the 60 frames to learn from can be under graph"):
-        fit(Drive(experiment, model, replace(recorded, truth=truth)), np.arange(n_frames))
-
-
-def test_learning_that_does_not_stand_still_says_so(tmp_path: Path) -> None:
-    experiment = load_experiment(write_drive(tmp_path, 60, learning={"iterations": 1}))
-    model, recorded = prepare_model(experiment), load_recording(experiment)
-    assert recorded.truth is not None
-    with pytest.warns(UserWarning, match="stopped after 1 iterations"):
         fit(Drive(experiment, model, recorded), np.arange(len(recorded.truth)))
 
 

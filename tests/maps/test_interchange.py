@@ -111,14 +111,6 @@ def test_a_map_without_lanes_cannot_be_driven() -> None:
         simulate_interchange(0, replace(graph, n_lanes=0 * graph.n_lanes))
 
 
-@pytest.mark.parametrize(
-    ("key", "value"), [("n_frames", 0), ("speed_m_s", 0), ("place_sigma_m", -1)]
-)
-def test_a_journey_out_of_range_is_refused(key: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"simulation.{key}"):
-        Journey(**{key: value})  # type: ignore[arg-type]
-
-
 def simulate(*words: str) -> str:
     done = CliRunner().invoke(egolane, ["simulate", "interchange", *words])
     return done.output if done.exit_code == 0 else f"{done.output}{done.exception}"
@@ -167,9 +159,3 @@ def test_options_that_do_not_fit_are_refused(
     tmp_path: Path, words: list[str], message: str
 ) -> None:
     assert message in simulate("--out", str(tmp_path / "drive"), *words)
-
-
-def test_a_map_goes_with_the_preset_interchange_only(tmp_path: Path) -> None:
-    words = ["simulate", "a4", "--map", "x.parquet", "--out", str(tmp_path / "drive")]
-    done = CliRunner().invoke(egolane, words)
-    assert "--map: goes with interchange only" in f"{done.output}{done.exception}"

@@ -61,12 +61,6 @@ def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> N
     assert len(graph.line(0)) == 3
 
 
-def test_a_map_that_is_cut_has_a_segment_before_and_one_after_the_gap(tmp_path: Path) -> None:
-    graph = read_osm(write_osm(tmp_path / "a.osm", NODES, [(10, [1, 2], ROAD), (12, [3, 4], ROAD)]))
-    assert len(graph) == 2
-    assert len(graph.before) == 0
-
-
 def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None:
     ways = [
         (10, [1, 2], {**ROAD, "lanes": "two"}),
@@ -80,14 +74,6 @@ def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None
     assert "way 12: placement=right_of:3 of 2 lanes is no place" in str(said[1].message)
     assert graph.n_lanes.tolist() == [0, 2]
     assert np.isnan(graph.placement).all()
-
-
-def test_many_things_that_are_wrong_are_some_lines(tmp_path: Path) -> None:
-    ways = [(k, [1, 2], {**ROAD, "lanes": f"x{k}"}) for k in range(20)]
-    with pytest.warns(UserWarning, match="lanes=x|wrong with tags") as said:
-        read_osm(write_osm(tmp_path / "a.osm", NODES, ways))
-    assert len(said) == 9
-    assert "12 more things are wrong with tags" in str(said[-1].message)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from pyarrow import parquet
 
 from egolane_pgm.maps.road_table import RoadTable, load, save
-from egolane_pgm.maps.steps import OPTIONAL, SERVED, lanes_along, on_constant_road, road_changes
+from egolane_pgm.maps.steps import OPTIONAL, SERVED, lanes_along, road_changes
 from egolane_pgm.types import InputError
 
 SPEED = 25.0
@@ -98,11 +98,6 @@ def test_two_changes_in_one_frame_are_told_one_after_the_other() -> None:
     k = words.index("2>3+0")
     assert words[k : k + 3] == ["2>3+0", "3>4+1", "4"]
     assert lanes[k : k + 2].tolist() == [3, 4]
-
-
-def test_a_join_at_which_nothing_changes_is_no_step() -> None:
-    words, _ = told(drive((260, 3, 0, "entry"), (400, 3, 0, "")))
-    assert set(words) == {"3"}
 
 
 def test_at_a_split_the_lanes_that_serve_the_branch_are_evidence_in_the_frame_before() -> None:
@@ -195,12 +190,6 @@ def test_a_road_that_the_graph_does_not_have_is_refused() -> None:
         lanes_along(table, time_s, steps="2 3", n_lanes=3)
     with pytest.raises(InputError, match="the road has 3 lanes, n_lanes is 2"):
         lanes_along(table, time_s, steps=road_changes(table).vocabulary(), n_lanes=2)
-
-
-def test_a_constant_road_has_one_step() -> None:
-    along = on_constant_road(4, 3)
-    assert along.steps == "3"
-    assert along.served.shape == (4, 3)
 
 
 def test_a_road_table_comes_back_as_it_was_written(tmp_path: Path) -> None:

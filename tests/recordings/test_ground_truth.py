@@ -52,10 +52,8 @@ def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text:
 def test_a_malformed_line_is_refused_with_its_number(tmp_path: Path, line: str) -> None:
     path = write(tmp_path / "gt.txt", f"1;1;0\n\n{line}\n4;1;0\n")
     assert refused(path).startswith(f"line 3: {line!r} is not")
-
-
-def test_a_malformed_first_line_is_no_heading(tmp_path: Path) -> None:
-    assert refused(write(tmp_path / "gt.txt", "1;a;0\n2;1;0\n")).startswith("line 1: ")
+    if line != "lane":  # a heading
+        assert refused(write(path, f"{line}\n4;1;0\n")).startswith("line 1: ")
 
 
 def test_frames_that_repeat_or_decrease_are_refused(tmp_path: Path) -> None:
@@ -123,12 +121,6 @@ def test_what_is_written_is_read_back(
     for name in ("frame_id", "lane", "is_crossing"):
         np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
         assert getattr(again, name).dtype == getattr(truth, name).dtype
-
-
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    truth = LaneTruth(np.array([1]), np.array([1]), np.array([False]))
-    with pytest.raises(InputError, match="cannot be written"):
-        write_ground_truth(tmp_path / "absent" / "gt.txt", truth)
 
 
 def test_the_published_ground_truths_are_read() -> None:

@@ -83,9 +83,3 @@ def test_an_unknown_lri_is_refused_naming_the_frame_and_nothing_is_written(tmp_p
     with pytest.raises(InputError, match=f"frame {log.frame_id[frame]}: line {line + 1}"):
         write_rosbag(tmp_path / "x.bag", replace(log, lri=lri))
     assert not list(tmp_path.iterdir())
-
-
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(InputError, match="cannot be written"):
-        write_rosbag(tmp_path / "file" / "x.bag", simulate("quickstart", frames=20).log)

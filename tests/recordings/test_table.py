@@ -214,12 +214,6 @@ def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_p
     assert log.is_valid.all()
 
 
-def test_the_own_columns_give_no_warning(tmp_path: Path) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert len(read_table(csv(tmp_path, HEADING + "1,1,2.0,true,false,3\n"))) == 1
-
-
 @pytest.mark.parametrize(
     ("row", "said"),
     [
@@ -317,22 +311,6 @@ def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
     assert "not a whole Parquet file" in refused(tmp_path / "b.parquet")
     with pytest.raises(InputError, match="greater than 0"):
         read_lines(csv(tmp_path, HEADING), frame_rate=-1)
-
-
-def test_a_parquet_file_cut_anywhere_is_refused(tmp_path: Path) -> None:
-    whole = parquet(tmp_path, frame_id=[1, 2], line=[1, 1], offset_m=[1.0, 2.0]).read_bytes()
-    for n in range(0, len(whole), 50):
-        (tmp_path / "cut.parquet").write_bytes(whole[:n])
-        assert "not a whole Parquet file" in refused(tmp_path / "cut.parquet")
-
-
-def test_a_table_that_cannot_be_written_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    log = read_table(csv(tmp_path, HEADING + "1,1,2.0,true,false,3\n"))
-    with pytest.raises(InputError, match="cannot be written"):
-        write_table(tmp_path / "absent" / "b.csv", log)
-    with pytest.raises(InputError, match="unknown extension"):
-        write_table(tmp_path / "b.xlsx", log)
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv"]
 
 
 WIDE = "frame_id,offset_1,offset_2,offset_3,lri_1,valid_1\n7,-1.8,1.9,,3,true\n9,,,,,\n"

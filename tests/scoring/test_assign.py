@@ -19,7 +19,7 @@ from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
 from egolane_pgm.views.coverage import MARKED, coverage_curves, coverage_figure
-from tests.kits.drives import command, done, refused, short_drive, write_drive
+from tests.kits.drives import done, short_drive, write_drive
 from tests.kits.streams import messages
 from tests.kits.tiny_result import a_result, without_truth
 
@@ -46,14 +46,6 @@ def test_the_curve_counts_answers_and_right_ones_from_the_surest_on() -> None:
     coverage, accuracy = curve.at(0.99)
     assert coverage == 0.0
     assert np.isnan(accuracy)
-
-
-def test_equal_probabilities_are_one_point_of_the_curve() -> None:
-    belief = np.array([[0.9, 0.1], [0.1, 0.9], [0.7, 0.3], [0.3, 0.7]])
-    curve = coverage_curve(belief, np.array([1, 1, 1, 2]), np.zeros(4, dtype=bool))
-    assert curve.threshold.tolist() == [0.9, 0.7]
-    assert curve.answered.tolist() == [2, 4]
-    assert curve.right.tolist() == [1, 3]
 
 
 def test_crossing_frames_are_left_out_and_none_at_all_is_an_empty_curve() -> None:
@@ -119,12 +111,6 @@ def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Pa
         a["lane"] for a in filter_stream(load_experiment(path), messages(log.take(slice(0, 40))))
     ]
     assert online == lane[:40].tolist()
-
-
-def test_a_threshold_that_is_no_probability_is_refused(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, unassigned_below=1.5)
-    assert "unassigned_below" in refused("validate", path)
-    assert command("validate", path, "--set", "unassigned_below=0.9").exit_code == 0
 
 
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:

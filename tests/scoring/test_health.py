@@ -33,10 +33,6 @@ def test_the_area_of_extremes() -> None:
     assert np.isnan(roc_auc(np.zeros(0), np.zeros(0, dtype=bool)))
 
 
-def test_infinite_scores_are_ranked() -> None:
-    assert roc_auc([-np.inf, np.inf], [False, True]) == 1.0
-
-
 def test_committed_are_frames_with_a_lane_that_are_not_crossing() -> None:
     tentative = [[0.7, 0.3], [0.5, 0.5], [0.1, 0.9], [0.2, 0.8]]
     errors = detector_errors(tentative, [1, 1, 1, 1], [False, False, False, True])

@@ -38,11 +38,6 @@ def test_with_one_seed_it_is_the_paired_block_bootstrap() -> None:
         assert found == pytest.approx([interval.estimate, interval.low, interval.high])
 
 
-def test_a_short_drive_has_no_interval() -> None:
-    short = {name: values[:500] for name, values in counts_of(0).items()}
-    assert resampled_scores([short]) is None
-
-
 def test_what_the_seeds_leave_open_is_in_the_interval() -> None:
     """Without any luck of the frames, the mean of n seeds drawn of n varies by their spread."""
     scores = np.array([0.7, 0.8, 0.9, 0.6])

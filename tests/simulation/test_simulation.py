@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import fields, replace
 
 import numpy as np
@@ -215,10 +214,6 @@ def test_failures_last_as_long_and_come_as_often_as_configured() -> None:
     assert stretches(failing).std() == pytest.approx(30, rel=0.12)
 
 
-def test_without_bad_time_the_sensor_never_fails() -> None:
-    assert not simulate("a4", 0, bad_s=0).is_failing.any()
-
-
 def test_a_failure_takes_lines_away_and_puts_lines_in_wrong_places() -> None:
     road = simulate_road(World(n_frames=3000, n_lanes=3), 0)
     failing = np.zeros(3000, dtype=bool)
@@ -335,17 +330,3 @@ def test_what_cannot_be_simulated_is_refused_by_name(
 ) -> None:
     with pytest.raises(InputError, match=message):
         simulate(**arguments)  # type: ignore[arg-type]
-
-
-def test_no_name_is_both_a_road_and_a_detector_parameter() -> None:
-    assert not {f.name for f in fields(World)} & {f.name for f in fields(DetectorModel)}
-
-
-def test_ten_thousand_frames_take_well_under_a_second() -> None:
-    simulate("a4", 0)
-    seconds = []
-    for seed in range(3):
-        start = time.process_time()
-        simulate("a4", seed, frames=10_000)
-        seconds.append(time.process_time() - start)
-    assert min(seconds) < 0.6

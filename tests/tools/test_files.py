@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import stat
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,6 @@ from matplotlib.figure import Figure
 
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.results import is_result, write_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
     arrow_table,
@@ -28,7 +26,6 @@ from egolane_pgm.tools.files import (
     read_text,
     read_yaml,
     write_json,
-    write_text,
     write_yaml,
 )
 from egolane_pgm.types import InputError
@@ -38,7 +35,6 @@ from egolane_pgm.vision.camera.video import open_video
 from egolane_pgm.vision.camera.writing import video_writer, write_picture
 from tests.kits.drives import done
 from tests.kits.processes import needs_links
-from tests.kits.tiny_result import a_result
 
 DRIVE = simulate("quickstart", frames=60)
 OTHER = simulate("quickstart", seed=1, frames=300)
@@ -82,20 +78,6 @@ def test_every_writer_keeps_the_umask_and_leaves_only_its_file(
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_files_beside_that_look_like_temporary_ones_stay_as_they_are(
-    tmp_path: Path, name: str
-) -> None:
-    own = tmp_path / "precious"
-    own.write_text("mine")
-    (tmp_path / f"{name}.part").write_text("mine too")
-    (tmp_path / f".{name}.part").symlink_to(own)
-    WRITERS[name](tmp_path / name)
-    assert own.read_text() == "mine"
-    assert (tmp_path / f"{name}.part").read_text() == "mine too"
-    assert (tmp_path / f".{name}.part").is_symlink()
-
-
-@pytest.mark.parametrize("name", WRITERS)
 def test_a_writer_that_fails_leaves_what_was_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -108,27 +90,6 @@ def test_a_writer_that_fails_leaves_what_was_there(
     with pytest.raises(InputError, match=f"{name}: cannot be written: No space left on device"):
         WRITERS[name](tmp_path / name)
     assert (tmp_path / name).read_text() == "before"
-    assert [p.name for p in tmp_path.iterdir()] == [name]
-
-
-@pytest.mark.parametrize("name", ["lines.csv", "lines.parquet", "lines.bag"])
-def test_two_writers_of_one_file_do_not_damage_it(tmp_path: Path, name: str) -> None:
-    target, failed = tmp_path / name, []
-
-    def write(log: Any) -> None:
-        try:
-            for _ in range(20):
-                write_lines(target, log)
-                assert len(read_lines(target)) in (len(DRIVE.log), len(OTHER.log))
-        except Exception as error:  # shown by the assertion below
-            failed.append(error)
-
-    threads = [threading.Thread(target=write, args=(log,)) for log in (DRIVE.log, OTHER.log)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert failed == []
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
@@ -162,11 +123,6 @@ def test_an_interrupted_writer_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_device_is_written_and_not_replaced() -> None:
-    write_text("/dev/null", "gone")
-    assert not Path("/dev/null").is_file()
-
-
 def test_a_file_with_the_longest_name_can_be_written(tmp_path: Path) -> None:
     path = tmp_path / ("x" * 250 + ".json")
     write_json(path, {})
@@ -195,40 +151,6 @@ def test_a_directory_is_replaced_whole_or_not_at_all(
     assert [p.name for p in tmp_path.iterdir()] == ["result"]
 
 
-def test_a_directory_that_cannot_be_put_in_its_place_leaves_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = tmp_path / "result"
-    place.mkdir()
-    (place / "a").write_text("one")
-    rename = Path.rename
-
-    def fails(path: Path, target: Path) -> None:
-        if path.parent.name == "new":
-            raise PermissionError(13, "Permission denied")
-        rename(path, target)
-
-    monkeypatch.setattr(Path, "rename", fails)
-    with (
-        pytest.raises(InputError, match="result: cannot be written: Permission denied"),
-        atomic_directory(place) as folder,
-    ):
-        (folder / "a").write_text("two")
-    assert (place / "a").read_text() == "one"
-    assert [p.name for p in tmp_path.iterdir()] == ["result"]
-
-
-def test_a_folder_that_is_called_as_ours_is_somebody_s_own(tmp_path: Path) -> None:
-    own = tmp_path / ".egolane-0" / "old" / "x"
-    own.parent.mkdir(parents=True)
-    own.write_text("mine")
-    write_text(tmp_path / "a", "text")
-    with atomic_directory(tmp_path / "result") as folder:
-        (folder / "a").touch()
-    assert not is_result(tmp_path / "x")
-    assert own.read_text() == "mine"
-
-
 @needs_links
 def test_what_a_link_leads_to_is_replaced_and_the_link_stays(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
@@ -239,14 +161,6 @@ def test_what_a_link_leads_to_is_replaced_and_the_link_stays(tmp_path: Path) -> 
     assert (tmp_path / "result").is_symlink()
     assert (tmp_path / "disk" / "r" / "a").read_text() == "new"
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "disk", "r", "result"]
-
-
-def test_the_files_of_a_result_keep_the_umask(tmp_path: Path, umask: Callable[[int], int]) -> None:
-    umask(0o077)
-    config = {"evidence": "counting", "graph": "no_wor", "recording": {}, "ground_truth": None}
-    write_result(tmp_path, a_result(config=config))
-    modes = {stat.S_IMODE(path.stat().st_mode) for path in tmp_path.iterdir()}
-    assert modes == {0o600}
 
 
 # --- one way to read text and YAML -------------------------------------------------------------
@@ -311,12 +225,6 @@ def test_what_is_wrong_with_a_yaml_is_named_by_its_line(
     with pytest.raises(InputError) as caught:
         read_yaml(path, "n_lanes: 4")
     assert caught.value.lines == [f"{path}: {line}" for line in said]
-
-
-def test_keys_that_are_merged_may_be_given_anew(tmp_path: Path) -> None:
-    path = tmp_path / "x.yaml"
-    path.write_text("c: {d: &a {x: 1, y: 1}}\nb: &b {<<: *a, x: 2}\ne: {f: {<<: *b, x: 3}}\n")
-    assert read_yaml(path, "a: 1")["e"] == {"f": {"x": 3, "y": 1}}
 
 
 def test_arrays_become_the_columns_that_pyarrow_makes_of_them() -> None:

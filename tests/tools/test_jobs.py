@@ -14,7 +14,6 @@ import pytest
 from egolane_pgm.tools import jobs as module
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import InputError
-from tests import cluster_demo
 from tests.cluster_demo import cluster, start_worker
 
 
@@ -23,7 +22,7 @@ def ten_times(k: int) -> int:
 
 
 def first_is_slow(k: int) -> int:
-    time.sleep(2 if k == 0 else 0)
+    time.sleep(0.5 if k == 0 else 0)
     return k
 
 
@@ -107,17 +106,6 @@ def test_a_process_that_dies_costs_one_answer_and_nothing_else() -> None:
         list(in_order(partial(die_at, 0), range(3), 2))
 
 
-def test_what_kills_each_worker_of_a_cluster_that_it_is_given_to_is_named() -> None:
-    pytest.importorskip("distributed")
-    answers = list(in_order(partial(die_at, 1), range(4), "local:2", died=given_up))
-    assert answers == ["0", "1 memory?)", "2", "3"]
-
-
-def test_a_summary_is_the_same_though_a_worker_is_killed_and_one_is_added() -> None:
-    pytest.importorskip("distributed")
-    assert cluster_demo.main(drives=12, frames=60, n_workers=2)
-
-
 def test_a_worker_with_other_code_is_refused(dask: str, monkeypatch: pytest.MonkeyPatch) -> None:
     here = module.code()
     monkeypatch.setattr(module, "code", lambda: {**here, "numpy": "1.0"})
@@ -143,15 +131,7 @@ def test_a_cluster_waits_for_a_late_worker_and_misses_its_scheduler(tmp_path: Pa
             list(answers)
 
 
-def test_a_worker_with_threads_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    with cluster(0, tmp_path) as (address, _, workers):
-        workers.append(start_worker(tmp_path, threads=2))
-        with pytest.raises(InputError, match="has threads; start it with one"):
-            list(in_order(ten_times, range(2), address))
-
-
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:9", "nowhere", "local:none"])
+@pytest.mark.parametrize("address", ["nowhere", "local:none"])
 def test_a_cluster_that_is_not_there_is_refused_in_one_line(address: str) -> None:
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=f"cluster {address}: no scheduler answers"):

@@ -9,7 +9,6 @@ import pytest
 from egolane_pgm.tools.files import read_yaml, write_yaml
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 from egolane_pgm.types import InputError
-from tests.kits.drives import refused
 
 
 @pytest.mark.parametrize(
@@ -63,27 +62,3 @@ def test_an_experiment_is_written_as_it_is_read(tmp_path: Path) -> None:
     content = {"name": "1e3", "path": "0o7", "x": [1e-5, 1e300, -0.0, 10**17], "y": {"no": None}}
     write_yaml(tmp_path / "x.yaml", content)
     assert read_yaml(tmp_path / "x.yaml", "n_lanes: 4") == content
-
-
-DRIVE = "name: x\nn_lanes: 4\nrecording: {simulate: quickstart, frames: [0, 50]}\n"
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (
-            DRIVE + "evidence: line_geometry\ngraph: position_in_lane\n"
-            "parameters: {fallback_width_m: 1e300}\n",
-            "parameters.fallback_width_m: 1e+300 must be at most 1000.0",
-        ),
-        (DRIVE + "parameters: {sigma1: 1e400}\n", "parameters.sigma1: inf is not a finite number"),
-        (DRIVE + "n_lanes: 3\n", "line 4: key 'n_lanes' was given in line 2"),
-        (DRIVE + "learning: {tables: 7}\n", "learning.tables: needs a list"),
-    ],
-)
-def test_a_run_of_a_damaged_experiment_is_refused_in_one_line(
-    tmp_path: Path, text: str, said: str
-) -> None:
-    (tmp_path / "x.yaml").write_text(text)
-    assert said in refused("run", tmp_path / "x.yaml", "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-
 import pytest
+from click.testing import CliRunner
 
+from egolane_pgm.command import egolane
 from egolane_pgm.plugins import plugin_names
 
 
@@ -18,15 +16,8 @@ def completed(*words: str) -> list[str]:
         "COMP_WORDS": " ".join(["egolane", *words]),
         "COMP_CWORD": str(len(words)),
     }
-    program = "from egolane_pgm.command import main; main()"
-    ran = subprocess.run(
-        [sys.executable, "-c", program],
-        env={**os.environ, **given},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert ran.stderr == ""
+    ran = CliRunner().invoke(egolane, prog_name="egolane", env=given)
+    assert (ran.exit_code, ran.stderr) == (0, "")
     return [line.partition(",")[2] for line in ran.stdout.split()]
 
 

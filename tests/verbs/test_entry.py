@@ -37,14 +37,3 @@ def test_ctrl_c_ends_a_command_with_one_line_and_130(tmp_path: Path) -> None:
         "egolane: interrupted; nothing was left half-written; the same command begins anew\n"
     )
     assert not list(tmp_path.glob("place/*"))
-
-
-def test_ctrl_c_while_a_command_is_imported_is_one_line_too() -> None:
-    begun = "import sys\nclass Stops:\n    def find_spec(self, name, *_):\n"
-    begun += "        if name == 'egolane_pgm.verbs.run': raise KeyboardInterrupt\n"
-    running = started("run", first=begun + "sys.meta_path.insert(0, Stops())")
-    _, said = running.communicate(timeout=60)
-    assert (running.returncode, said) == (
-        130,
-        "egolane: interrupted; nothing was left half-written; the same command begins anew\n",
-    )

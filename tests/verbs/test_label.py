@@ -100,14 +100,6 @@ def test_with_ground_truth_it_says_how_good_the_labels_are(lines: Path, tmp_path
     assert table(tmp_path / "mine" / "doubted.csv") == out["mine"]["doubted"] == []
 
 
-def test_scores_without_a_frame_are_dashes(lines: Path, tmp_path: Path) -> None:
-    (tmp_path / "t.txt").write_text("3;1;1\n4;2;1\n")
-    words = ("--n-lanes", 3, "--ground-truth", tmp_path / "t.txt", "--no-figures")
-    said = done("label", lines, *words, "--out", tmp_path / "x").stdout
-    assert "0 annotated frames" in said
-    assert "| 98%           |     - |" in said
-
-
 def test_a_lower_threshold_leaves_less_to_review(lines: Path, tmp_path: Path) -> None:
     count = {}
     for below in (0, 0.5, 0.99999):
@@ -139,27 +131,6 @@ def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Pat
     assert "recording: is empty" in refused("label", "", "--n-lanes", 3, *here)
     assert "--below" in refused("label", lines, "--n-lanes", 3, "--below", 2, *here)
     assert not (tmp_path / "x").exists()
-
-
-def test_a_folder_that_holds_something_else_is_left_alone(lines: Path, tmp_path: Path) -> None:
-    (tmp_path / "mine.txt").write_text("mine")
-    said = refused("label", lines, "--n-lanes", 3, "--out", tmp_path)
-    assert "is not a result directory" in said
-    assert contents(tmp_path) == {"mine.txt": b"mine"}
-    said = refused("label", lines, "--n-lanes", 3, "--out", tmp_path / "mine.txt")
-    assert "is a file" in said
-    same = lines.parent / "labels"
-    before = contents(same)
-    done("label", lines, "--n-lanes", 3, "--out", same)
-    assert set(contents(same)) == set(before)
-    assert contents(same)["labels.txt"] == before["labels.txt"]
-
-
-def test_a_json_file_that_is_read_is_not_written_over(lines: Path, tmp_path: Path) -> None:
-    before = lines.read_bytes()
-    words = ("--n-lanes", 3, "--out", tmp_path / "x", "--json", lines)
-    assert str(lines) in refused("label", lines, *words)
-    assert lines.read_bytes() == before
 
 
 def test_the_number_of_lanes_is_doubted_where_the_lines_say_otherwise(tmp_path: Path) -> None:

@@ -36,6 +36,11 @@ def test_learning_does_not_write_over_what_the_experiment_reads(tmp_path: Path) 
     done("learn", write_drive(tmp_path, graph="lane_only"), "--out", tmp_path / "one.yaml")
     done("learn", tmp_path / "one.yaml", "--out", tmp_path / "two.yaml")
     before = contents(tmp_path)
+    assert "is the experiment itself" in refused(
+        "learn", tmp_path / "one.yaml", "--out", tmp_path / "one.yaml"
+    )
+    said = refused("learn", tmp_path / "one.yaml", "--out", tmp_path / "lines.csv")
+    assert said.endswith("name another file")
     graph = tmp_path / "one.graph.yaml"
     said = refused("learn", tmp_path / "one.yaml", "--out", graph)
     assert said == f"{graph}: is read by {tmp_path / 'one.yaml'}; name another file"
@@ -45,13 +50,6 @@ def test_learning_does_not_write_over_what_the_experiment_reads(tmp_path: Path) 
     )
     assert said.startswith(f"{graph}: is read by ")
     assert contents(tmp_path) == before
-
-
-def test_learning_no_table_at_all_is_refused(tmp_path: Path) -> None:
-    experiment = write_drive(tmp_path, 30, learning={"tables": []})
-    assert "learning.tables: names no table; leave it out to learn all of " in refused(
-        "learn", experiment
-    )
 
 
 def test_learning_from_evidence_that_cannot_be_is_one_line(tmp_path: Path) -> None:

@@ -2,51 +2,23 @@
 
 from __future__ import annotations
 
-import hashlib
-import http.server
-import threading
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from egolane_pgm.recordings import catalog, read_lines
-from egolane_pgm.recordings.catalog import DataFile
 from egolane_pgm.recordings.table import write_table
 from tests.kits.box import BOX, box_log
 from tests.kits.drives import (
     N_FRAMES,
     command,
-    contents,
     done,
     refused,
     short_drive,
     write_drive,
     write_experiment,
 )
-
-
-@pytest.fixture
-def mirror(tmp_path: Path) -> Iterator[str]:
-    (tmp_path / "mirror").mkdir()
-    (tmp_path / "mirror" / "one.bag").write_bytes(b"not what it should be")
-
-    class Handler(http.server.SimpleHTTPRequestHandler):
-        def __init__(self, *args: Any, **kwargs: Any) -> None:
-            super().__init__(*args, directory=str(tmp_path / "mirror"), **kwargs)
-
-        def log_message(self, *args: object) -> None:
-            pass
-
-    server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler)
-    thread = threading.Thread(target=server.serve_forever)
-    thread.start()
-    yield f"http://127.0.0.1:{server.server_address[1]}"
-    server.shutdown()
-    server.server_close()
-    thread.join()
 
 
 def test_the_topic_of_a_bag_is_a_name(tmp_path: Path) -> None:
@@ -95,15 +67,6 @@ def test_data_list_shows_the_files_where_a_run_would_find_them(
     assert set(state.values()) == {"missing"}
 
 
-def test_data_verify_names_every_file_that_is_not_good(tmp_path: Path) -> None:
-    result = command("data", "verify", "--folder", tmp_path)
-    assert result.exit_code == 2
-    first, *lines = result.stderr.splitlines()
-    assert first == "egolane: 0 of 12 files are there and good"
-    assert len(lines) == 12
-    assert all("no such file; `egolane data fetch` gets it" in line for line in lines)
-
-
 def test_data_verify_looks_where_a_run_would_look(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -123,10 +86,6 @@ def test_data_verify_looks_where_a_run_would_look(
     assert said.count("no such file") == 12
 
 
-def test_data_verify_knows_the_papers_files(recordings: Path) -> None:
-    assert done("data", "verify", "--folder", recordings).stdout.startswith("12 of 12 files")
-
-
 def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
     write_drive(tmp_path, 20)
     lines = tmp_path / "lines.csv"
@@ -135,40 +94,6 @@ def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
     assert "cannot be created" in refused("simulate", "--out", lines / "below")
     (tmp_path / "taken" / "experiment.yaml").mkdir(parents=True)
     assert "cannot be written" in refused("simulate", "--out", tmp_path / "taken")
-
-
-def test_a_mirror_that_sends_a_wrong_checksum_is_refused_and_a_good_file_kept(
-    tmp_path: Path, mirror: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    good = b"the right content, 26 byte"
-    files = tuple(
-        DataFile(hashlib.sha256(good).hexdigest(), len(good), name)
-        for name in ("one.bag", "two.bag")
-    )
-    monkeypatch.setattr(catalog, "list_files", lambda: files)
-    folder = tmp_path / "data"
-    (folder / "rle").mkdir(parents=True)
-    (folder / "rle" / "two.bag").write_bytes(good)
-    result = command("data", "fetch", "--base-url", mirror, "--folder", folder)
-    assert result.exit_code == 2
-    good_ones, bad = result.stderr.splitlines()
-    assert good_ones == "egolane: 1 of 2 files are there and good"
-    assert bad.startswith(f"egolane: one.bag: {mirror}/one.bag: not downloaded to")
-    assert "wrong checksum" in bad
-    assert contents(folder) == {"rle/two.bag": good}
-
-
-def test_an_address_that_is_none_is_refused(tmp_path: Path) -> None:
-    said = refused("data", "fetch", "--base-url", "ftp://x", "--folder", tmp_path)
-    assert "base_url ftp://x: needs an address" in said
-
-
-def test_columns_that_are_ignored_are_said_in_one_plain_line(tmp_path: Path) -> None:
-    (tmp_path / "a.csv").write_text("frame_id,line,offset_m,colour,speed\n1,1,1.5,red,3\n")
-    ran = done("convert", tmp_path / "a.csv", tmp_path / "b.csv")
-    lines = ran.stderr.splitlines()
-    assert len(lines) == 1
-    assert lines[0].startswith(f"warning: {tmp_path / 'a.csv'}: ignored column(s) colour, speed")
 
 
 def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import time
 import webbrowser
@@ -76,14 +75,6 @@ def test_what_is_no_result_is_refused_in_one_line(saved: Path, tmp_path: Path) -
     (half / "scores.json").unlink()
     assert str(half) in refused("report", half, "-o", tmp_path / "page.html")
     assert not (tmp_path / "page.html").exists()
-
-
-def test_a_result_of_another_schema_version_is_refused(saved: Path, tmp_path: Path) -> None:
-    later = tmp_path / "later"
-    shutil.copytree(saved, later)
-    run = json.loads((later / "run.json").read_text())
-    (later / "run.json").write_text(json.dumps({**run, "schema_version": 99}))
-    assert "99" in refused("report", later)
 
 
 def test_a_folder_of_results_or_a_study_says_what_to_name_instead(

@@ -3,12 +3,8 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import signal
-import textwrap
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,16 +12,18 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.results import is_result, read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.views.events import clock
-from tests.kits.bags import GOOD, Line, line_bag, plain_message, truth_file, write_bag
+from tests.kits.bags import GOOD, Line, line_bag, truth_file
 from tests.kits.drives import (
     N_FRAMES,
     command,
     contents,
     done,
     refused,
+    rewritten,
     run_json,
     short_drive,
     write_drive,
@@ -34,20 +32,6 @@ from tests.kits.drives import (
 from tests.kits.processes import needs_links, started
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-
-#: An evidence rule that tells when it begins, and takes its time.
-SLOW = """
-    import time
-    from pathlib import Path
-    from egolane_pgm.evidence import counting
-    from egolane_pgm.evidence.counting import *
-    def evidence(log, *given, **named):
-        if log.source.endswith(".csv"):
-            Path(log.source).with_suffix(".begun").touch()
-            if "fast" not in log.source:
-                time.sleep(60)
-        return counting.evidence(log, *given, **named)
-"""
 
 
 @pytest.fixture(scope="module")
@@ -71,14 +55,6 @@ def run_on(folder: Path, recording: Path, earlier: Path, *words: object) -> str:
     return refused("run", experiment, "--no-figures", "--out", earlier, *words)
 
 
-def wait_for(*files: Path) -> None:
-    for _ in range(600):
-        if all(file.exists() for file in files):
-            return
-        time.sleep(0.1)
-    raise AssertionError(f"{files} did not come")
-
-
 def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple[list[str], Path]:
     """The warnings of a run that ends well, and its result directory."""
     experiment = write_experiment(
@@ -99,12 +75,9 @@ def sensor_ok(folder: Path) -> np.ndarray:
     return read_result(folder / "out").marginals["SensorState"][:, 0]
 
 
-def test_an_experiments_options_cannot_stand_for_its_other_keys(tmp_path: Path) -> None:
-    experiment = write_drive(tmp_path, 30, recording__options={"format": "table"})
-    assert "format table has no option 'format'" in refused("run", experiment)
-
-
-def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -> None:
+def test_run_writes_the_documented_json_unrounded_and_prints_the_scores(
+    drive: Path, tmp_path: Path
+) -> None:
     said = run_json(drive, tmp_path)
     assert set(said) == {
         "schema_version",
@@ -137,11 +110,7 @@ def test_run_writes_the_documented_json_unrounded(drive: Path, tmp_path: Path) -
         assert block["frames_scored"] == said["frames_scored"]
     saved = json.loads((tmp_path / "out" / "scores.json").read_text())
     assert saved == said
-
-
-def test_run_prints_scores_warnings_and_where_the_result_is(drive: Path, tmp_path: Path) -> None:
     ran = done("run", drive, "--no-figures", "--out", tmp_path / "out")
-    right = run_experiment(drive)
     assert f"drive: {N_FRAMES} frames, 3 lanes, graph sensor_failure" in ran.stdout
     assert f"| accuracy {'':>13} | {right.scores['detector']['accuracy']:>8.3f} |" in ran.stdout
     assert "parameters: not tuned" in ran.stdout
@@ -228,67 +197,6 @@ def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
     assert result.scores["model"]["accuracy"] > result.scores["detector"]["accuracy"]
 
 
-def test_a_file_that_is_no_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
-    (tmp_path / "a.bag").write_text("frame_id,line\n1,2\n")
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert f"{tmp_path / 'a.bag'}: cannot be read as a bag (File magic is invalid)" in said
-
-
-def test_a_truncated_bag_is_refused(tmp_path: Path, earlier: Path) -> None:
-    whole = line_bag(tmp_path / "a.bag", [1, 2, 3]).read_bytes()
-    (tmp_path / "a.bag").write_bytes(whole[: len(whole) // 2])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert f"{tmp_path / 'a.bag'}: cannot be read as a bag (" in said
-    assert "copy it again" in said
-
-
-def test_an_empty_file_and_an_empty_bag_are_refused(tmp_path: Path, earlier: Path) -> None:
-    (tmp_path / "a.bag").write_bytes(b"")
-    assert "seems to be empty" in run_on(tmp_path, tmp_path / "a.bag", earlier)
-    write_bag(tmp_path / "b.bag", [])
-    assert "b.bag: the bag holds no messages" in run_on(tmp_path, tmp_path / "b.bag", earlier)
-
-
-def test_a_bag_without_the_topic_is_refused_with_those_it_has(
-    tmp_path: Path, earlier: Path
-) -> None:
-    write_bag(tmp_path / "a.bag", [plain_message(0, GOOD[0])], topic="/front/lines")
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert "no topic /isis_line_detector/lines" in said
-    assert "/front/lines" in said
-
-
-@pytest.mark.parametrize("offset", [float("nan"), float("inf"), float("-inf")])
-def test_an_offset_that_is_no_number_is_refused_on_a_valid_line(
-    tmp_path: Path, earlier: Path, offset: float
-) -> None:
-    bad: list[Line] = [(True, False, 9, 1.7), (True, False, 9, offset)]
-    line_bag(tmp_path / "a.bag", [4, 5], [GOOD[0], bad])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert f"a.bag: frame 5: line 2 is valid but its offset is {offset}" in said
-    assert "drop it or mark it not valid" in said
-
-
-@pytest.mark.parametrize("text", ["nan", "inf", "-inf", ""])
-def test_the_same_in_a_table_names_frame_and_line(tmp_path: Path, earlier: Path, text: str) -> None:
-    header = "frame_id,line,offset_m,is_valid\n"
-    (tmp_path / "a.csv").write_text(f"{header}4,1,1.5,true\n5,1,{text},true\n")
-    said = run_on(tmp_path, tmp_path / "a.csv", earlier)
-    assert "a.csv: frame 5: line 1 is valid but its offset is" in said
-
-
-def test_duplicate_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
-    line_bag(tmp_path / "a.bag", [3, 4, 4, 5])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert "a.bag: frame ids must increase, but 4 is followed by 4 (messages" in said
-
-
-def test_decreasing_frame_ids_are_refused(tmp_path: Path, earlier: Path) -> None:
-    line_bag(tmp_path / "a.bag", [3, 7, 5])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert "a.bag: frame ids must increase, but 7 is followed by 5" in said
-
-
 def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
     tmp_path: Path, earlier: Path
 ) -> None:
@@ -304,53 +212,57 @@ def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
     assert "6 frames, ids 0 to 5" in shown
 
 
-def test_a_recording_that_is_not_there_is_refused(tmp_path: Path, earlier: Path) -> None:
-    said = run_on(tmp_path, tmp_path / "gone.bag", earlier)
-    assert "e.yaml: recording.path: gone.bag: no such file" in said
-    assert f"looked for {tmp_path / 'gone.bag'}" in said
-    experiment = tmp_path / "e.yaml"
-    said = refused("run", experiment, "--recording", tmp_path / "gone.csv", "--out", earlier)
-    assert "gone.csv: no such file" in said
+def bag(*ids: int, truth: Sequence[tuple[int, int, int]] = ()) -> Callable[[Path], object]:
+    """Writes a.bag with these frames, and its ground truth."""
+
+    def write(folder: Path) -> None:
+        line_bag(folder / "a.bag", list(ids))
+        truth_file(folder / "ground_truth.txt", list(truth) or [(k, 1, 0) for k in ids])
+
+    return write
 
 
-def test_a_range_without_a_frame_is_refused_with_the_one_there_is(
-    tmp_path: Path, earlier: Path
+def table(text: str) -> Callable[[Path], object]:
+    return lambda folder: (folder / "a.csv").write_text(text)
+
+
+def half_a_bag(folder: Path) -> None:
+    whole = line_bag(folder / "a.bag", [1, 2, 3]).read_bytes()
+    (folder / "a.bag").write_bytes(whole[: len(whole) // 2])
+
+
+@pytest.mark.parametrize(
+    ("make", "name", "words", "said"),
+    [
+        (half_a_bag, "a.bag", "", "a.bag: cannot be read as a bag ("),
+        (bag(3, 4, 4), "a.bag", "", "a.bag: frame ids must increase, but 4 is followed by 4"),
+        (bag(1), "gone.bag", "", "e.yaml: recording.path: gone.bag: no such file; looked for /"),
+        (bag(1), "a.bag", "--recording gone.csv", "gone.csv: no such file"),
+        (bag(3, 4), "a.bag", "--set recording.frames=[10,20]", "no frame from 10 to before 20;"),
+        (
+            table("frame_id,line,offset_m\n1,1,1.5\n"),
+            "a.csv",
+            "--frame-id seq",
+            "has no option 'fra",
+        ),
+        (
+            table("frame_id,line,offset_m\n5,1,nan\n"),
+            "a.csv",
+            "",
+            "a.csv: frame 5: line 1 is valid",
+        ),
+        (bag(1, 2, truth=[(2, 4, 0)]), "a.bag", "", "ground_truth.txt: frame 2: lane 4 is outside"),
+        (bag(1, 2, truth=[(9, 1, 0)]), "a.bag", "", "no common frames: "),
+        (bag(1), "a.bag", "--ground-truth {}/a.bag", "a.bag: cannot be read: is not text in UTF-8"),
+        (bag(1), "a.bag", "--n-lanes 0", "n_lanes"),
+        (bag(1), "a.bag", "--set recording.options.format=x", "rosbag has no option 'format'"),
+    ],
+)
+def test_what_does_not_fit_is_refused_and_an_earlier_result_stays(
+    tmp_path: Path, earlier: Path, make: Callable[[Path], object], name: str, words: str, said: str
 ) -> None:
-    line_bag(tmp_path / "a.bag", [3, 4])
-    truth_file(tmp_path / "ground_truth.txt", [(3, 1, 0)])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--set", "recording.frames=[10,20]")
-    assert "no frame from 10 to before 20; the recording has frames 3 to 4" in said
-
-
-def test_a_frame_id_option_that_the_format_lacks_is_refused(tmp_path: Path, earlier: Path) -> None:
-    (tmp_path / "a.csv").write_text("frame_id,line,offset_m\n1,1,1.5\n")
-    said = run_on(tmp_path, tmp_path / "a.csv", earlier, "--frame-id", "seq")
-    assert "a.csv: format table has no option 'frame_id'" in said
-
-
-@pytest.mark.parametrize("lane", [0, 4, -1])
-def test_ground_truth_outside_the_lanes_is_refused(
-    tmp_path: Path, earlier: Path, lane: int
-) -> None:
-    line_bag(tmp_path / "a.bag", [1, 2, 3])
-    truth_file(tmp_path / "ground_truth.txt", [(1, 1, 0), (2, lane, 0), (3, 1, 0)])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert f"ground_truth.txt: frame 2: lane {lane} is outside 1..3; is n_lanes right?" in said
-
-
-def test_no_common_frames_are_refused_with_both_ranges(tmp_path: Path, earlier: Path) -> None:
-    line_bag(tmp_path / "a.bag", [1, 2, 3])
-    truth_file(tmp_path / "ground_truth.txt", [(100, 1, 0), (105, 1, 0)])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert "no common frames" in said
-    assert "a.bag has frames 1 to 3" in said
-    assert "ground_truth.txt has frames 100 to 105" in said
-
-
-def test_a_file_that_is_no_ground_truth_is_refused(tmp_path: Path, earlier: Path) -> None:
-    line_bag(tmp_path / "a.bag", [1, 2, 3])
-    said = run_on(tmp_path, tmp_path / "a.bag", earlier, "--ground-truth", str(tmp_path / "a.bag"))
-    assert "a.bag: cannot be read: is not text in UTF-8" in said
+    make(tmp_path)
+    assert said in run_on(tmp_path, tmp_path / name, earlier, *words.format(tmp_path).split())
 
 
 @pytest.mark.parametrize(
@@ -358,36 +270,17 @@ def test_a_file_that_is_no_ground_truth_is_refused(tmp_path: Path, earlier: Path
     [
         ("n_lane=3", "unknown key 'n_lane' (did you mean 'n_lanes'?)"),
         ("recording.topc=x", "recording: unknown key 'topc' (did you mean 'topic'?)"),
-        ("ground_truth.extra=1", "ground_truth: unknown key 'extra' (did you mean 'extra_rows'?)"),
         ("parameters.sigma_1=1", "parameters: unknown key 'sigma_1' (did you mean 'sigma1'?)"),
         ("parameters.p1=1.3", "parameters.p1: 1.3 is not a probability (0 to 1)"),
-        ("parameters.p4=-0.1", "parameters.p4: -0.1 is not a probability (0 to 1)"),
-        ("parameters.p2=.nan", "parameters.p2: nan is not a finite number"),
-        ("parameters.sigma1=0", "parameters.sigma1: 0 must be greater than 0"),
-        ("parameters.sigma2=-1", "parameters.sigma2: -1 must be greater than 0"),
-        ("parameters.sigma1=[1,2]", "parameters.sigma1: needs one number, got a list"),
-        ("parameters.lane_widths=[1,2]", "parameters.lane_widths: has 2 values for 3 lanes"),
-        ("parameters.bonus_value=two", "parameters.bonus_value: 'two' is not a number"),
-        ("parameters.normal=densty", "'densty' is not one of density, integral (did you mean"),
-        ("n_lanes=0", "n_lanes: input should be greater than or equal to 1 (got 0)"),
         ("n_lanes=true", "n_lanes: input should be a valid integer (got True)"),
-        ("n_lanes=null", "n_lanes: input should be a valid integer"),
         ("name=../x", "name: string should match pattern"),
-        (
-            "filter=exat",
-            "filter: 'exat' is not one of assumed_density, exact, smoothed, fixed_lag (did",
-        ),
         ("evidence_reading=softer", "evidence_reading: 'softer' is not one of soft, hard"),
-        ("recording.missing_frames=keep", "missing_frames: 'keep' is not one of skip, hold"),
         ("recording.lri=cut", "recording.lri: 'cut' is not one of as_recorded, clip"),
-        ("recording.frame_rate=0", "recording.frame_rate: input should be greater than 0 (got 0)"),
-        ("recording.frame_rate=.inf", "recording.frame_rate: input should be a finite number"),
         ("recording.frames=[9,3]", "recording: frames [9, 3] is an empty range"),
         ("recording.simulate=a4", "recording: needs either path or simulate"),
         ("recording.path=null", "recording: needs either path or simulate"),
         ("recording.format=rosbg", "unknown format 'rosbg' (did you mean 'rosbag'?)"),
         ("graph=sensor_failur", "graph: unknown name 'sensor_failur' (did you mean"),
-        ("evidence=counted", "evidence: unknown name 'counted' (did you mean 'counting'?)"),
         ("graph=./no.py", "graph: no file"),
         ("tuned_on=mars", "tuned_on: 'mars' is not one of same_frames"),
     ],
@@ -397,36 +290,16 @@ def test_a_key_or_value_that_does_not_fit_is_refused_by_validate_and_by_run(
 ) -> None:
     experiment = write_drive(tmp_path, 20)
     by_run = refused("run", experiment, "--set", override, "--no-figures", "--out", earlier)
-    assert said in by_run
-    if not override.startswith("recording.format"):
-        assert by_run.startswith(f"{experiment}: ")
     by_validate = refused("validate", experiment, "--set", override)
+    assert said in by_run
     assert said in by_validate
     assert by_validate.startswith(f"{experiment}: ")
     # The same written in the file.
-    content = yaml.safe_load(experiment.read_text())
-    *above, last = override.partition("=")[0].split(".")
-    section = content
-    for key in above:
-        section = section.setdefault(key, {})
-    section[last] = yaml.safe_load(override.partition("=")[2])
-    experiment.write_text(yaml.safe_dump(content))
-    assert refused("validate", experiment) == by_validate
-
-
-def test_an_experiment_that_cannot_be_read_is_refused(tmp_path: Path) -> None:
-    assert "gone.yaml: cannot be read: No such file" in refused("run", tmp_path / "gone.yaml")
-    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\x00")
-    assert "binary.yaml: cannot be read" in refused("run", tmp_path / "binary.yaml")
-
-
-@pytest.mark.parametrize("n_lanes", ["0", "-2", "x"])
-def test_a_number_of_lanes_that_is_none_is_refused(
-    tmp_path: Path, earlier: Path, n_lanes: str
-) -> None:
-    experiment = write_drive(tmp_path, 20)
-    said = refused("run", experiment, "--n-lanes", n_lanes, "--no-figures", "--out", earlier)
-    assert "lanes" in said
+    key, _, value = override.partition("=")
+    changes = {key.replace(".", "__"): yaml.safe_load(value)}
+    rewritten(experiment, experiment, **changes)
+    if changes != {"recording__path": None}:
+        assert refused("validate", experiment) == by_validate
 
 
 @pytest.mark.parametrize("what", ["--out", "--json"])
@@ -459,20 +332,7 @@ def test_a_directory_of_somebody_elses_is_not_overwritten(tmp_path: Path) -> Non
     assert contents(tmp_path) == before
 
 
-def test_a_valid_line_of_nan_is_refused_by_its_frame(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 20)
-    lines = (tmp_path / "lines.csv").read_text().splitlines()
-    header, first = lines[0].split(","), lines[1].split(",")
-    first[header.index("offset_m")] = "nan"
-    first[header.index("is_valid")] = "true"
-    (tmp_path / "lines.csv").write_text("\n".join([lines[0], ",".join(first), *lines[2:]]))
-    result = command("run", path, "--out", tmp_path / "out")
-    assert result.exit_code == 2
-    assert "lines.csv" in result.stderr
-    assert len(result.stderr.splitlines()) == 1
-
-
-@pytest.mark.parametrize("name", ["with space", "mit Ümläut", "new\nline", "-dash", "a;b&c'd\"e"])
+@pytest.mark.parametrize("name", ["-dash mit Ümläut", "new\nline;&c'd\"e"])
 def test_any_name_of_a_folder_will_do(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
 ) -> None:
@@ -516,40 +376,34 @@ def test_recordings_of_one_name_are_told_apart_by_their_folders(tmp_path: Path) 
     assert refused("run", path, path, "--out", out) == f"{path}: is named twice"
 
 
-@needs_links
-def test_ctrl_c_keeps_the_finished_runs_and_begins_no_other(tmp_path: Path) -> None:
-    (tmp_path / "slow.py").write_text(textwrap.dedent(SLOW))
-    own = {"evidence": str(tmp_path / "slow.py")}
-    paths = [write_drive(tmp_path / name, name=name, **own) for name in ("fast", "b", "c", "d")]
-    out = tmp_path / "out"
-    running = started("run", *paths, "--no-figures", "--jobs", 2, "--out", out)
-    wait_for(tmp_path / "b" / "lines.begun", tmp_path / "c" / "lines.begun", out / "fast")
-    began = time.perf_counter()
-    os.killpg(running.pid, signal.SIGINT)
-    _, said = running.communicate(timeout=60)
-    assert time.perf_counter() - began < 30
-    assert running.returncode == 130
-    assert said == f"egolane: interrupted; 1 of 4 are in {out}; the same command begins anew\n"
-    assert [p.name for p in out.iterdir()] == ["fast"]
-    assert is_result(out / "fast")
-    assert not (tmp_path / "d" / "lines.begun").exists()
+def test_ctrl_c_keeps_the_finished_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = [write_drive(tmp_path / name, name=name) for name in ("fast", "b", "c")]
+
+    def interrupted(experiment: Experiment, **options: Any) -> Any:
+        if experiment.name == "b":
+            raise KeyboardInterrupt
+        return run_experiment(experiment, **options)
+
+    monkeypatch.setattr("egolane_pgm.running.run_experiment", interrupted)
+    ran = command("run", *paths, "--no-figures", "--out", tmp_path / "out")
+    assert ran.exit_code == 130
+    said = f"egolane: interrupted; 1 of 3 are in {tmp_path / 'out'}; the same command begins anew"
+    assert ran.stderr.splitlines()[-1] == said
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["fast"]
 
 
 @needs_links
-@pytest.mark.parametrize("several", [False, True])
-def test_a_reader_that_stops_reading_costs_nothing(tmp_path: Path, several: bool) -> None:
-    paths = [write_drive(tmp_path / "a", name="a")]
-    if several:
-        paths.append(write_drive(tmp_path / "b", name="b"))
+def test_a_reader_that_stops_reading_costs_nothing(tmp_path: Path) -> None:
     target, out = tmp_path / "all.json", tmp_path / "out"
-    running = started("run", *paths, "--no-figures", "--out", out, "--json", target)
+    words = ("--no-figures", "--out", out, "--json", target)
+    running = started("run", write_drive(tmp_path / "a"), *words)
     assert running.stdout is not None
     running.stdout.close()
     assert running.stderr is not None
     assert running.stderr.read() == ""
     running.wait()
     assert json.loads(target.read_text())
-    assert is_result(out / "a" if several else out)
+    assert is_result(out)
 
 
 def test_jobs_are_at_least_one_and_never_more_than_there_is_to_do(tmp_path: Path) -> None:

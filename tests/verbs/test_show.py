@@ -10,18 +10,13 @@ import pytest
 import yaml
 
 from egolane_pgm.experiment import experiments_folder
-from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import paper_experiment
-from egolane_pgm.types import Evidence
 from tests.kits.drives import (
     done,
     problems,
     refused,
     run_json,
-    simulated,
     write_drive,
-    write_experiment,
 )
 from tests.kits.synthetic_road import write_place
 
@@ -142,32 +137,6 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     assert "cannot be written" in refused("show", "lane_only", "--json", target)
     said = refused("show", EXAMPLES / "my_graph.py", "--json", EXAMPLES / "my_graph.py")
     assert said.endswith("is read here; name another file")
-
-
-def test_a_graph_written_as_bif_is_a_graph(tmp_path: Path) -> None:
-    done("network", "sensor_failure", tmp_path / "g.bif", "--n-lanes", 4)
-    assert "SensorState        hidden            OK, BAD" in done("show", tmp_path / "g.bif").stdout
-    ours, read = (
-        prepare_model(simulated(graph=g)) for g in ("sensor_failure", f"{tmp_path}/g.bif")
-    )
-    rng = np.random.default_rng(0)
-    evidence = Evidence({"DetectorOutput": rng.random((20, 4)), "WOR": rng.random((20, 2))})
-    right = filter_beliefs(ours.compiled, evidence, "exact").marginals
-    for node, found in filter_beliefs(read.compiled, evidence, "exact").marginals.items():
-        np.testing.assert_allclose(found, right[node], rtol=0, atol=1e-14)
-
-
-def test_a_network_that_cannot_be_written_is_refused_in_a_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    for ending in (".png", ".dot", ".bif"):
-        said = refused("network", "lane_only", tmp_path / "file" / f"x{ending}")
-        assert f"x{ending}: cannot be written" in said
-
-
-def test_validate_knows_simulated_drives(tmp_path: Path) -> None:
-    experiment = write_experiment(tmp_path / "e.yaml", recording={"simulate": "quikstart"})
-    said, _ = problems("validate", experiment)
-    assert "recording.simulate: unknown preset 'quikstart' (did you mean 'quickstart'?)" in said
 
 
 @pytest.mark.parametrize(

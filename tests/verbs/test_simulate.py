@@ -19,7 +19,7 @@ from egolane_pgm.vision.camera.model import read_camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.rendering import files, render
 from egolane_pgm.vision.rendering.render import make_scene, render_frame
-from tests.kits.drives import command, contents, done, refused
+from tests.kits.drives import command, contents, done
 
 
 def simulate(*words: object) -> Result:
@@ -35,10 +35,6 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert result.exit_code == 0, result.output
     assert "5 frames" in result.output
     return folder
-
-
-def rendered(*more: object) -> list[object]:
-    return ["simulate", "quickstart", "--images", *more]
 
 
 def test_pictures_of_both_cameras_are_read_back_as_rendered(drive: Path) -> None:
@@ -109,21 +105,18 @@ def test_what_was_rendered_before_an_interruption_is_kept(
     ("words", "said"),
     [
         (("a4", "--video"), "--video: needs images"),
-        (("a4", "--stereo"), "--stereo: needs images"),
-        (("a4", "--png"), "--png: needs images"),
         (("a4", "--images", "--png", "--video"), "--video: goes without png"),
         (("a5", "--images"), "unknown preset 'a5'"),
         (("a4", "--images", "--set", "waer=1"), "did you mean 'wear'"),
         (("a4", "--images", "--set", "seed=1"), "unknown key 'seed'"),
         (("a4", "--images", "--set", "wear=2"), "simulation.wear: 2 is not a probability"),
-        (("a4", "--images", "--set", "wear=much"), "simulation.wear: 'much' is not a number"),
-        (("a4", "--images", "--frames", "0"), "simulation.n_frames: 0"),
-        (
-            ("a4", "--images", "--frames", "9" * 12),
-            "simulation.n_frames: 999999999999 must be at most",
-        ),
-        (("a4", "--images", "--set", "ok_s=10000000"), "simulation.ok_s: 10000000 must be at most"),
-        (("a4", "--images", "--set", "shoulder_m=101"), "simulation.shoulder_m: 101 must be at"),
+        (("a4", "--frames", "9" * 12), "simulation.n_frames: 999999999999 must be at most"),
+        (("quikstart",), "did you mean 'quickstart'"),
+        (("a4", "--set", "cluter=1"), "did you mean 'clutter'"),
+        (("a4", "--set", "noise_m"), "write it as key=value"),
+        (("a4", "--set", "noise_m=[1"), "not YAML"),
+        (("a4", "--set", "seed=3"), "--set: seed is a parameter beside it"),
+        (("a4", "--set", "frames=3"), "--set: frames is a parameter beside it"),
         (("a4", "--images", "--n-lanes", "101"), "simulation.n_lanes: 101 must be at most 100"),
     ],
 )
@@ -145,20 +138,6 @@ def test_pictures_of_two_drives_are_not_mixed(drive: Path) -> None:
     assert sorted(path.stat().st_mtime_ns for path in drive.rglob("*")) == before
 
 
-def test_a_place_that_cannot_be_written_is_said(tmp_path: Path) -> None:
-    (tmp_path / "images").write_text("in the way")
-    result = simulate("a4", "--images", "--frames", 2, "--out", tmp_path)
-    assert result.exit_code == 2
-    assert result.output.startswith(f"egolane: {tmp_path / 'images'}: ")
-
-
-@pytest.mark.parametrize("key", ["preset", "seed", "frames", "n_lanes"])
-def test_what_has_an_option_of_its_own_is_not_set(tmp_path: Path, key: str) -> None:
-    said = refused("simulate", "--out", tmp_path / "drive", "--set", f"{key}=3")
-    assert said == f"--set: {key} is a parameter beside it"
-    assert not (tmp_path / "drive").exists()
-
-
 def test_a_simulated_drive_is_written_and_runs(tmp_path: Path) -> None:
     words = ("simulate", "a2", "--frames", "120", "--seed", "4", "--set", "miss=0.5")
     shown = done(*words, "--out", tmp_path / "one").stdout
@@ -173,14 +152,3 @@ def test_a_simulated_drive_is_written_and_runs(tmp_path: Path) -> None:
     assert (truth.lane <= 3).all()
     done("simulate", "--frames", "20", "--n-lanes", "2", "--out", tmp_path / "two")
     assert yaml.safe_load((tmp_path / "two" / "experiment.yaml").read_text())["n_lanes"] == 2
-
-
-def test_what_cannot_be_simulated_is_refused(tmp_path: Path) -> None:
-    out = ("--out", tmp_path / "x")
-    assert "did you mean 'quickstart'" in refused("simulate", "quikstart", *out)
-    assert "simulation.n_lanes: 0" in refused("simulate", *out, "--n-lanes", "0")
-    assert "simulation.n_frames: 0" in refused("simulate", *out, "--frames", "0")
-    assert "did you mean 'clutter'" in refused("simulate", *out, "--set", "cluter=1")
-    assert "write it as key=value" in refused("simulate", *out, "--set", "noise_m")
-    assert "not YAML" in refused("simulate", *out, "--set", "noise_m=[1")
-    assert not (tmp_path / "x").exists()

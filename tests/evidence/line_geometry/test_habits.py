@@ -389,7 +389,7 @@ def paper_drive(run: int) -> Recorded:
 
 
 @needs_compiler
-@pytest.mark.parametrize("run", [1, 5])
+@pytest.mark.parametrize("run", [5])
 @pytest.mark.parametrize("how", STRANGERS)
 @pytest.mark.parametrize(("width", "lost"), [("auto", 0.05), ("causal", 0.09)])
 def test_a_strangers_recording_of_the_papers_drives(

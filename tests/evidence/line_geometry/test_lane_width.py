@@ -162,13 +162,6 @@ def test_weak_lines_do_not_count_and_unknown_reliability_does() -> None:
     assert lane_width(log_of(offsets, lri=np.nan), FALLBACK).is_sure
 
 
-def test_counts_of_single_frames_add_up_to_those_of_the_drive() -> None:
-    log = road(3.7, n_frames=50)
-    frames = [gap_counts(log.take(slice(t, t + 1))) for t in range(50)]
-    np.testing.assert_array_equal(np.sum(frames, axis=0), gap_counts(log))
-    assert width_of_gaps(np.sum(frames, axis=0), FALLBACK, log.source) == lane_width(log, FALLBACK)
-
-
 @pytest.mark.parametrize(
     ("run", "width"), [(1, 3.9), (4, 3.9), (5, 2.02), (7, 3.4), (10, 4.06)], ids=str
 )

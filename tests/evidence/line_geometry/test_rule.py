@@ -336,11 +336,6 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
     assert given.inputs["LineMotion"].tolist() == [STILL] * 3
 
 
-def test_no_frames_at_all() -> None:
-    given = line_geometry.evidence(line_log(np.empty((0, 2))), 3, resolved())
-    assert len(given) == 0
-
-
 @pytest.mark.filterwarnings("ignore:line log")
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
@@ -598,17 +593,6 @@ def test_a_recording_in_which_no_width_can_be_told_is_run_with_the_usual_one(
     assert "unsure" in said
     assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)
-
-
-@needs_compiler
-def test_lines_of_nan_or_at_exactly_zero_are_as_good_as_none(tmp_path: Path) -> None:
-    """Placeholders: a detector that has nothing to say writes them."""
-    given = np.zeros((200, 3))
-    given[::2] = np.nan
-    belief, _ = belief_of(tmp_path, log_of(given))
-    none, _ = belief_of(tmp_path, log_of(np.full((200, 3), np.nan)))
-    np.testing.assert_array_equal(belief, none)
-    assert np.isfinite(belief).all()
 
 
 @needs_compiler

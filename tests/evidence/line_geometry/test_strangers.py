@@ -10,29 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence, online_output
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import Beliefs, FloatArray, LineLog
+from egolane_pgm.types import Beliefs
 from makers.beyond.strangers import accuracies, zero_label
 from tests.conftest import needs_compiler
 from tests.kits.strangers import (
     STRANGERS,
     Drive,
-    held,
-    mirrored,
     paper_drive,
-    replayed,
-    scale_changes,
-    shifted,
     simulated_drive,
-    slipped,
-    wandering,
-    with_lines,
-    without,
 )
 
 #: What the share of right lanes is at least, on runs 1 and 6.
@@ -132,67 +121,6 @@ def test_half_mirrored_lines_leave_the_belief_unsure(recordings: Path) -> None:
         for name, d in (("mirrored", drive), ("as recorded", paper_drive(1)))
     }
     assert surest["mirrored"] < 0.8 < 0.95 < surest["as recorded"]
-
-
-# The kit itself -----------------------------------------------------------------------------------
-
-
-def offsets(log: LineLog) -> FloatArray:
-    return log.offset_m
-
-
-def test_mirroring_twice_gives_the_same_lines() -> None:
-    log = simulated().log
-    np.testing.assert_array_equal(offsets(mirrored(mirrored(log))), offsets(log))
-
-
-def test_the_scale_changes_in_the_second_half_only() -> None:
-    log = simulated().log
-    half, changed = len(log) // 2, offsets(scale_changes(log, 0.6))
-    np.testing.assert_array_equal(changed[:half], offsets(log)[:half])
-    np.testing.assert_allclose(changed[half:], 0.6 * offsets(log)[half:])
-
-
-def test_placeholders_stay_where_they_are() -> None:
-    log = simulated().log
-    placeholder = with_lines(log, np.zeros((len(log), 1)))
-    for moved in (shifted(placeholder, 1.0), slipped(placeholder, 3.5, 0.5, 1.0)):
-        assert (offsets(moved)[:, -1] == 0).all()
-
-
-def test_a_held_line_repeats_its_offset_with_a_lower_lri() -> None:
-    log = simulated().log
-    changed = held(log, 0.3, 1.0)
-    repeats, own = (np.diff(offsets(each), axis=0) == 0 for each in (changed, log))
-    assert 0.1 < repeats[np.isfinite(offsets(log)[1:])].mean() < 0.5
-    made = repeats & ~own
-    expected = np.maximum(changed.lri[:-1][made] - 1, 0)
-    np.testing.assert_array_equal(changed.lri[1:][made], expected)
-
-
-def test_lines_that_are_taken_out_are_gone_with_their_flags() -> None:
-    log = simulated().log
-    none = without(log, np.ones_like(log.is_valid))
-    assert np.isnan(none.offset_m).all()
-    assert not none.is_valid.any()
-    assert not none.is_continuous.any()
-
-
-@given(st.integers(0, 1000), st.floats(1, 50))
-def test_what_wanders_keeps_its_spread(seed: int, time_constant: float) -> None:
-    values = wandering(20_000, time_constant, seed)
-    # Its mean and spread are known from some 20,000 / (2 time constants) independent values.
-    error = 6 * np.sqrt(2 * time_constant / len(values))
-    assert abs(values.mean()) < error
-    assert abs(values.std() - 1) < error
-
-
-def test_replayed_frames_are_a_recording_of_their_own() -> None:
-    log = simulated().log
-    again = replayed(log, np.array([5, 5, 2]), 2.0)
-    assert again.frame_id.tolist() == [0, 1, 2]
-    assert again.time_s.tolist() == [0.0, 0.5, 1.0]
-    np.testing.assert_array_equal(offsets(again), offsets(log)[[5, 5, 2]])
 
 
 @needs_compiler

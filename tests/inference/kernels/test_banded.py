@@ -11,9 +11,9 @@ import pytest
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile
-from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.kernels.banded import find_band
-from egolane_pgm.types import Evidence, FloatArray, InputError
+from egolane_pgm.types import Evidence, FloatArray
 from tests.conformance.networks import METHODS, assert_same_beliefs, draw_evidence
 from tests.reference import inference as reference
 
@@ -146,36 +146,3 @@ def test_rounding_does_not_grow_over_frames_that_cannot_be(method: str) -> None:
     assert beliefs.is_impossible.tolist() == [False] + [True] * 399
     for name, rows in beliefs.marginals.items():
         np.testing.assert_allclose(rows.sum(axis=1), 1, rtol=0, atol=1e-13, err_msg=name)
-
-
-@every_method
-def test_what_was_known_of_a_network_that_is_gone_is_not_taken_for_another(method: str) -> None:
-    evidence = draw_evidence(network(), 2, np.random.default_rng(5), zeros=0)
-    for seed in range(20):
-        rows = np.random.default_rng(seed).dirichlet(np.ones(2 * N_WIDE), 2)
-        other = replace(network(), prior=rows)
-        right = reference.filter_beliefs(other, evidence, method)
-        assert_same_beliefs(filter_beliefs(other, evidence, method), right)
-
-
-@every_method
-def test_stepping_leaves_the_earlier_state_as_it_was_here_too(method: str) -> None:
-    compiled = network()
-    evidence = draw_evidence(compiled, 3, np.random.default_rng(2), zeros=0)
-    whole = reference.filter_beliefs(compiled, evidence, method)
-    first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
-    before = first.joint.copy()
-    for _ in range(2):
-        _, beliefs = step(compiled, first, evidence.take(slice(1, 3)), method)
-        np.testing.assert_array_equal(first.joint, before)
-        np.testing.assert_allclose(beliefs.marginals["Wide"], whole.marginals["Wide"][1:])
-
-
-def test_evidence_that_does_not_fit_is_refused_here_too() -> None:
-    compiled = network()
-    good = draw_evidence(compiled, 3, np.random.default_rng(3))
-    short = {**good.likelihoods, "Leaf": np.ones((3, 2))}
-    with pytest.raises(InputError, match="evidence for Leaf: shape"):
-        filter_beliefs(compiled, Evidence(short, good.inputs))
-    with pytest.raises(InputError, match="input node Speed: the evidence has nothing for it"):
-        filter_beliefs(compiled, Evidence(good.likelihoods, {}))

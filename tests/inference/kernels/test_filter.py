@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -14,7 +13,7 @@ import pytest
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference import filtering
 from egolane_pgm.inference.compile import Compiled, compile
-from egolane_pgm.inference.filtering import METHODS, filter_beliefs, state_likelihood, step
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs, state_likelihood
 from egolane_pgm.types import Beliefs, Evidence
 from tests.conformance.networks import assert_same_beliefs
 from tests.reference import inference as reference
@@ -140,29 +139,6 @@ def test_hardly_possible_states_survive_small_likelihoods(method: str) -> None:
     lanes[12] = [0.0, 0.0, 0.0, 1.0]
     beliefs = checked(compiled, Evidence({"D": lanes}), method)
     assert not beliefs.is_impossible.any()
-
-
-def test_small_likelihoods_over_many_frames_do_not_underflow() -> None:
-    rng = np.random.default_rng(5)
-    n_frames = 2000 if IS_COMPILED else 200
-    compiled = random_network(rng, (4, 2), (4, 2))
-    evidence = random_evidence(rng, compiled, n_frames)
-    evidence.likelihoods["D0"][:] *= 1e-9
-    assert checked(compiled, evidence, "exact").log_evidence.sum() < -20 * n_frames
-
-
-@every_method
-def test_a_sequence_in_parts_equals_the_whole(method: str) -> None:
-    rng = np.random.default_rng(6)
-    compiled = random_network(rng, (4, 2), (4, 2))
-    evidence = random_evidence(rng, compiled, 50)
-    whole = filter_beliefs(compiled, evidence, method)
-    state = None
-    for begin, stop in pairwise([0, 6, 7, 30, 50]):
-        state, part = step(compiled, state, evidence.take(slice(begin, stop)), method)
-        for name, values in part.marginals.items():
-            np.testing.assert_allclose(values, whole.marginals[name][begin:stop], atol=1e-12)
-        np.testing.assert_allclose(part.log_evidence, whole.log_evidence[begin:stop], atol=1e-12)
 
 
 @every_method
