@@ -100,7 +100,7 @@ def test_the_last_command_of_the_notebook_on_ones_own_graph_works_from_any_folde
     last = nbformat.read(path, as_version=4).cells[-1].source
     command = next(line for line in last.splitlines() if line.startswith("egolane"))
     monkeypatch.chdir(tmp_path)
-    quicker = ["--runs", "2", "--blocks", "2", "--trials", "2"]
+    quicker = ["--runs", "2", "--blocks", "2", "--set", "tuning.trials=2"]
     ran = CliRunner().invoke(egolane, [*command.split()[1:], *quicker])
     assert ran.exit_code == 0, ran.output
     assert re.search(r"\| run 2 +\|", ran.output)

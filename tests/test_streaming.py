@@ -270,7 +270,7 @@ def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:
     assert "run in parts" in (tmp_path / "page.html").read_text()
     target = tmp_path / "compared.json"
     done("compare", tmp_path / "whole", tmp_path / "parts", "--json", target)
-    one, other = json.loads(target.read_text())["results"]
+    one, other, *_ = json.loads(target.read_text())["recordings"][0]["experiments"]
     assert one["scores"] == other["scores"]
     done("run", tmp_path / "parts" / "experiment.yaml", "--stream", "--out", tmp_path / "again")
 

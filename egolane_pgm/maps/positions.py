@@ -163,9 +163,9 @@ def read_positions(
 
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
     # `egolane locate --help` does without pyarrow.
-    from egolane_pgm.recordings.table import read, typed
+    from egolane_pgm.recordings.table import read_columns, typed
 
-    table = read(path)
+    table = read_columns(path)
     values = {}
     for ours, theirs in _column_names(path, table.column_names, dict(columns or {})).items():
         times = _dates(path, theirs, table[theirs]) if ours == "t_s" else None

@@ -90,7 +90,7 @@ def read_table(
     that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
     path = Path(path)
-    table = read(path)
+    table = read_columns(path)
     cells = _cells(path, table.column_names, table.columns, columns or {})
     return _log_of(path, cells, frame_rate)
 
@@ -101,7 +101,7 @@ def own_rate(path: str | Path, columns: Mapping[str, str] | None = None) -> floa
     Raises InputError as `read_table`, as far as frame ids and times are wrong.
     """
     path = Path(path)
-    table = read(path)
+    table = read_columns(path)
     names = _renamed(path, table.column_names, columns or {})
     if not {"frame_id", "time_s"} <= {*names}:
         return None
@@ -254,7 +254,7 @@ def _check_columns(path: Path, names: list[str], given: list[str]) -> list[str]:
     return [name for name in names if name in known]
 
 
-def read(path: Path) -> pa.Table:
+def read_columns(path: Path) -> pa.Table:
     """A whole CSV or Parquet file. pyarrow finds the types of the columns of a CSV file."""
     if not path.is_file():
         raise InputError(f"{path}: no such file")

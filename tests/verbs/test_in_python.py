@@ -390,11 +390,7 @@ def test_a_run_of_the_paper_is_repeated_beside_its_table(recordings: Path, tmp_p
         (ego.reproduce, {"runs": "1-99"}, "run 99"),
         (ego.reproduce, {"runs": ["one"]}, "'one' is no number"),
         (ego.compare, {"experiments": QUICKSTART, "with_paper": True}, "with_paper: goes with"),
-        (
-            ego.compare,
-            {"experiments": QUICKSTART, "trials": 3, "trials_per_number": 3},
-            "goes instead of",
-        ),
+        (ego.compare, {"experiments": QUICKSTART, "trials_per_number": 3}, "nothing is searched"),
         (ego.compare, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),
@@ -465,22 +461,6 @@ def test_graphs_on_a_run_of_the_paper_are_in_sample(recordings: Path) -> None:
     assert repr(found).endswith("on run 3; in-sample, causal or not tuned, causal)")
     assert found.names == ["sensor_failure", "lane_only", "detector"]
     assert isinstance(found.plot(), Figure)
-
-
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        (
-            {"experiments": QUICKSTART, "with_paper": True},
-            "with_paper: goes with",
-        ),
-        ({"experiments": QUICKSTART, "trials_per_number": 3}, "nothing is searched"),
-        ({"experiments": 3}, "3 is no experiment"),
-    ],
-)
-def test_arguments_of_compare_that_do_not_go_together_are_refused(given: Any, said: str) -> None:
-    with pytest.raises(ego.InputError, match=said):
-        ego.compare(**given)
 
 
 def test_a_damaged_comparison_is_refused(compared: ego.Comparison, tmp_path: Path) -> None:

@@ -384,7 +384,7 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path: Path, monkeypatch: pytest.Monk
             raise KeyboardInterrupt
         return run_experiment(experiment, **options)
 
-    monkeypatch.setattr("egolane_pgm.running.run_experiment", interrupted)
+    monkeypatch.setattr("egolane_pgm.verbs.run.run_experiment", interrupted)
     ran = command("run", *paths, "--no-figures", "--out", tmp_path / "out")
     assert ran.exit_code == 130
     said = f"egolane: interrupted; 1 of 3 are in {tmp_path / 'out'}; the same command begins anew"

@@ -198,8 +198,9 @@ def test_a_typo_in_a_tuning_file_is_named(tmp_path: Path) -> None:
     assert "x.yaml: cannot be read" in tune_refuses(path)
 
 
-@pytest.mark.parametrize("stop", [signal.SIGKILL, signal.SIGINT])
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize(
+    ("jobs", "stop"), [(1, signal.SIGKILL), (1, signal.SIGINT), (2, signal.SIGINT)]
+)
 def test_the_command_itself_is_stopped_and_repeated(
     jobs: int, stop: signal.Signals, tmp_path: Path
 ) -> None:
