@@ -88,7 +88,8 @@ def recording_task(plan: Plan, held_out: str) -> Task:
             "experiments": [resolved(d.experiment, d.model.parameters) for d in drives],
         },
         scorer=partial(scorer_without, problem, whole=whole),
-        assess=partial(assess_points, problem, whole=whole),
+        answers=partial(beliefs_at, problem, whole=whole),
+        assess=partial(assess_beliefs, problem),
         parameters=lambda point: dict(zip(names, parameters_at(problem, point), strict=True)),
         experiments=partial(best_experiments, problem),
     )
@@ -134,10 +135,10 @@ def beliefs_at(
     return [stitched_rows(beliefs) for beliefs in zip(*each, strict=True)]
 
 
-def assess_points(
-    problem: Problem, points: Sequence[Point], minus: Sequence[Point] = (), *, whole: bool
+def assess_beliefs(
+    problem: Problem, beliefs: Sequence[FloatArray], minus: Sequence[FloatArray] | None = None
 ) -> dict[str, Any]:
-    """The scores of points, or how much more they are than those of others, of all frames and,
+    """The scores of beliefs, or how much more they are than those of others, of all frames and,
     where some labels are not trusted, of the others; see `Task`."""
     drives, fleet = problem.drives, problem.plan.fleet
     drive_of = None if fleet is None else fleet.drive_of
@@ -145,12 +146,10 @@ def assess_points(
     subsets = {"all_frames": all_used(drives), "without_never_fit": trusted}
     if all(keep.all() for keep in trusted):
         del subsets["without_never_fit"]
-    mine = beliefs_at(problem, points, whole=whole)
-    if not minus:
-        return {k: assess(drives, mine, kept, drive_of=drive_of) for k, kept in subsets.items()}
-    theirs = beliefs_at(problem, minus, whole=whole)
+    if minus is None:
+        return {k: assess(drives, beliefs, kept, drive_of=drive_of) for k, kept in subsets.items()}
     return {
-        name: difference(drives, mine, theirs, kept, drive_of=drive_of)
+        name: difference(drives, beliefs, minus, kept, drive_of=drive_of)
         for name, kept in subsets.items()
     }
 

@@ -227,10 +227,11 @@ def finish_main(made: Search, seconds: float) -> None:
 def finish(made: Search) -> dict[str, Any]:
     """Score a search in-sample and held out, write its study.json and return what is in that."""
     task, best = made.task, [made.best["point"]]
+    answers = task.answers(best)
     content = {
         **files.head_of(task),
         "best": made.best,
-        "in_sample": {"tuned_on": "same_frames", **task.assess(best)},
+        "in_sample": {"tuned_on": "same_frames", **task.assess(answers)},
         "held_out": None,
         "difference": None,
         "test": None,
@@ -238,11 +239,11 @@ def finish(made: Search) -> dict[str, Any]:
     }
     if made.n_parts:
         nested = [made.nested[b] for b in range(made.n_parts)]
-        points = [each.point for each in nested]
-        content["held_out"] = {**files.held_out_entry(task, nested), **task.assess(points)}
-        content["difference"] = task.assess(best, points)
+        held_out = task.answers([each.point for each in nested])
+        content["held_out"] = {**files.held_out_entry(task, nested), **task.assess(held_out)}
+        content["difference"] = task.assess(answers, held_out)
     if made.test is not None:
-        name, scores = made.test.plan.name, made.test.assess(best)
+        name, scores = made.test.plan.name, made.test.assess(made.test.answers(best))
         content["test"] = {"tuned_on": "other_frames", "name": name, **scores}
     write_json(made.directory / STUDY_FILE, content)
     return content

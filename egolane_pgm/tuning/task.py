@@ -34,8 +34,9 @@ class Task:
     - data: a `drive.file_entry` for each file.
     - document: keys of study.json that say what is searched on.
     - scorer: makes the score of a point: on everything, or (a number) without that part.
-    - assess: the scores with their intervals, by the frames that count, of what one point gives for
-      everything, or each of several points for its part; with more points, less what these give.
+    - answers: what one point gives for everything, or each of several points for its part.
+    - assess: the scores of answers with their intervals, by the frames that count; with other
+      answers, less the scores of these.
     - parameters: what a point means, by name.
     - experiments: the parameters of a point as YAML files that `egolane run` takes or includes, by
       the name of the file.
@@ -54,6 +55,7 @@ class Task:
     data: Sequence[Mapping[str, Any]]
     document: Mapping[str, Any]
     scorer: Callable[[int | None], Score]
+    answers: Callable[[Sequence[Point]], Any]
     assess: Callable[..., dict[str, Any]]
     parameters: Callable[[Point], dict[str, dict[str, Value]]]
     experiments: Callable[[Point], dict[str, dict[str, Any]]]

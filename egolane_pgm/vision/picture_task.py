@@ -208,7 +208,8 @@ def picture_task(plan: Plan, held_out: str) -> Task:
             "experiments": [{"parameters": current}],
         },
         scorer=partial(_scorer, seen, plan.settings.objectives, parts),
-        assess=partial(_assess, seen),
+        answers=partial(_stitched, seen),
+        assess=_assess,
         parameters=lambda point: {plan.name: _parameters(seen, point)},
         experiments=partial(_for_include, seen),
     )
@@ -252,14 +253,14 @@ def _scorer(
     return score
 
 
-def _assess(seen: Labelled, points: Sequence[Point], minus: Sequence[Point] = ()) -> dict[str, Any]:
-    """The scores of points, or how much more they are than those of others, with intervals where
+def _assess(counts: IntArray, minus: IntArray | None = None) -> dict[str, Any]:
+    """The scores of counts, or how much more they are than those of others, with intervals where
     there are pictures enough; see `Task`."""
-    sides = [_stitched(seen, side) for side in (points, minus) if side]
-    n_clips = len(seen.clips)
+    sides = [counts] if minus is None else [counts, minus]
+    n_clips = len(counts)
     found: dict[str, Any] = {"frames_scored": n_clips, "intervals": {}}
     for name, score in LINE_SCORES.items():
-        values = [float(score(counts.sum(axis=0))) for counts in sides]
+        values = [float(score(side.sum(axis=0))) for side in sides]
         found[name] = values[0] - sum(values[1:])
         bounds = None
         if n_clips >= 2 * _ALIKE:

@@ -117,7 +117,8 @@ def test_what_was_found_is_tested_elsewhere(plans: tuple[Plan, Plan], tmp_path: 
     document = tuned(prepare(mine, tmp_path, "none", other))
     assert document["held_out"] is document["difference"] is None
     same = with_options(other, {"parameters": mine.tuning.parameters})
-    scores = task_of(same, "none").assess([document["best"]["point"]])
+    task = task_of(same, "none")
+    scores = task.assess(task.answers([document["best"]["point"]]))
     assert document["test"] == {"tuned_on": "other_frames", "name": other.name, **scores}
 
 
