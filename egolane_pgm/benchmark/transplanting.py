@@ -1,0 +1,235 @@
+"""Drives made of real ones: the frames of a donor, as its detector saw them, in lanes that another
+car drove.
+
+Each line of a donor's frame has a place on its road: a line of the road, by its number, and what it
+is off that line; or a place beside the road; or, as clutter, one relative to the car. A new drive
+takes stretches of 10 to 60 s from the same kind of lane (leftmost, inner, rightmost), and for its
+lane changes those of the donor. Lines that the new road does not have are dropped; where a line's
+role changes (edge or not), its continuous flag is drawn anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.types import FloatArray, IntArray, LaneTruth, LineLog, runs_of
+
+#: Frames of a stretch, at least and at most, and of a lane change before and after its middle.
+_STRETCH, _CHANGE = (100, 600), 30
+
+#: How far off a line of the road a report of it is, in lanes.
+_NEAR = 0.25
+
+#: Positions across a lane, how much a car moves from frame to frame (lanes), and the standard
+#: deviation of a line about its place (lanes).
+_PLACES, _MOVES, _SPREAD = 32, 0.02, 0.06
+
+#: No car moves so far in a frame, lanes.
+_JUMP = 0.3
+
+#: Lines that are further away are not reported, metres.
+_REACH_M = 16.5
+
+#: Offsets that stand for none, metres.
+_NO_OFFSET_M = 1e-6
+
+
+@dataclass(frozen=True)
+class Path:
+    """Where a car drives, T frames.
+
+    - across (T,): its place across the road, lanes from the left edge: lane k is k - 1 to k.
+    - n_lanes: of the road.
+    """
+
+    across: FloatArray
+    n_lanes: int
+
+    def lane(self) -> IntArray:
+        """(T,): 1 to n."""
+        return np.clip(np.floor(self.across).astype(np.int64) + 1, 1, self.n_lanes)
+
+    def truth(self, crossing_frames: int = 10) -> LaneTruth:
+        """Its lanes; crossing for so many frames before and after the car's middle is on a line."""
+        lane = self.lane()
+        is_crossing = np.zeros(len(lane), dtype=bool)
+        for k in np.flatnonzero(np.diff(lane)):
+            is_crossing[max(0, k + 1 - crossing_frames) : k + 1 + crossing_frames] = True
+        return LaneTruth(np.arange(len(lane)), lane, is_crossing)
+
+
+@dataclass(frozen=True)
+class Donor:
+    """A real log, T frames of at most L lines, and where its car was.
+
+    - path: of the car.
+    - width_m: of a lane, in the detector's metres.
+    - number (T, L): of a line of the road, 0 (left edge) to n; -1: beside it or clutter.
+    - place (T, L): lanes: of a line of the road what it is off it; of another what it is off the
+      left edge (negative) or the right one (positive); of clutter NaN.
+    - change_at (C,): the frames in which the car's middle crosses a line.
+    - continuous (3,): how often a valid line at the left edge, inside, at the right edge is
+      reported as continuous.
+    """
+
+    log: LineLog
+    path: Path
+    width_m: float
+    number: IntArray
+    place: FloatArray
+    change_at: IntArray
+    continuous: FloatArray
+
+
+def donor_of(log: LineLog, truth: LaneTruth, n_lanes: int, width_m: float) -> Donor:
+    """A donor from a log and the lanes of its frames, all of them annotated."""
+    path = Path(_across(log, truth, width_m), n_lanes)
+    where = path.across[:, None] + log.offset_m / width_m
+    nearest = np.round(where)
+    is_line = np.isfinite(where) & (np.abs(log.offset_m) > _NO_OFFSET_M)
+    on_road = is_line & (np.abs(where - nearest) < _NEAR) & (nearest >= 0) & (nearest <= n_lanes)
+    left, right = is_line & ~on_road & (where < 0), is_line & ~on_road & (where > n_lanes)
+    number = np.where(on_road, nearest, -1).astype(np.int64)
+    place = np.select([on_road, left, right], [where - nearest, where, where - n_lanes], np.nan)
+    role = _role(number, n_lanes)
+    flags = [log.is_continuous[on_road & log.is_valid & (role == k)] for k in range(3)]
+    continuous = np.array([each.mean() if each.size else 0.0 for each in flags])
+    change_at = np.flatnonzero(np.diff(path.lane()) != 0) + 1
+    return Donor(log, path, width_m, number, place, change_at, continuous)
+
+
+def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
+    """(T,): the car's place across the road: inside the lane the best path on a circle through what
+    the lines say (Viterbi), in the lane that the truth has between two changes."""
+    centre = (np.arange(_PLACES) + 0.5) / _PLACES
+    use = log.is_valid & (np.abs(log.offset_m) > _NO_OFFSET_M)
+    off = np.where(use, log.offset_m, 0.0)[:, :, None] / width_m + centre
+    off -= np.round(off)
+    each = np.log(0.1 + np.exp(-0.5 * (off / _SPREAD) ** 2))
+    score = (each * use[:, :, None]).sum(axis=1)
+    apart = np.abs(centre[:, None] - centre)
+    move = -0.5 * (np.minimum(apart, 1 - apart) / _MOVES) ** 2
+    best, back = score[0], np.zeros((len(score), _PLACES), dtype=np.int64)
+    for t in range(1, len(score)):
+        reached = best[:, None] + move
+        back[t] = reached.argmax(axis=0)
+        best = reached.max(axis=0) + score[t]
+    places = np.empty(len(score), dtype=np.int64)
+    places[-1] = best.argmax()
+    for t in range(len(score) - 1, 0, -1):
+        places[t - 1] = back[t, places[t]]
+    steady = np.unwrap(centre[places], period=1.0)
+    # Each stretch between two changes of the label gets the whole number that puts it in its lane;
+    # a crossing goes with the stretch before it as far as the circle does.
+    changes = lane_changes(truth.lane, truth.is_crossing)
+    edges = [0, *changes.end.tolist(), len(steady)]
+    across = np.empty(len(steady))
+    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        kept = np.flatnonzero(~truth.is_crossing[start:stop]) + start
+        lift = np.round(np.median(truth.lane[kept] - 0.5 - steady[kept])) if len(kept) else 0.0
+        across[start:stop] = steady[start:stop] + lift
+    for start, end in zip(changes.start.tolist(), changes.end.tolist(), strict=True):
+        # Where the lines were lost in a change, the circle may have gone the wrong way round.
+        if np.abs(np.diff(across[max(start - 1, 0) : end + 1])).max(initial=0.0) > _JUMP:
+            across[start:end] = np.linspace(across[max(start - 1, 0)], across[end], end - start)
+    return np.clip(across, 0.0, truth.lane.max() - 1e-6)
+
+
+def transplanted(
+    donor: Donor, path: Path, rng: np.random.Generator, source: str = "transplanted"
+) -> LineLog:
+    """The lines that the donor's detector would have seen of a car on a path, T frames."""
+    frames, shift = _chosen(donor, path, rng)
+    log, width, n_lanes = donor.log, donor.width_m, path.n_lanes
+    number, place, across = donor.number[frames], donor.place[frames], path.across[:, None]
+    on_road = number >= 0
+    now = number + shift[:, None]
+    from_line = np.where(on_road, now, np.where(place < 0, 0, n_lanes))
+    # Clutter has no place and stays where it is.
+    offset = (from_line + place - across) * width
+    offset = np.where(np.isnan(place), log.offset_m[frames], offset)
+    is_gone = on_road & ((now < 0) | (now > n_lanes))
+    is_gone |= ~np.isnan(place) & (np.abs(offset) > _REACH_M)
+    is_valid = log.is_valid[frames] & ~is_gone
+    continuous = log.is_continuous[frames]
+    changed = on_road & is_valid & (_role(number, donor.path.n_lanes) != _role(now, n_lanes))
+    anew = rng.random(number.shape) < donor.continuous[_role(now, n_lanes)]
+    return LineLog(
+        np.arange(len(frames)),
+        np.arange(len(frames)) / 10.0,
+        np.where(is_gone, np.nan, offset),
+        is_valid,
+        np.where(changed, anew, continuous) & ~is_gone,
+        np.where(is_gone, np.nan, log.lri[frames]),
+        source=source,
+    )
+
+
+def _role(number: IntArray, n_lanes: int) -> IntArray:
+    """0 for the left edge, 2 for the right one, 1 for a line inside."""
+    return np.select([number == 0, number == n_lanes], [0, 2], 1)
+
+
+def _kind(lane: IntArray, n_lanes: int) -> IntArray:
+    """0 for the leftmost lane, 2 for the rightmost, 1 for one between them."""
+    return np.select([lane == 1, lane == n_lanes], [0, 2], 1)
+
+
+def _chosen(
+    donor: Donor, path: Path, rng: np.random.Generator
+) -> tuple[IntArray, IntArray]:
+    """The donor's frame for each frame of a path, (T,), and by how many lines its road is moved.
+
+    Stretches are drawn first; lane changes are laid over them.
+    """
+    lane, donor_lane = path.lane(), donor.path.lane()
+    n_frames = len(lane)
+    kinds, donor_kinds = _kind(lane, path.n_lanes), _kind(donor_lane, donor.path.n_lanes)
+    frames, shift = np.zeros(n_frames, np.int64), np.zeros(n_frames, np.int64)
+    for start, stop in _same(lane):
+        alike = _runs_of_kind(donor_kinds, int(kinds[start]))
+        while start < stop:
+            first, last = alike[rng.choice(len(alike), p=_shares(alike))]
+            length = min(int(rng.integers(*_STRETCH)), stop - start, last - first)
+            begin = int(rng.integers(first, last - length + 1))
+            frames[start : start + length] = np.arange(begin, begin + length)
+            shift[start : start + length] = lane[start] - donor_lane[begin]
+            start += length
+    for at in (np.flatnonzero(np.diff(lane)) + 1).tolist():
+        before, after = lane[at - 1], lane[at]
+        step = np.sign(after - before)
+        k = donor.change_at
+        alike_at = k[np.sign(donor_lane[k] - donor_lane[k - 1]) == step]
+        same = alike_at[
+            (donor_kinds[alike_at - 1] == kinds[at - 1]) & (donor_kinds[alike_at] == kinds[at])
+        ]
+        if not len(alike_at):
+            continue
+        chosen = int(rng.choice(same if len(same) else alike_at))
+        reach = np.arange(-_CHANGE, _CHANGE)
+        reach = reach[(at + reach >= 0) & (at + reach < n_frames)]
+        reach = reach[(chosen + reach >= 0) & (chosen + reach < len(donor_lane))]
+        frames[at + reach] = chosen + reach
+        shift[at + reach] = before - donor_lane[chosen - 1]
+    return frames, shift
+
+
+def _same(lane: IntArray) -> list[tuple[int, int]]:
+    """The stretches of one lane: first frame, and the one after the last."""
+    edges = [0, *(np.flatnonzero(np.diff(lane)) + 1).tolist(), len(lane)]
+    return list(zip(edges[:-1], edges[1:], strict=True))
+
+
+def _runs_of_kind(kinds: IntArray, wanted: int) -> list[tuple[int, int]]:
+    """The donor's runs in lanes of a kind; on a road without such a lane its nearest, the inner."""
+    found = runs_of(np.asarray(kinds == wanted)) or runs_of(np.asarray(kinds == 1))
+    long = [run for run in found if run[1] - run[0] >= _STRETCH[0]]
+    return long or found
+
+
+def _shares(runs: list[tuple[int, int]]) -> FloatArray:
+    lengths = np.array([stop - start for start, stop in runs], dtype=np.float64)
+    return lengths / lengths.sum()
