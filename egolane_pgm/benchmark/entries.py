@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -111,7 +110,9 @@ def read_answer(beliefs: Path, events: Path, recording: Recording) -> Answer:
     fits = (belief >= 0).all(axis=1) & ((np.abs(sums - 1) < 1e-3) | (sums == 0))
     _check_rows(beliefs, frame, fits, "has numbers that do not sum to 1 (or are all 0: silent)")
     whole = np.zeros((len(recording.log), n_columns))
-    whole[np.searchsorted(recording.log.frame_id, frame)] = belief / np.where(sums, sums, 1)[:, None]
+    whole[np.searchsorted(recording.log.frame_id, frame)] = (
+        belief / np.where(sums, sums, 1)[:, None]
+    )
     return Answer(whole, _read_events(events, recording) if events.is_file() else None)
 
 
@@ -180,21 +181,3 @@ def command_words(entry: str) -> list[str] | None:
     if entry.endswith(".py"):
         return [sys.executable, entry, *(f"{{{word}}}" for word in WORDS)]
     return shlex.split(entry) if "{lines}" in entry else None
-
-
-def hiding(answering: Answering, hidden: Sequence[str], recording: Recording) -> Answer:
-    """An answer from lines without some of what the detector says: `is_continuous`, `lri`."""
-    log = recording.log
-    if "is_continuous" in hidden:
-        log = replace(log, is_continuous=np.zeros_like(log.is_continuous))
-    if "lri" in hidden:
-        log = replace(log, lri=np.full_like(log.lri, np.nan))
-    return answering(replace(recording, log=log))
-
-
-def shown_less(answering: Answering, hidden: Sequence[str]) -> Answering:
-    """An entry that is not shown some columns. Raises InputError for a column that must stay."""
-    for name in hidden:
-        if name not in ("is_continuous", "lri"):
-            raise InputError(f"hide: {name}: only is_continuous and lri can be hidden")
-    return partial(hiding, answering, tuple(hidden)) if hidden else answering

@@ -10,9 +10,10 @@ from __future__ import annotations
 import csv
 import hashlib
 import zlib
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path as File
 
 import numpy as np
@@ -62,19 +63,8 @@ _MOST_LANES = 5
 CHECKSUMS = File(__file__).with_name("checksums.txt")
 
 
-@dataclass(frozen=True)
-class Stretch:
-    """A stretch of one road in which lane changes are known.
-
-    - name: of the drive. begin_s, end_s: from when to when. n_lanes: of the road.
-    - changes: when, from which lane, to which lane.
-    """
-
-    name: str
-    begin_s: float
-    end_s: float
-    n_lanes: int
-    changes: tuple[tuple[float, int, int], ...]
+#: A lane change: when, seconds, from which lane, to which one.
+Change = tuple[float, int, int]
 
 
 def paper_log(run: int) -> tuple[LineLog, LaneTruth, int]:
@@ -109,50 +99,51 @@ def make_paper(folder: File) -> None:
 
 def make_rotterdam(folder: File) -> None:
     """The annotated lane changes of the first trip near Rotterdam, with the frames of donors."""
-    for k, stretch in enumerate(stretches_of(File(__file__).parent / "rotterdam/annotations.csv")):
+    annotations = File(__file__).parent / "rotterdam/annotations.csv"
+    for k, (begin_s, end_s, n_lanes, changes) in enumerate(stretches_of(annotations)):
         run = 1 + k % len(DONORS)
-        name = f"trip1-{stretch.name}-n{stretch.n_lanes}-{DONORS[run][0]}"
-        _write_transplanted(folder, name, driven(stretch, name), run)
+        name = f"trip1-{int(begin_s)}-n{n_lanes}-{DONORS[run][0]}"
+        at = [(when - begin_s, before, after) for when, before, after in changes]
+        path = driven(at, round(RATE * (end_s - begin_s)), n_lanes, _rng(name, "path"))
+        _write_transplanted(folder, name, path, run)
 
 
-def stretches_of(annotations: File) -> list[Stretch]:
+def stretches_of(annotations: File) -> list[tuple[float, float, int, list[Change]]]:
     """The stretches of a trip: lane changes that follow on one another, on a road of one number of
-    lanes. They end midway between two lane changes that do not, and 40 s from one at most."""
+    lanes: begin and end, seconds, the number of lanes, and the changes.
+
+    They end midway between two lane changes that do not, and 40 s from one at most.
+    """
     rows = list(csv.DictReader(read_text(annotations).splitlines()))
-    at = [float(row["t_lc"]) for row in rows]
-    middle = [-np.inf, *((a + b) / 2 for a, b in zip(at[:-1], at[1:], strict=True)), np.inf]
-    groups: list[list[int]] = []
-    for k, row in enumerate(rows):
-        last = rows[groups[-1][-1]] if groups else {}
-        follows = last.get("to lane") == row["from lane"]
-        if groups and follows and last["total lanes"] == row["total lanes"]:
-            groups[-1].append(k)
-        else:
-            groups.append([k])
+    changes = [(float(r["t_lc"]), int(r["from lane"]), int(r["to lane"])) for r in rows]
+    lanes = [row["total lanes"] for row in rows]
+    middle = [-np.inf, *((a[0] + b[0]) / 2 for a, b in pairwise(changes)), np.inf]
+    starts = [
+        k
+        for k in range(len(rows))
+        if not k or changes[k - 1][2] != changes[k][1] or lanes[k - 1] != lanes[k]
+    ]
     found = []
-    for group in groups:
-        lanes = rows[group[0]]["total lanes"]
-        begin = max(middle[group[0]], at[group[0]] - _MARGIN_S)
-        end = min(middle[group[-1] + 1], at[group[-1]] + _MARGIN_S)
-        if not lanes or int(lanes) > _MOST_LANES or end - begin < _SHORTEST_S:
-            continue
-        changes = tuple((at[k], int(rows[k]["from lane"]), int(rows[k]["to lane"])) for k in group)
-        found.append(Stretch(str(int(begin)), begin, end, int(lanes), changes))
+    for first, stop in pairwise([*starts, len(rows)]):
+        begin = max(middle[first], changes[first][0] - _MARGIN_S)
+        end = min(middle[stop], changes[stop - 1][0] + _MARGIN_S)
+        n_lanes = int(lanes[first] or 0)
+        if 0 < n_lanes <= _MOST_LANES and end - begin >= _SHORTEST_S:
+            found.append((begin, end, n_lanes, changes[first:stop]))
     return found
 
 
-def driven(stretch: Stretch, name: str) -> Path:
-    """Where a car drives that makes the lane changes of a stretch."""
-    rng = _rng(name, "path")
-    n_frames = int((stretch.end_s - stretch.begin_s) * RATE)
+def driven(
+    changes: Sequence[Change], n_frames: int, n_lanes: int, rng: np.random.Generator
+) -> Path:
+    """Where a car drives that makes these lane changes, the first frame at 0 s."""
     time_s = np.arange(n_frames) / RATE
-    across = np.full(n_frames, stretch.changes[0][1] - 0.5)
-    for when, before, after in stretch.changes:
+    across = changes[0][1] - 0.5 + _wandering(n_frames, rng)
+    for when, before, after in changes:
         # The car is halfway when it is annotated to change.
-        done = np.clip((time_s - (when - stretch.begin_s)) / _CHANGE_S + 0.5, 0, 1)
+        done = np.clip((time_s - when) / _CHANGE_S + 0.5, 0, 1)
         across += (after - before) * (1 - np.cos(np.pi * done)) / 2
-    wander = _wandering(n_frames, rng)
-    return Path(np.clip(across + wander, 0.0, stretch.n_lanes - 1e-6), stretch.n_lanes)
+    return Path(np.clip(across, 0.0, n_lanes - 1e-6), n_lanes)
 
 
 def _wandering(n_frames: int, rng: np.random.Generator) -> FloatArray:
@@ -164,9 +155,7 @@ def _wandering(n_frames: int, rng: np.random.Generator) -> FloatArray:
 
 
 def _write_transplanted(folder: File, name: str, path: Path, run: int) -> None:
-    write_recording(
-        folder, name, transplanted(donor(run), path, _rng(name, "lines")), path.truth()
-    )
+    write_recording(folder, name, transplanted(donor(run), path, _rng(name, "lines")), path.truth())
 
 
 def _rng(*words: str) -> np.random.Generator:
@@ -180,12 +169,12 @@ def make_uah(copy: File, two_lines: File, motion: File) -> None:
     """The two tracks of an entrant's own copy of UAH-DriveSet: the two lines that its camera gave,
     and the motion of its cars with the frames of donors, on roads of 3, 4 and 5 lanes."""
     runs = list(DONORS)
-    for number, drive in enumerate(uah.drives_of(copy)):
-        write_recording(two_lines, f"{drive.name}-n{uah.N_LANES}", drive.log, drive.path.truth())
+    for number, (drive, (log, path)) in enumerate(uah.drives_of(copy).items()):
+        write_recording(two_lines, f"{drive}-n{path.n_lanes}", log, path.truth())
         for k, n_lanes in enumerate((3, 3, 3, 4, 5)):
             run = runs[(3 * number + k) % len(runs)]
-            name = f"{drive.name}-n{n_lanes}-{DONORS[run][0]}"
-            _write_transplanted(motion, name, Path(drive.path.across, n_lanes), run)
+            name = f"{drive}-n{n_lanes}-{DONORS[run][0]}"
+            _write_transplanted(motion, name, Path(path.across, n_lanes), run)
 
 
 # --- what was made -----------------------------------------------------------------------------
@@ -216,19 +205,13 @@ def make_tracks(out: File, copy: File | None) -> list[str]:
     make_rotterdam(folders["rotterdam"])
     if copy is not None:
         make_uah(copy, folders["two_lines"], folders["motion"])
-    return [_said(name, folder, known_checksums()) for name, folder in folders.items()]
-
-
-def known_checksums() -> dict[str, str]:
-    """The checksum of each track that everybody can make, by its name."""
-    rows: Iterable[Sequence[str]] = (line.split() for line in read_text(CHECKSUMS).splitlines())
-    return {name: digest for digest, name in rows}
-
-
-def _said(name: str, folder: File, known: dict[str, str]) -> str:
-    count = len(list(folder.glob("*.txt")))
-    found = checksum(folder)
-    if name not in known:
-        return f"{name}: {count} recordings, sha256 {found} (there is none to compare with)"
-    word = "as published" if found == known[name] else f"NOT as published, {known[name]}"
-    return f"{name}: {count} recordings, sha256 {found}: {word}"
+    known = {name: digest for digest, name in map(str.split, read_text(CHECKSUMS).splitlines())}
+    said = []
+    for name, folder in folders.items():
+        found = checksum(folder)
+        same = "as published" if known.get(name) == found else "NOT as published"
+        told = same if name in known else "none is published"
+        said.append(
+            f"{name}: {len(list(folder.glob('*.txt')))} recordings, sha256 {found} ({told})"
+        )
+    return said

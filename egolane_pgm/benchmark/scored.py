@@ -15,7 +15,7 @@ import numpy as np
 
 from egolane_pgm.benchmark.causality import CUTS, Check, check_causality, drawn
 from egolane_pgm.benchmark.entries import Answer, Answering
-from egolane_pgm.benchmark.tracks import RATE, Recording
+from egolane_pgm.benchmark.tracks import RATE, SHOWN_ONLY, Recording
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import RESAMPLES
 from egolane_pgm.scoring.confusion import confusion, recall
@@ -23,7 +23,7 @@ from egolane_pgm.scoring.events import event_delays, score_events
 from egolane_pgm.scoring.probabilistic import calibration_curve, log_loss_per_frame
 from egolane_pgm.tools.files import code_checksum
 from egolane_pgm.tools.jobs import Jobs, in_order
-from egolane_pgm.types import FloatArray, runs_of
+from egolane_pgm.types import FloatArray, InputError, runs_of
 
 #: The version of the keys in a file of scores.
 VERSION = 1
@@ -180,11 +180,16 @@ def _folds(
     if entry.fit is None:
         assert entry.answering is not None
         return [(entry.answering, recordings)]
-    drivers = list(dict.fromkeys(each.driver for each in recordings))
-    others = [[each for each in recordings if each.driver != driver] for driver in drivers]
+    ranked = [each for each in recordings if each.track not in SHOWN_ONLY]
+    # What is only shown is answered for by what saw all that is ranked.
+    held_out = {id(each): each.driver for each in ranked}
+    folds = list(dict.fromkeys(held_out.get(id(each)) for each in recordings))
+    others = [[each for each in ranked if each.driver != driver] for driver in folds]
+    if not all(others):
+        raise InputError(f"{entry.title}: is fitted to the drives of others; give it more tracks")
     return [
-        (answering, [each for each in recordings if each.driver == driver])
-        for driver, answering in zip(drivers, in_order(entry.fit, others, jobs), strict=True)
+        (answering, [each for each in recordings if held_out.get(id(each)) == driver])
+        for driver, answering in zip(folds, in_order(entry.fit, others, jobs), strict=True)
     ]
 
 
@@ -200,15 +205,16 @@ def _scored(answering: Answering, find_lanes: bool, recording: Recording) -> dic
 
 
 def resamples(recordings: Sequence[Mapping[str, Any]], seed: int = 0) -> FloatArray:
-    """(R, D): how often each of D recordings is drawn: drivers first, then drives of each of them,
-    with all recordings of a drive."""
+    """(1 + R, D): all D recordings, then how often each is drawn in R resamples: drivers first,
+    then drives of each of them, with all recordings of a drive."""
     rng = np.random.default_rng(seed)
     tree: dict[str, dict[str, list[int]]] = {}
     for k, each in enumerate(recordings):
         tree.setdefault(each["driver"], {}).setdefault(each["drive"], []).append(k)
     drivers = [list(drives.values()) for drives in tree.values()]
-    weights = np.zeros((RESAMPLES, len(recordings)))
-    for row in weights:
+    weights = np.zeros((1 + RESAMPLES, len(recordings)))
+    weights[0] = 1
+    for row in weights[1:]:
         for k in rng.integers(0, len(drivers), len(drivers)):
             for drive in rng.integers(0, len(drivers[k]), len(drivers[k])):
                 row[drivers[k][drive]] += 1
@@ -216,14 +222,10 @@ def resamples(recordings: Sequence[Mapping[str, Any]], seed: int = 0) -> FloatAr
 
 
 def total(recordings: Sequence[Mapping[str, Any]], score: str, weights: FloatArray) -> FloatArray:
-    """A score of each resample, (R,); NaN where it is not defined. weights: (R, D)."""
+    """A score of D recordings, counted as each row of `weights` (R, D) says: (R,); NaN where it is
+    not defined."""
     above, below = (
         weights @ np.array([each[key] for each in recordings], dtype=np.float64)
         for key in SCORES[score]
     )
     return np.asarray(above / np.where(below == 0, np.nan, below))
-
-
-def whole(recordings: Sequence[Mapping[str, Any]], score: str) -> float:
-    """A score of all recordings; NaN where it is not defined."""
-    return float(total(recordings, score, np.ones((1, len(recordings))))[0])

@@ -8,7 +8,7 @@ recordings of it (other lanes, other donors) share its luck and are resampled to
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -24,11 +24,8 @@ RATE = 10.0
 #: The number of lanes of tracks whose names do not say it.
 _LANES = {"two_lines": 3}
 
-#: The track of cold starts.
-COLD = "cold"
-
-#: The shortest and the longest stretch of a cold start, seconds.
-_COLD_S = (15.0, 120.0)
+#: Tracks on which nobody is ranked, and from which nothing is learned: everybody looked at them.
+SHOWN_ONLY = ("paper",)
 
 #: What the name of a drive begins with that was told the lane at its start.
 _TOLD = "start_told-"
@@ -78,7 +75,9 @@ def read_tracks(places: Iterable[str | Path]) -> list[Recording]:
         lanes.setdefault((each.track, each.drive), set()).add(each.n_lanes)
     several = {track for (track, _), counts in lanes.items() if len(counts) > 1}
     return [
-        replace(each, track=f"{each.track}, {each.n_lanes} lanes") if each.track in several else each
+        replace(each, track=f"{each.track}, {each.n_lanes} lanes")
+        if each.track in several
+        else each
         for each in found
     ]
 
@@ -111,21 +110,3 @@ def write_recording(folder: Path, name: str, log: LineLog, truth: LaneTruth) -> 
     rounded = replace(log, offset_m=np.round(log.offset_m, 3))
     write_table(folder / f"{name}.csv", rounded)
     write_ground_truth(folder / f"{name}.txt", truth)
-
-
-def cold_starts(recordings: Sequence[Recording], seed: int = 0) -> list[Recording]:
-    """Each recording in stretches of 15 to 120 s, each from frame 0 on; the rest is left out."""
-    rng = np.random.default_rng(seed)
-    found = []
-    for each in recordings:
-        start = 0
-        while (stop := start + round(RATE * rng.uniform(*_COLD_S))) <= len(each.log):
-            part = each.take(slice(start, stop))
-            frame = np.arange(stop - start)
-            log = replace(part.log, frame_id=frame, time_s=frame / RATE)
-            head, n, donor = each.name.partition(f"-n{each.n_lanes}")
-            name = f"{head}-from{start}{n or f'-n{each.n_lanes}'}{donor}"
-            truth = replace(part.truth, frame_id=frame)
-            found.append(replace(each, track=COLD, name=name, log=log, truth=truth))
-            start = stop
-    return found

@@ -10,6 +10,7 @@ role changes (edge or not), its continuous flag is drawn anew.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,7 +128,7 @@ def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
     changes = lane_changes(truth.lane, truth.is_crossing)
     edges = [0, *changes.end.tolist(), len(steady)]
     across = np.empty(len(steady))
-    for start, stop in zip(edges[:-1], edges[1:], strict=True):
+    for start, stop in itertools.pairwise(edges):
         kept = np.flatnonzero(~truth.is_crossing[start:stop]) + start
         lift = np.round(np.median(truth.lane[kept] - 0.5 - steady[kept])) if len(kept) else 0.0
         across[start:stop] = steady[start:stop] + lift
@@ -178,9 +179,7 @@ def _kind(lane: IntArray, n_lanes: int) -> IntArray:
     return np.select([lane == 1, lane == n_lanes], [0, 2], 1)
 
 
-def _chosen(
-    donor: Donor, path: Path, rng: np.random.Generator
-) -> tuple[IntArray, IntArray]:
+def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
     """The donor's frame for each frame of a path, (T,), and by how many lines its road is moved.
 
     Stretches are drawn first; lane changes are laid over them.
@@ -220,7 +219,7 @@ def _chosen(
 def _same(lane: IntArray) -> list[tuple[int, int]]:
     """The stretches of one lane: first frame, and the one after the last."""
     edges = [0, *(np.flatnonzero(np.diff(lane)) + 1).tolist(), len(lane)]
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(itertools.pairwise(edges))
 
 
 def _runs_of_kind(kinds: IntArray, wanted: int) -> list[tuple[int, int]]:
@@ -231,5 +230,5 @@ def _runs_of_kind(kinds: IntArray, wanted: int) -> list[tuple[int, int]]:
 
 
 def _shares(runs: list[tuple[int, int]]) -> FloatArray:
-    lengths = np.array([stop - start for start, stop in runs], dtype=np.float64)
-    return lengths / lengths.sum()
+    lengths = np.diff(runs).ravel()
+    return np.asarray(lengths / lengths.sum())

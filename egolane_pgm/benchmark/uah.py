@@ -13,7 +13,6 @@ changes it. Only drives are taken whose X confirms the list: at each change it j
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from pathlib import Path as File
 
 import numpy as np
@@ -34,34 +33,24 @@ _RUNNING = 2
 _WITHIN_S, _JUMP = 4.0, 0.5
 
 
-@dataclass(frozen=True)
-class UahDrive:
-    """A drive: the two lines of its own lane, T frames, and where the car was."""
-
-    name: str
-    log: LineLog
-    path: Path
-
-
-def drives_of(copy: File) -> list[UahDrive]:
-    """The drives on the motorway that confirm their list of lane changes, but for one at most.
+def drives_of(copy: File) -> dict[str, tuple[LineLog, Path]]:
+    """The drives on the motorway that confirm their list of lane changes, but for one at most: by
+    name the two lines of the car's own lane, T frames, and where it was.
 
     Raises InputError for a folder without any, and for files that are no tables of numbers.
     """
-    found: list[UahDrive] = []
+    found: dict[str, tuple[LineLog, Path]] = {}
     for file in sorted(copy.glob(f"**/*MOTORWAY/{_LINES}")):
-        drive = read_drive(file.parent, sum(_name(file.parent) in each.name for each in found))
-        found += [drive] if drive is not None else []
+        drive, name = _read(file.parent), _name(file.parent)
+        if drive is not None:
+            found[f"{name}-{sum(each.startswith(name) for each in found)}"] = drive
     if not found:
         raise InputError(f"{copy}: no folder *MOTORWAY with {_LINES} and a list it confirms")
     return found
 
 
-def read_drive(folder: File, number: int = 0) -> UahDrive | None:
-    """The drive in a folder; None where X does not confirm the list of lane changes.
-
-    - number: of the drives of that driver and kind before it.
-    """
+def _read(folder: File) -> tuple[LineLog, Path] | None:
+    """The drive in a folder; None where X does not confirm the list of lane changes."""
     lines, changes = _table(folder / _LINES, 5), _table(folder / _CHANGES, 2)
     time_s = np.arange(lines[0, 0], lines[-1, 0], 1 / RATE)
     # Ten frames a second of thirty: the last one that is known.
@@ -90,7 +79,7 @@ def read_drive(folder: File, number: int = 0) -> UahDrive | None:
         np.full(seen.shape, np.nan),
         source=str(folder),
     )
-    return UahDrive(f"{_name(folder)}-{number}", log, path)
+    return log, path
 
 
 def _jump(

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
+from runpy import run_path
 from typing import Annotated
 
 from annotated_types import Ge
 
-from egolane_pgm.benchmark import boosting, making
+from egolane_pgm.benchmark import making
 from egolane_pgm.benchmark.board import Board, read_board
 from egolane_pgm.benchmark.causality import CUTS
 from egolane_pgm.benchmark.entries import by_command, by_experiment, by_folder, command_words
-from egolane_pgm.benchmark.entries import shown_less as with_hidden
-from egolane_pgm.benchmark.fitting import fit_of
 from egolane_pgm.benchmark.scored import Entry, score_entry
-from egolane_pgm.benchmark.tracks import COLD, cold_starts, read_tracks, write_recording
+from egolane_pgm.benchmark.tracks import read_tracks
 from egolane_pgm.experiment import Overrides, load_experiment
-from egolane_pgm.tools.files import check_place, make_directory, write_json
+from egolane_pgm.tools.files import check_place, read_text, write_json
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Jobs, Option, Seed, StrPath, several_of
 
@@ -29,34 +28,20 @@ EXAMPLES = (
     "egolane benchmark board scores/mine.json scores/zero_label.json",
 )
 
-#: The name of the entry that is learned without a model.
-BOOSTING = "boosting"
-
 
 def make(
     out: Annotated[StrPath, Option("DIR")],
     *,
     uah: Annotated[StrPath | None, Option("DIR")] = None,
-    cold: Annotated[StrPath | Sequence[StrPath], Option("TRACK", many=True)] = (),
 ) -> str:
     """Make the tracks, into new folders in DIR: the paper's recordings (paper), and annotated lane
     changes near Rotterdam with the lines of these recordings (rotterdam).
 
     - uah: your copy of UAH-DriveSet, which may not be handed on: two_lines and motion are made too.
-    - cold: instead, cut the drives of a track into cold starts of 15 to 120 s. Repeatable.
 
     Returns what was made, with checksums. Raises InputError, one line, for whatever does not fit.
     """
-    folder, given = Path(out), [Path(track) for track in several_of(cold)]
-    if given and uah is not None:
-        raise InputError("cold: cuts tracks that are made already; leave out uah")
-    if not given:
-        return "\n".join(making.make_tracks(folder, None if uah is None else Path(uah)))
-    make_directory(folder / COLD)
-    starts = cold_starts(read_tracks(given))
-    for each in starts:
-        write_recording(folder / COLD, each.name, each.log, each.truth)
-    return f"{COLD}: {len(starts)} recordings"
+    return "\n".join(making.make_tracks(Path(out), None if uah is None else Path(uah)))
 
 
 def score(
@@ -66,7 +51,6 @@ def score(
     out: Annotated[StrPath | None, Option("FILE.json", names=("-o",))] = None,
     title: str | None = None,
     overrides: Overrides = (),
-    hide: Annotated[Sequence[str], Option("COLUMN", many=True)] = (),
     find_lanes: bool = False,
     checked: Annotated[int, Ge(0)] = 5,
     cuts: Annotated[int, Ge(1)] = CUTS,
@@ -75,16 +59,14 @@ def score(
 ) -> Board:
     """Score what answers for the drives of tracks, and check that it does not look ahead.
 
-    ENTRY is an experiment (a YAML file, or a name that `egolane ls` prints; with `fit: tune` or
-    `learn` it is fitted to the other drivers' drives), a Python file or a command with {lines},
-    {n}, {beliefs} and {events} in it, a folder of answers NAME.csv and NAME.events.csv, or
-    boosting, which is learned from the other drivers' drives. TRACKS are folders of NAME.csv and
-    NAME.txt.
+    ENTRY is an experiment with its own parameters (a YAML file, or a name that `egolane ls`
+    prints), a command with {lines}, {n}, {beliefs} and {events} in it or a Python file that takes
+    these four, a Python file with `fit`, which is given the other drivers' drives, or a folder of
+    answers NAME.csv and NAME.events.csv. TRACKS are folders of NAME.csv and NAME.txt.
 
     - out: write the scores, from which the board is made.
     - title: what the board calls the entry; by default ENTRY.
     - overrides: override a key of the experiment.
-    - hide: do not show the entry a column: is_continuous, lri. Repeatable.
     - find_lanes: do not tell a command the number of lanes ({n} is 0): it has to find it.
     - checked: on how many recordings it is checked that no belief looks ahead.
     - cuts: how often each of them is cut there.
@@ -96,7 +78,7 @@ def score(
     file = None if out is None else Path(out)
     if file is not None:
         check_place(file)
-    chosen = _entry(str(entry), title, overrides, list(several_of(hide)))
+    chosen = _entry(str(entry), title, overrides)
     found = score_entry(
         chosen,
         read_tracks([Path(track) for track in several_of(tracks)]),
@@ -111,25 +93,19 @@ def score(
     return Board((found,))
 
 
-def _entry(given: str, title: str | None, overrides: Overrides, hidden: list[str]) -> Entry:
+def _entry(given: str, title: str | None, overrides: Overrides) -> Entry:
     """What an ENTRY means."""
     name, words = title or given, command_words(given)
-    if words is None and not Path(given).is_dir() and given != BOOSTING:
+    if words is None and not Path(given).is_dir():
         experiment = load_experiment(given, overrides)
-        answering = with_hidden(partial(by_experiment, experiment), hidden)
-        fit = fit_of(experiment)
-        if fit is not None and hidden:
-            raise InputError(f"hide: {given} is fitted to all columns; leave out fit")
-        return Entry(name, answering, fit)
+        return Entry(name, partial(by_experiment, experiment))
     if overrides:
         raise InputError(f"overrides: {given} is no experiment")
-    if words is not None:
-        return Entry(name, with_hidden(partial(by_command, words), hidden))
-    if hidden:
-        raise InputError(f"hide: {given} is no experiment and no command")
-    if given == BOOSTING:
-        return Entry(name, None, boosting.learned_from)
-    return Entry(name, partial(by_folder, Path(given)), can_rerun=False)
+    if words is None:
+        return Entry(name, partial(by_folder, Path(given)), can_rerun=False)
+    if given.endswith(".py") and "\ndef fit(" in read_text(Path(given)):
+        return Entry(name, None, run_path(given)["fit"])
+    return Entry(name, partial(by_command, words))
 
 
 def board(

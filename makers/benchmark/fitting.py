@@ -1,9 +1,9 @@
-"""Entries that look at recordings before they answer for others: parameters that are searched,
-tables that are learned, and a learned answer without a model (`boosting`)."""
+"""Entries that look at recordings before they answer for others: parameters that are searched, and
+tables that are learned."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -18,18 +18,11 @@ from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, recall
 
-#: Trials of a search where the YAML says nothing.
-TRIALS = 150
+#: Trials of a search.
+TRIALS = 200
 
 #: The recordings that are looked at, spread evenly: neighbours share a drive.
 MOST_SEARCHED, MOST_LEARNED = 16, 8
-
-
-def fit_of(experiment: Experiment) -> Callable[[Sequence[Recording]], Answering] | None:
-    """How an experiment is fitted to recordings, as its `fit` says; None where it is not."""
-    if experiment.fit == "none":
-        return None
-    return partial(searched if experiment.fit == "tune" else learned, experiment)
 
 
 def spread(recordings: Sequence[Recording], most: int) -> list[Recording]:
@@ -39,8 +32,12 @@ def spread(recordings: Sequence[Recording], most: int) -> list[Recording]:
 
 
 def searched(experiment: Experiment, recordings: Sequence[Recording]) -> Answering:
-    """The experiment with the best of random parameters, its own among them, by the mean recall
-    over the lanes of some recordings (the accuracy of the board)."""
+    """The experiment with the best parameters that a search found, by the mean recall over the
+    lanes of some recordings (the accuracy of the board).
+
+    Its own parameters are tried first; half of the others are drawn from all that is allowed, half
+    near the best so far.
+    """
     drives = [
         drive_on(experiment, each, with_truth=True) for each in spread(recordings, MOST_SEARCHED)
     ]
@@ -50,14 +47,22 @@ def searched(experiment: Experiment, recordings: Sequence[Recording]) -> Answeri
         for spec in declared_parameters(model.rule, model.graph)
         if spec.is_searched and spec.search_range is not None
     }
-    rng = np.random.default_rng(experiment.tuning.seed if experiment.tuning else 0)
-    trials = experiment.tuning.trials if experiment.tuning else None
-    points: list[Mapping[str, Value]] = [{}]
-    for _ in range(trials or TRIALS):
-        points.append({name: float(rng.uniform(*bounds)) for name, bounds in space.items()})
-    scores = [_accuracy(drives, point) for point in points]
-    best = {**experiment.parameters, **points[int(np.argmax(scores))]}
-    return partial(by_experiment, experiment.model_copy(update={"parameters": best}))
+    rng = np.random.default_rng(0)
+    low, high = np.array([*space.values()]).T
+    # The bounds themselves, such as a sigma of 0, are no values.
+    low, high = low + (high - low) / 1000, high - (high - low) / 1000
+    best: Mapping[str, Value] = {}
+    near = np.array([float(model.parameters[name]) for name in space])  # type: ignore[arg-type]
+    most = _accuracy(drives, best)
+    for trial in range(TRIALS):
+        drawn = rng.uniform(low, high)
+        if trial % 2:
+            drawn = np.clip(rng.normal(near, (high - low) / 10), low, high)
+        point = dict(zip(space, drawn.tolist(), strict=True))
+        if (found := _accuracy(drives, point)) > most:
+            best, most, near = point, found, drawn
+    chosen = {**experiment.parameters, **best}
+    return partial(by_experiment, experiment.model_copy(update={"parameters": chosen}))
 
 
 def _accuracy(drives: Sequence[Drive], point: Mapping[str, Value]) -> float:
@@ -76,6 +81,8 @@ def learned(experiment: Experiment, recordings: Sequence[Recording]) -> Answerin
     found = {}
     for n_lanes in sorted({each.n_lanes for each in recordings}):
         alike = [each for each in recordings if each.n_lanes == n_lanes]
-        drives = [drive_on(experiment, each, with_truth=True) for each in spread(alike, MOST_LEARNED)]
+        drives = [
+            drive_on(experiment, each, with_truth=True) for each in spread(alike, MOST_LEARNED)
+        ]
         found[n_lanes] = fit_pooled(drives, [np.arange(len(drive)) for drive in drives])
     return partial(by_experiment, experiment, found=found)

@@ -16,12 +16,13 @@ from typing import Any
 
 import numpy as np
 from scipy.signal import lfilter
+from sklearn.ensemble import HistGradientBoostingClassifier
+from threadpoolctl import threadpool_limits
 
 from egolane_pgm.benchmark.entries import Answer, Answering
 from egolane_pgm.benchmark.tracks import RATE, Recording
 from egolane_pgm.inference.events import lane_events
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import Beliefs, FloatArray, LineLog
 
 #: Lines on either side that are looked at.
@@ -31,19 +32,21 @@ _NEAR = 3
 _MEMORY_S = (1.0, 10.0, 60.0)
 
 #: Every so many frames is learned from: neighbours are alike.
-_EVERY = 10
+_EVERY = 20
 
 #: How probable it is to stay in the lane, and the weight of a frame, from which a pair is chosen.
 _STAYS, _WEIGHTS = (0.99, 0.999, 0.9999), (0.03, 0.1, 0.3)
 
 
-def learned_from(recordings: Sequence[Recording]) -> Answering:
-    """What answers after looking at recordings. Raises InputError without scikit-learn."""
+def fit(recordings: Sequence[Recording]) -> Answering:
+    """What answers after looking at recordings with their lanes."""
     drives = sorted({each.drive for each in recordings})
     kept = [each for each in recordings if drives.index(each.drive) % 4]
     rest = [each for each in recordings if not drives.index(each.drive) % 4]
     first = _classifier(kept)
-    asked = [(each, _shares(first, each.log, each.n_lanes)) for each in rest[:: max(1, len(rest) // 16)]]
+    asked = [
+        (each, _shares(first, each.log, each.n_lanes)) for each in rest[:: max(1, len(rest) // 16)]
+    ]
 
     def right(stay: float, weight: float) -> float:
         found = []
@@ -66,8 +69,6 @@ def _answer(classifier: Any, stay: float, weight: float, recording: Recording) -
 
 
 def _classifier(recordings: Sequence[Recording]) -> Any:
-    with needed("the learned entry", "benchmark"):
-        from sklearn.ensemble import HistGradientBoostingClassifier
     rows, lanes = [], []
     for each in recordings:
         seen = features(each.log)[::_EVERY][~each.truth.is_crossing[::_EVERY]]
@@ -75,15 +76,19 @@ def _classifier(recordings: Sequence[Recording]) -> Any:
         rows.append(of_lanes(seen, each.n_lanes).reshape(len(seen) * each.n_lanes, -1))
         lanes.append((lane[:, None] == np.arange(1, each.n_lanes + 1)).ravel())
     classifier = HistGradientBoostingClassifier(
-        max_iter=200, learning_rate=0.08, l2_regularization=1.0, min_samples_leaf=50, random_state=0
+        max_iter=100, learning_rate=0.1, l2_regularization=1.0, min_samples_leaf=50, random_state=0
     )
-    return classifier.fit(np.concatenate(rows), np.concatenate(lanes))
+    # Its threads wait for each other where others share the machine.
+    with threadpool_limits(1):
+        return classifier.fit(np.concatenate(rows), np.concatenate(lanes))
 
 
 def _shares(classifier: Any, log: LineLog, n_lanes: int) -> FloatArray:
     """(T, n): how the classifier shares out each frame over the lanes."""
     rows = of_lanes(features(log), n_lanes)
-    odds = classifier.predict_proba(rows.reshape(-1, rows.shape[-1]))[:, 1].reshape(-1, n_lanes)
+    with threadpool_limits(1):
+        odds = classifier.predict_proba(rows.reshape(-1, rows.shape[-1]))[:, 1]
+    odds = odds.reshape(-1, n_lanes)
     return np.asarray(odds / odds.sum(axis=1, keepdims=True))
 
 
@@ -113,7 +118,9 @@ def features(log: LineLog) -> FloatArray:
         for values in (away, log.is_continuous.astype(float), log.lri):
             near = np.take_along_axis(values, order, axis=1)
             near = np.where(np.isfinite(np.take_along_axis(away, order, axis=1)), near, np.nan)
-            columns += list(np.pad(near, ((0, 0), (0, _NEAR - order.shape[1])), constant_values=np.nan).T)
+            columns += list(
+                np.pad(near, ((0, 0), (0, _NEAR - order.shape[1])), constant_values=np.nan).T
+            )
     seen = np.column_stack(columns)
     means = []
     for memory in _MEMORY_S:
@@ -124,7 +131,7 @@ def features(log: LineLog) -> FloatArray:
 
 
 def of_lanes(seen: FloatArray, n_lanes: int) -> FloatArray:
-    """(T, n, F + 3): the features of each frame for each lane: the lane, the lanes to its right, n."""
+    """(T, n, F + 3): the features of each frame for each lane: the lane, those right of it, n."""
     lane = np.arange(1.0, n_lanes + 1)
     places = np.column_stack([lane, n_lanes - lane, np.full(n_lanes, float(n_lanes))])
     return np.concatenate(
