@@ -78,7 +78,7 @@ def score(
     file = None if out is None else Path(out)
     if file is not None:
         check_place(file)
-    chosen = _entry(str(entry), title, overrides)
+    chosen = entry_of(str(entry), title, overrides)
     found = score_entry(
         chosen,
         read_tracks([Path(track) for track in several_of(tracks)]),
@@ -93,7 +93,7 @@ def score(
     return Board((found,))
 
 
-def _entry(given: str, title: str | None, overrides: Overrides) -> Entry:
+def entry_of(given: str, title: str | None, overrides: Overrides) -> Entry:
     """What an ENTRY means."""
     name, words = title or given, command_words(given)
     if words is None and not Path(given).is_dir():
