@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched tuned rendered compared maps cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched tuned rendered compared maps benchmark cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -118,6 +118,11 @@ EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper -
 events: .venv/.run
 	sed -i '/^<!-- the table/q' results/beyond/events.md
 	$(BIN)/$(EVENTS) >> results/beyond/events.md
+
+# results/benchmark/: the public board (a quarter of an hour of two cores). Needs the paper's
+# recordings; the tracks of UAH-DriveSet are scored where EGOLANE_DATA/bench has them.
+benchmark: .venv/.dev
+	$(BIN)/python -m makers.benchmark --out results/benchmark
 
 # 400 simulated drives on one process, on two, and on a Dask cluster on this machine, one of whose
 # four workers is killed and one added; the summary is the same (some minutes).

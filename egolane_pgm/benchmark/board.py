@@ -96,10 +96,12 @@ class Board:
             parts += [f"Track {track}:", track_table(on)]
         return page(parts, style, wide)
 
-    def draw(self, folder: Path) -> list[Path]:
-        """Draw board.png, calibration.png and lanes.png; returns the files.
+    def draw(self, folder: Path, chosen: Sequence[str] = ()) -> list[Path]:
+        """Draw board.png, and of some entries calibration.png and lanes.png; returns the files.
 
-        Raises InputError where they cannot be written.
+        - chosen: titles of these entries, seven at most; by default the first ones.
+
+        Raises InputError where a file cannot be written.
         """
         from egolane_pgm.views import benchmark_figures as figures
         from egolane_pgm.views.style import write_figure
@@ -115,8 +117,10 @@ class Board:
         }
         return [
             write_figure(lambda: figures.places_figure(places, on, titles), folder / "board.png"),
-            write_figure(lambda: figures.calibration_figure(on), folder / "calibration.png"),
-            write_figure(lambda: figures.lanes_figure(on), folder / "lanes.png"),
+            write_figure(
+                lambda: figures.calibration_figure(on, chosen or titles), folder / "calibration.png"
+            ),
+            write_figure(lambda: figures.lanes_figure(on, chosen or titles), folder / "lanes.png"),
         ]
 
 
@@ -144,7 +148,8 @@ def scores_of(rows: Sequence[Scores]) -> dict[str, float | None]:
 
 
 def read_board(files: Sequence[Path]) -> Board:
-    """The board of files of scores, the entries by their mean accuracy over the ranked tracks.
+    """The board of files of scores: entries by their mean accuracy over the ranked tracks, with
+    those that look ahead last.
 
     Raises InputError for what is no such file, a title that occurs twice, and an entry that was
     scored on other recordings of a track than another one.
@@ -166,13 +171,14 @@ def read_board(files: Sequence[Path]) -> Board:
             first, others = known.setdefault(track, (file, names))
             if names != others:
                 raise InputError(f"{file}: has other recordings of {track} than {first}")
-    return Board(tuple(sorted(entries.values(), key=_mean, reverse=True)))
+    return Board(tuple(sorted(entries.values(), key=_order)))
 
 
-def _mean(entry: Scores) -> float:
+def _order(entry: Scores) -> tuple[bool, float]:
     tracks = dict.fromkeys(row["track"] for row in entry["recordings"])
     ranked = [track for track in tracks if track not in SHOWN_ONLY] or list(tracks)
-    return float(np.mean([scores_of(on_track(entry, track))["accuracy"] for track in ranked]))
+    mean = np.mean([scores_of(on_track(entry, track))["accuracy"] for track in ranked])
+    return entry["check"]["is_causal"] is False, -float(mean)
 
 
 def _interval(values: FloatArray) -> tuple[float, float] | None:

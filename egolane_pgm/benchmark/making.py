@@ -21,10 +21,10 @@ from scipy.signal import lfilter
 
 from egolane_pgm.benchmark import uah
 from egolane_pgm.benchmark.tracks import RATE, write_recording
-from egolane_pgm.benchmark.transplanting import Donor, Path, donor_of, transplanted
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import paper_experiment
+from egolane_pgm.simulation.transplanting import Donor, Path, donor_of, transplanted
 from egolane_pgm.tools.files import make_directory, read_text
 from egolane_pgm.types import FloatArray, InputError, LaneTruth, LineLog
 

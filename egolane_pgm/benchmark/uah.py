@@ -18,7 +18,7 @@ from pathlib import Path as File
 import numpy as np
 
 from egolane_pgm.benchmark.tracks import RATE
-from egolane_pgm.benchmark.transplanting import Path
+from egolane_pgm.simulation.transplanting import Path
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
 
 #: Lanes of the motorway (A-2 near Alcala).

@@ -16,9 +16,6 @@ from egolane_pgm.views.style import axes_at, new_figure
 #: By track and title: the scores of the recordings of an entry on a track.
 OnTracks = Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]
 
-#: Entries in figures with a colour for each, from the top of the board.
-_FIRST = 5
-
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
 
 
@@ -48,6 +45,7 @@ def places_figure(
             lower.barh(y, 100 * wrong, color="#d55e00", height=0.7)
         upper.set_title(track, fontsize=9, color=INK)
         upper.set_xlim(0, 1.02)
+        upper.set_xticks([0, 0.5, 1])
         upper.set_xlabel("balanced accuracy", fontsize=8)
         lower.set_xlabel("sure but wrong, % of frames", fontsize=8)
         for ax in (upper, lower):
@@ -59,8 +57,8 @@ def places_figure(
     return figure
 
 
-def calibration_figure(on: OnTracks, few: int = 100) -> Figure:
-    """Draws of each track how often the first entries are right, by how probable they say it is.
+def calibration_figure(on: OnTracks, titles: Sequence[str], few: int = 300) -> Figure:
+    """Draws of each track how often entries are right, by how probable they say it is.
     Bins of fewer than `few` frames are left out."""
     across, side = 4, 2.3
     rows = -(-len(on) // across)
@@ -69,7 +67,7 @@ def calibration_figure(on: OnTracks, few: int = 100) -> Figure:
         left, top = 0.5 + k % across * (side + 0.4), 0.95 + k // across * (side + 0.7)
         ax = axes_at(figure, left, top, side, side)
         ax.plot([0, 1], [0, 1], color=FAINT, linewidth=1)
-        for colour, title in zip(_COLOURS[:_FIRST], entries, strict=False):
+        for colour, title in zip(_COLOURS, filter(entries.get, titles), strict=False):
             sums = np.sum([row["reliability"] for row in entries[title]], axis=0)
             count, sure, right = sums[:, sums[0] >= few]
             ax.plot(
@@ -82,12 +80,12 @@ def calibration_figure(on: OnTracks, few: int = 100) -> Figure:
     return figure
 
 
-def lanes_figure(on: OnTracks) -> Figure:
-    """Draws the accuracy of the first entries against the number of lanes, for each kind of tracks
+def lanes_figure(on: OnTracks, titles: Sequence[str]) -> Figure:
+    """Draws the accuracy of entries against the number of lanes, for each kind of tracks
     with more than one number."""
     found: dict[str, dict[str, dict[int, list[tuple[float, float]]]]] = {}
     for track, entries in on.items():
-        for title in list(entries)[:_FIRST]:
+        for title in filter(entries.get, titles):
             by_lanes = found.setdefault(track.split(",")[0], {}).setdefault(title, {})
             for row in entries[title]:
                 counts = (row["recalls"], row["lanes_driven"])

@@ -31,7 +31,8 @@ WORK = Path("results/runs/benchmark")
 CHECKED = 2
 
 FOLDER = ego.experiments_folder() / "benchmark"
-SEARCHED, STICKY = FOLDER / "searched.yaml", FOLDER / "sticky.yaml"
+SEARCHED, LEARNED = FOLDER / "graph_searched.yaml", FOLDER / "graph_learned.yaml"
+STICKY = FOLDER / "sticky.yaml"
 
 #: What is scored as it stands: an experiment or a file, and what is changed in it.
 PLAIN = {
@@ -52,9 +53,9 @@ PLAIN = {
 #: What is fitted to the drives of other drivers.
 FITTED: dict[str, tuple[Callable[..., object], Path, dict[str, object]]] = {
     page.SEARCHED: (searched, SEARCHED, {}),
-    page.LEARNED: (learned, FOLDER / "learned.yaml", {}),
+    page.LEARNED: (learned, LEARNED, {}),
     page.AUTOREGRESSIVE: (searched, SEARCHED, {"graph": "autoregressive"}),
-    page.WOR_ON_LANE: (searched, SEARCHED, {"graph": "wor_on_lane"}),
+    page.WOR_ON_LANE: (learned, LEARNED, {"graph": "wor_on_lane"}),
     page.STICKY_SEARCHED: (searched, STICKY, {}),
 }
 
@@ -71,8 +72,8 @@ def main() -> None:
         score_all(places, options.every)
     files = sorted((WORK / "scores").glob("*.json"))
     board = read_board(files)
-    board.draw(options.out)
-    write_text(options.out / "README.md", page.text(board))
+    board.draw(options.out, page.DRAWN)
+    write_text(options.out / "README.md", page.text(board, options.every))
 
 
 def tracks() -> tuple[list[Path], list[str]]:

@@ -24,9 +24,9 @@ from egolane_pgm.benchmark.making import (
 )
 from egolane_pgm.benchmark.scored import score_recording
 from egolane_pgm.benchmark.tracks import Recording, read_tracks
-from egolane_pgm.benchmark.transplanting import Donor, donor_of, transplanted
-from egolane_pgm.benchmark.transplanting import Path as Driven
 from egolane_pgm.paper import paper_experiment
+from egolane_pgm.simulation.transplanting import Donor, donor_of, transplanted
+from egolane_pgm.simulation.transplanting import Path as Driven
 from egolane_pgm.types import LaneTruth, LineLog
 
 ANNOTATIONS = Path(ego.__file__).parent / "benchmark" / "rotterdam" / "annotations.csv"
