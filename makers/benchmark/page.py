@@ -82,7 +82,14 @@ REST = """
 `egolane benchmark score ENTRY TRACKS... -o mine.json` scores an experiment, a command, a Python
 file ([twenty lines of pandas](../../examples/benchmark_entry.py) are one) or a folder of answers,
 and cuts recordings at random frames to see whether a belief looks ahead; `egolane benchmark board
-mine.json ...` sets it beside others. `egolane benchmark make DIR` makes the tracks *paper* and
+mine.json ...` sets it beside others. An answer is two tables for each NAME.csv of a track, with
+semicolons: beliefs, `frame_id;p1;p2;...` (NAME.csv; a frame that is left out is silent), and lane
+changes, `told_frame;from;to` (NAME.events.csv), in the frame in which each was reported. A command
+is given the lines, the number of lanes and the names of these two files. With `--find-lanes` it has
+to find the number of lanes, as columns of its beliefs. Entries that look ahead, or wait, are ranked
+apart; how a cold start goes is in the column of the first minute.
+
+`egolane benchmark make DIR` makes the tracks *paper* and
 *rotterdam* from the paper's recordings, byte for byte, and says so by their checksums. *motion* and
 *two_lines* need your own copy of UAH-DriveSet (`--uah FOLDER`), which may not be handed on, changed
 or not. The converter was tested on files of its layout only: without a copy the tracks used here,
@@ -91,8 +98,9 @@ which were made earlier, by another program, cannot be remade byte by byte.
 Held out are the drivers 4 to 6, the trips 2 and 3, and other seeds. The maintainers run an entry on
 them (open an issue with a command or a folder for the public part); its scores come back as JSON.
 
-A track from a traffic simulator (SUMO on OpenStreetMap roads) is not part of this board: its lines
-would be as little real as those of `egolane simulate`.
+A track from a traffic simulator (SUMO on OpenStreetMap roads; `eclipse-sumo` is on the package
+index) has not been made. It would give stress curves and no ranks: its lines would be those of the
+detector of `egolane simulate`, which are not real.
 """
 
 

@@ -187,6 +187,21 @@ def test_twenty_lines_of_pandas_are_an_entry_and_a_smoothed_one_is_caught(
     assert checks == [True, False]
 
 
+def test_a_python_file_with_fit_is_given_the_drives_of_others(tracks: Path, tmp_path: Path) -> None:
+    entry = tmp_path / "entry.py"
+    entry.write_text(
+        "import numpy as np\n"
+        "from egolane_pgm.benchmark.entries import Answer\n"
+        "def fit(recordings):\n"
+        "    lane = int(recordings[0].truth.lane[0])\n"
+        "    return lambda each: Answer(np.tile(np.arange(1, each.n_lanes + 1) == lane, "
+        "(len(each.log), 1)) * 1.0)\n"
+    )
+    found = score(str(entry), [tracks], checked=1, cuts=3, jobs=2)
+    assert found.place(str(entry), "track") == (0.5, None, 1)
+    assert kind_of(found.entries[0]) == "Causal, as checked"
+
+
 def test_a_command_that_fails_says_why() -> None:
     words = command_words("python -c 'raise SystemExit(\"no idea\")' {lines}")
     assert words is not None
