@@ -48,7 +48,8 @@ TRACKS = {
         " on a wider road",
     ),
     "rotterdam": (
-        "lane changes and number of lanes (2 to 5), annotated by a human",
+        "lane changes and number of lanes (2 to 5), annotated by a human (github"
+        " tomdries/gps-lane-changes, BSD-2)",
         "roads with other numbers of lanes, and short drives from a cold start",
         "much about one method against another: it is one trip, and its lines are a donor's",
     ),
