@@ -65,7 +65,7 @@ KINDS: tuple[Mapping[str, float], ...] = (
 )
 
 #: The probability from which a note says that only the own lines are seen.
-SURE = 0.95
+SURE = 0.8
 
 #: The probability in a tenth of a second that the car goes to the lane on either side, as far as
 #: the belief over kinds is concerned, and that the detector or the road becomes of another kind.
