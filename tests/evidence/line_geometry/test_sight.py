@@ -57,7 +57,7 @@ def test_own_lines_alone_are_noted() -> None:
     parameters = resolved(lane_width_m="causal")
     with pytest.warns(UserWarning, match="shows the lines of its own lane only"):
         line_geometry.evidence(line_log(OWN * np.ones((3000, 1))), 3, parameters)
-    with pytest.warns(UserWarning) as said:
+    with pytest.warns(UserWarning, match="lane width") as said:
         line_geometry.evidence(line_log(FOUR * np.ones((3000, 1))), 3, parameters)
     assert not any("own lane only" in str(each.message) for each in said)
 
