@@ -10,8 +10,8 @@ from egolane_pgm.parameters import Parameters, held_fixed
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.detectors import Step
-from egolane_pgm.vision.detectors.networks import looking
 from egolane_pgm.vision.detectors.networks.description import NetworkFile, read_network
+from egolane_pgm.vision.detectors.networks.finding import network_finder
 from egolane_pgm.vision.detectors.simple import finder
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 
@@ -46,5 +46,5 @@ def start(camera: Camera, parameters: Parameters) -> Step:
         camera,
         parameters,
         curve=str(parameters["curve"]),
-        marks=looking.markings(camera, network),
+        finder=network_finder(camera, network, parameters),
     )

@@ -30,6 +30,7 @@ from tests.kits.tiny_network import (
     labels,
     vehicles,
     write_answer,
+    write_answers,
     write_network,
     write_top_hat,
 )
@@ -90,6 +91,27 @@ def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) ->
         true = np.array([-5.2, -1.7, 1.8]) - 0.05 * k
         assert np.abs(seldom[k].offset_m[seldom[k].is_valid] - true).max() < 0.15
         assert (seldom[k].lri[seldom[k].is_valid] == 10).all()
+
+
+def test_classes_are_the_continuous_flag_and_probabilities_the_lri(tmp_path: Path) -> None:
+    """Three lines of a network for the road, on pictures in which two others are painted; another
+    class is no line."""
+    scores = np.full((1, 5, 4), 0.01)
+    scores[0, range(5), (1, 2, 2, 3, 1)] = (0.9, 0.6, 1, 0.95, 0.3)
+    places = np.repeat([-3.4, 0.3, 3.9, 7.5, -7], 4).reshape(1, 5, 4)
+    path = write_answers(
+        tmp_path,
+        {"places": places, "scores": scores},
+        layout="road_lines",
+        ahead=[5, 10, 20, 30],
+        classes={"dashed": [1], "solid": [2]},
+    )
+    given = {"network": str(path), "beyond_edge": "keep"}
+    lines = lines_of("network", given, drive(12))[-1]
+    np.testing.assert_allclose(lines.offset_m, [-3.4, 0.3, 3.9], atol=0.01)
+    assert lines.is_continuous.tolist() == [False, True, True]
+    np.testing.assert_allclose(lines.lri, [9, 6, 10], rtol=1e-5)
+    assert lines.is_valid.all()
 
 
 def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
