@@ -35,10 +35,7 @@ def check_onnx(onnx: Path) -> str:
     of these as comments of the last. Raises InputError for a file that is no ONNX."""
     declared = read_onnx(onnx, "network")
     fits = sorted(_fitting(declared.outputs))
-    ready = {
-        name: read_yaml(READY / f"{name}.yaml", "model: lanes.onnx") for _, _, name, *_ in fits
-    }
-    layouts = ", ".join(dict.fromkeys(keys["layout"] for keys in ready.values()))
+    layouts = ", ".join(dict.fromkeys(_ready(fit[2])["layout"] for fit in fits))
     lines = [
         *(f"# {name}: takes {said(shape)}" for name, shape in declared.inputs.items()),
         *(f"# {name}: gives {said(shape)}" for name, shape in declared.outputs.items()),

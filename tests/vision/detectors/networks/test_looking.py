@@ -15,8 +15,10 @@ import yaml
 from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.camera.pictures import open_source
 from egolane_pgm.vision.detectors import FrameLines
 from egolane_pgm.vision.detectors.networks.looking import grown, keep
 from egolane_pgm.vision.detectors.runner import detect, find_detector, own_files, start
@@ -290,6 +292,22 @@ def test_a_network_of_the_command_line_is_found_from_where_one_stands(
     assert "absent.yaml: no such file" in refused(
         *words, "--detector", "ml", "--set", "on_road=absent.yaml"
     )
+
+
+def test_lris_of_probabilities_are_written(seen: Path, tmp_path: Path) -> None:
+    """A bag holds whole numbers; it is read with ten frames a second, a table with the video's."""
+    outputs = {"places": np.full((1, 1, 4), 1.7), "scores": np.full((1, 1), 0.56)}
+    path = write_answers(tmp_path, outputs, layout="road_lines", ahead=[5, 10, 20, 30])
+    words = ["detect", seen / "drive.avi", "--camera", seen / "cam.yaml"]
+    words += ["--detector", "network", "--set", f"network={path}", "-o"]
+    rate = open_source(str(seen / "drive.avi")).frame_rate
+    assert rate not in (None, 10)
+    for name, lri, step in (("l.csv", 5.6, 1 / rate), ("l.bag", 6, 0.1)):
+        said = command(*words, tmp_path / name).stderr
+        assert (f"here recording.frame_rate={rate:g}" in said) == (name == "l.bag")
+        lines = read_lines(tmp_path / name)
+        assert lines.lri[-1, 0] == pytest.approx(lri)
+        np.testing.assert_allclose(np.diff(lines.time_s), step)
 
 
 def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:
