@@ -25,7 +25,10 @@ def lstr_curves(network: Network, outputs: Outputs) -> list[Line]:
     kept = share >= network.threshold
     lower, upper, k, f, m, n, b, c = outputs["curves"][kept].T[:, :, None]
     y = lower + (upper - lower) * _STEPS
-    return _lines(network, share[kept], k / (y - f) ** 2 + m / (y - f) + n + b * y - c, y)
+    # A curve may have its pole in view.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = k / (y - f) ** 2 + m / (y - f) + n + b * y - c
+    return _lines(network, share[kept], x, y)
 
 
 def polynomials(network: Network, outputs: Outputs) -> list[Line]:
@@ -54,4 +57,4 @@ def _lines(network: Network, share: FloatArray, x: FloatArray, y: FloatArray) ->
     """The lines through points (N, P), shares of the input's width and height."""
     width, height = network.size
     at = zip(x * width - 0.5, y * height - 0.5, share, strict=True)
-    return [Line(points(u, v), likely) for u, v, likely in at]
+    return [Line(points(u, v)[np.isfinite(u)], likely) for u, v, likely in at]

@@ -112,6 +112,17 @@ def test_lstr(tmp_path: Path, seed: int) -> None:
     np.testing.assert_allclose([line.probability for line in found], likely, rtol=1e-5)
 
 
+def test_the_pole_of_a_curve_is_left_out(tmp_path: Path) -> None:
+    """The curve is where y is not 0, its last point."""
+    curves = np.array([[[1, 0, 0, 0, 0.02, 0.3, 0, 0]]])
+    outputs = {"scores": np.array([[[0.0, 9.0]]]), "curves": curves}
+    path = write_answers(
+        tmp_path, outputs, layout="lstr_curves", output={"scores": "scores", "curves": "curves"}
+    )
+    (line,) = lines_of(path)
+    assert line.points.shape == (99, 2)
+
+
 @seeds
 def test_polylanenet(tmp_path: Path, seed: int) -> None:
     """`decode` of lib/models.py, the upper end shared as `share_top_y` trains it."""
