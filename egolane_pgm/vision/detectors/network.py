@@ -22,8 +22,8 @@ PARAMETERS = held_fixed(
             "network",
             "choice",
             "",
-            "the YAML file that describes the network: its ONNX, what goes in (size, mean, scale)"
-            " and what comes out (layout lanes, instances, row_anchors or polylines)",
+            "the YAML file that describes the network (its ONNX, what goes in and what comes out),"
+            " or the name of one that comes along, whose ONNX lies here, such as lstr",
         ),
         next(p for p in FINDING if p.name == "curve"),
         *finder.PARAMETERS,

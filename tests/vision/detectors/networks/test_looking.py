@@ -33,6 +33,7 @@ from tests.kits.tiny_network import (
     vehicles,
     write_answer,
     write_answers,
+    write_known,
     write_network,
     write_top_hat,
 )
@@ -235,6 +236,10 @@ def test_a_mask_grows_to_the_side_only() -> None:
 # --- commands ---------------------------------------------------------------------------------
 
 
+#: The network of `seen`.
+NAMED = "nets/top_hat.yaml"
+
+
 @pytest.fixture(scope="module")
 def seen(place: Path) -> Path:
     """The folder of `place`, its experiment looked at by a network in a folder below it."""
@@ -243,7 +248,7 @@ def seen(place: Path) -> Path:
     content = yaml.safe_load((place / "run.yaml").read_text())
     content["recording"] |= {
         "detector": "network",
-        "detector_parameters": {"network": "nets/top_hat.yaml"},
+        "detector_parameters": {"network": NAMED},
     }
     (place / "seen.yaml").write_text(yaml.safe_dump(content))
     return place
@@ -271,6 +276,14 @@ def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> N
     assert written["recording"]["detector_parameters"]["network"] == str(path.absolute())
     noted = {Path(e["path"]).name for e in json.loads((out / "run.json").read_text())["data"]}
     assert {"top_hat.yaml", "top_hat.onnx"} <= noted
+    # So can that with one that comes along, whose ONNX is beside the first.
+    outputs = {"pred_logits": np.ones((1, 7, 2)), "pred_curves": np.ones((1, 7, 8))}
+    inputs = {"input_mask": (1, 1, 360, 640)}
+    write_known(seen / "lstr_360x640.onnx", outputs, (640, 360), inputs)
+    (seen / "lstr.run.yaml").write_text((seen / "seen.yaml").read_text().replace(NAMED, "lstr"))
+    done = command("run", seen / "lstr.run.yaml", "--no-figures", "--out", out)
+    assert done.exit_code == 0, done.stderr
+    assert "ok" in command("validate", out / "experiment.yaml").stdout
 
 
 def test_a_network_of_the_command_line_is_found_from_where_one_stands(
