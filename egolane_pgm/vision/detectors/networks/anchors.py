@@ -10,7 +10,7 @@ from egolane_pgm.vision.detectors.networks.answers import Line, Output, Outputs,
 from egolane_pgm.vision.detectors.networks.description import Network
 
 #: Rows of the first version, pixels of an input 288 high (its data/constant.py).
-_ROWS = {
+ROWS = {
     "tusimple": np.arange(64.0, 285.0, 4.0),
     "culane": np.array(
         [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277, 287]
@@ -34,7 +34,7 @@ def row_anchors(network: Network, outputs: Outputs) -> list[Line]:
     column = np.tensordot(np.arange(n_columns), share, axes=1)
     u = (column + 0.5) * (network.size[0] - 1) / (n_columns - 1)
     is_there = output.argmax(axis=0) < n_columns
-    rows = _ROWS[network.rows] if isinstance(network.rows, str) else np.asarray(network.rows)
+    rows = ROWS[network.rows] if isinstance(network.rows, str) else np.asarray(network.rows)
     return [Line(points(u[there, k], rows[there])) for k, there in enumerate(is_there.T)]
 
 

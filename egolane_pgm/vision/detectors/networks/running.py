@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from egolane_pgm.types import FloatArray, InputError, suggestion
 from egolane_pgm.vision.camera.picture import Image, check_size
 from egolane_pgm.vision.camera.writing import silent
+from egolane_pgm.vision.detectors.networks.anchors import ROWS
 from egolane_pgm.vision.detectors.networks.answers import Outputs
 from egolane_pgm.vision.detectors.networks.description import OUTPUTS, POLYNOMIAL, Network
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, Shape, read_onnx
@@ -252,7 +253,8 @@ def _check_outputs(
             bad = np.count_nonzero(~np.isfinite(output))
             raise InputError(f"{where}: {bad} of {output.size} numbers are not finite (NaN)")
     assert isinstance(sizes, dict)
-    if problem := _wrong_length(network, sizes):
+    counts = {role: output.size for role, output in outputs.items()}
+    if problem := _wrong_length(network, sizes) or _wrong_count(network, counts):
         raise InputError(f"{network.file}: output: {problem}")
 
 
@@ -263,10 +265,30 @@ def _wrong_length(network: Network, sizes: dict[str, int]) -> str | None:
         return f"has {sizes['k']} classes, but the YAML says classes: {network.classes}"
     if max(network.looked_at, default=0) >= sizes.get("k", math.inf):
         return f"has {sizes['k']} classes, counted from 0, but the YAML names others"
-    if isinstance(network.rows, tuple) and sizes["r"] != len(network.rows):
-        return f"has {sizes['r']} rows, but the YAML lists {len(network.rows)}"
+    rows = network.rows
+    if isinstance(rows, str):
+        rows = tuple(ROWS[rows]) if network.layout == "row_anchors" else None
+    if rows is not None and sizes["r"] != len(rows):
+        return f"has {sizes['r']} rows, but the YAML has {len(rows)}"
+    if network.layout == "prototypes" and sizes["b"] - 6 != sizes["m"] > sizes["a"] - 5:
+        return f"has boxes of {sizes['a']} numbers, too few for {sizes['m']} prototypes"
     if network.layout == "polynomials" and sizes["k"] % POLYNOMIAL:
         return f"has {sizes['k']} numbers; each polynomial needs {POLYNOMIAL}"
     if network.layout == "polylines" and sizes["k"] <= last + 1:
         return f"has {sizes['k']} numbers per line; first_x, start and length must be among them"
+    return None
+
+
+def _wrong_count(network: Network, counts: dict[str, int]) -> str | None:
+    """What does not fit of the numbers of lines on the road, None where all does."""
+    if network.ahead is None:
+        return None
+    n_lines, rest = divmod(counts["places"], len(network.ahead))
+    if rest or not n_lines:
+        return f"has {counts['places']} places, not a multiple of {len(network.ahead)} distances"
+    if counts["scores"] % n_lines:
+        return f"has {counts['scores']} scores for {n_lines} lines"
+    for role in ("deviations", "visible"):
+        if counts.get(role, counts["places"]) != counts["places"]:
+            return f"has {counts[role]} {role} for {counts['places']} places"
     return None

@@ -20,7 +20,14 @@ from egolane_pgm.vision.detectors.networks.masks import probabilities
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.vision.detectors.networks.running import Run, as_input, fit_of, load
 from egolane_pgm.vision.rendering.render import render_frame
-from tests.kits.tiny_network import SIZE, heavy_traffic, write_answer, write_network, write_onnx
+from tests.kits.tiny_network import (
+    SIZE,
+    heavy_traffic,
+    write_answer,
+    write_answers,
+    write_network,
+    write_onnx,
+)
 
 
 def noise(width: int, height: int) -> Image:
@@ -340,7 +347,7 @@ def test_an_output_is_named_where_there_are_several(tmp_path: Path) -> None:
         (
             (1, 11, 5, 2),
             {"layout": "row_anchors", "classes": 11, "rows": [1, 2, 3]},
-            "has 5 rows, but the YAML lists 3",
+            "has 5 rows, but the YAML has 3",
         ),
         (
             (1, 11, 3, 2),
@@ -358,6 +365,35 @@ def test_an_output_of_another_shape_than_the_yaml_says_is_refused(
     tmp_path: Path, shape: tuple[int, ...], keys: dict[str, Any], said: str
 ) -> None:
     assert said in refused(write_answer(tmp_path, np.zeros(shape), **keys))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "keys", "said"),
+    [
+        ({"columns": (1, 9, 56, 4)}, {"layout": "row_anchors", "classes": 9, "rows": "culane"},
+         "has 56 rows, but the YAML has 18"),
+        ({"loc_row": (1, 9, 5, 4), "loc_col": (1, 9, 6, 4), "exist_row": (1, 2, 6, 4),
+          "exist_col": (1, 2, 6, 4)}, {"layout": "hybrid_anchors", "rows": "culane"},
+         "output exist_row is 1 x 2 x 6 x 4; layout hybrid_anchors needs 1 x 2 x r x 4"),
+        ({"boxes": (1, 8, 99), "prototypes": (1, 8, 5, 5)}, {"layout": "prototypes"},
+         "has boxes of 8 numbers, too few for 8 prototypes"),
+        ({"scores": (1, 9, 2)}, {"layout": "lstr_curves"},
+         "output: is missing; known.onnx gives scores"),
+        ({"places": (1, 3, 5), "scores": (1, 3)}, {"layout": "road_lines", "ahead": [1, 2]},
+         "has 15 places, not a multiple of 2 distances"),
+        ({"places": (1, 3, 2), "scores": (1, 4)}, {"layout": "road_lines", "ahead": [1, 2]},
+         "has 4 scores for 3 lines"),
+        ({"places": (1, 6), "scores": (1, 3), "sd": (1, 3)},
+         {"layout": "road_lines", "ahead": [1, 2],
+          "output": {"places": "places", "scores": "scores", "deviations": "sd"}},
+         "has 3 deviations for 6 places"),
+    ],
+)  # fmt: skip
+def test_outputs_that_do_not_fit_each_other_are_refused(
+    tmp_path: Path, shapes: dict[str, tuple[int, ...]], keys: dict[str, Any], said: str
+) -> None:
+    outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
+    assert said in refused(write_answers(tmp_path, outputs, **keys))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
