@@ -113,6 +113,93 @@ class Section(BaseModel):
 AnySection = TypeVar("AnySection", bound=Section)
 
 
+class LinesMapping(Section):
+    """Where the lines stand in tables and messages. What is left out has the name that it has in
+    our own tables (`recordings.mapping`)."""
+
+    preset: str | None = Field(
+        default=None,
+        description="name of a known kind of recording (`egolane ls`), whose keys hold for what is"
+        " left out here",
+        examples=["openpilot", "mobileye"],
+    )
+    topic: str | None = Field(
+        default=None,
+        description="topic of the messages; of JSON lines and nested tables the field that they"
+        " are in",
+        examples=["/lanes", "/lane/{}"],
+    )
+    frame_id: str | None = Field(
+        default=None, description="the number of the frame", examples=["Frame_ID", "header.seq"]
+    )
+    time: str | None = Field(
+        default=None,
+        description="when the frame was seen: a number, a date, or a stamp with sec and nanosec;"
+        " without frame ids it gives these, too",
+        examples=["timestamp", "header.stamp"],
+    )
+    time_unit: Literal["s", "ms", "us", "ns"] = Field(
+        default="s", description="unit of `time`, where that is a number"
+    )
+    line: str | None = Field(
+        default=None,
+        description="number of the line in its frame, from 1 or from 0",
+        examples=["lane_id"],
+    )
+    offset: str | tuple[str, ...] | None = Field(
+        default=None,
+        description="where the line passes the car; several are the coefficients c0, c1, ... of a"
+        " polynomial. `[]` stands for each of a list, `[0]` for its first",
+        examples=["lanes[].c0", "{}_c0", ["c0", "c1", "c2", "c3"]],
+    )
+    along: str | None = Field(
+        default=None,
+        description="how far ahead the points of a line are, where `offset` is a list of points",
+        examples=["poses[].pose.position.x"],
+    )
+    at_m: float = Field(
+        default=0.0,
+        allow_inf_nan=False,
+        description="how far ahead, in the unit of `along`, the line is looked at; of a polynomial"
+        " metres",
+    )
+    is_valid: bool | str | None = Field(
+        default=None,
+        description="whether the detector trusts the line: a field, or a condition on one",
+        examples=["confidence > 0.5", "quality in [2, 3]"],
+    )
+    is_continuous: bool | str | None = Field(
+        default=None,
+        description="whether the line is not dashed: a field, or a condition on one",
+        examples=["type in [solid, double]"],
+    )
+    lri: str | None = Field(default=None, description="the line reliability index")
+    left_positive: bool = Field(
+        default=False, description="whether offsets are positive to the left (ISO 8855, ROS)"
+    )
+    unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of `offset`")
+    each: tuple[str, ...] = Field(
+        default=(),
+        description="names, from left to right, each of which takes the place of `{}` in the other"
+        " keys: a column or a topic per line; left out, the numbers that there are",
+        examples=[["left", "right"]],
+    )
+    also: tuple[_Keys, ...] = Field(
+        default=(),
+        description="further lines of the same frames: keys that differ from those here",
+        examples=[[{"offset": "edges[].c0", "is_continuous": True}]],
+    )
+    separator: str = Field(
+        default=",", min_length=1, max_length=1, description="what separates the cells of a CSV"
+    )
+    decimal: str = Field(
+        default=".", min_length=1, max_length=1, description="the decimal point of a CSV"
+    )
+    null_values: tuple[str, ...] = Field(
+        default=(), description="further texts of a CSV that stand for an empty cell"
+    )
+
+
 class Recording(Section):
     """The source of the lines: a file (`path`) or a simulated drive (`simulate`)."""
 
@@ -187,11 +274,16 @@ class Recording(Section):
         description="further options of the format's reader, or of the simulated interchange",
         examples=[{"valid": "always"}],
     )
-    columns: Annotated[dict[str, str], AfterValidator(frozen)] = Field(
-        default_factory=FrozenDict,
-        description="what the columns of a CSV or Parquet table are called, where not as ours",
-        examples=[{"frame_id": "frame", "offset_m": "lateral"}],
+    lines: LinesMapping | None = Field(
+        default=None,
+        description="where the lines stand in a table or in messages, or the name of a preset",
+        examples=["mobileye", {"offset": "lateral", "left_positive": True}],
     )
+
+    @field_validator("lines", mode="before")
+    @classmethod
+    def _preset(cls, value: Any) -> Any:
+        return {"preset": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -695,8 +787,11 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
         if content[key] is None:
             # A config without it is the same config as ever, and so is its hash.
             del content[key]
-    if not content["recording"]["columns"]:
-        del content["recording"]["columns"]
+    lines = experiment.recording.lines
+    if lines is None:
+        del content["recording"]["lines"]
+    else:
+        content["recording"]["lines"] = lines.model_dump(mode="json", exclude_unset=True)
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -58,7 +58,7 @@ def read_lines(
     - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
     - frame_rate: frames per second, where the recording has no times; by default the reader's.
     - options: further ones of the format's reader (`read_rosbag`: topic, frame_id, stamps;
-      `read_table`: columns; `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step,
+      `read_table`: lines; `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step,
       ahead_m; `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.

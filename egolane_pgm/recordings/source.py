@@ -25,7 +25,7 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wm
 IN_MEMORY = "in memory"
 
 #: The keys of a recording that say how lines are read.
-READING = frozenset({"format", "topic", "frame_id", "options", "columns"})
+READING = frozenset({"format", "topic", "frame_id", "options", "lines"})
 
 
 @dataclass(frozen=True)
@@ -145,8 +145,8 @@ class LinesFile(Source):
             options["topic"] = recording.topic
         if recording.frame_id != "way_id":
             options["frame_id"] = recording.frame_id
-        if recording.columns:
-            options["columns"] = recording.columns
+        if recording.lines is not None:
+            options["lines"] = recording.lines
         if not self._is_own_format():
             return Read(read_with(path, recording.format, options), None, tuple(files))
         where, folder = self._where("format"), self.experiment.folder
@@ -168,7 +168,7 @@ class LinesFile(Source):
         # What reads tables is loaded for them only.
         from egolane_pgm.recordings.table import own_rate
 
-        return own_rate(path, recording.columns)
+        return own_rate(path, recording.lines)
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
         # All that says how to read, where the extension is the same.

@@ -225,7 +225,7 @@ def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_p
         ("2,1,2.0,,false,3", "frame 2 has a line with empty is_valid"),
         ("2,1,2.0,true,,3", "frame 2 has a line with empty is_continuous"),
         ("2,1,2.0,true,false,high", "lri is 'high', not a number"),
-        ("2,0,2.0,true,false,3", "line is not in 1..1000"),
+        ("2,-1,2.0,true,false,3", "line is not in 1..1000"),
         ("2,1001,2.0,true,false,3", "line is not in 1..1000"),
         ("2,,2.0,true,false,3", "frame 2 has a row with an empty line, but with an offset"),
         ("1,1,2.0,true,false,3", "frame 1 has this line twice"),
