@@ -1,5 +1,5 @@
-"""The fields of a table or of messages, by their paths: `header.seq`, `lanes[].c0` (each of a list),
-`y[0]` (its first); and conditions on them, `confidence > 0.5`.
+"""The fields of a table or of messages by their paths, and conditions on them, `confidence > 0.5`.
+A path is `header.seq`, `lanes[].c0` (each of a list) or `y[0]` (its first).
 
 A table's rows and a topic's messages are the same here: columns of pyarrow, nested ones where the
 fields are.
