@@ -16,11 +16,14 @@ from egolane_pgm.types import InputError, LineLog, problems_in, suggestion
 
 #: Format: (extensions, module, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.rosbag", "read_rosbag"),
+    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.containers", "read_messages"),
     "table": ((".csv", ".parquet"), "recordings.table", "read_table"),
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
     "culane": ((), "vision.formats.culane", "read_culane"),
     "openlane": ((), "vision.formats.openlane", "read_openlane"),
+    "can": ((".blf", ".asc", ".trc", ".log"), "recordings.containers", "read_messages"),
+    "mdf": ((".mf4", ".mdf"), "recordings.containers", "read_messages"),
+    "openpilot": (("rlog", "qlog", ".zst", ".bz2"), "recordings.containers", "read_messages"),
 }
 
 #: Folders: the format of one that holds files with this ending.
@@ -57,9 +60,9 @@ def read_lines(
       tells.
     - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
     - frame_rate: frames per second, where the recording has no times; by default the reader's.
-    - options: further ones of the format's reader (`read_rosbag`: topic, frame_id, stamps;
-      `read_table`: lines; `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step,
-      ahead_m; `read_tusimple` also continuous).
+    - options: further ones of the format's reader (`read_messages`: topic, frame_id, lines,
+      definitions; `read_table`: lines; `read_tusimple`, `read_culane`, `read_openlane`: valid,
+      frame_step, ahead_m; `read_tusimple` also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
 
@@ -164,7 +167,7 @@ def format_of(path: str | Path) -> str:
     does not tell."""
     path = Path(path)
     for name, (extensions, _, _) in FORMATS.items():
-        if path.suffix.lower() in extensions:
+        if (path.suffix.lower() or path.name) in extensions:
             return name
     if path.is_dir():
         for ending, name in _FOLDERS.items():

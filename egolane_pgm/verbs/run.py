@@ -86,6 +86,7 @@ def run(  # type: ignore[misc]
     detector: Detector = None,
     frame_id: FrameId | None = None,
     topic: str | None = None,
+    definitions: Annotated[StrPath | None, Option("FILE")] = None,
     graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
     stream: bool = False,
@@ -117,7 +118,8 @@ def run(  # type: ignore[misc]
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
     - frame_id: what of a bag's messages is the frame id; count: their order.
-    - topic: topic of a bag.
+    - topic: topic of a bag, of its lines or pictures.
+    - definitions: what defines the messages of a log: a .dbc, openpilot's log.capnp.
     - graph: a graph instead of the experiment's: its name or file, a module, or a
       DynamicBayesianNetwork.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
@@ -145,7 +147,7 @@ def run(  # type: ignore[misc]
     Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
     given, recordings = several_of(experiment), several_of(recording)
-    changes = (ground_truth, n_lanes, frame_id, camera, detector, topic, graph)
+    changes = (ground_truth, n_lanes, frame_id, camera, detector, topic, definitions, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -325,6 +327,7 @@ def choose(
     camera: Any = None,
     detector: Any = None,
     topic: str | None = None,
+    definitions: Any = None,
     graph: Any = None,
     *,
     name: str | None = None,
@@ -351,8 +354,11 @@ def choose(
         chosen = with_recording(
             found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
         )
-    if topic is not None:
-        chosen = load_experiment(chosen, {"recording.topic": topic})
+    said = {"recording.topic": topic}
+    if definitions is not None:
+        said["recording.definitions"] = str(Path(path_of(definitions, "definitions")).absolute())
+    if any(said.values()):
+        chosen = load_experiment(chosen, {key: value for key, value in said.items() if value})
     if graph is not None:
         from egolane_pgm.comparing.graphs import with_graph
         from egolane_pgm.learning.graph_file import graph_named
