@@ -220,6 +220,12 @@ class Recording(Section):
         description="topic of a bag; left out, that of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
     )
+    definitions: str | None = Field(
+        default=None,
+        description="what defines the messages of `path`, where these do not: the .dbc of a CAN"
+        " log, openpilot's cereal/log.capnp, the folder of a ROS 2 bag's .msg files",
+        examples=["lanes.dbc", "openpilot/cereal/log.capnp"],
+    )
     frame_id: Literal["way_id", "seq", "count"] = Field(
         default="way_id",
         description="what of a bag's messages is the frame id: the message's field way_id, seq of"
@@ -787,6 +793,8 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
         if content[key] is None:
             # A config without it is the same config as ever, and so is its hash.
             del content[key]
+    if content["recording"]["definitions"] is None:
+        del content["recording"]["definitions"]
     lines = experiment.recording.lines
     if lines is None:
         del content["recording"]["lines"]

@@ -19,11 +19,14 @@ if TYPE_CHECKING:
 
 #: Format: (extensions, module, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.rosbag", "read_rosbag"),
+    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.containers", "read_messages"),
     "table": ((".csv", ".tsv", ".parquet"), "recordings.table", "read_table"),
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
     "culane": ((), "vision.formats.culane", "read_culane"),
     "openlane": ((), "vision.formats.openlane", "read_openlane"),
+    "can": ((".blf", ".asc", ".trc", ".log"), "recordings.containers", "read_messages"),
+    "mdf": ((".mf4", ".mdf"), "recordings.containers", "read_messages"),
+    "openpilot": (("rlog", "qlog", ".zst", ".bz2"), "recordings.containers", "read_messages"),
 }
 
 #: Folders: the format of one that holds files with this ending.
@@ -63,9 +66,9 @@ def read_lines(
     - frame_rate: frames per second, where the recording has no times; by default the reader's.
     - lines: where the lines stand in a table or in messages: keys and values of `recording.lines`,
       the name of a preset, or a YAML file with the keys.
-    - options: further ones of the format's reader (`read_rosbag`: topic, frame_id, stamps;
-      `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step,
-      ahead_m; `read_tusimple` also continuous).
+    - options: further ones of the format's reader (`read_messages`: topic, frame_id, definitions;
+      `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step, ahead_m; `read_tusimple`
+      also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
 
@@ -181,7 +184,7 @@ def format_of(path: str | Path, is_mapped: bool = False) -> str:
     if is_mapped and path.suffix.lower() in (".jsonl", ".json"):
         return "table"
     for name, (extensions, _, _) in FORMATS.items():
-        if path.suffix.lower() in extensions:
+        if (path.suffix.lower() or path.name) in extensions:
             return name
     if path.is_dir():
         for ending, name in _FOLDERS.items():

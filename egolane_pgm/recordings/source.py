@@ -25,7 +25,7 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wm
 IN_MEMORY = "in memory"
 
 #: The keys of a recording that say how lines are read.
-READING = frozenset({"format", "topic", "frame_id", "options", "lines"})
+READING = frozenset({"format", "topic", "frame_id", "options", "lines", "definitions"})
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,8 @@ def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Pa
     name: Any = experiment
     for part in key.split("."):
         name = getattr(name, part)
-    is_fetched = key != "recording.camera" and experiment.recording.detector is None
+    is_own = key in ("recording.camera", "recording.definitions")
+    is_fetched = not is_own and experiment.recording.detector is None
     try:
         return find_file(name, experiment.folder, folders=folders, is_fetched=is_fetched)
     except InputError as error:
@@ -148,6 +149,11 @@ class LinesFile(Source):
             files.append(options["camera"])
         if recording.topic is not None:
             options["topic"] = recording.topic
+        if recording.definitions is not None:
+            options["definitions"] = find_named(
+                self.experiment, "recording.definitions", folders=True
+            )
+            files.append(options["definitions"])
         if recording.frame_id != "way_id":
             options["frame_id"] = recording.frame_id
         if recording.lines is not None:
@@ -203,6 +209,6 @@ def _in_full(key: str, value: Any, folder: Path) -> Any:
     if not isinstance(value, str):
         return value
     is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
-    is_path = key in ("path", "camera", "right")
+    is_path = key in ("path", "camera", "right", "definitions")
     is_there = any(c in value for c in "*?[") or (folder / value).exists()
     return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value

@@ -87,6 +87,7 @@ def run(  # type: ignore[misc]
     detector: Detector = None,
     frame_id: FrameId | None = None,
     topic: str | None = None,
+    definitions: Annotated[StrPath | None, Option("FILE")] = None,
     lines: Mapped = None,
     graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
@@ -119,7 +120,8 @@ def run(  # type: ignore[misc]
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
     - frame_id: what of a bag's messages is the frame id; count: their order.
-    - topic: topic of a bag.
+    - topic: topic of a bag, of its lines or pictures.
+    - definitions: what defines the messages of a log: a .dbc, openpilot's log.capnp.
     - lines: where the lines stand in a table or in messages: the name of a preset, key=value (e.g.
       left_positive=true), or a YAML file with such keys (docs/howto/sensors.md).
     - graph: a graph instead of the experiment's: its name or file, a module, or a
@@ -149,7 +151,8 @@ def run(  # type: ignore[misc]
     Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
     given, recordings = several_of(experiment), several_of(recording)
-    changes = (ground_truth, n_lanes, frame_id, camera, detector, topic, graph, lines)
+    of_lines = (topic, definitions, lines)
+    changes = (ground_truth, n_lanes, frame_id, camera, detector, *of_lines, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -329,8 +332,9 @@ def choose(
     camera: Any = None,
     detector: Any = None,
     topic: str | None = None,
-    graph: Any = None,
+    definitions: Any = None,
     lines: Any = None,
+    graph: Any = None,
     *,
     name: str | None = None,
 ) -> Experiment:
@@ -356,12 +360,15 @@ def choose(
         chosen = with_recording(
             found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
         )
-    if topic is not None:
-        chosen = load_experiment(chosen, {"recording.topic": topic})
+    said: dict[str, Any] = {"recording.topic": topic}
+    if definitions is not None:
+        said["recording.definitions"] = str(Path(path_of(definitions, "definitions")).absolute())
     if lines is not None:
         from egolane_pgm.recordings.mapping import mapping_keys
 
-        chosen = load_experiment(chosen, {"recording": {"lines": mapping_keys(lines)}})
+        said["recording"] = {"lines": mapping_keys(lines)}
+    if any(said.values()):
+        chosen = load_experiment(chosen, {key: value for key, value in said.items() if value})
     if graph is not None:
         from egolane_pgm.comparing.graphs import with_graph
         from egolane_pgm.learning.graph_file import graph_named

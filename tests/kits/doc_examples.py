@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.recordings.rosbag import TOPIC
+from egolane_pgm.recordings.containers import TOPICS
 from egolane_pgm.simulation import simulate
 from egolane_pgm.vision.camera.model import write_camera
 from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
@@ -168,7 +168,7 @@ def _write_bag(path: Path) -> None:
 
     log = simulate("quickstart", seed=3, frames=300, n_lanes=4).log
     with Writer(path) as bag:
-        for topic in (TOPIC, "/lanes"):
+        for topic in (TOPICS[0], "/lanes"):
             connection = bag.add_connection(
                 topic, "pkg/msg/msg_lines", msgdef=definition(), md5sum=PLAIN_CHECKSUM
             )

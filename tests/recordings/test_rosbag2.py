@@ -20,7 +20,7 @@ from egolane_pgm.drive import with_recording
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
-from egolane_pgm.recordings.rosbag import TOPIC, read_rosbag
+from egolane_pgm.recordings.containers import TOPICS, read_messages
 from egolane_pgm.recordings.select import fill_missing, recording_warnings
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
@@ -57,7 +57,7 @@ def assert_same(one: LineLog, other: LineLog) -> None:
 
 def refused(path: Path, **options: Any) -> str:
     with pytest.raises(InputError) as info:
-        read_rosbag(path, **options)
+        read_messages(path, **options)
     text = str(info.value)
     assert "\n" not in text
     assert text.startswith(str(path))
@@ -67,7 +67,7 @@ def refused(path: Path, **options: Any) -> str:
 def warned(path: Path, **options: Any) -> tuple[LineLog, str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        log = read_rosbag(path, **options)
+        log = read_messages(path, **options)
     (said,) = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     return log, said
 
@@ -133,7 +133,7 @@ def test_stamps_that_do_not_increase_are_left_out_with_a_warning_or_refused(
 
 def test_a_frame_rate_that_the_stamps_contradict_is_said(log: LineLog, tmp_path: Path) -> None:
     write_lines(tmp_path / "a.mcap", replace(log, time_s=START_S + log.frame_id / 25))
-    stamped = read_rosbag(tmp_path / "a.mcap")
+    stamped = read_messages(tmp_path / "a.mcap")
     (said,) = recording_warnings(stamped, 3, frame_rate=10.0)
     assert "by its times it has 25 frames per second" in said
     assert recording_warnings(stamped, 3, frame_rate=25.0) == []
@@ -213,9 +213,9 @@ def test_a_topic_that_is_not_there_is_refused_with_those_that_are(
 ) -> None:
     bag = write_bag2(tmp_path / "bag", log, topic="/my/lines")
     for path in (bag, files_of(bag)[0]):
-        assert f"no topic {TOPIC}; the bag has /my/lines (road_layout_estim" in refused(path)
-        assert len(read_rosbag(path, topic="my/lines")) == len(log)
-    assert f"no topic /x; the bag has {TOPIC} (" in refused(mcap, topic="/x")
+        assert f"no topic {TOPICS[0]}; the bag has /my/lines (road_layout_estim" in refused(path)
+        assert len(read_messages(path, topic="my/lines")) == len(log)
+    assert f"no topic /x; the bag has {TOPICS[0]} (" in refused(mcap, topic="/x")
 
 
 def test_a_type_that_is_not_of_lines_is_shown_with_what_it_lacks(
@@ -275,7 +275,7 @@ def test_an_mcap_file_of_another_writer_is_read(
 def test_a_bag_that_says_it_has_more_messages_is_warned_of(
     log: LineLog, mcap: Path, tmp_path: Path
 ) -> None:
-    said = f"{len(log)} messages were read of the 99 that it says are on {TOPIC}"
+    said = f"{len(log)} messages were read of the 99 that it says are on {TOPICS[0]}"
     bag = write_bag2(tmp_path / "bag", log)
     meta = (bag / "metadata.yaml").read_text()
     (bag / "metadata.yaml").write_text(meta.replace(f"count: {len(log)}", "count: 99"))

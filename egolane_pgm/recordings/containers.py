@@ -1,0 +1,235 @@
+"""Files of messages on topics: bags, MCAP, MDF4, CAN logs, openpilot's logs.
+
+Each kind is read by one file of this folder through the kind's own library. It has two functions,
+`topics_of` and `messages`, which take the arguments of those here.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from functools import reduce
+from importlib import import_module
+from operator import getitem
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import LinesMapping
+from egolane_pgm.recordings import mapping
+from egolane_pgm.recordings.mapping import Message
+from egolane_pgm.types import InputError, IntArray, LineLog, near_word, not_one_of
+
+#: The topics of the lines in the published recordings and in what `egolane export` writes.
+TOPICS = ("/isis_line_detector/lines", "/lines")
+
+#: What a file has on its topics: the type of the messages, and how many there are.
+Topics = dict[str, tuple[str, int | None]]
+
+#: The file of this folder that reads a kind, by the ending of a recording, or its name without.
+READERS = {
+    **dict.fromkeys((".bag", ".db3", ".mcap"), "rosbag"),
+    **dict.fromkeys((".mf4", ".mdf"), "mdf_file"),
+    **dict.fromkeys((".blf", ".asc", ".trc", ".log"), "can_log"),
+    **dict.fromkeys(("rlog", "qlog", ".zst", ".bz2"), "openpilot_log"),
+}
+
+#: What `definitions` names, for the kinds that do not define their messages themselves.
+_NEEDED = {
+    "can_log": "is a log of CAN frames: name the .dbc that defines their signals",
+    "openpilot_log": "is a log of openpilot: name the cereal/log.capnp of a checkout of openpilot",
+}
+
+
+def topics_of(path: str | Path, *, definitions: str | Path | None = None) -> Topics:
+    """The topics of a file of messages: for each the type of its messages, and how many there are,
+    or None where only reading them tells.
+
+    - definitions: what says how the bytes of a message are to be read, where the file does not: the
+      .dbc of a CAN log, openpilot's cereal/log.capnp, the folder of the .msg files of a ROS 2 bag
+      from before Iron.
+
+    Raises InputError for a file that is missing or cannot be read, or needs definitions.
+    """
+    path, found = Path(path), None if definitions is None else Path(definitions)
+    topics: Topics = _reader(path, found).topics_of(path, found)
+    return topics
+
+
+def messages(
+    path: str | Path,
+    topics: Collection[str] | None = None,
+    *,
+    definitions: str | Path | None = None,
+) -> Iterator[Message]:
+    """The messages of a file in the order of their recording. The time of one is the stamp in its
+    header, or else when it was recorded, seconds.
+
+    - topics: those that are read; None for all.
+    - definitions: as for `topics_of`.
+
+    Raises InputError as `topics_of`, for a topic that is not there, with those that are, and for a
+    file that holds no message on them.
+    """
+    path, found = Path(path), None if definitions is None else Path(definitions)
+    reader = _reader(path, found)
+    if topics is not None:
+        topics = _known(path, topics, reader.topics_of(path, found))
+    is_empty = True
+    for message in reader.messages(path, topics, found):
+        is_empty = False
+        yield message
+    if is_empty:
+        where = "" if topics is None else f" on {', '.join(topics)}"
+        raise InputError(f"{path}: holds no messages{where}")
+
+
+def read_messages(
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frame_id: str = "way_id",
+    frame_rate: float = mapping.FRAME_RATE,
+    lines: LinesMapping | None = None,
+    definitions: str | Path | None = None,
+) -> LineLog:
+    """Read the lines of a file of messages, T frames of at most L lines.
+
+    - topic: of the lines; by default that of the published recordings or of `egolane export`, or
+      the only one.
+    - frame_id: "seq" (header.seq of ROS 1) or "count" (0, 1, ... in the order of recording) instead
+      of way_id of the published recordings, or of `lines.frame_id`.
+    - frame_rate: frames per second of messages with frame ids but without times.
+    - lines: which fields are what; by default those of the published recordings, or our own names.
+    - definitions: as for `topics_of`.
+
+    The published ROS 1 bags have stamps that say when they were processed, jump by minutes or are
+    all zero; time is frame id over frame rate there. Raises InputError as `messages` and
+    `recordings.mapping.lines_of`.
+    """
+    whole = mapping.whole_mapping(lines, str(path))
+    if topic is not None and not mapping.topics_of(whole):
+        whole = whole.model_copy(update={"topic": topic})
+    wanted: Collection[str] = mapping.topics_of(whole)
+    if not wanted:
+        there = topics_of(path, definitions=definitions)
+        wanted = [name for name in TOPICS if name in there][:1] or there
+    if frame_id != "way_id":
+        named = {"seq": "header.seq", "count": "count"}
+        if frame_id not in named:
+            raise InputError(f"{path}: frame_id {not_one_of(frame_id, ['way_id', *named])}")
+        whole = whole.model_copy(update={"frame_id": named[frame_id]})
+    found = list(messages(path, wanted, definitions=definitions))
+    if frame_id == "count":
+        found = [m._replace(value={**m.value, "count": k}) for k, m in enumerate(found)]
+    if "lines" in found[0].value and "way_id" in found[0].value and whole.offset is None:
+        whole, found = _published(Path(path), whole, found, frame_rate)
+    return mapping.lines_of(found, whole, str(path), frame_rate=frame_rate)
+
+
+def _published(
+    path: Path, keys: LinesMapping, found: list[Message], frame_rate: float
+) -> tuple[LinesMapping, list[Message]]:
+    """The mapping of the published recordings, and their messages with times that increase."""
+    is_ros1 = path.suffix == ".bag"
+    preset = mapping.presets()["rle" if is_ros1 else "rle_ros2"]
+    keys = keys.model_copy(update={k: v for k, v in preset.items() if getattr(keys, k) is None})
+    parts = str(keys.frame_id).split(".")
+    if keys.time is not None or parts[-1] not in found[0].value.get("header", {}) | found[0].value:
+        return keys, found
+    ids = np.array([reduce(getitem, parts, message.value) for message in found])
+    _check_ids(path, ids)
+    backwards = np.diff([message.time_s for message in found]) <= 0
+    if backwards.any() and not is_ros1:
+        one, other = ids[np.argmax(backwards) :][:2]
+        warnings.warn(
+            f"{path}: the stamps of frames {one} and {other} do not increase; time is frame id over"
+            " frame rate",
+            UserWarning,
+            stacklevel=4,
+        )
+    if is_ros1 or backwards.any():
+        found = [
+            each._replace(time_s=int(k) / frame_rate) for k, each in zip(ids, found, strict=True)
+        ]
+    return keys, found
+
+
+def _check_ids(path: Path, ids: IntArray) -> None:
+    step = np.diff(ids)
+    if (step <= 0).any():
+        k = int(np.argmax(step <= 0))
+        raise InputError(
+            f"{path}: frame ids must increase, but {ids[k]} is followed by {ids[k + 1]} (messages"
+            f" {k + 1} and {k + 2} of the file); split the bag there, or, of a recording that does"
+            " not fill in way_id, use frame_id seq (ROS 1) or count"
+        )
+
+
+def time_of(value: Any, logged_ns: int) -> float:
+    """When a message was made, seconds: the stamp of its header, or its `timestamp` in Foxglove's
+    schemas; where it has none, or zero, when it was recorded.
+
+    >>> time_of({"header": {"stamp": {"sec": 12, "nanosec": 500_000_000}}}, 13_000_000_000)
+    12.5
+    >>> time_of({"c0": -1.8}, 13_000_000_000)
+    13.0
+    """
+    header = value.get("header")
+    stamp = header.get("stamp") if isinstance(header, dict) else value.get("timestamp")
+    second = nano = 0
+    if isinstance(stamp, dict):
+        second, nano = (
+            next((int(stamp[name]) for name in names if name in stamp), 0)
+            for names in (("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos"))
+        )
+    # Nanoseconds since 1970 have more digits than a float.
+    return second + nano / 1e9 if second or nano else logged_ns // 10**9 + logged_ns % 10**9 / 1e9
+
+
+@contextmanager
+def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
+    """Around the reading of a file. The libraries raise whatever damaged bytes lead to, which this
+    turns into InputError: `what` it should be, and what may help."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        said = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
+        raise InputError(f"{path}: cannot be read as {what} ({said}){cure}") from None
+
+
+def _known(path: Path, topics: Collection[str], there: Topics) -> list[str]:
+    """Some topics as the file calls them. Raises InputError for one that is not there."""
+    names = {name.strip("/"): name for name in there}
+    for topic in topics:
+        if topic.strip("/") not in names:
+            listed = ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(there.items()))
+            meant = near_word(topic, there)
+            raise InputError(f"{path}: no topic {topic}{meant}; the file has {listed or 'none'}")
+    return [names[topic.strip("/")] for topic in topics]
+
+
+def _reader(path: Path, definitions: Path | None) -> Any:
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if definitions is not None and not definitions.exists():
+        raise InputError(f"{path}: definitions: {definitions}: no such file")
+    name = "rosbag" if path.is_dir() else READERS[path.suffix.lower() or path.name]
+    if name == "mdf_file" and definitions is not None:
+        name = "can_log"
+    elif path.suffix.lower() == ".mcap" and not _is_ros2(path):
+        name = "mcap_file"
+    if name in _NEEDED and definitions is None:
+        raise InputError(f"{path}: {_NEEDED[name]} (recording.definitions)")
+    return import_module(f"egolane_pgm.recordings.{name}")
+
+
+def _is_ros2(path: Path) -> bool:
+    """Whether an MCAP file, or what should be one, is for rosbags, which reads those of ROS 2."""
+    with path.open("rb") as file:
+        head = file.read(25)
+    return not head.startswith(b"\x89MCAP") or head[17:] == b"\x04\0\0\0ros2"
