@@ -190,7 +190,9 @@ class LinesMapping(Section):
         examples=[[{"offset": "edges[].c0", "is_continuous": True}]],
     )
     separator: str = Field(
-        default=",", min_length=1, max_length=1, description="what separates the cells of a CSV"
+        default=",",
+        pattern=r"^(.|\\t)$",
+        description="what separates the cells of a CSV; \\t for tabs",
     )
     decimal: str = Field(
         default=".", min_length=1, max_length=1, description="the decimal point of a CSV"
