@@ -107,10 +107,12 @@ def look_into(
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 log = try_out(mapping_of(guess, str(path)))
-        except InputError:
+        except InputError as error:
+            found.setdefault("problem", str(error))
             continue
         if log.is_valid.sum() >= len(log) / 2:
             guess |= _unit_and_sign(log, guess)
+            found.pop("problem", None)
             return found | {"lines": guess, **_said(read(mapping_of(guess, str(path))))}
     return found
 
@@ -158,7 +160,7 @@ def _leaves(table: Table) -> Iterator[_Leaf]:
             span = pc.min_max(values).as_py()
             yield _Leaf(path, str(kind), span["min"], span["max"])
         else:
-            texts = pc.unique(values)[:6].to_pylist()
+            texts = pc.unique(values)[:3].to_pylist()
             yield _Leaf(path, str(kind), texts=tuple(str(t)[:40] for t in texts if t is not None))
 
     for name, column in table.columns.items():
@@ -212,6 +214,9 @@ def _frames(leaves: list[_Leaf], table: Table) -> dict[str, Any]:
     if table.own("frame_id") is None:
         for leaf in _named(_FRAME, at_root)[:1]:
             found["frame_id"] = leaf.path
+    for leaf in leaves if table.own("time_s") is None else []:
+        if leaf.type.startswith("timestamp"):
+            return found | {"time": leaf.path}
     for leaf in _named(_TIME, at_root) if table.own("time_s") is None else []:
         if table.has(f"{_place(leaf.path)}.nanosec"):
             return found | {"time": _place(leaf.path)}

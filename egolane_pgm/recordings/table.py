@@ -155,14 +155,14 @@ def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
             # A message of hundreds of points is longer than pyarrow expects.
             table = json.read_json(path, json.ReadOptions(block_size=1 << 24))
         else:
-            is_said = "separator" in keys.model_fields_set or extension == ".csv"
-            separator = keys.separator.replace("\\t", "\t") if is_said else "\t"
+            usual = "\t" if extension == ".tsv" else ","
+            separator = (keys.separator or usual).replace("\\t", "\t")
             nulls = [*csv.ConvertOptions().null_values, *keys.null_values]
             table = csv.read_csv(
                 path,
                 parse_options=csv.ParseOptions(delimiter=separator),
                 convert_options=csv.ConvertOptions(
-                    decimal_point=keys.decimal, null_values=nulls, strings_can_be_null=True
+                    decimal_point=keys.decimal or ".", null_values=nulls, strings_can_be_null=True
                 ),
             )
     except (OSError, pa.ArrowInvalid) as error:

@@ -70,7 +70,12 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
             text.append(f"  {field['path']:<32} {field['type']:<10} {span}".rstrip())
     if done["lines"] is None:
         return "\n".join(
-            [*text, "", "no lines found: say which fields they are (docs/howto/sensors.md)"]
+            [
+                *text,
+                "",
+                f"no lines found: {done['problem']}",
+                "docs/howto/sensors.md shows how to say which fields they are",
+            ]
         )
     low, high = done["offset_m"] or (float("nan"),) * 2
     rate = "unknown" if done["frame_rate"] is None else f"{done['frame_rate']:g} per second"
