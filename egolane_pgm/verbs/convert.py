@@ -42,7 +42,12 @@ def convert(
 
     Returns the lines. Raises InputError, one line, for whatever does not fit.
     """
-    given = {"topic": topic, "frame_id": frame_id, "camera": camera, "frame_rate": frame_rate}
+    given: dict[str, Any] = {
+        "topic": topic,
+        "frame_id": frame_id,
+        "camera": camera,
+        "frame_rate": frame_rate,
+    }
     given["lines"] = lines
     chosen = {key: value for key, value in given.items() if value is not None}
     log = read_with(path_of(source, "source"), format, {**(options or {}), **chosen})
