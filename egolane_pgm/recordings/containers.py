@@ -82,7 +82,7 @@ def messages(
         is_empty = False
         yield message
     if is_empty:
-        where = "" if topics is None else f" on {', '.join(topics)}"
+        where = f" on {', '.join(topics)}" if topics else ""
         raise InputError(f"{path}: holds no messages{where}")
 
 
@@ -115,7 +115,11 @@ def read_messages(
     wanted: Collection[str] = mapping.topics_of(whole)
     if not wanted:
         there = topics_of(path, definitions=definitions)
-        wanted = [name for name in TOPICS if name in there][:1] or there
+        wanted = [name for name in (*TOPICS, *there) if name in there][:1]
+        if len(there) > 1 and wanted[0] not in TOPICS:
+            raise InputError(
+                f"{path}: topic: is missing; the file has {_listed(there)} (`egolane inspect`)"
+            )
     if frame_id != "way_id":
         named = {"seq": "header.seq", "count": "count"}
         if frame_id not in named:
@@ -207,10 +211,13 @@ def _known(path: Path, topics: Collection[str], there: Topics) -> list[str]:
     names = {name.strip("/"): name for name in there}
     for topic in topics:
         if topic.strip("/") not in names:
-            listed = ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(there.items()))
             meant = near_word(topic, there)
-            raise InputError(f"{path}: no topic {topic}{meant}; the file has {listed or 'none'}")
+            raise InputError(f"{path}: no topic {topic}{meant}; the file has {_listed(there)}")
     return [names[topic.strip("/")] for topic in topics]
+
+
+def _listed(topics: Topics) -> str:
+    return ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(topics.items())) or "none"
 
 
 def _reader(path: Path, definitions: Path | None) -> Any:
