@@ -96,7 +96,7 @@ def test_a_detector_sees_in_a_bag_what_it_sees_in_the_video_at_the_times_of_the_
     )
     result = ego.load_result(tmp_path / "out")
     np.testing.assert_array_equal(result.time_s, lines.time_s)
-    assert result.document["experiment"]["recording"]["frame_rate"] == 12.5
+    assert result.config["recording"]["frame_rate"] == 12.5
 
 
 @pytest.mark.parametrize(
