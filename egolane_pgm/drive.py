@@ -39,6 +39,7 @@ from egolane_pgm.recordings.select import (
     rate_of,
     recording_warnings,
     select_frames,
+    sign_warning,
 )
 from egolane_pgm.recordings.source import IN_MEMORY, LinesFile, Read, Source, find_named
 from egolane_pgm.simulation.drives import OverMap, Simulated
@@ -165,6 +166,7 @@ def load_recording(
     check_one_drive(log, "clips are run without ground truth (ground_truth: none)")
     truth.check_lanes(experiment.n_lanes)
     scored, annotated = join(log, truth)
+    notes += sign_warning(log.take(scored), truth.take(annotated))
     if len(scored) < len(log):
         notes.append(
             f"{log.source}: {len(log) - len(scored)} of {len(log)} frames have no ground truth;"

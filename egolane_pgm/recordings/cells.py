@@ -89,7 +89,7 @@ def _cure(cell: str) -> str:
     """What may help with a cell that is no number: the end of a message."""
     if cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdigit():
         return "; decimal commas: `lines: {decimal: ','}`"
-    if not any(c.isdigit() for c in cell) or cell.startswith("#"):
+    if 0 < len(cell) < 8 and not any(c.isdigit() for c in cell) and not cell.islower():
         return f"; if it stands for an empty cell: `lines: {{null_values: [{cell!r}]}}`"
     return ""
 

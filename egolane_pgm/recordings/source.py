@@ -104,10 +104,11 @@ class LinesFile(Source):
                 path = self._path()
                 if recording.camera is not None:
                     find_named(experiment, "recording.camera")
-                elif (recording.format or format_of(path)) in IN_PIXELS:
+                elif self._format(path) in IN_PIXELS:
                     raise InputError(
                         f"{experiment.source}: recording.camera: is missing; the lines of"
-                        f" {path.name} are in pixels"
+                        f" {path.name} are in pixels (lines in metres: recording.lines says where"
+                        " they stand; `egolane inspect` what to write)"
                     )
 
     def _check_format(self) -> None:
@@ -117,6 +118,10 @@ class LinesFile(Source):
         elif format_ is not None and format_ not in FORMATS:
             known = [*FORMATS, *plugin_names("recordings")]
             raise InputError(f"{where}: unknown format '{format_}'{suggestion(format_, known)}")
+
+    def _format(self, path: Path) -> str:
+        recording = self.experiment.recording
+        return recording.format or format_of(path, recording.lines is not None)
 
     def _is_own_format(self) -> bool:
         name = self.experiment.recording.format or "table"
@@ -169,7 +174,7 @@ class LinesFile(Source):
     def frame_rate(self) -> float | None:
         # That of a table with times; the stamps of a bag's messages are no rate.
         path, recording = self._path(), self.experiment.recording
-        if self._is_own_format() or (recording.format or format_of(path)) != "table":
+        if self._is_own_format() or self._format(path) != "table":
             return None
         # What reads tables is loaded for them only.
         from egolane_pgm.recordings.table import own_rate

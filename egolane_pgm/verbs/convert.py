@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from egolane_pgm.recordings import read_with, write_lines
 from egolane_pgm.types import LineLog
-from egolane_pgm.verbs.given import FrameId, Option, StrPath, path_of
+from egolane_pgm.verbs.given import FrameId, Mapped, Option, StrPath, path_of
 
 EXAMPLES = ("egolane convert drive/lines.csv lines.parquet",)
 
@@ -21,6 +21,7 @@ def convert(
     format: Annotated[str | None, Option("NAME")] = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     frame_rate: float | None = None,
+    lines: Mapped = None,
     options: Annotated[
         Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="valid=always")
     ] = None,
@@ -35,11 +36,14 @@ def convert(
     - format: where the extension does not say it.
     - camera: the camera's YAML, for lines given in pixels.
     - frame_rate: frames per second.
+    - lines: where the lines stand in a table or in messages: the name of a preset, key=value, or a
+      YAML file with such keys.
     - options: a further option of the format, e.g. valid=always for labels.
 
     Returns the lines. Raises InputError, one line, for whatever does not fit.
     """
     given = {"topic": topic, "frame_id": frame_id, "camera": camera, "frame_rate": frame_rate}
+    given["lines"] = lines
     chosen = {key: value for key, value in given.items() if value is not None}
     log = read_with(path_of(source, "source"), format, {**(options or {}), **chosen})
     write_lines(path_of(target, "target"), log)

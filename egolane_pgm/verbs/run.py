@@ -35,6 +35,7 @@ from egolane_pgm.verbs.given import (
     Hidden,
     Jobs,
     Lines,
+    Mapped,
     Option,
     Progress,
     StrPath,
@@ -87,6 +88,7 @@ def run(  # type: ignore[misc]
     frame_id: FrameId | None = None,
     topic: str | None = None,
     definitions: Annotated[StrPath | None, Option("FILE")] = None,
+    lines: Mapped = None,
     graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
     stream: bool = False,
@@ -120,6 +122,8 @@ def run(  # type: ignore[misc]
     - frame_id: what of a bag's messages is the frame id; count: their order.
     - topic: topic of a bag, of its lines or pictures.
     - definitions: what defines the messages of a log: a .dbc, openpilot's log.capnp.
+    - lines: where the lines stand in a table or in messages: the name of a preset, key=value (e.g.
+      left_positive=true), or a YAML file with such keys (docs/howto/sensors.md).
     - graph: a graph instead of the experiment's: its name or file, a module, or a
       DynamicBayesianNetwork.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
@@ -147,7 +151,8 @@ def run(  # type: ignore[misc]
     Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
     given, recordings = several_of(experiment), several_of(recording)
-    changes = (ground_truth, n_lanes, frame_id, camera, detector, topic, definitions, graph)
+    of_lines = (topic, definitions, lines)
+    changes = (ground_truth, n_lanes, frame_id, camera, detector, *of_lines, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -165,10 +170,10 @@ def run(  # type: ignore[misc]
             raise InputError("fleet: goes with one experiment; the table names the recordings")
         return _run_fleet(given[0], overrides, fleet, _folder_of(folder), way, jobs, progress)
     if is_one:
-        lines = recordings[0] if recordings else None
+        drive = recordings[0] if recordings else None
         first = given[0] if given else ZERO_LABEL
-        chosen = choose(first, overrides, lines, *changes)
-        read = read_of(chosen, first if lines is None else lines, ground_truth)
+        chosen = choose(first, overrides, drive, *changes)
+        read = read_of(chosen, first if drive is None else drive, ground_truth)
         place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
         if not stream:
             return _run_one(chosen, place, figures, read, way)
@@ -180,11 +185,11 @@ def run(  # type: ignore[misc]
     titled = name_all(given or [ZERO_LABEL], overrides, recordings, *changes)
     folder = None if folder is None else _folder_of(folder)
     plan = plan_runs(titled, folder)
-    lines = recordings[0] if recordings else given[0]
+    drive = recordings[0] if recordings else given[0]
     plan = [
         each
         if each.experiment is None
-        else replace(each, read=read_of(each.experiment, lines, ground_truth))
+        else replace(each, read=read_of(each.experiment, drive, ground_truth))
         for each in plan
     ]
     return _run_several(plan, folder, figures, way, jobs, progress)
@@ -328,6 +333,7 @@ def choose(
     detector: Any = None,
     topic: str | None = None,
     definitions: Any = None,
+    lines: Any = None,
     graph: Any = None,
     *,
     name: str | None = None,
@@ -354,9 +360,13 @@ def choose(
         chosen = with_recording(
             found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
         )
-    said = {"recording.topic": topic}
+    said: dict[str, Any] = {"recording.topic": topic}
     if definitions is not None:
         said["recording.definitions"] = str(Path(path_of(definitions, "definitions")).absolute())
+    if lines is not None:
+        from egolane_pgm.recordings.mapping import mapping_keys
+
+        said["recording"] = {"lines": mapping_keys(lines)}
     if any(said.values()):
         chosen = load_experiment(chosen, {key: value for key, value in said.items() if value})
     if graph is not None:

@@ -251,17 +251,13 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
         ("\udcff\udcfe", "cannot be read as CSV"),
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
         (
-            "frame_id,offset_3,offset_m_3\n",
-            "column offset_3 (offset_m_3), offset_m_3 occurs more than once",
-        ),
-        (
             "frame_id,offset\n1,2.0\n",
             "no column offset_m (did you mean 'offset'?); the table has frame_id, offset; it needs"
             " a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2,"
-            " ...); `columns: {offset_m: NAME}` says what yours are called",
+            " ...); `lines: {offset: NAME}` says what yours is called",
         ),
         (
-            "frame_id,line,offset_m\n3,1,-1.5\n3,2,\n",
+            "frame_id,line,offset_m,is_valid\n3,1,-1.5,1\n3,2,,1\n",
             "frame 3: line 2 is valid but its offset is nan; drop it or mark it not valid",
         ),
         (
@@ -282,7 +278,7 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
         ({"offset_m": None}, "no column offset_m"),
         (
             {"line": None, "offset_m": None, "offset_3": ["far", "1"]},
-            "row 1: offset_3 (offset_m_3) is 'far', not a number",
+            "row 1: offset_3 (offset_m) is 'far', not a number",
         ),
         ({"frame_id": [], "line": [], "offset_m": []}, "the table has no rows"),
         ({"offset_m": ["1.0", "far"]}, "row 2: offset_m is 'far', not a number"),
@@ -291,7 +287,7 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
         ({"line": [1, 2.5]}, "row 2: line is 2.5, not a whole number"),
         (
             {"is_valid": [1, 7]},
-            "column is_valid has type int64, which is not true, false, 1 or 0",
+            "row 2: is_valid is 7, not true, false, 1 or 0; a condition says which",
         ),
     ],
 )
@@ -334,7 +330,7 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     ("rows", "said"),
     [
         ("7,,,,,true", "frame 7: line 1 is valid but its offset is nan; drop it"),
-        ("7,1,2,x,,true", "line 2: offset_3 (offset_m_3) is 'x', not a number"),
+        ("7,1,2,x,,true", "line 2: offset_3 (offset_m) is 'x', not a number"),
         ("7,1,,,,true\n7,1,,,,true", "line 3: frame 7 has this line twice"),
         ("7,1,,,,true\n6,1,,,,true", "line 3: frame 6 comes after a later one"),
         ("7,1,2,3,,", "line 2: frame 7 has a line with empty is_valid"),
@@ -343,16 +339,3 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
 )
 def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, said: str) -> None:
     assert said in refused(csv(tmp_path, WIDE.splitlines()[0] + "\n" + rows + "\n"))
-
-
-def test_columns_of_other_names_are_read_as_they_are_said_to_mean(tmp_path: Path) -> None:
-    path = csv(tmp_path, "t,id,lateral\n7,1,-1.8\n7,2,1.9\n")
-    columns = {"frame_id": "t", "line": "id", "offset_m": "lateral"}
-    np.testing.assert_array_equal(read_table(path, columns=columns).offset_m, [[-1.8, 1.9]])
-    path = parquet(tmp_path, t=[7], left=[-1.8], right=[1.9])
-    columns = {"frame_id": "t", "offset_1": "left", "offset_2": "right"}
-    np.testing.assert_array_equal(read_table(path, columns=columns).offset_m, [[-1.8, 1.9]])
-    with pytest.raises(InputError, match=r"columns: offset_1: the table has no 'lft' \(did you m"):
-        read_table(path, columns={"offset_1": "lft"})
-    with pytest.raises(InputError, match=r"there is no column 'ofset_m' \(did you mean 'offset_m'"):
-        read_table(path, columns={"ofset_m": "left"})
