@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import json
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,10 +24,6 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import egolane_pgm as ego
-from egolane_pgm.experiment import LinesMapping
-from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.containers import messages, topics_of
-from egolane_pgm.types import InputError
 from tests.kits.drives import done
 
 #: The lines of each frame, metres to the left, and which is solid: lane 1 of 3, 0.1 s a frame.

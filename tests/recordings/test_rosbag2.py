@@ -149,10 +149,14 @@ def test_frames_put_in_have_times_between_those_of_their_neighbours(
     assert filled.is_missing.sum() == 5
 
 
-def test_messages_can_be_counted_where_they_have_no_frame_id(log: LineLog, tmp_path: Path) -> None:
+def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
+    log: LineLog, tmp_path: Path
+) -> None:
     bag = write_bag2(tmp_path / "bag", replace(log, frame_id=np.arange(60) - 30))
-    np.testing.assert_array_equal(read_lines(bag, frame_id="count").frame_id, np.arange(60))
-    assert "there is no 'seq' in header.seq; there are stamp" in refused(bag, frame_id="seq")
+    found = read_lines(bag, lines={"frame_id": None}).frame_id
+    np.testing.assert_array_equal(found, np.arange(60))
+    said = refused(bag, lines=LinesMapping(frame_id="header.seq"))
+    assert "there is no 'seq' in header.seq; there are stamp" in said
 
 
 def test_a_definition_in_idl_is_read(log: LineLog, tmp_path: Path) -> None:
@@ -206,7 +210,8 @@ def test_a_bag_without_definitions_is_read_by_those_that_a_folder_has(
     (folder / "Line.msg").write_text(DEFINITIONS_2[LINE_TYPE_2])
     for named in (folder, folder.parent):
         assert_same(read_messages(bag, definitions=named), log)
-    assert "nowhere: no such file" in refused(bag, definitions="nowhere")
+    with pytest.raises(InputError, match="nowhere: no such file"):
+        read_messages(bag, definitions="nowhere")
 
 
 def forget_definitions(bag: Path) -> None:
@@ -361,10 +366,9 @@ def test_a_bag_of_lines_has_no_positions(mcap: Path) -> None:
 def test_a_topic_named_beside_a_recording_is_the_recordings(mcap: Path) -> None:
     place = experiments_folder() / "zero_label.yaml"
     chosen = load_experiment(place, ["recording.topic=/x", "recording.options={valid: always}"])
-    recording = with_recording(chosen, str(mcap), None, 4, "count").recording
+    recording = with_recording(chosen, str(mcap), None, 4).recording
     assert recording.topic == "/x"
     assert recording.options == {"valid": "always"}
-    assert recording.frame_id == "count"
 
 
 def test_a_time_since_1970_is_printed_as_the_time_of_day() -> None:
