@@ -138,8 +138,8 @@ class LinesMapping(Section):
         " without frame ids it gives these, too",
         examples=["timestamp", "header.stamp"],
     )
-    time_unit: Literal["s", "ms", "us", "ns"] = Field(
-        default="s", description="unit of `time`, where that is a number"
+    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        default=None, description="unit of `time`, where that is a number; left out, seconds"
     )
     line: str | None = Field(
         default=None,
@@ -157,11 +157,11 @@ class LinesMapping(Section):
         description="how far ahead the points of a line are, where `offset` is a list of points",
         examples=["poses[].pose.position.x"],
     )
-    at_m: float = Field(
-        default=0.0,
+    at_m: float | None = Field(
+        default=None,
         allow_inf_nan=False,
-        description="how far ahead, in the unit of `along`, the line is looked at; of a polynomial"
-        " metres",
+        description="how far ahead the line is looked at, in the unit of `along`, of a polynomial"
+        " metres; left out, 0",
     )
     is_valid: bool | str | None = Field(
         default=None,
@@ -174,10 +174,14 @@ class LinesMapping(Section):
         examples=["type in [solid, double]"],
     )
     lri: str | None = Field(default=None, description="the line reliability index")
-    left_positive: bool = Field(
-        default=False, description="whether offsets are positive to the left (ISO 8855, ROS)"
+    left_positive: bool | None = Field(
+        default=None,
+        description="whether offsets are positive to the left (ISO 8855, ROS); left out, they are"
+        " not",
     )
-    unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of `offset`")
+    unit: Literal["m", "cm", "mm"] | None = Field(
+        default=None, description="unit of `offset`; left out, metres"
+    )
     each: tuple[str, ...] = Field(
         default=(),
         description="names, from left to right, each of which takes the place of `{}` in the other"
@@ -189,15 +193,24 @@ class LinesMapping(Section):
         description="further lines of the same frames: keys that differ from those here",
         examples=[[{"offset": "edges[].c0", "is_continuous": True}]],
     )
-    separator: str = Field(
-        default=",", min_length=1, max_length=1, description="what separates the cells of a CSV"
+    separator: str | None = Field(
+        default=None,
+        pattern=r"^(.|\\t)$",
+        description="what separates the cells of a CSV; \\t for tabs; left out, a comma",
     )
-    decimal: str = Field(
-        default=".", min_length=1, max_length=1, description="the decimal point of a CSV"
+    decimal: str | None = Field(
+        default=None,
+        min_length=1,
+        max_length=1,
+        description="the decimal point of a CSV; left out, a full stop",
     )
     null_values: tuple[str, ...] = Field(
         default=(), description="further texts of a CSV that stand for an empty cell"
     )
+
+    def said(self) -> dict[str, Any]:
+        """The keys that are not left out."""
+        return {key: value for key, value in self if value is not None and value != ()}
 
 
 class Recording(Section):
@@ -794,7 +807,7 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
     if lines is None:
         del content["recording"]["lines"]
     else:
-        content["recording"]["lines"] = lines.model_dump(mode="json", exclude_unset=True)
+        content["recording"]["lines"] = json.loads(json.dumps(lines.said()))
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

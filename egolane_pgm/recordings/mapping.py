@@ -20,7 +20,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from egolane_pgm.experiment import LinesMapping, Section, validated
+from egolane_pgm.experiment import LinesMapping, validated
 from egolane_pgm.recordings.cells import FLAGS, Cells, arrow_column, check_whole, place, typed
 from egolane_pgm.recordings.fields import Table
 from egolane_pgm.recordings.select import rate_of
@@ -110,8 +110,8 @@ def whole_mapping(mapping: LinesMapping | None, where: str) -> LinesMapping:
     if mapping.preset not in presets():
         hint = suggestion(mapping.preset, presets())
         raise InputError(f"{where}: lines: unknown preset '{mapping.preset}'{hint}")
-    keys = {key: getattr(mapping, key) for key in mapping.model_fields_set if key != "preset"}
-    return validated(LinesMapping, {**presets()[mapping.preset], **keys}, where)
+    keys = {**presets()[mapping.preset], **mapping.said(), "preset": None}
+    return validated(LinesMapping, keys, where)
 
 
 def mapping_keys(given: LinesGiven) -> dict[str, Any]:
@@ -121,8 +121,10 @@ def mapping_keys(given: LinesGiven) -> dict[str, Any]:
     >>> mapping_keys(["mobileye", "left_positive=true"])
     {'preset': 'mobileye', 'left_positive': True}
     """
-    if isinstance(given, (LinesMapping, Mapping)):
-        return dict(given.model_dump(exclude_unset=True) if isinstance(given, Section) else given)
+    if isinstance(given, LinesMapping):
+        return given.said()
+    if isinstance(given, Mapping):
+        return dict(given)
     keys: dict[str, Any] = {}
     for each in [given] if isinstance(given, str) else given:
         name, equals, value = each.partition("=")
@@ -168,11 +170,7 @@ class _Part:
 
 def _parts(mapping: LinesMapping, names: Iterable[str], where: str) -> list[_Part]:
     """What `each` and `also` stand for. names: of the columns."""
-    own = {
-        key: getattr(mapping, key)
-        for key in mapping.model_fields_set
-        if key not in ("preset", "each", "also")
-    }
+    own = {key: value for key, value in mapping.said().items() if key not in ("each", "also")}
     offset = mapping.offset if isinstance(mapping.offset, str) else (mapping.offset or ("",))[0]
     found = [_Part(LinesMapping(**own))]
     if "{}" in f"{offset}{mapping.topic or ''}":
@@ -240,18 +238,19 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
     """
     keys = part.keys
     paths = (keys.offset,) if isinstance(keys.offset, str) else (keys.offset or ())
+    at_m = keys.at_m or 0.0
     section, beside = _beside(paths[0], False), _beside(paths[0], keys.along is not None)
     offset, up = table.numbers("offset_m", paths[0], key="offset")
     for power, path in enumerate(paths[1:], start=1):
         values, of = table.numbers("offset_m", path, section, key="offset")
-        offset = offset + table.aligned("offset", values, of, up) * keys.at_m**power
+        offset = offset + table.aligned("offset", values, of, up) * at_m**power
     if keys.along is not None:
         if not up:
             raise InputError(f"{table.path}: lines: along: {paths[0]} is no list of points")
         along = table.aligned("along", *table.numbers("along", keys.along, section), up)
         n_lines = len(up[-2]) if len(up) > 1 else table.n_rows
-        offset, up = _at(keys.at_m, along, offset, up[-1], n_lines), up[:-1]
-    offset, row = offset / _PER_METRE[keys.unit], table.rows(up)
+        offset, up = _at(at_m, along, offset, up[-1], n_lines), up[:-1]
+    offset, row = offset / _PER_METRE[keys.unit or "m"], table.rows(up)
     cells: Cells = {"offset_m": -offset if keys.left_positive else offset}
     for name in ("is_valid", "is_continuous", "lri", "line"):
         said = getattr(keys, name)
@@ -308,7 +307,7 @@ def _frames_of(table: Table, mapping: LinesMapping, first: int = 0) -> Cells:
     missing = table.own("is_missing")
     cells: Cells = {}
     if time is not None:
-        cells["time_s"] = _seconds(table, time, mapping.time_unit if mapping.time else "s")
+        cells["time_s"] = _seconds(table, time, mapping.time_unit or "s")
     if ids is not None:
         cells["frame_id"], _ = table.numbers("frame_id", ids)
         check_whole(table.path, cells, "frame_id", np.arange(table.n_rows))
@@ -545,7 +544,7 @@ def _joined(
     if "line" not in cells:
         cells["line"] = _numbered(cells)
     log = _assemble(path, cells, row, frame_rate)
-    for said in contradictions(log, mapping.left_positive, width or None):
+    for said in contradictions(log, bool(mapping.left_positive), width or None):
         warnings.warn(said, UserWarning, stacklevel=4)
     return log
 

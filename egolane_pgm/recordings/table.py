@@ -30,6 +30,10 @@ from egolane_pgm.types import InputError, LineLog
 if TYPE_CHECKING:
     import pandas as pd
 
+#: The endings of tables.
+TABLES = (".csv", ".tsv", ".parquet", ".jsonl", ".json")
+_TEXT = (".csv", ".tsv")
+
 
 def read_table(
     path: str | Path, *, frame_rate: float = FRAME_RATE, lines: LinesMapping | None = None
@@ -141,31 +145,31 @@ def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
     extension = path.suffix.lower()
     if extension == ".parquet":
         return read_parquet(path)
-    if extension not in (".csv", ".tsv", ".jsonl", ".json"):
+    if extension not in TABLES:
         raise InputError(
             f"{path}: unknown extension '{path.suffix}' of a table (.csv, .tsv, .parquet, .jsonl)"
         )
     keys = whole_mapping(lines, str(path))
     try:
-        if extension in (".jsonl", ".json"):
+        if extension not in _TEXT:
             # A message of hundreds of points is longer than pyarrow expects.
             table = json.read_json(path, json.ReadOptions(block_size=1 << 24))
         else:
-            said = "separator" in keys.model_fields_set
-            separator = keys.separator if said or extension == ".csv" else "\t"
+            usual = "\t" if extension == ".tsv" else ","
+            separator = (keys.separator or usual).replace("\\t", "\t")
             nulls = [*csv.ConvertOptions().null_values, *keys.null_values]
             table = csv.read_csv(
                 path,
                 parse_options=csv.ParseOptions(delimiter=separator),
                 convert_options=csv.ConvertOptions(
-                    decimal_point=keys.decimal, null_values=nulls, strings_can_be_null=True
+                    decimal_point=keys.decimal or ".", null_values=nulls, strings_can_be_null=True
                 ),
             )
     except (OSError, pa.ArrowInvalid) as error:
         said = " ".join(str(error).split())[:160]
-        kind = "CSV" if extension in (".csv", ".tsv") else "JSON lines"
+        kind = "CSV" if extension in _TEXT else "JSON lines"
         raise InputError(f"{path}: cannot be read as {kind} ({said}){_separated(path)}") from None
-    if extension in (".csv", ".tsv") and len(table.column_names) == 1 and _separated(path):
+    if extension in _TEXT and len(table.column_names) == 1 and _separated(path):
         raise InputError(f"{path}: has one column, {table.column_names[0]}{_separated(path)}")
     names = [name.strip() for name in table.column_names]
     _check_names(path, names)

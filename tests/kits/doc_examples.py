@@ -21,6 +21,7 @@ from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
 from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
 from tests.kits.image_line_files import entry, tusimple
+from tests.kits.sensor_files import write_bags, write_tables
 from tests.kits.synthetic_road import write_video
 
 ROOT = Path(__file__).parents[2]
@@ -147,6 +148,9 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
         kind = "quickstart" if name in ("X", "other") else "zero_label"
         rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
     _write_bag(folder / "drive.bag")
+    (folder / "sensors").mkdir()
+    write_tables(folder / "sensors")
+    write_bags(folder / "sensors")
     offsets = np.array([-5.55, -1.85, 1.85, 5.55])
     seen = [draw_road(TRUE, offsets + 0.02 * k, 0.0, k) for k in range(16)]
     write_video(folder / "drive.avi", seen)
