@@ -268,7 +268,6 @@ def with_recording(
     recording: str | None,
     ground_truth: str | None,
     n_lanes: int | None,
-    frame_id: str | None = None,
     camera: str | None = None,
     detector: str | None = None,
     overrides: Overrides = (),
@@ -282,7 +281,7 @@ def with_recording(
       (`Source.kept_for`): detector and camera for pictures, format, topic, columns and so on for a
       file with the same extension.
 
-    recording, ground_truth, n_lanes, frame_id, camera, detector: what replaces the experiment's,
+    recording, ground_truth, n_lanes, camera, detector: what replaces the experiment's,
         None for what stays. recording may be `IN_MEMORY`, ground_truth "none"; camera and detector
         are for a video or pictures.
     overrides: keys that were overridden in the experiment: they are meant for the new recording, so
@@ -323,8 +322,6 @@ def with_recording(
                 f"{experiment.source}: recording: overrides and recording, or a row of a fleet,"
                 " name two of them; leave one out"
             )
-    if frame_id is not None:
-        section["frame_id"] = frame_id
     if camera is not None:
         section["camera"] = str(Path(camera).absolute())
     if detector is not None:

@@ -239,11 +239,6 @@ class Recording(Section):
         " log, openpilot's cereal/log.capnp, the folder of a ROS 2 bag's .msg files",
         examples=["lanes.dbc", "openpilot/cereal/log.capnp"],
     )
-    frame_id: Literal["way_id", "seq", "count"] = Field(
-        default="way_id",
-        description="what of a bag's messages is the frame id: the message's field way_id, seq of"
-        " its header (ROS 1), or their count",
-    )
     frames: tuple[int, int] | None = Field(
         default=None,
         description="first frame id and the one after the last",

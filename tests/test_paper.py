@@ -17,8 +17,8 @@ from egolane_pgm import paper as paper
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import SCORES, Reproduced
-from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.containers import read_messages
+from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.running import run_experiment
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, short_drive, write_drive

@@ -66,7 +66,7 @@ def read_lines(
     - frame_rate: frames per second, where the recording has no times; by default the reader's.
     - lines: where the lines stand in a table or in messages: keys and values of `recording.lines`,
       the name of a preset, or a YAML file with the keys.
-    - options: further ones of the format's reader (`read_messages`: topic, frame_id, definitions;
+    - options: further ones of the format's reader (`read_messages`: topic, definitions;
       `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step, ahead_m; `read_tusimple`
       also continuous).
 

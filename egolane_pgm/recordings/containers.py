@@ -20,7 +20,7 @@ import numpy as np
 from egolane_pgm.experiment import LinesMapping
 from egolane_pgm.recordings import mapping
 from egolane_pgm.recordings.mapping import Message
-from egolane_pgm.types import InputError, IntArray, LineLog, near_word, not_one_of
+from egolane_pgm.types import InputError, LineLog, near_word
 
 #: The topics of the lines in the published recordings and in what `egolane export` writes.
 TOPICS = ("/isis_line_detector/lines", "/lines")
@@ -53,8 +53,8 @@ def topics_of(path: str | Path, *, definitions: str | Path | None = None) -> Top
 
     Raises InputError for a file that is missing or cannot be read, or needs definitions.
     """
-    path, found = Path(path), None if definitions is None else Path(definitions)
-    topics: Topics = _reader(path, found).topics_of(path, found)
+    reader, *files = _opened(path, definitions)
+    topics: Topics = reader.topics_of(*files)
     return topics
 
 
@@ -73,24 +73,23 @@ def messages(
     Raises InputError as `topics_of`, for a topic that is not there, with those that are, and for a
     file that holds no message on them.
     """
-    path, found = Path(path), None if definitions is None else Path(definitions)
-    reader = _reader(path, found)
+    reader, file, defined = _opened(path, definitions)
     if topics is not None:
-        topics = _known(path, topics, reader.topics_of(path, found))
+        topics = _known(file, topics, reader.topics_of(file, defined))
     is_empty = True
-    for message in reader.messages(path, topics, found):
+    for message in reader.messages(file, topics, defined):
         is_empty = False
         yield message
     if is_empty:
-        where = "" if topics is None else f" on {', '.join(topics)}"
-        raise InputError(f"{path}: holds no messages{where}")
+        raise InputError(
+            f"{file}: holds no messages{' on ' if topics else ''}{', '.join(topics or ())}"
+        )
 
 
 def read_messages(
     path: str | Path,
     *,
     topic: str | None = None,
-    frame_id: str = "way_id",
     frame_rate: float = mapping.FRAME_RATE,
     lines: LinesMapping | None = None,
     definitions: str | Path | None = None,
@@ -99,32 +98,25 @@ def read_messages(
 
     - topic: of the lines; by default that of the published recordings or of `egolane export`, or
       the only one.
-    - frame_id: "seq" (header.seq of ROS 1) or "count" (0, 1, ... in the order of recording) instead
-      of way_id of the published recordings, or of `lines.frame_id`.
     - frame_rate: frames per second of messages with frame ids but without times.
     - lines: which fields are what; by default those of the published recordings, or our own names.
     - definitions: as for `topics_of`.
 
-    The published ROS 1 bags have stamps that say when they were processed, jump by minutes or are
-    all zero; time is frame id over frame rate there. Raises InputError as `messages` and
-    `recordings.mapping.lines_of`.
+    Raises InputError as `messages` and `recordings.mapping.lines_of`.
     """
     whole = mapping.whole_mapping(lines, str(path))
     if topic is not None and not mapping.topics_of(whole):
         whole = whole.model_copy(update={"topic": topic})
-    wanted: Collection[str] = mapping.topics_of(whole)
+    wanted = mapping.topics_of(whole)
     if not wanted:
         there = topics_of(path, definitions=definitions)
-        wanted = [name for name in TOPICS if name in there][:1] or there
-    if frame_id != "way_id":
-        named = {"seq": "header.seq", "count": "count"}
-        if frame_id not in named:
-            raise InputError(f"{path}: frame_id {not_one_of(frame_id, ['way_id', *named])}")
-        whole = whole.model_copy(update={"frame_id": named[frame_id]})
+        wanted = tuple(name for name in (*TOPICS, *there) if name in there)[:1]
+        if len(there) > 1 and wanted[0] not in TOPICS:
+            raise InputError(
+                f"{path}: topic: is missing; the file has {_listed(there)} (`egolane inspect`)"
+            )
     found = list(messages(path, wanted, definitions=definitions))
-    if frame_id == "count":
-        found = [m._replace(value={**m.value, "count": k}) for k, m in enumerate(found)]
-    if "lines" in found[0].value and "way_id" in found[0].value and whole.offset is None:
+    if whole.offset is None and {"lines", "way_id"} <= found[0].value.keys():
         whole, found = _published(Path(path), whole, found, frame_rate)
     return mapping.lines_of(found, whole, str(path), frame_rate=frame_rate)
 
@@ -132,15 +124,26 @@ def read_messages(
 def _published(
     path: Path, keys: LinesMapping, found: list[Message], frame_rate: float
 ) -> tuple[LinesMapping, list[Message]]:
-    """The mapping of the published recordings, and their messages with times that increase."""
+    """The mapping of the published recordings, and their messages with times that increase.
+
+    The stamps of the published ROS 1 bags say when they were processed, jump by minutes or are all
+    zero: time is frame id over frame rate there.
+    """
     is_ros1 = path.suffix == ".bag"
     preset = mapping.presets()["rle" if is_ros1 else "rle_ros2"]
-    keys = keys.model_copy(update={k: v for k, v in preset.items() if getattr(keys, k) is None})
+    given = keys.model_fields_set
+    keys = keys.model_copy(update={k: value for k, value in preset.items() if k not in given})
     parts = str(keys.frame_id).split(".")
-    if keys.time is not None or parts[-1] not in found[0].value.get("header", {}) | found[0].value:
+    if keys.time is not None or parts[-1] not in {**found[0].value, **found[0].value["header"]}:
         return keys, found
     ids = np.array([reduce(getitem, parts, message.value) for message in found])
-    _check_ids(path, ids)
+    at = int(np.argmin(np.diff(ids, append=np.inf)))
+    if len(ids) > at + 1 and ids[at + 1] <= ids[at]:
+        raise InputError(
+            f"{path}: frame ids must increase, but {ids[at]} is followed by {ids[at + 1]}; split"
+            " the file there, or, where it does not fill in way_id, take `lines: {frame_id:"
+            " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
+        )
     backwards = np.diff([message.time_s for message in found]) <= 0
     if backwards.any() and not is_ros1:
         one, other = ids[np.argmax(backwards) :][:2]
@@ -151,21 +154,9 @@ def _published(
             stacklevel=4,
         )
     if is_ros1 or backwards.any():
-        found = [
-            each._replace(time_s=int(k) / frame_rate) for k, each in zip(ids, found, strict=True)
-        ]
+        pairs = zip(ids.tolist(), found, strict=True)
+        found = [message._replace(time_s=k / frame_rate) for k, message in pairs]
     return keys, found
-
-
-def _check_ids(path: Path, ids: IntArray) -> None:
-    step = np.diff(ids)
-    if (step <= 0).any():
-        k = int(np.argmax(step <= 0))
-        raise InputError(
-            f"{path}: frame ids must increase, but {ids[k]} is followed by {ids[k + 1]} (messages"
-            f" {k + 1} and {k + 2} of the file); split the bag there, or, of a recording that does"
-            " not fill in way_id, use frame_id seq (ROS 1) or count"
-        )
 
 
 def time_of(value: Any, logged_ns: int) -> float:
@@ -207,25 +198,29 @@ def _known(path: Path, topics: Collection[str], there: Topics) -> list[str]:
     names = {name.strip("/"): name for name in there}
     for topic in topics:
         if topic.strip("/") not in names:
-            listed = ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(there.items()))
             meant = near_word(topic, there)
-            raise InputError(f"{path}: no topic {topic}{meant}; the file has {listed or 'none'}")
+            raise InputError(f"{path}: no topic {topic}{meant}; the file has {_listed(there)}")
     return [names[topic.strip("/")] for topic in topics]
 
 
-def _reader(path: Path, definitions: Path | None) -> Any:
-    if not path.exists():
-        raise InputError(f"{path}: no such file")
-    if definitions is not None and not definitions.exists():
-        raise InputError(f"{path}: definitions: {definitions}: no such file")
+def _listed(topics: Topics) -> str:
+    return ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(topics.items())) or "none"
+
+
+def _opened(path: str | Path, definitions: str | Path | None) -> tuple[Any, Path, Path | None]:
+    """What reads a file, the file, and what defines its messages."""
+    path, found = Path(path), None if definitions is None else Path(definitions)
+    for file in (path, found):
+        if file is not None and not file.exists():
+            raise InputError(f"{file}: no such file")
     name = "rosbag" if path.is_dir() else READERS[path.suffix.lower() or path.name]
-    if name == "mdf_file" and definitions is not None:
+    if name == "mdf_file" and found is not None:
         name = "can_log"
     elif path.suffix.lower() == ".mcap" and not _is_ros2(path):
         name = "mcap_file"
-    if name in _NEEDED and definitions is None:
+    if name in _NEEDED and found is None:
         raise InputError(f"{path}: {_NEEDED[name]} (recording.definitions)")
-    return import_module(f"egolane_pgm.recordings.{name}")
+    return import_module(f"egolane_pgm.recordings.{name}"), path, found
 
 
 def _is_ros2(path: Path) -> bool:

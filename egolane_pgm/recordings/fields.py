@@ -177,8 +177,8 @@ def _follow(columns: Mapping[str, Any], path: str) -> tuple[str, Any, Up]:
         inner, index = step[1], step[2]
         if pa.types.is_null(values.type):
             # Of a list that is always empty nobody knows what is in it.
-            values = values[:0] if index == "" else values
-            up = (*up, np.zeros(0, dtype=np.int64)) if index == "" else up
+            if index == "" and len(values):
+                values, up = values[:0], (*up, np.zeros(0, dtype=np.int64))
         elif inner is None:
             values, up = _listed(values, up, index)
         else:

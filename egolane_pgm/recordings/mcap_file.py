@@ -79,7 +79,7 @@ def _plain(value: Any) -> Any:
         return value
     if hasattr(value, "items"):
         return {key: _plain(each) for key, each in value.items()}
-    if hasattr(value, "__iter__"):
+    if hasattr(value, "__len__"):
         return [_plain(each) for each in value]
     if not hasattr(value, "DESCRIPTOR"):
         return value

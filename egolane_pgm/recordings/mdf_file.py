@@ -24,7 +24,7 @@ def topics_of(path: Path, definitions: Path | None) -> Topics:
     """See `recordings.containers`."""
     with _open(path) as file:
         return {
-            name: (_kind(file.groups[k]), file.groups[k].channel_group.cycles_nr)
+            name: ("channel group", file.groups[k].channel_group.cycles_nr)
             for name, k in _groups(file).items()
         }
 
@@ -53,11 +53,6 @@ def _rows(file: Any, topic: str, group: int, began: float) -> Iterator[Message]:
 def _open(path: Path) -> Iterator[Any]:
     with reading(path, "MDF"), MDF(path) as file:
         yield file
-
-
-def _kind(group: Any) -> str:
-    is_raw = any(channel.name.startswith("CAN_DataFrame") for channel in group.channels)
-    return "raw CAN frames, which a .dbc defines" if is_raw else "channel group"
 
 
 def _groups(file: Any) -> dict[str, int]:

@@ -19,18 +19,18 @@ with needed("a log of openpilot", "openpilot"):
 
 def topics_of(path: Path, definitions: Path) -> Topics:
     """See `recordings.containers`: the kinds of events of the schema, in the log or not."""
-    return dict.fromkeys(_event(definitions).schema.union_fields, ("event", None))
+    return dict.fromkeys(_schema(definitions).Event.schema.union_fields, ("event", None))
 
 
 def messages(path: Path, topics: Collection[str] | None, definitions: Path) -> Iterator[Message]:
     """See `recordings.containers`. Times are logMonoTime, since the device was started."""
-    event_type, raw = _event(definitions), path.read_bytes()
+    schema, raw = _schema(definitions), path.read_bytes()
     with reading(path, "a log of openpilot"):
         if raw.startswith(b"BZh"):
             raw = bz2.decompress(raw)
         elif raw.startswith(b"\x28\xb5\x2f\xfd"):
             raw = zstandard.ZstdDecompressor().decompressobj().decompress(raw)
-        for event in event_type.read_multiple_bytes(raw):
+        for event in schema.Event.read_multiple_bytes(raw):
             kind = str(event.which())
             if topics is None or kind in topics:
                 value = getattr(event, kind)
@@ -38,6 +38,7 @@ def messages(path: Path, topics: Collection[str] | None, definitions: Path) -> I
                 yield Message(event.logMonoTime / 1e9, kind, fields)
 
 
-def _event(definitions: Path) -> Any:
+def _schema(definitions: Path) -> Any:
     with reading(definitions, "a schema of Cap'n Proto"):
-        return capnp.load(str(definitions)).Event
+        # The parser of `capnp.load` ends the program at a second checkout with the same ids.
+        return capnp.SchemaParser().load(str(definitions))

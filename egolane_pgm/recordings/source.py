@@ -25,7 +25,7 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wm
 IN_MEMORY = "in memory"
 
 #: The keys of a recording that say how lines are read.
-READING = frozenset({"format", "topic", "frame_id", "options", "lines", "definitions"})
+READING = frozenset({"format", "topic", "options", "lines", "definitions"})
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,6 @@ class LinesFile(Source):
                 self.experiment, "recording.definitions", folders=True
             )
             files.append(options["definitions"])
-        if recording.frame_id != "way_id":
-            options["frame_id"] = recording.frame_id
         if recording.lines is not None:
             options["lines"] = recording.lines
         if not self._is_own_format():

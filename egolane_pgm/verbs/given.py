@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Ge
 
@@ -69,7 +69,6 @@ Jobs = Annotated[int, Ge(1)] | str
 Mapped = Annotated[
     str | Sequence[str] | Mapping[str, Any] | None, Option("PRESET|KEY=VALUE|FILE", many=True)
 ]
-FrameId = Literal["way_id", "seq", "count"]
 Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
 Fleet = Annotated[StrPath | None, Option("FILE")]
 ByTag = Annotated[str | None, Option("NAME")]

@@ -31,7 +31,6 @@ from egolane_pgm.verbs.given import (
     Blocks,
     Detector,
     Fleet,
-    FrameId,
     Hidden,
     Jobs,
     Lines,
@@ -85,7 +84,6 @@ def run(  # type: ignore[misc]
     n_lanes: int | None = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Detector = None,
-    frame_id: FrameId | None = None,
     topic: str | None = None,
     definitions: Annotated[StrPath | None, Option("FILE")] = None,
     lines: Mapped = None,
@@ -119,7 +117,6 @@ def run(  # type: ignore[misc]
     - n_lanes: number of lanes of the road.
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
-    - frame_id: what of a bag's messages is the frame id; count: their order.
     - topic: topic of a bag, of its lines or pictures.
     - definitions: what defines the messages of a log: a .dbc, openpilot's log.capnp.
     - lines: where the lines stand in a table or in messages: the name of a preset, key=value (e.g.
@@ -152,7 +149,7 @@ def run(  # type: ignore[misc]
     """
     given, recordings = several_of(experiment), several_of(recording)
     of_lines = (topic, definitions, lines)
-    changes = (ground_truth, n_lanes, frame_id, camera, detector, *of_lines, graph)
+    changes = (ground_truth, n_lanes, camera, detector, *of_lines, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -328,7 +325,6 @@ def choose(
     recording: Any = None,
     ground_truth: Any = None,
     n_lanes: int | None = None,
-    frame_id: str | None = None,
     camera: Any = None,
     detector: Any = None,
     topic: str | None = None,
@@ -356,10 +352,8 @@ def choose(
         "detector": None if detector is None else path_of(detector, "detector"),
     }
     chosen = found
-    if n_lanes is not None or frame_id is not None or any(files.values()):
-        chosen = with_recording(
-            found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
-        )
+    if n_lanes is not None or any(files.values()):
+        chosen = with_recording(found, **files, n_lanes=n_lanes, overrides=overrides)
     said: dict[str, Any] = {"recording.topic": topic}
     if definitions is not None:
         said["recording.definitions"] = str(Path(path_of(definitions, "definitions")).absolute())
