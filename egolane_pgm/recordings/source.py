@@ -7,6 +7,7 @@ of an experiment.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors, plugin_names
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
 from egolane_pgm.recordings.catalog import find_file
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.types import InputError, LaneTruth, LineLog, all_problems, suggestion
 
 #: Extensions by which a video is known where no detector is named.
@@ -170,9 +172,15 @@ class LinesFile(Source):
         return files_of(place)
 
     def frame_rate(self) -> float | None:
-        # That of a table with times; the stamps of a bag's messages are no rate.
+        # That of a table with times, or of messages; the published ones' stamps are no rate.
         path, recording = self._path(), self.experiment.recording
-        if self._is_own_format() or self._format(path) != "table":
+        is_table = not self._is_own_format() and self._format(path) == "table"
+        if not is_table and recording.lines is not None:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                log = self.read().log
+            return rate_of(log.frame_id, log.time_s)
+        if not is_table:
             return None
         # What reads tables is loaded for them only.
         from egolane_pgm.recordings.table import own_rate
