@@ -81,7 +81,9 @@ class Table:
         Raises InputError for a field that is not there.
         """
         wrong = _NoField(path)
-        for whole in dict.fromkeys([beside + path, path]):
+        # Of lists that are always empty nobody knows the fields: what says the list is whole.
+        ways = [path] if path.startswith(beside) else [beside + path, path]
+        for whole in ways:
             try:
                 name, found, up = _follow(self.columns, whole)
             except _NoField as error:
@@ -166,8 +168,8 @@ def _follow(columns: Mapping[str, Any], path: str) -> tuple[str, Any, Up]:
     end = next((end for end in ends if path[:end] in columns), None)
     if end is None:
         raise _NoField(path[: ends[-1]], [*columns])
-    name, up = path[:end], ()
-    values = arrow_column(columns[name])
+    name, values = path[:end], arrow_column(columns[path[:end]])
+    up: Up = ()
     while end < len(path):
         step = _STEP.match(path, end)
         if step is None:

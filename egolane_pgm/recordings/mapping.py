@@ -152,7 +152,7 @@ def mapping_of(given: LinesGiven, where: str) -> LinesMapping:
 
 def topics_of(mapping: LinesMapping) -> tuple[str, ...]:
     """The topics that a mapping with its preset's keys names; none: the only one."""
-    topic = mapping.topic
+    topic = "" if mapping.topic is None else str(mapping.topic)
     found = [topic.replace("{}", each) for each in mapping.each or ("",)] if topic else []
     found += [str(keys["topic"]) for keys in mapping.also if "topic" in keys]
     return tuple(dict.fromkeys(found))
@@ -266,7 +266,7 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
         cells["line"] = cells["line"] + (np.nanmin(cells["line"], initial=1) == 0)
     elif base is not None or up:
         cells["line"] = (base or 0) + 1.0 + np.arange(len(row)) - np.searchsorted(row, row)
-    cells.setdefault("is_valid", (~np.isnan(offset)).astype(np.float64))
+    cells.setdefault("is_valid", np.where(np.isnan(offset), 0.0, 1.0))
     if part.slot is not None and not up:
         # A line that is said to be valid is there, and without an offset it is a mistake.
         there = ~np.isnan(offset) | (cells["is_valid"] == 1)
@@ -523,7 +523,8 @@ def _joined(
     """
     default = next(iter(tables))
     parts = _parts(mapping, tables[default].columns, str(path))
-    topic_of = [part.keys.topic if part.keys.topic in tables else default for part in parts]
+    named = [part.keys.topic or default for part in parts]
+    topic_of = [topic if topic in tables else default for topic in named]
     frames = {topic: _frames_of(tables[topic], mapping, first) for topic in tables}
     row_of = {topic: np.arange(table.n_rows) for topic, table in tables.items()}
     of_frame = frames[default]

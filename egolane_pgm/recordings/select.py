@@ -205,13 +205,12 @@ def sign_warning(log: LineLog, truth: LaneTruth) -> list[str]:
     - log, truth: of the same K frames.
     """
     to_left = -np.diff(truth.lane)
-    changes = np.flatnonzero(to_left)
+    changes = [int(k) for k in np.flatnonzero(to_left)]
     offset = np.where(log.is_valid, log.offset_m, np.nan)
     agrees = against = 0
     for k in changes:
-        near = slice(max(0, k - HALF_CHANGE), k + HALF_CHANGE)
-        one, next_one = offset[near, :, None], offset[near.start + 1 : near.stop + 1, None, :]
-        step = next_one - one[: len(next_one)]
+        near = offset[max(0, k - HALF_CHANGE) : k + HALF_CHANGE]
+        step = near[1:, None, :] - near[:-1, :, None]
         # A line is the nearest one of the next frame, unless it jumps by more than half a metre.
         nearest = np.nanmin(np.abs(step), axis=(1, 2), initial=0.5)[:, None, None]
         moved = np.nansum(np.where(np.abs(step) == nearest, step, 0)) * np.sign(to_left[k])

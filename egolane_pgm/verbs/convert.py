@@ -40,8 +40,7 @@ def convert(
 
     Returns the lines. Raises InputError, one line, for whatever does not fit.
     """
-    given = {"topic": topic, "camera": camera, "frame_rate": frame_rate}
-    given["lines"] = lines
+    given = {"topic": topic, "camera": camera, "frame_rate": frame_rate, "lines": lines}
     chosen = {key: value for key, value in given.items() if value is not None}
     log = read_with(path_of(source, "source"), format, {**(options or {}), **chosen})
     write_lines(path_of(target, "target"), log)

@@ -33,7 +33,9 @@ def inspect(
 
     Returns the same as a dict. Raises InputError, one line, for a file that cannot be read.
     """
-    found = look_into(Path(path_of(recording, "recording")), lines, definitions)
+    found = look_into(
+        Path(path_of(recording, "recording")), lines, definitions and Path(definitions)
+    )
     if found["lines"] is not None:
         options = "".join(f" --lines {shlex.quote(each)}" for each in _written(found["lines"]))
         if definitions is not None:

@@ -56,7 +56,9 @@ def write_tables(folder: Path) -> None:
     stamps = _per_line(lambda t, k, y: (START_NS + t * 10**8, k + 1, y))
     kept = (row for row in stamps if not 50 <= (row[0] - START_NS) // 10**8 < 60)
     _rows(folder / "nanoseconds.csv", ("stamp", "line", "offset_m"), kept)
-    iso = _per_line(lambda t, k, y: (k + 1, int(-1000 * y), 0.9, "solid" if k in (0, 3) else "no"))
+    iso = _per_line(
+        lambda t, k, y: (k + 1, round(-1000 * y), 0.9, "solid" if k in (0, 3) else "no")
+    )
     heading = ("line", "lateral_mm", "confidence", "marking")
     dated = (
         (f"2026-03-01 12:00:{t // 10:02}.{t % 10}", *row)

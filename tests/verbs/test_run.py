@@ -246,7 +246,7 @@ def half_a_bag(folder: Path) -> None:
             "has no option 'top",
         ),
         (
-            table("frame_id,line,offset_m\n5,1,nan\n"),
+            table("frame_id,line,offset_m,is_valid\n5,1,nan,1\n"),
             "a.csv",
             "",
             "a.csv: frame 5: line 1 is valid",
