@@ -136,9 +136,7 @@ def test_the_lines_and_the_view_from_above_are_those_of_the_recording(
         assert [text.startswith(f"lane {truth}:") for text in marked] == [True] * (truth > 0)
 
 
-def test_an_exported_drive_is_a_recording_again(
-    result: Path, drive: Drive, tmp_path: Path
-) -> None:
+def test_an_exported_drive_is_a_recording_again(result: Path, drive: Drive, tmp_path: Path) -> None:
     write_mcap(tmp_path / "out.mcap", drive)
     out = tmp_path / "again"
     command = ["run", tmp_path / "out.mcap", "--n-lanes", 4, "--no-figures", "--out", out]

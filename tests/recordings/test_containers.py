@@ -98,7 +98,12 @@ def cut(make: Callable[[Path], None]) -> Callable[[Path], object]:
         ("a.blf", can_log, {}, "is a log of CAN frames: name the .dbc that defines"),
         ("a.blf", can_log, {"definitions": "b.dbc"}, "b.dbc: no such file"),
         ("a.blf", can_log, {"definitions": "a.blf"}, "a.blf: cannot be read as a .dbc ("),
-        ("a.blf", of_bytes(b"?" * 200), {"definitions": "../lanes.dbc"}, "as a log of CAN frames ("),
+        (
+            "a.blf",
+            of_bytes(b"?" * 200),
+            {"definitions": "../lanes.dbc"},
+            "as a log of CAN frames (",
+        ),
         (
             "a.asc",
             can_log,
