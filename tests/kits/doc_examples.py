@@ -20,7 +20,9 @@ from egolane_pgm.vision.camera.model import write_camera
 from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
 from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
+from tests.kits.image_bags import write_images
 from tests.kits.image_line_files import entry, tusimple
+from tests.kits.message_files import write_logs
 from tests.kits.sensor_files import write_bags, write_tables
 from tests.kits.synthetic_road import write_video
 
@@ -151,10 +153,12 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     (folder / "sensors").mkdir()
     write_tables(folder / "sensors")
     write_bags(folder / "sensors")
+    write_logs(folder / "sensors")
     offsets = np.array([-5.55, -1.85, 1.85, 5.55])
     seen = [draw_road(TRUE, offsets + 0.02 * k, 0.0, k) for k in range(16)]
     write_video(folder / "drive.avi", seen)
     (folder / "drive.avi").rename(folder / "drive.mp4")
+    write_images(folder / "camera_bag", seen)
     write_camera(folder / "cam.yaml", TRUE)
     for file in network.iterdir():
         shutil.copy(file, folder)

@@ -2,202 +2,36 @@
 
 from __future__ import annotations
 
-import bz2
-import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import asammdf
-import can
-import cantools
-import capnp
 import numpy as np
 import pytest
-import zstandard
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
-from mcap.writer import Writer as McapWriter
-from mcap_protobuf.writer import Writer as ProtobufWriter
-from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import egolane_pgm as ego
+from egolane_pgm.recordings.containers import messages, topics_of
+from egolane_pgm.types import InputError
 from tests.kits.drives import done
-
-#: The lines of each frame, metres to the left, and which is solid: lane 1 of 3, 0.1 s a frame.
-OFFSETS, SOLID = (1.7, -1.8, -5.3, -8.8), (True, False, False, True)
-N_FRAMES, START_S = 60, 1_700_000_000
-
-DBC = "".join(
-    f"""
-BO_ {number} {name}: 8 CAMERA
- SG_ C0 : 0|16@1- (0.01,0) [-20|20] "m" CAMERA
- SG_ Quality : 16|2@1+ (1,0) [0|3] "" CAMERA
- SG_ Type : 18|3@1+ (1,0) [0|7] "" CAMERA
-"""
-    for number, name in enumerate(("Lane0", "Lane1", "Lane2", "Lane3"), start=1896)
+from tests.kits.message_files import (
+    N_FRAMES,
+    OFFSETS,
+    START_S,
+    can_log,
+    json_mcap,
+    mdf,
+    openpilot_log,
+    own_bag,
+    protobuf_mcap,
 )
 
-#: What cereal/log.capnp of openpilot has of this.
-SCHEMA = """
-@0xf3b1f17e25a4285b;
-struct Event {
-  logMonoTime @0 :UInt64;
-  union { carState @1 :CarState; modelV2 @2 :ModelDataV2; }
-}
-struct CarState { vEgo @0 :Float32; }
-struct XYZTData { x @0 :List(Float32); y @1 :List(Float32); }
-struct ModelDataV2 {
-  frameId @0 :UInt32;
-  laneLines @1 :List(XYZTData);
-  laneLineProbs @2 :List(Float32);
-}
-"""
-
-LANES_MSG = "std_msgs/Header header\nLane[] lanes\nuint32 sequence\n"
-LANE_MSG = "float64 c0\nfloat32 confidence\nbool is_solid\n"
-
-OWN = "{offset: 'lanes[].c0', is_valid: confidence > 0.5, is_continuous: is_solid,"
-OWN += " left_positive: true}"
-SIGNALS = "{topic: 'Lane{}', offset: C0, is_valid: Quality >= 2, is_continuous: Type == 1,"
-SIGNALS += " left_positive: true}"
-
-
-def frames() -> Iterator[tuple[float, list[dict[str, Any]]]]:
-    """The time and the lines of each frame."""
-    for k in range(N_FRAMES):
-        yield (
-            START_S + k / 10,
-            [
-                {"c0": offset, "confidence": 0.9, "is_solid": solid}
-                for offset, solid in zip(OFFSETS, SOLID, strict=True)
-            ],
-        )
-
-
-def own_bag(path: Path) -> None:
-    """A bag of own messages, of ROS 1 or 2, recorded half a second after their stamps."""
-    is_ros1 = path.suffix == ".bag"
-    store = get_typestore(Stores.ROS1_NOETIC if is_ros1 else Stores.ROS2_HUMBLE)
-    store.register(get_types_from_msg(LANES_MSG, "my_msgs/msg/Lanes"))
-    store.register(get_types_from_msg(LANE_MSG, "my_msgs/msg/Lane"))
-    types = store.types
-    writer = (
-        Writer1(path) if is_ros1 else Writer2(path, version=9, storage_plugin=StoragePlugin.MCAP)
-    )
-    with writer as bag:
-        lanes = bag.add_connection("/lanes", "my_msgs/msg/Lanes", typestore=store)
-        other = bag.add_connection("/said", "std_msgs/msg/String", typestore=store)
-        for k, (time_s, lines) in enumerate(frames()):
-            stamp = types["builtin_interfaces/msg/Time"](int(time_s), round(time_s % 1 * 1e9))
-            seq = {"seq": k} if is_ros1 else {}
-            header = types["std_msgs/msg/Header"](stamp=stamp, frame_id="car", **seq)
-            each = [types["my_msgs/msg/Lane"](**line) for line in lines]
-            message = types["my_msgs/msg/Lanes"](header, each, k)
-            serialised = store.serialize_ros1 if is_ros1 else store.serialize_cdr
-            ns = round((time_s + 0.5) * 1e9)
-            bag.write(lanes, ns, bytes(serialised(message, "my_msgs/msg/Lanes")))
-            said = types["std_msgs/msg/String"]("hello")
-            bag.write(other, ns, bytes(serialised(said, "std_msgs/msg/String")))
-
-
-def json_mcap(path: Path) -> None:
-    with path.open("wb") as file:
-        writer = McapWriter(file)
-        writer.start(profile="", library="test")
-        schema = writer.register_schema("lanes", "jsonschema", b"{}")
-        channel = writer.register_channel("/lanes", "json", schema)
-        for time_s, lines in frames():
-            stamp = {"nsec": round(time_s % 1 * 1e9), "sec": int(time_s)}
-            data = json.dumps({"timestamp": stamp, "lanes": lines}).encode()
-            writer.add_message(channel, round((time_s + 0.5) * 1e9), data, 0)
-        writer.finish()
-
-
-def protobuf_mcap(path: Path) -> None:
-    file = descriptor_pb2.FileDescriptorProto(name="lanes.proto", package="my", syntax="proto3")
-    file.dependency.append("google/protobuf/timestamp.proto")
-    line = file.message_type.add(name="Line")
-    for number, (name, kind) in enumerate((("c0", 1), ("confidence", 2), ("is_solid", 8)), start=1):
-        line.field.add(name=name, number=number, type=kind, label=1)
-    lanes = file.message_type.add(name="Lanes")
-    stamp = ".google.protobuf.Timestamp"
-    lanes.field.add(name="timestamp", number=1, type=11, type_name=stamp, label=1)
-    lanes.field.add(name="lanes", number=2, type=11, type_name=".my.Line", label=3)
-    # The file of the stamps registers itself when it is imported.
-    from google.protobuf import timestamp_pb2  # noqa: F401
-
-    pool = descriptor_pool.Default()
-    pool.Add(file)
-    made = message_factory.GetMessageClass(pool.FindMessageTypeByName("my.Lanes"))
-    with path.open("wb") as out, ProtobufWriter(out) as writer:
-        for time_s, lines in frames():
-            message = made(lanes=lines)
-            message.timestamp.FromNanoseconds(round(time_s * 1e9))
-            ns = round((time_s + 0.5) * 1e9)
-            writer.write_message("/lanes", message, log_time=ns, publish_time=ns)
-
-
-def can_log(path: Path) -> None:
-    """A log of CAN frames, each line a message of its own, 2 ms after the one before."""
-    path.with_name("lanes.dbc").write_text(f'VERSION ""\nBU_: CAMERA\n{DBC}')
-    known = cantools.database.load_file(path.with_name("lanes.dbc"))
-    kind = can.MF4Writer if path.suffix == ".mf4" else can.Logger
-    with kind(path) as log:
-        for time_s, lines in frames():
-            for k, line in enumerate(lines):
-                values = {"C0": line["c0"], "Quality": 3, "Type": int(line["is_solid"])}
-                data = known.encode_message(f"Lane{k}", values)
-                log.on_message_received(
-                    can.Message(
-                        timestamp=time_s + k * 0.002,
-                        arbitration_id=1896 + k,
-                        data=data,
-                        is_extended_id=False,
-                    )
-                )
-            unknown = can.Message(timestamp=time_s, arbitration_id=5, data=b"?")
-            log.on_message_received(unknown)
-
-
-def mdf(path: Path) -> None:
-    """A measurement, each line a channel group of its own, 2 ms after the one before."""
-    file = asammdf.MDF()
-    for k, (offset, solid) in enumerate(zip(OFFSETS, SOLID, strict=True)):
-        time_s = np.arange(N_FRAMES) / 10 + k * 0.002
-        signals = {"C0": offset, "Quality": 3, "Type": int(solid)}
-        file.append(
-            [asammdf.Signal(np.full(N_FRAMES, v), time_s, name=n) for n, v in signals.items()],
-            acq_name=f"Lane{k}",
-        )
-    file.save(path)
-
-
-def openpilot_log(path: Path) -> None:
-    schema = path.with_name("log.capnp")
-    schema.write_text(SCHEMA)
-    known = capnp.SchemaParser().load(str(schema))
-    event = known.Event
-    raw = b""
-    for k, (time_s, lines) in enumerate(frames()):
-        ns = round((time_s - START_S + 100) * 1e9)
-        made = event.new_message(logMonoTime=ns)
-        model = made.init("modelV2")
-        model.frameId = k
-        model.laneLines = [{"x": [0.0, 9.0], "y": [-line["c0"]] * 2} for line in lines]
-        model.laneLineProbs = [line["confidence"] for line in lines]
-        raw += made.to_bytes()
-        raw += event.new_message(logMonoTime=ns + 5, carState={"vEgo": 30.0}).to_bytes()
-    packed = {".zst": zstandard.compress, ".bz2": bz2.compress}.get(path.suffix, bytes)
-    path.write_bytes(packed(raw))
-
-
-MODEL = "{topic: modelV2, offset: 'laneLines[].y[0]', is_valid: 'laneLineProbs[] > 0.5'}"
+#: `--lines` for messages of one's own, and for signals of a message per line.
+OWN = ("offset=lanes[].c0", "is_valid=confidence > 0.5", "is_continuous=is_solid")
+SIGNALS = ("topic=Lane{}", "each=['0', '1', '2', '3']", "offset=C0", "is_valid=Quality >= 2")
+SIGNALS += ("is_continuous=Type == 1",)
 
 #: A file of each kind: what makes it, how its lines are named, what defines its messages.
-KINDS: list[tuple[str, Callable[[Path], None], str, str | None]] = [
+KINDS: list[tuple[str, Callable[[Path], None], tuple[str, ...], str | None]] = [
     ("own.bag", own_bag, OWN, None),
     ("own", own_bag, OWN, None),
     ("json.mcap", json_mcap, OWN, None),
@@ -207,9 +41,9 @@ KINDS: list[tuple[str, Callable[[Path], None], str, str | None]] = [
     ("d.log", can_log, SIGNALS, "lanes.dbc"),
     ("frames.mf4", can_log, SIGNALS, "lanes.dbc"),
     ("signals.mf4", mdf, SIGNALS, None),
-    ("rlog", openpilot_log, MODEL, "log.capnp"),
-    ("rlog.zst", openpilot_log, MODEL, "log.capnp"),
-    ("qlog.bz2", openpilot_log, MODEL, "log.capnp"),
+    ("rlog", openpilot_log, ("openpilot",), "log.capnp"),
+    ("rlog.zst", openpilot_log, ("openpilot",), "log.capnp"),
+    ("qlog.bz2", openpilot_log, ("openpilot",), "log.capnp"),
 ]
 
 
@@ -218,24 +52,90 @@ def test_each_kind_of_file_goes_from_the_file_to_the_lane(
     tmp_path: Path,
     name: str,
     make: Callable[[Path], None],
-    lines: str,
+    lines: tuple[str, ...],
     definitions: str | None,
 ) -> None:
     make(tmp_path / name)
-    words = [tmp_path / name, "--n-lanes", 3, "--set", f"recording.lines={lines}"]
+    words: list[object] = [tmp_path / name, "--n-lanes", 3]
+    for each in lines if definitions == "log.capnp" else (*lines, "left_positive=true"):
+        words += ["--lines", each]
     words += ["--topic", "/lanes"] if lines == OWN else []
     words += ["--definitions", tmp_path / definitions] if definitions else []
-    if "Lane{}" in lines:
-        words += ["--set", "recording.lines.each=['0', '1', '2', '3']"]
     done("run", *words, "--no-figures", "--out", tmp_path / "out")
     result = ego.load_result(tmp_path / "out")
     assert (result.assigned_lane == 1).all()
+    assert result.config["recording"]["frame_rate"] == 10
     log = result.lines
     assert log is not None
-    np.testing.assert_allclose(log.offset_m, -np.tile(OFFSETS, (N_FRAMES, 1)), atol=1e-6)
-    np.testing.assert_array_equal(log.is_continuous.any(), lines != MODEL)
+    seen = log.offset_m[:, :4]
+    np.testing.assert_allclose(seen, -np.tile(OFFSETS, (N_FRAMES, 1)), atol=1e-6)
     np.testing.assert_array_equal(log.frame_id, np.arange(N_FRAMES))
     np.testing.assert_allclose(np.diff(log.time_s), 0.1, atol=1e-5)
     if lines == OWN:
         # The stamps in the messages, and not half a second later.
         np.testing.assert_allclose(log.time_s[0], START_S, atol=1e-6)
+        assert "/lanes" in topics_of(tmp_path / name)
+    if "Type" in str(lines) or lines == OWN:
+        np.testing.assert_array_equal(log.is_continuous[0], [True, False, False, True])
+
+
+def of_bytes(content: bytes) -> Callable[[Path], object]:
+    return lambda path: path.write_bytes(content)
+
+
+def cut(make: Callable[[Path], None]) -> Callable[[Path], object]:
+    def write(path: Path) -> None:
+        make(path)
+        path.write_bytes(path.read_bytes()[:600])
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "options", "said"),
+    [
+        ("a.blf", lambda path: None, {}, "a.blf: no such file"),
+        ("a.blf", can_log, {}, "is a log of CAN frames: name the .dbc that defines"),
+        ("a.blf", can_log, {"definitions": "b.dbc"}, "b.dbc: no such file"),
+        ("a.blf", can_log, {"definitions": "a.blf"}, "a.blf: cannot be read as a .dbc ("),
+        (
+            "a.blf",
+            of_bytes(b"?" * 200),
+            {"definitions": "../lanes.dbc"},
+            "as a log of CAN frames (",
+        ),
+        (
+            "a.asc",
+            can_log,
+            {"definitions": "lanes.dbc", "topics": ["Lane4"]},
+            "no topic Lane4 (did you mean 'Lane3'?); the file has Lane0 (CAN 0x768), Lane1",
+        ),
+        ("a.log", of_bytes(b""), {"definitions": "../lanes.dbc"}, "holds no messages"),
+        ("a.mf4", of_bytes(b"MDF     4.10"), {}, "a.mf4: cannot be read as MDF ("),
+        ("a.mcap", cut(json_mcap), {}, "if it was cut off or damaged, try `mcap recover`"),
+        ("rlog", openpilot_log, {}, "is a log of openpilot: name the cereal/log.capnp"),
+        ("rlog.zst", cut(openpilot_log), {"definitions": "rlog.zst"}, "as a schema of Cap'n Proto"),
+        ("rlog", of_bytes(b"?" * 80), {"definitions": "../log.capnp"}, "as a log of openpilot ("),
+    ],
+)
+def test_what_cannot_be_read_is_refused_in_a_line_that_says_what_helps(
+    tmp_path: Path, name: str, make: Callable[[Path], object], options: dict[str, Any], said: str
+) -> None:
+    can_log(tmp_path / "b.asc")
+    openpilot_log(tmp_path / "b.rlog")
+    folder = tmp_path / "in"
+    folder.mkdir()
+    make(folder / name)
+    given = {**options}
+    if "definitions" in given:
+        given["definitions"] = folder / given["definitions"]
+    with pytest.raises(InputError) as info:
+        list(messages(folder / name, **given))
+    assert said in str(info.value)
+    assert "\n" not in str(info.value)
+
+
+def test_one_of_several_topics_has_to_be_named(tmp_path: Path) -> None:
+    own_bag(tmp_path / "a.bag")
+    with pytest.raises(InputError, match=r"topic: is missing; the file has /lanes \(my_msgs/msg/L"):
+        ego.read_lines(tmp_path / "a.bag")
