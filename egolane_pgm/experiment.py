@@ -168,7 +168,7 @@ class LinesMapping(Section):
     unit: Literal["m", "cm", "mm"] | None = Field(
         default=None, description="unit of `offset`; left out, metres"
     )
-    each: tuple[str, ...] = Field(
+    each: tuple[Annotated[str, Field(coerce_numbers_to_str=True)], ...] = Field(
         default=(),
         description="names from left to right that take the place of `{}` in the other keys",
         examples=[["left", "right"]],
