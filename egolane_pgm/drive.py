@@ -36,7 +36,6 @@ from egolane_pgm.recordings.select import (
     clip_lri,
     fill_missing,
     join,
-    rate_of,
     recording_warnings,
     select_frames,
     sign_warning,
@@ -140,7 +139,8 @@ def load_recording(
         if experiment.ground_truth is not None and (read is None or truth is None):
             files.append(find_named(experiment, "ground_truth.path"))
             truth = read_ground_truth(files[-1], experiment.ground_truth.extra_rows)
-    notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    notes = [*found.notes]
+    notes += [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     if not clips:
         check_one_drive(found.log, ONE_DRIVE)
     first, stop = recording.frames or (None, None)
@@ -191,13 +191,13 @@ def with_own_rate(experiment: Experiment, read: Read | None = None) -> Experimen
     """The experiment with the frame rate of its recording, where that has one (a video, lines with
     times) and the YAML says none.
 
-    read: the recording, where it is in memory.
+    read: the recording, where it was read.
     """
     if "frame_rate" in experiment.recording.model_fields_set:
         return experiment
     if read is None:
         return _with_rate(experiment, source_of(experiment).frame_rate())
-    return _with_rate(experiment, rate_of(read.log.frame_id, read.log.time_s))
+    return _with_rate(experiment, read.rate)
 
 
 def _with_rate(experiment: Experiment, rate: float | None) -> Experiment:
@@ -464,6 +464,9 @@ def open_drive(
                 check_sources(experiment)
     assert model is not None
     if recorded is None:
+        source = source_of(experiment)
+        if read is None and isinstance(source, LinesFile):
+            read = source.read()
         experiment = with_own_rate(experiment, read)
         recorded = load_recording(experiment, model.parameters, clips=clips, read=read)
     else:

@@ -23,7 +23,6 @@ import pyarrow.compute as pc
 from egolane_pgm.experiment import LinesMapping, validated
 from egolane_pgm.recordings.cells import FLAGS, Cells, arrow_column, check_whole, place, typed
 from egolane_pgm.recordings.fields import Table
-from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.tools.files import read_text, read_yaml
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import (
@@ -397,7 +396,10 @@ def lines_of_table(
     Raises InputError for a field that is not there, a cell that does not fit (with its place),
     frames that decrease, a line given twice in a frame, and a valid line without a finite offset.
     """
-    whole, is_own = _resolved(columns, mapping, path)
+    if not len(next(iter(columns.values()), ())):
+        raise InputError(f"{path}: the table has no rows")
+    whole = whole_mapping(mapping, str(path))
+    is_own = whole.offset is None
     columns = _own_names(columns) if is_own else columns
     tables = {topic: _inside(columns, topic, path) for topic in topics_of(whole) or ("",)}
     table = next(iter(tables.values()))
@@ -409,31 +411,6 @@ def lines_of_table(
         others = ", ".join(name + near_word(name, known) for name in unused)
         warnings.warn(f"{path}: ignored column(s) {others}", UserWarning, stacklevel=3)
     return log
-
-
-def rate_of_table(
-    columns: Mapping[str, Any], mapping: LinesMapping | None, path: Path
-) -> float | None:
-    """Frames per second by the time stamps of a table; None where it has none."""
-    whole, _ = _resolved(columns, mapping, path)
-    table = _inside(columns, next(iter(topics_of(whole)), ""), path)
-    if not (whole.time or table.own("time_s")):
-        return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        frames = _frames_of(table, whole)
-    starts = np.diff(frames["frame_id"], prepend=np.nan) != 0
-    return rate_of(frames["frame_id"][starts], frames["time_s"][starts])
-
-
-def _resolved(
-    columns: Mapping[str, Any], mapping: LinesMapping | None, path: Path
-) -> tuple[LinesMapping, bool]:
-    """The whole mapping of a table, and whether its offsets have our own names."""
-    if not len(next(iter(columns.values()), ())):
-        raise InputError(f"{path}: the table has no rows")
-    whole = whole_mapping(mapping, str(path))
-    return whole, whole.offset is None
 
 
 def _own_names(columns: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import numpy as np
 from egolane_pgm.experiment import Experiment, LinesMapping
 from egolane_pgm.recordings.cells import check_whole, typed
 from egolane_pgm.recordings.mapping import FRAME_RATE
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.recordings.table import read_frame, with_index
 from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
@@ -32,7 +33,8 @@ def in_memory(
     """
     recording = experiment.recording
     log = lines_of(lines, frame_rate=recording.frame_rate, lines=recording.lines)
-    return Read(log, None if truth is None else truth_of(truth))
+    rate = rate_of(log.frame_id, log.time_s)
+    return Read(log, None if truth is None else truth_of(truth), rate=rate)
 
 
 def lines_of(

@@ -37,11 +37,15 @@ class Read:
     - log: T frames, of one drive or of several clips.
     - truth: the lanes, where the source knows them itself.
     - files: what was read (a folder or a glob stands for all files in it).
+    - rate: frames per second, where the recording itself says them.
+    - notes: warnings, a line each.
     """
 
     log: LineLog
     truth: LaneTruth | None = None
     files: tuple[Path, ...] = ()
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Source(Protocol):
@@ -159,7 +163,14 @@ class LinesFile(Source):
         if recording.lines is not None:
             options["lines"] = recording.lines
         if not self._is_own_format():
-            return Read(read_with(path, recording.format, options), None, tuple(files))
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                log = read_with(path, recording.format, options)
+            # The stamps of a bag that nobody described are no rate.
+            is_told = recording.lines is not None or self._format(path) == "table"
+            rate = rate_of(log.frame_id, log.time_s) if is_told else None
+            notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+            return Read(log, None, tuple(files), rate, tuple(notes))
         where, folder = self._where("format"), self.experiment.folder
         reader = load_plugin("recordings", str(recording.format), folder, where)
         with plugin_errors(reader, where):
@@ -172,20 +183,7 @@ class LinesFile(Source):
         return files_of(place)
 
     def frame_rate(self) -> float | None:
-        # That of a table with times, or of messages; the published ones' stamps are no rate.
-        path, recording = self._path(), self.experiment.recording
-        is_table = not self._is_own_format() and self._format(path) == "table"
-        if not is_table and recording.lines is not None:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                log = self.read().log
-            return rate_of(log.frame_id, log.time_s)
-        if not is_table:
-            return None
-        # What reads tables is loaded for them only.
-        from egolane_pgm.recordings.table import own_rate
-
-        return own_rate(path, recording.lines)
+        return self.read().rate
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
         # All that says how to read, where the extension is the same.

@@ -21,7 +21,6 @@ from egolane_pgm.experiment import LinesMapping
 from egolane_pgm.recordings.mapping import (
     FRAME_RATE,
     lines_of_table,
-    rate_of_table,
     whole_mapping,
 )
 from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
@@ -53,17 +52,6 @@ def read_table(
     table = read_columns(path, lines)
     columns = dict(zip(table.column_names, table.columns, strict=True))
     return lines_of_table(columns, lines, path, frame_rate)
-
-
-def own_rate(path: str | Path, lines: LinesMapping | None = None) -> float | None:
-    """Frames per second by the time stamps of a table; None where it has none.
-
-    Raises InputError as `read_table`, as far as frame ids and times are wrong.
-    """
-    path = Path(path)
-    table = read_columns(path, lines)
-    columns = dict(zip(table.column_names, table.columns, strict=True))
-    return rate_of_table(columns, lines, path)
 
 
 def read_frame(
