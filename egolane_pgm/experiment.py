@@ -119,49 +119,37 @@ class LinesMapping(Section):
 
     preset: str | None = Field(
         default=None,
-        description="name of a known kind of recording (`egolane ls`), whose keys hold for what is"
-        " left out here",
-        examples=["openpilot", "mobileye"],
+        description="a known kind of recording (`egolane ls`); its keys hold for what is left out",
+        examples=["openpilot"],
     )
     topic: str | None = Field(
         default=None,
-        description="topic of the messages; of JSON lines and nested tables the field that they"
-        " are in",
-        examples=["/lanes", "/lane/{}"],
+        description="of the messages; of JSON lines the field that they are in",
+        examples=["/lane/{}"],
     )
-    frame_id: str | None = Field(
-        default=None, description="the number of the frame", examples=["Frame_ID", "header.seq"]
-    )
+    frame_id: str | None = Field(default=None, description="number of the frame")
     time: str | None = Field(
         default=None,
-        description="when the frame was seen: a number, a date, or a stamp with sec and nanosec;"
-        " without frame ids it gives these, too",
-        examples=["timestamp", "header.stamp"],
+        description="when the frame was seen: a number, a date, or a stamp; also in place of frame"
+        " ids",
+        examples=["header.stamp"],
     )
     time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
         default=None, description="unit of `time`, where that is a number; left out, seconds"
     )
-    line: str | None = Field(
-        default=None,
-        description="number of the line in its frame, from 1 or from 0",
-        examples=["lane_id"],
-    )
+    line: str | None = Field(default=None, description="number of the line, from 1 or from 0")
     offset: str | tuple[str, ...] | None = Field(
         default=None,
-        description="where the line passes the car; several are the coefficients c0, c1, ... of a"
-        " polynomial. `[]` stands for each of a list, `[0]` for its first",
+        description="where the line passes the car, or the coefficients c0, c1, ... of a curve",
         examples=["lanes[].c0", "{}_c0", ["c0", "c1", "c2", "c3"]],
     )
     along: str | None = Field(
-        default=None,
-        description="how far ahead the points of a line are, where `offset` is a list of points",
-        examples=["poses[].pose.position.x"],
+        default=None, description="how far ahead the points are, where `offset` is a list of them"
     )
     at_m: float | None = Field(
         default=None,
         allow_inf_nan=False,
-        description="how far ahead the line is looked at, in the unit of `along`, of a polynomial"
-        " metres; left out, 0",
+        description="how far ahead points or a polynomial are looked at; left out, 0",
     )
     is_valid: bool | str | None = Field(
         default=None,
@@ -170,39 +158,29 @@ class LinesMapping(Section):
     )
     is_continuous: bool | str | None = Field(
         default=None,
-        description="whether the line is not dashed: a field, or a condition on one",
+        description="whether the line is not dashed, as `is_valid`",
         examples=["type in [solid, double]"],
     )
     lri: str | None = Field(default=None, description="the line reliability index")
     left_positive: bool | None = Field(
-        default=None,
-        description="whether offsets are positive to the left (ISO 8855, ROS); left out, they are"
-        " not",
+        default=None, description="whether offsets are positive to the left (ISO 8855, ROS)"
     )
     unit: Literal["m", "cm", "mm"] | None = Field(
         default=None, description="unit of `offset`; left out, metres"
     )
-    each: tuple[str, ...] = Field(
+    each: tuple[Annotated[str, Field(coerce_numbers_to_str=True)], ...] = Field(
         default=(),
-        description="names, from left to right, each of which takes the place of `{}` in the other"
-        " keys: a column or a topic per line; left out, the numbers that there are",
+        description="names from left to right that take the place of `{}` in the other keys",
         examples=[["left", "right"]],
     )
     also: tuple[_Keys, ...] = Field(
-        default=(),
-        description="further lines of the same frames: keys that differ from those here",
-        examples=[[{"offset": "edges[].c0", "is_continuous": True}]],
+        default=(), description="further lines of the same frames: the keys that differ"
     )
     separator: str | None = Field(
-        default=None,
-        pattern=r"^(.|\\t)$",
-        description="what separates the cells of a CSV; \\t for tabs; left out, a comma",
+        default=None, pattern=r"^(.|\\t)$", description="what separates the cells of a CSV"
     )
     decimal: str | None = Field(
-        default=None,
-        min_length=1,
-        max_length=1,
-        description="the decimal point of a CSV; left out, a full stop",
+        default=None, pattern="^.$", description="the decimal point of a CSV"
     )
     null_values: tuple[str, ...] = Field(
         default=(), description="further texts of a CSV that stand for an empty cell"

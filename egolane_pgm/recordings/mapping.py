@@ -264,7 +264,8 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
         check_whole(table.path, cells, "line", row)
         cells["line"] = cells["line"] + (np.nanmin(cells["line"], initial=1) == 0)
     elif base is not None or up:
-        cells["line"] = (base or 0) + 1.0 + np.arange(len(row)) - np.searchsorted(row, row)
+        number = np.arange(len(row)) - np.searchsorted(row, row) + (base or 0) + 1
+        cells["line"] = number.astype(np.float64)
     cells.setdefault("is_valid", np.where(np.isnan(offset), 0.0, 1.0))
     if part.slot is not None and not up:
         # A line that is said to be valid is there, and without an offset it is a mistake.

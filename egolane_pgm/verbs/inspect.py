@@ -33,13 +33,12 @@ def inspect(
 
     Returns the same as a dict. Raises InputError, one line, for a file that cannot be read.
     """
-    found = look_into(
-        Path(path_of(recording, "recording")), lines, definitions and Path(definitions)
-    )
+    said = None if definitions is None else path_of(definitions, "definitions")
+    found = look_into(Path(path_of(recording, "recording")), lines, said)
     if found["lines"] is not None:
         options = "".join(f" --lines {shlex.quote(each)}" for each in _written(found["lines"]))
-        if definitions is not None:
-            options += f" --definitions {shlex.quote(str(definitions))}"
+        if said is not None:
+            options += f" --definitions {shlex.quote(said)}"
         found["command"] = f"egolane run {shlex.quote(found['file'])} --n-lanes N{options}"
     return found
 
