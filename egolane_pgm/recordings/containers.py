@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.experiment import LinesMapping
-from egolane_pgm.recordings import mapping
+from egolane_pgm.recordings import format_of, mapping
 from egolane_pgm.recordings.mapping import Message
 from egolane_pgm.types import InputError, LineLog, near_word
 
@@ -28,13 +28,8 @@ TOPICS = ("/isis_line_detector/lines", "/lines")
 #: What a file has on its topics: the type of the messages, and how many there are.
 Topics = dict[str, tuple[str, int | None]]
 
-#: The file of this folder that reads a kind, by the ending of a recording, or its name without.
-READERS = {
-    **dict.fromkeys((".bag", ".db3", ".mcap"), "rosbag"),
-    **dict.fromkeys((".mf4", ".mdf"), "mdf_file"),
-    **dict.fromkeys((".blf", ".asc", ".trc", ".log"), "can_log"),
-    **dict.fromkeys(("rlog", "qlog", ".zst", ".bz2"), "openpilot_log"),
-}
+#: The file of this folder that reads a format.
+_READERS = {"mdf": "mdf_file", "can": "can_log", "openpilot": "openpilot_log"}
 
 #: What `definitions` names, for the kinds that do not define their messages themselves.
 _NEEDED = {
@@ -213,7 +208,7 @@ def _opened(path: str | Path, definitions: str | Path | None) -> tuple[Any, Path
     for file in (path, found):
         if file is not None and not file.exists():
             raise InputError(f"{file}: no such file")
-    name = "rosbag" if path.is_dir() else READERS[path.suffix.lower() or path.name]
+    name = "rosbag" if path.is_dir() else _READERS.get(format_of(path), "rosbag")
     if name == "mdf_file" and found is not None:
         name = "can_log"
     elif path.suffix.lower() == ".mcap" and not _is_ros2(path):

@@ -16,10 +16,9 @@ from egolane_pgm.recordings.rosbag import plain
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError
 
-with needed("an .mcap file of JSON or protobuf", "mcap"):
+with needed("an .mcap file outside ROS 2", "mcap"):
     from mcap.reader import McapReader, make_reader
     from mcap.records import Schema
-    from mcap_protobuf.decoder import DecoderFactory
 
 #: What makes a dict of the bytes of a message.
 _Decode = Callable[[bytes], Any]
@@ -60,6 +59,8 @@ def _decoder(path: Path, encoding: str, schema: Schema | None) -> _Decode:
     if encoding == "json":
         return json.loads
     if encoding == "protobuf":
+        with needed("an .mcap file of protobuf", "mcap"):
+            from mcap_protobuf.decoder import DecoderFactory
         decode: Any = DecoderFactory().decoder_for(encoding, schema)
         return lambda data: _plain(decode(data))
     if encoding in ("cdr", "ros1") and schema is not None:

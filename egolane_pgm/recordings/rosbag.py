@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection, MessageDefinitionFormat
+from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.recordings.containers import Topics, reading, time_of
@@ -79,7 +79,7 @@ def messages(
     found = 0
     with open_bag(path, definitions) as bag:
         chosen = [c for c in bag.connections if topics is None or c.topic in topics]
-        _check_definitions(bag, path, chosen, definitions)
+        _check_definitions(bag, path, chosen)
         for connection, logged_ns, raw in bag.messages(chosen):
             found += 1
             value = plain(bag.deserialize(raw, connection.msgtype))
@@ -113,11 +113,8 @@ def open_bag(path: Path, definitions: Path | None) -> Iterator[AnyReader]:
         yield bag
 
 
-def _check_definitions(
-    bag: AnyReader, path: Path, chosen: Sequence[Connection], definitions: Path | None
-) -> None:
-    """Raise InputError for a type that is not defined, or is in several ways; warn of one that the
-    file does not define."""
+def _check_definitions(bag: AnyReader, path: Path, chosen: Sequence[Connection]) -> None:
+    """Raise InputError for a type that is not defined, or is in several ways."""
     of_type: dict[str, Connection] = {}
     for connection in chosen:
         kind = connection.msgtype
@@ -126,17 +123,12 @@ def _check_definitions(
                 f"{path}: the messages on {connection.topic} have several definitions (its node was"
                 " rebuilt while it recorded); split the bag"
             )
-        if connection.msgdef.format != MessageDefinitionFormat.NONE:
-            continue
         if kind not in bag.typestore.fielddefs:
             raise InputError(
                 f"{path}: has no definition of {kind}: name the folder of its .msg files"
                 " (recording.definitions), or convert it where that type is known: `ros2 bag"
                 " convert` to MCAP"
             )
-        if definitions is None:
-            said = f"{path}: has no definition of {kind}; taken for the usual one"
-            warnings.warn(said, UserWarning, stacklevel=4)
 
 
 def plain(value: Any) -> Any:

@@ -29,19 +29,12 @@ def image_topic(path: Path, topic: str | None) -> str:
         for name, (kind, _) in topics_of(path).items()
         if kind.partition(",")[0].replace(".", "/").split("/")[-1] in _KINDS
     }
-    if topic is not None:
-        chosen = {name for name in there if name.strip("/") == topic.strip("/")}
-        if not chosen:
-            listed = ", ".join(sorted(there)) or "none"
-            raise InputError(
-                f"{path}: has no pictures on topic {topic}; topics of pictures: {listed}"
-            )
-        return chosen.pop()
-    if not there:
-        raise InputError(f"{path}: has no pictures, no topic is of type {', '.join(_KINDS)}")
-    if len(there) > 1:
-        raise InputError(f"{path}: has pictures on {', '.join(sorted(there))}; name one as topic")
-    return there.pop()
+    asked = {name for name in there if topic is None or name.strip("/") == topic.strip("/")}
+    if len(asked) != 1:
+        listed = ", ".join(sorted(there)) or "none"
+        wrong = "name one as topic" if asked else f"no pictures{f' on {topic}' if topic else ''}"
+        raise InputError(f"{path}: {wrong}; topics of pictures: {listed}")
+    return asked.pop()
 
 
 def stamps_of(path: Path, topic: str) -> FloatArray:

@@ -77,7 +77,7 @@ def test_each_encoding_gives_the_picture_back(tmp_path: Path, encoding: str) -> 
         ),
         ("nv12", ("/a",), "encoding 'nv12' are no picture"),
         ("other", ("/a",), "picture 0 on /a: its 'other' cannot be read"),
-        ("png", ("/a", "/b"), "has pictures on /a, /b; name one as topic"),
+        ("png", ("/a", "/b"), "name one as topic; topics of pictures: /a, /b"),
     ],
 )
 def test_pictures_that_cannot_be_read_are_refused(
@@ -93,7 +93,7 @@ def test_pictures_that_cannot_be_read_are_refused(
 def test_a_topic_without_pictures_is_refused_with_those_that_have_some(place: Path) -> None:
     words = ("--camera", place / "cam.yaml", "-o", place / "l.csv")
     said = refused("detect", place / "images", "--topic", "/rear", *words)
-    assert "has no pictures on topic /rear; topics of pictures: /front" in said
+    assert "no pictures on /rear; topics of pictures: /front" in said
     assert "only a bag has topics" in refused(
         "detect", place / "drive.avi", "--topic", "/a", *words
     )
