@@ -401,8 +401,12 @@ def lines_of_table(
         raise InputError(f"{path}: the table has no rows")
     whole = whole_mapping(mapping, str(path))
     is_own = whole.offset is None
-    columns = _own_names(columns) if is_own else columns
-    tables = {topic: _inside(columns, topic, path) for topic in topics_of(whole) or ("",)}
+    columns = _own_names(columns, path) if is_own else columns
+    wanted = topics_of(whole)
+    lacking = [topic for topic in wanted if topic not in columns]
+    if len(wanted) > 1 and lacking:
+        raise InputError(f"{path}: lines: topic: the table has no field {', '.join(lacking)}")
+    tables = {topic: _inside(columns, topic, path) for topic in wanted or ("",)}
     table = next(iter(tables.values()))
     whole = _with_offset(whole, table)
     log = _joined(tables, whole, path, frame_rate, first)
@@ -414,9 +418,13 @@ def lines_of_table(
     return log
 
 
-def _own_names(columns: Mapping[str, Any]) -> dict[str, Any]:
+def _own_names(columns: Mapping[str, Any], path: Path) -> dict[str, Any]:
     """A table whose columns of a line may have the unit in their names: offset_m_1."""
-    return {re.sub(r"^offset_m_(?=\d+$)", "offset_", name): each for name, each in columns.items()}
+    shorter = [re.sub(r"^offset_m_(?=\d+$)", "offset_", name) for name in columns]
+    twice = [name for name in shorter if shorter.count(name) > 1]
+    if twice:
+        raise InputError(f"{path}: column {twice[0]} (offset_m) occurs more than once")
+    return dict(zip(shorter, columns.values(), strict=True))
 
 
 def _inside(columns: Mapping[str, Any], topic: str, path: Path) -> Table:
