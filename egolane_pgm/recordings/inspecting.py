@@ -3,6 +3,7 @@ mapping that would read them. It only proposes; what is run is what the user the
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -57,7 +58,7 @@ _LINE_TYPES = {"Path": "path", "LkaLane": "mobileye"}
 
 @dataclass(frozen=True)
 class _Leaf:
-    """A field that holds values. low, high: of numbers; texts: some of the texts."""
+    """A field that holds values: the span of numbers, or some of the texts."""
 
     path: str
     type: str
@@ -132,11 +133,14 @@ def _tables(
     for topic, (kind, count) in containers.topics_of(path, definitions=definitions).items():
         if count == 0 or "Image" in kind:
             continue
-        some = containers.messages(path, [topic], definitions=definitions)
-        messages = [*islice(some, LOOKED_AT)]
-        kept += messages
-        values = [message.value for message in messages]
-        tables[topic] = (kind, count, Table(columns_of(values, str(path)), len(values), path))
+        fields: dict[str, Any] = {}
+        # A topic that cannot be read must not hide the others.
+        with contextlib.suppress(InputError):
+            some = containers.messages(path, [topic], definitions=definitions)
+            messages = [*islice(some, LOOKED_AT)]
+            fields = columns_of([message.value for message in messages], str(path))
+            kept += messages
+        tables[topic] = (kind, count, Table(fields, min(count or LOOKED_AT, LOOKED_AT), path))
 
     def read_all(mapping: LinesMapping) -> LineLog:
         lines = mapping if mapping.model_fields_set else None
@@ -252,18 +256,13 @@ def _by_names(leaves: list[_Leaf], table: Table) -> Iterator[dict[str, Any]]:
                 continue
             side = re.search("left|right", leaf.path, re.I)
             each = {}
-            path = leaf.path
-            if side is not None:
-                sides = ("left", "right") if side[0].islower() else ("Left", "Right")
-                path = leaf.path.replace(side[0], "{}")
-                each = {"each": sides}
-            beside = [o for o in leaves if _place(o.path) == _place(leaf.path) and o != leaf]
-            if side is not None:
-                beside = [o for o in beside if side[0] in o.path]
-            keys = {**frames, "offset": path, **each}
-            for name, said in _flags(beside).items():
-                keys[name] = said if side is None else said.replace(side[0], "{}")
-            yield keys
+            word = "" if side is None else side[0]
+            if word:
+                each = {"each": ("left", "right") if word.islower() else ("Left", "Right")}
+            beside = [o for o in leaves if _place(o.path) == _place(leaf.path) and word in o.path]
+            keys = {"offset": leaf.path, **_flags(beside)}
+            named = {key: said.replace(word, "{}") if word else said for key, said in keys.items()}
+            yield {**frames, **named, **each}
 
 
 def _place(path: str) -> str:

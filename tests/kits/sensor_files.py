@@ -126,7 +126,7 @@ def write_bags(folder: Path) -> None:
                 f"/parsed_tx/{side}_lka_lane",
                 lka,
                 t,
-                {"header": header(t), "position_parameter_c0": y, "quality": 3, "lane_type": 1},
+                {"header": header(t), "position_parameter_c0": y, "quality": 3, "lane_type": 0},
             )
             for t, side, y in per_side
         ],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -82,6 +83,20 @@ def test_the_command_that_inspect_prints_finds_the_lines(sensors: Path, name: st
         np.testing.assert_allclose(log.offset_m[:, :2], TRUE_M[:, KINDS[name][1]][:, :2])
     shown = done("inspect", sensors / name).stdout
     assert f"egolane run {sensors / name} --n-lanes N" in shown
+
+
+@pytest.mark.parametrize("name", ["own.jsonl", "lka", "semicolons.csv"])
+def test_that_command_goes_from_the_file_to_the_lane(
+    sensors: Path, name: str, tmp_path: Path
+) -> None:
+    words = shlex.split(look_into_command(sensors / name).replace(" N", " 3"))
+    done(*words[1:], "--no-figures", "--out", tmp_path / "out")
+    result = ego.load_result(tmp_path / "out")
+    assert np.mean(result.assigned_lane[20:] == 2) > 0.9
+
+
+def look_into_command(path: Path) -> str:
+    return done("inspect", path).stdout.splitlines()[-1].strip()
 
 
 def test_nanoseconds_with_a_lost_second_have_the_right_rate_and_gap(sensors: Path) -> None:
