@@ -22,9 +22,11 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
     field_validator,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import ErrorDetails
@@ -186,9 +188,10 @@ class LinesMapping(Section):
         default=(), description="further texts of a CSV that stand for an empty cell"
     )
 
-    def said(self) -> dict[str, Any]:
-        """The keys that are not left out."""
-        return {key: value for key, value in self if value is not None and value != ()}
+    @model_serializer(mode="wrap")
+    def said(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The keys that are not left out: one that is null takes that of a preset away."""
+        return {key: value for key, value in dump(self).items() if key in self.model_fields_set}
 
 
 class Recording(Section):
@@ -781,11 +784,8 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
             del content[key]
     if content["recording"]["definitions"] is None:
         del content["recording"]["definitions"]
-    lines = experiment.recording.lines
-    if lines is None:
+    if content["recording"]["lines"] is None:
         del content["recording"]["lines"]
-    else:
-        content["recording"]["lines"] = json.loads(json.dumps(lines.said()))
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -109,7 +109,7 @@ def whole_mapping(mapping: LinesMapping | None, where: str) -> LinesMapping:
     if mapping.preset not in presets():
         hint = suggestion(mapping.preset, presets())
         raise InputError(f"{where}: lines: unknown preset '{mapping.preset}'{hint}")
-    keys = {**presets()[mapping.preset], **mapping.said(), "preset": None}
+    keys = {**presets()[mapping.preset], **mapping.model_dump(exclude={"preset"})}
     return validated(LinesMapping, keys, where)
 
 
@@ -121,7 +121,7 @@ def mapping_keys(given: LinesGiven) -> dict[str, Any]:
     {'preset': 'mobileye', 'left_positive': True}
     """
     if isinstance(given, LinesMapping):
-        return given.said()
+        return given.model_dump()
     if isinstance(given, Mapping):
         return dict(given)
     keys: dict[str, Any] = {}
@@ -169,7 +169,7 @@ class _Part:
 
 def _parts(mapping: LinesMapping, names: Iterable[str], where: str) -> list[_Part]:
     """What `each` and `also` stand for. names: of the columns."""
-    own = {key: value for key, value in mapping.said().items() if key not in ("each", "also")}
+    own = mapping.model_dump(exclude={"each", "also", "preset"})
     offset = mapping.offset if isinstance(mapping.offset, str) else (mapping.offset or ("",))[0]
     found = [_Part(LinesMapping(**own))]
     if "{}" in f"{offset}{mapping.topic or ''}":

@@ -85,7 +85,7 @@ def test_the_command_that_inspect_prints_finds_the_lines(sensors: Path, name: st
     assert f"egolane run {sensors / name} --n-lanes N" in shown
 
 
-@pytest.mark.parametrize("name", ["own.jsonl", "lka", "semicolons.csv"])
+@pytest.mark.parametrize("name", ["own.jsonl", "iso8855.csv", "markers"])
 def test_that_command_goes_from_the_file_to_the_lane(
     sensors: Path, name: str, tmp_path: Path
 ) -> None:
@@ -255,8 +255,16 @@ def test_a_left_positive_copy_has_the_same_beliefs_to_the_bit(tmp_path: Path) ->
     turned = lines.assign(offset_m=-lines["offset_m"])
     runs = [ego.run(lines, n_lanes=3), ego.run(turned, n_lanes=3, lines=["left_positive=true"])]
     np.testing.assert_array_equal(*(run.beliefs.lane for run in runs))
-    yaml = {"name": "a", "n_lanes": 3, "recording": {"path": "in memory", "lines": "openpilot"}}
-    assert ego.load_experiment(yaml).recording.lines == LinesMapping(preset="openpilot")
+
+
+def test_a_key_that_is_null_takes_that_of_a_preset_away_and_stays() -> None:
+    lines = {"preset": "openpilot", "frame_id": None}
+    recording = {"path": "in memory", "lines": lines}
+    experiment = ego.load_experiment({"name": "a", "n_lanes": 3, "recording": recording})
+    again = ego.load_experiment(experiment, {"n_lanes": 4})
+    assert again.model_dump()["recording"]["lines"] == lines
+    message = Message(0.0, "modelV2", openpilot(0)["modelV2"])
+    assert lines_of([message], again.recording.lines, "x.mcap").frame_id.tolist() == [0]
 
 
 def test_messages_on_standard_input_are_mapped_alike() -> None:
