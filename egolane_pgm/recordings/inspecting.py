@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import re
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -201,10 +201,27 @@ def _guesses(
         for name, keys in presets().items():
             added = frames if not topic and not {"time", "frame_id"} & {*keys} else {}
             yield {"preset": name, **({} if "topic" in keys else where), **added}
+    for topic, each in _alike(tables).items():
+        first = topic.replace("{}", each[0])
+        for keys in _by_names(leaves[first], tables[first][2]):
+            yield {"topic": topic, "each": each, **keys}
     for topic, (_, _, table) in tables.items():
         where = {"topic": topic} if topic and len(tables) > 1 else {}
         for keys in _by_names(leaves[topic], table):
             yield {**where, **keys}
+
+
+def _alike(topics: Iterable[str]) -> dict[str, list[str]]:
+    """Topics that differ in a number or a side, as `{}`, and what stands there."""
+    found: dict[str, list[str]] = {}
+    for topic in topics:
+        for match in re.finditer(r"\d+|left|right", topic, re.I):
+            found.setdefault(f"{topic[: match.start()]}{{}}{topic[match.end() :]}", []).append(
+                match[0]
+            )
+    return {
+        name: sorted(each, key=lambda k: (len(k), k)) for name, each in found.items() if each[1:]
+    }
 
 
 def _named(pattern: str, among: list[_Leaf]) -> list[_Leaf]:
@@ -222,7 +239,7 @@ def _frames(leaves: list[_Leaf], table: Table) -> dict[str, Any]:
         if leaf.type.startswith("timestamp"):
             return found | {"time": leaf.path}
     for leaf in _named(_TIME, at_root) if table.own("time_s") is None else []:
-        if table.has(f"{_place(leaf.path)}.nanosec"):
+        if any(table.has(f"{_place(leaf.path)}.{name}") for name in ("nanosec", "nsec", "nanos")):
             return found | {"time": _place(leaf.path)}
         found |= _time_of(table, leaf.path)
     for leaf in _named(_LINE, at_root) if table.own("line") is None else []:

@@ -67,7 +67,7 @@ _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 
 #: The parts of a stamp: of ROS 2, of ROS 1, of protobuf.
-_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("seconds", "nanos"))
+_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos"))
 
 #: Signs are looked at in this many frames, at least and at most, and this share of them makes a
 #: contradiction.

@@ -60,13 +60,17 @@ LANES_MSG = "std_msgs/Header header\nLane[] lanes\nuint32 sequence\n"
 LANE_MSG = "float64 c0\nfloat32 confidence\nbool is_solid\n"
 
 
+#: How far the car is from where it began, (N_FRAMES,), metres.
+SWING = np.round(0.2 * np.sin(np.arange(N_FRAMES) / 8), 2)
+
+
 def frames() -> Iterator[tuple[float, list[dict[str, Any]]]]:
     """The time and the lines of each frame."""
     for k in range(N_FRAMES):
         yield (
             START_S + k / 10,
             [
-                {"c0": offset, "confidence": 0.9, "is_solid": solid}
+                {"c0": round(offset + float(SWING[k]), 2), "confidence": 0.9, "is_solid": solid}
                 for offset, solid in zip(OFFSETS, SOLID, strict=True)
             ],
         )
@@ -160,7 +164,7 @@ def mdf(path: Path) -> None:
     file = asammdf.MDF()
     for k, (offset, solid) in enumerate(zip(OFFSETS, SOLID, strict=True)):
         time_s = np.arange(N_FRAMES) / 10 + k * 0.002
-        signals = {"C0": offset, "Quality": 3, "Type": int(solid)}
+        signals = {"C0": offset + SWING, "Quality": 3, "Type": int(solid)}
         file.append(
             [asammdf.Signal(np.full(N_FRAMES, v), time_s, name=n) for n, v in signals.items()],
             acq_name=f"Lane{k}",

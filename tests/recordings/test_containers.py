@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from tests.kits.message_files import (
     N_FRAMES,
     OFFSETS,
     START_S,
+    SWING,
     can_log,
     json_mcap,
     mdf,
@@ -27,7 +29,7 @@ from tests.kits.message_files import (
 
 #: `--lines` for messages of one's own, and for signals of a message per line.
 OWN = ("offset=lanes[].c0", "is_valid=confidence > 0.5", "is_continuous=is_solid")
-SIGNALS = ("topic=Lane{}", "each=['0', '1', '2', '3']", "offset=C0", "is_valid=Quality >= 2")
+SIGNALS = ("topic=Lane{}", "each=[0, 1, 2, 3]", "offset=C0", "is_valid=Quality >= 2")
 SIGNALS += ("is_continuous=Type == 1",)
 
 #: A file of each kind: what makes it, how its lines are named, what defines its messages.
@@ -68,7 +70,7 @@ def test_each_kind_of_file_goes_from_the_file_to_the_lane(
     log = result.lines
     assert log is not None
     seen = log.offset_m[:, :4]
-    np.testing.assert_allclose(seen, -np.tile(OFFSETS, (N_FRAMES, 1)), atol=1e-6)
+    np.testing.assert_allclose(seen, -np.add.outer(SWING, OFFSETS), atol=1e-6)
     np.testing.assert_array_equal(log.frame_id, np.arange(N_FRAMES))
     np.testing.assert_allclose(np.diff(log.time_s), 0.1, atol=1e-5)
     if lines == OWN:
@@ -139,3 +141,19 @@ def test_one_of_several_topics_has_to_be_named(tmp_path: Path) -> None:
     own_bag(tmp_path / "a.bag")
     with pytest.raises(InputError, match=r"topic: is missing; the file has /lanes \(my_msgs/msg/L"):
         ego.read_lines(tmp_path / "a.bag")
+
+
+@pytest.mark.parametrize(("name", "definitions"), [(k[0], k[3]) for k in KINDS])
+def test_inspect_gives_a_command_that_finds_the_lines(
+    tmp_path: Path, name: str, definitions: str | None
+) -> None:
+    next(make for kind, make, _, _ in KINDS if kind == name)(tmp_path / name)
+    words = ["--definitions", tmp_path / definitions] if definitions else []
+    shown = done("inspect", tmp_path / name, *words).stdout
+    (command,) = (line for line in shown.splitlines() if line.startswith("  egolane run"))
+    given = shlex.split(command.replace("--n-lanes N", "--n-lanes 3"))[1:]
+    done(*given, "--no-figures", "--out", tmp_path / "out")
+    log = ego.load_result(tmp_path / "out").lines
+    assert log is not None
+    np.testing.assert_allclose(log.offset_m[:, :4], -np.add.outer(SWING, OFFSETS), atol=1e-6)
+    assert log.is_valid[:, :4].all()
