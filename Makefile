@@ -131,7 +131,7 @@ fuzz: .venv/.dev
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels --out results/camera > results/camera/pictures.md
+	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels lstr --out results/camera > results/camera/pictures.md
 
 # What a search of the detectors' parameters gains on labelled stills (ten minutes of two cores).
 searched: .venv/.dev

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -485,6 +486,12 @@ class Experiment(Section):
         description="the lane that is answered: the most probable one in each frame, or that of the"
         " most probable path through all frames (with filter smoothed)",
     )
+    start_lane: int | tuple[float, ...] | None = Field(
+        default=None,
+        description="what is known of the lane in which the drive begins: its number, or how"
+        " probable each of the n lanes is",
+        examples=[3, [0, 0, 1, 1]],
+    )
     evidence_reading: Literal["soft", "hard", "jeffrey"] = Field(
         default="soft",
         description="how the evidence of a frame is read: as a likelihood (`soft`), by its most"
@@ -538,6 +545,19 @@ class Experiment(Section):
             return FROM_MAP
         if type(value) is int and value < 1 and not (has_road and value == FROM_MAP):
             raise ValueError("input should be greater than or equal to 1")
+        return value
+
+    @field_validator("start_lane")
+    @classmethod
+    def _lane_of_the_road(cls, value: Any, info: ValidationInfo) -> Any:
+        n_lanes = info.data.get("n_lanes", FROM_MAP)
+        if isinstance(value, int) and (value < 1 or (n_lanes != FROM_MAP and value > n_lanes)):
+            raise ValueError(f"the road has lanes 1 (leftmost) to {n_lanes or 'n'}")
+        if isinstance(value, tuple):
+            if n_lanes != FROM_MAP and len(value) != n_lanes:
+                raise ValueError(f"needs a lane, or a number for each of the {n_lanes} lanes")
+            if not all(0 <= each < math.inf for each in value) or not any(value):
+                raise ValueError("the lanes' probabilities are not negative, and not all 0")
         return value
 
     @field_validator("lag")

@@ -13,7 +13,12 @@ from pydantic import ConfigDict, Field
 from pydantic_core import from_json
 
 from egolane_pgm.experiment import Experiment, LinesMapping, Section, validated
-from egolane_pgm.inference.events import NO_EVENTS, crossing_probability, next_events
+from egolane_pgm.inference.events import (
+    NO_EVENTS,
+    crossing_probability,
+    next_events,
+    place_in_lane,
+)
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
@@ -60,8 +65,9 @@ def filter_stream(
 
     Yields `{frame_id, time_s, lane (0: Unassigned), probability (of that lane, or of the most
     probable one), crossing (the probability that the car is on a line; null where the graph cannot
-    tell), is_impossible, events: [{from_lane, to_lane, time_s (since when), probability}], beliefs:
-    {node: {value: probability}}}`. With filter fixed_lag the answer about a frame comes `lag`
+    tell), is_impossible, events: [{from_lane, to_lane (both 0 where the lane is not known),
+    direction (-1 left, 1 right), time_s (since when), probability}], beliefs: {node: {value:
+    probability}}}`. With filter fixed_lag the answer about a frame comes `lag`
     frames later, those about the last frames at the end.
 
     Raises InputError, naming the message, for one that cannot be used, for a node that the graph
@@ -115,7 +121,9 @@ def filter_logs(
             log = waiting.popleft()
             if log is not None:
                 frame = replace(beliefs.take(slice(t, t + 1)), frame_id=log.frame_id)
-                so_far, _, events = next_events(so_far, frame, log.time_s)
+                so_far, _, events = next_events(
+                    so_far, frame, log.time_s, place_in_lane(frame.marginals)
+                )
                 yield _answer(log, frame, events, below, {node: names[node] for node in nodes})
 
     for log in logs:
@@ -148,8 +156,8 @@ def _answer(
     lane = beliefs.lane[0]
     assigned = int(assigned_lane(beliefs.lane, below)[0])
     crossing = crossing_probability(beliefs.marginals)
-    columns = (events.from_lane, events.to_lane, events.time_s, events.probability)
-    names = ("from_lane", "to_lane", "time_s", "probability")
+    names = ("from_lane", "to_lane", "direction", "time_s", "probability")
+    columns = [getattr(events, name) for name in names]
     return {
         "frame_id": int(log.frame_id[0]),
         "time_s": float(log.time_s[0]),
@@ -158,8 +166,9 @@ def _answer(
         "crossing": None if crossing is None else float(crossing[0]),
         "is_impossible": bool(beliefs.is_impossible[0]),
         "events": [
-            dict(zip(names, event, strict=True))
-            for event in zip(*(column.tolist() for column in columns), strict=True)
+            # What is no number is not known.
+            {name: each if each == each else None for name, each in zip(names, row, strict=True)}
+            for row in zip(*(column.tolist() for column in columns), strict=True)
         ],
         "beliefs": {
             node: dict(zip(values, beliefs.marginals[node][0].tolist(), strict=True))

@@ -207,12 +207,19 @@ def files_in_full(section: dict[str, Any], folder: Path) -> dict[str, Any]:
     return {name: _in_full(name, value, folder) for name, value in section.items()}
 
 
+#: Parameters of detectors that name a network: one that comes along has no ending, but a folder.
+_NETWORKS = ("network", "on_road")
+
+
 def _in_full(key: str, value: Any, folder: Path) -> Any:
     if key == "detector_parameters":
-        return {k: _in_full("detector", v, folder) for k, v in value.items()}
+        return {
+            k: _in_full(k if k in _NETWORKS else "detector", v, folder) for k, v in value.items()
+        }
     if not isinstance(value, str):
         return value
     is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
+    is_plugin |= key in _NETWORKS and value != "none"
     is_path = key in ("path", "camera", "right", "definitions")
     is_there = any(c in value for c in "*?[") or (folder / value).exists()
     return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value

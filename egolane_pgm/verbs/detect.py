@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
+import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
 from egolane_pgm.recordings import write_lines, writer_of
+from egolane_pgm.recordings.mapping import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
@@ -96,14 +99,23 @@ def detect(
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
         lines = detect_lines(found, of_camera, shows)
-        done = collect(lines, left.frame_rate or 10.0, pictures, left.time_s)
+        done = collect(lines, left.frame_rate or FRAME_RATE, pictures, left.time_s)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
     if target is None:
         if done.stopped is not None:
             raise done.stopped
         return done.log
-    write_lines(target, done.log)
+    # A bag's LRIs are whole numbers; those of a network with probabilities need not be.
+    is_bag = target.suffix.lower() == ".bag"
+    write_lines(target, replace(done.log, lri=np.rint(done.log.lri)) if is_bag else done.log)
+    if is_bag and left.frame_rate not in (None, FRAME_RATE):
+        warnings.warn(
+            f"{target}: a ROS 1 bag is read with {FRAME_RATE:g} frames per second if nothing else"
+            f" is said; here recording.frame_rate={left.frame_rate:g}",
+            UserWarning,
+            stacklevel=2,
+        )
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     if done.stopped is not None:

@@ -25,6 +25,7 @@ from tests.kits.image_line_files import entry, tusimple
 from tests.kits.message_files import write_logs
 from tests.kits.sensor_files import write_bags, write_tables
 from tests.kits.synthetic_road import write_video
+from tests.kits.tiny_network import write_known
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -163,6 +164,11 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     for file in network.iterdir():
         shutil.copy(file, folder)
     (folder / "drivable.yaml").rename(folder / "road.yaml")
+    # A network that sees nothing.
+    blind = {"pred_logits": np.zeros((1, 7, 2)), "pred_curves": np.zeros((1, 7, 8))}
+    (folder / "models").mkdir()
+    for name in ("mine.onnx", "lstr_360x640.onnx", "models/lstr_360x640.onnx"):
+        write_known(folder / name, blind, (640, 360), {"input_mask": (1, 1, 360, 640)})
     (folder / "boards").mkdir()
     for file in boards.glob("*.png"):
         cv2.imwrite(str(folder / "boards" / f"{file.stem}.jpg"), cv2.imread(str(file)))

@@ -556,6 +556,7 @@ def test_a_drive_in_one_lane_says_that_no_change_was_believed(tmp_path: Path) ->
     shown = done("run", path, "--no-figures", "--out", tmp_path / "out").stdout
     assert "no lane change was believed" in shown
     header = (
-        "frame_id,time_s,from_lane,to_lane,probability,told_frame_id,told_time_s,late_s,delay_s\n"
+        "frame_id,time_s,from_lane,to_lane,direction,probability,told_frame_id,told_time_s,late_s,"
+        "delay_s\n"
     )
     assert (tmp_path / "out" / "events.csv").read_text() == header

@@ -13,13 +13,14 @@ from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Answer
 from egolane_pgm.vision.detectors.networks.description import (
     NO_NETWORK,
     Network,
     NetworkFile,
     read_network,
 )
-from egolane_pgm.vision.detectors.networks.layouts import Answer, answer, from_above
+from egolane_pgm.vision.detectors.networks.layouts import answer, from_above
 from egolane_pgm.vision.detectors.networks.running import fit_of, load
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
@@ -92,17 +93,3 @@ def grown(view: BirdsEye, mask: NDArray[np.uint8], margin_m: float) -> NDArray[n
     """The mask (R, C) with all that is within a margin, metres, to the side."""
     wide = 2 * round(margin_m / view.across_m) + 1
     return cv2.dilate(mask, np.ones((1, wide), dtype=np.uint8)).astype(np.uint8, copy=False)
-
-
-def markings(
-    camera: Camera, network: Network
-) -> Callable[[BirdsEye, Picture], NDArray[np.uint8] | None]:
-    """Makes a function that takes the bird's-eye view of a frame and its picture, and gives the
-    markings (R, C) that a network sees; None in frames that it skips."""
-    look = looker(network, camera)
-
-    def marks(view: BirdsEye, picture: Picture) -> NDArray[np.uint8] | None:
-        seen = look(picture)
-        return None if seen is None else from_above(view, seen)
-
-    return marks
