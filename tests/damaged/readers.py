@@ -106,7 +106,7 @@ def _labelled(path: Path) -> None:
 
 _EXPERIMENTS: dict[str, dict[str, Any]] = {
     "plain": {
-        "recording": {"path": "lines.csv", "frame_rate": 10, "columns": {"offset_m": "offset_m"}},
+        "recording": {"path": "lines.csv", "frame_rate": 10, "lines": {"offset": "offset_m"}},
         "ground_truth": {"path": "ground_truth.txt", "extra_rows": [[10000, 1, 0]]},
         "parameters": {"sigma1": 0.3, "p1": 0.9, "bonus_value": 4},
         "tuning": {"trials": 5, "parameters": {"p1": [0.5, 1]}, "never_fit": [[0, 10]]},
