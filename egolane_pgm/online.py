@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment, Section, validated
+from egolane_pgm.experiment import Experiment, LinesMapping, Section, validated
 from egolane_pgm.inference.events import (
     NO_EVENTS,
     crossing_probability,
@@ -22,6 +23,7 @@ from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import online_output, prepare_model, value_names
+from egolane_pgm.recordings.mapping import columns_of, lines_of_table
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, InputError, LaneEvents, LineLog, not_one_of
@@ -57,7 +59,8 @@ def filter_stream(
       "is_valid": true, "is_continuous": false, "lri": 10}, ...]}`. `is_valid` is true by default,
       `is_continuous` false, `lri` unknown. `time_s`, seconds, says when the frame was; without it
       that is the frame id over the frame rate. A message with `time_s` may lack the frame id: it is
-      then the frame after the last. Blank lines are skipped.
+      then the frame after the last. Blank lines are skipped. `recording.lines` says where the lines
+      stand in other messages.
     - nodes: hidden nodes whose whole belief is part of the answer.
 
     Yields `{frame_id, time_s, lane (0: Unassigned), probability (of that lane, or of the most
@@ -76,7 +79,8 @@ def filter_stream(
         after = 0
         for number, text in enumerate(messages, start=1):
             if text.strip():
-                log = parse_message(text, f"message {number}", frame_rate, after)
+                where = f"message {number}"
+                log = parse_message(text, where, frame_rate, after, experiment.recording.lines)
                 after = int(log.frame_id[0]) + 1
                 yield log
 
@@ -173,15 +177,21 @@ def _answer(
     }
 
 
-def parse_message(text: str, where: str, frame_rate: float, after: int = 0) -> LineLog:
+def parse_message(
+    text: str, where: str, frame_rate: float, after: int = 0, mapping: LinesMapping | None = None
+) -> LineLog:
     """One message as a LineLog of one frame; see `filter_stream`.
 
     - after: the id of a frame without one.
+    - mapping: where the lines stand in other messages.
     """
     try:
         content = from_json(text)
     except ValueError as error:
         raise InputError(f"{where}: is not JSON: {error}") from error
+    if mapping is not None:
+        columns = columns_of([content], where)
+        return lines_of_table(columns, mapping, Path(where), frame_rate, first=after)
     message = validated(_Message, content, where)
     lines, time_s = message.lines, message.time_s
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id

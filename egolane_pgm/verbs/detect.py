@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from egolane_pgm.recordings import write_lines, writer_of
-from egolane_pgm.recordings.table import FRAME_RATE
+from egolane_pgm.recordings.mapping import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
@@ -49,13 +49,14 @@ def detect(
     detector: Annotated[StrPath, Option("NAME|FILE.py", plugins=("detectors",))] = "ml",
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     right: Annotated[StrPath | None, Option("PICTURES")] = None,
+    topic: str | None = None,
     frames: Frames = None,
     parameters: Annotated[
         Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="lri_frames=5")
     ] = None,
     progress: Progress = None,
 ) -> LineLog:
-    """Detect and follow lines in PICTURES: a video, a folder of pictures or a 'glob*.jpg'.
+    """Detect and follow lines in PICTURES: a video, a folder of pictures, a 'glob*.jpg' or a bag.
 
     What was detected before Ctrl-C, or before a picture that cannot be used, is written too. Then
     `egolane run FILE --n-lanes N` gives the lane.
@@ -64,6 +65,7 @@ def detect(
     - detector: `egolane ls` lists them.
     - out: where the lines go: .parquet, .csv or .bag.
     - right: those of the second camera.
+    - topic: topic of the pictures in a bag.
     - frames: frame ids, STOP left out.
     - parameters: a parameter of the detector, e.g. lri_frames=5; `egolane show NAME` lists them.
     - progress: whether a bar shows how far it is; None for in a terminal.
@@ -90,14 +92,14 @@ def detect(
     )
     of_camera = read_camera(Path(camera))
     check_pair(found, of_camera, right is not None, "right")
-    left = open_source(pictures)
+    left = open_source(pictures, topic)
     of_camera = camera_of_pictures(of_camera, left)
     second = open_source(path_of(right, "right")) if right is not None else None
     began, total = time.perf_counter(), None if frames else left.n_frames
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
         lines = detect_lines(found, of_camera, shows)
-        done = collect(lines, left.frame_rate or FRAME_RATE, pictures)
+        done = collect(lines, left.frame_rate or FRAME_RATE, pictures, left.time_s)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
     if target is None:
