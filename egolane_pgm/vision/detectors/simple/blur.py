@@ -1,5 +1,5 @@
 """Finds pictures that are smeared up and down or to the side, as a shaking camera does, and
-sharpens them.
+sharpens them; also those that are nothing but noise.
 
 A smear widens a line by how slanted it is in the picture, so that lines beside the own lane become
 wider than any marking.
@@ -23,11 +23,18 @@ _SMEARED = 0.2
 #: picture's width. Chosen on the first 55 stills with a blur of 11, 15 and 21 pixels.
 _GAIN, _WIDE = 2.0, 0.012
 
+#: Noise is averaged over blocks of this many pixels a side. What is nothing but noise then has at
+#: least this sharpness; a road with noise of a standard deviation of 60 has at most 0.79.
+_BLOCK, _NOTHING = 8, 0.85
+
 
 def sharpness(image: Image, axis: int) -> float:
-    """How much neighbouring pixels of the lower half of a picture, (H, W, 3) or (H, W), differ, over
-    how much those eight apart do: an eighth where it is smeared over more. axis: 0 up and down, 1
-    to the side."""
+    """How much neighbouring pixels of a picture's lower half differ, over how much those eight
+    apart do: an eighth where it is smeared over more, 1 in noise.
+
+    - image: (H, W, 3) or (H, W)
+    - axis: 0 for neighbours up and down, 1 for those to the side
+    """
     lower = image[image.shape[0] // 2 :]
     red = lower if lower.ndim == 2 else lower[:, :, 2]
     lines = (red[:, ::_STEP] if axis == 0 else red[::_STEP].T).astype(np.int16)
@@ -44,5 +51,13 @@ def sharpened(image: Image) -> tuple[Image, bool]:
     smeared = [sharpness(image, axis) < _SMEARED for axis in (0, 1)]
     for is_smeared, size in zip(smeared, ((1, wide), (wide, 1)), strict=True):
         if is_smeared:
-            image = cv2.addWeighted(image, 1 + _GAIN, cv2.blur(image, size), -_GAIN, 0)
+            sharp = cv2.addWeighted(image, 1 + _GAIN, cv2.blur(image, size), -_GAIN, 0)
+            image = sharp.astype(np.uint8, copy=False)
     return image, smeared[0]
+
+
+def is_nothing_but_noise(image: Image) -> bool:
+    """Whether a picture, (H, W, 3) or (H, W), stays noise where blocks of it are averaged."""
+    share = 1 / _BLOCK
+    small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    return sharpness(small.astype(np.uint8, copy=False), 0) > _NOTHING

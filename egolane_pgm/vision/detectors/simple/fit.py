@@ -22,7 +22,7 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
-from egolane_pgm.vision.detectors.simple.blur import sharpened
+from egolane_pgm.vision.detectors.simple.blur import is_nothing_but_noise, sharpened
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.vision.detectors.simple.kernels import (
     common_scores,
@@ -30,7 +30,7 @@ from egolane_pgm.vision.detectors.simple.kernels import (
 )
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
-from egolane_pgm.vision.detectors.simple.upright import free_road
+from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
 #: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
 #: height, 1/m) and rate (1/m^2). First their usual sizes, standard deviations, then the largest
@@ -49,10 +49,16 @@ _SLOPE_SD = 0.05
 #: `least_rise` in a picture full of streaks: what is left of these adds to the contrast around.
 _STREAKY_RISE = 3.0
 
-#: In noise: the picture is blurred over some pixels and its view over some metres along the road, and what is left of the noise must not be taken for a line. These values were chosen on the
-#: first 55 stills with noise of a standard deviation of 15 to 60.
+#: In noise the picture is blurred over some pixels, and its view over some metres along the road;
+#: what is left of the noise must not be taken for a line. These values were chosen on the first 55
+#: stills with noise of a standard deviation of 15 to 60.
 _NOISY_BLUR, _NOISY_ALONG_M = (5, 5), 0.9
-_NOISY = {"least_rise": 3.4, "smooth_along_m": 1.5, "least_score": 0.22, "curve": "line"}
+_NOISY: Parameters = {
+    "least_rise": 3.4,
+    "smooth_along_m": 1.5,
+    "least_score": 0.22,
+    "curve": "line",
+}
 
 #: A picture that was smeared up and down shows lines farther ahead than this as bands, metres, and
 #: the others with less contrast. Chosen on the first 55 stills with a blur of 15 rows.
@@ -105,12 +111,14 @@ class Found:
     - score: (M,) share of the visible length that contours cover, plus support from neighbours
     - coverage: (M,) share of the visible length that contours cover, after the refinement
     - visible: (M,) length of the line in view, metres
+    - hidden: the share of the road in view that vehicles seem to hide
     """
 
     shape: FloatArray
     score: FloatArray
     coverage: FloatArray
     visible: FloatArray
+    hidden: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -168,10 +176,12 @@ def find_lines(
 
     Raises InputError for a picture of another size than the calibration.
     """
-    is_given = mask is not None
+    is_given, hidden = mask is not None, 0.0
     if mask is None:
         cover = streak_cover(image, parameters)
         if cover > NOISE:
+            if is_nothing_but_noise(image):
+                return _nothing()
             # Bends and what is far away drown first.
             view = _nearer(view, number(parameters, "straight_to_m"))
             image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
@@ -188,7 +198,11 @@ def find_lines(
         if cover > NOISE:
             rows = max(round(_NOISY_ALONG_M / view.along_m), 1)
             above = cv2.blur(above, (1, rows)).astype(np.uint8, copy=False)
-        view = replace(view, valid=view.valid & free_road(view, above, parameters))
+        if not is_daylight(view.camera, image):
+            parameters = {**parameters, "shadow_share": 0.0}
+        free = free_road(view, above, parameters)
+        hidden = float((view.valid & ~free).sum()) / max(int(view.valid.sum()), 1)
+        view = replace(view, valid=view.valid & free)
         mask = marking_mask(view, above, parameters)
     if on_road is not None:
         mask[~on_road] = 0
@@ -196,7 +210,7 @@ def find_lines(
     if is_given:
         usual = np.full_like(strips.width_m, number(parameters, "stripe_m"))
         strips = replace(strips, width_m=usual)
-    return fit_lines(view, strips, parameters, prior_shape)
+    return replace(fit_lines(view, strips, parameters, prior_shape), hidden=hidden)
 
 
 def _nearer(view: BirdsEye, far_m: float) -> BirdsEye:
