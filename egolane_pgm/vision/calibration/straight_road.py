@@ -365,8 +365,9 @@ def view_from(
             f" camera {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m above the road; check the lane width"
         )
     height_m = lane_width_m / float(np.average(gaps[lanes], weights=weights[lanes]))
+    seen = replace(turned, height_m=height_m, lateral_m=camera.lateral_m, lane_width_m=lane_width_m)
     return RoadView(
-        replace(turned, height_m=height_m, lateral_m=camera.lateral_m),
+        seen,
         pixels,
         np.array([u, v]),
         ahead,

@@ -99,6 +99,9 @@ _WEAK = 1e-3
 #: The visible length that coverage is at least divided by, metres: a shorter view says too little.
 _LEAST_VISIBLE_M = 5.0
 
+#: The width of lanes where neither the user nor the camera's calibration names one, metres.
+_LANE_M = 3.66
+
 #: The largest share of a neighbour's own score that counts as support.
 _MOST_SUPPORT = 0.5
 
@@ -155,6 +158,13 @@ def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
         number(parameters, "along_m"),
         number(parameters, "across_m"),
     )
+
+
+def lane_width_m(camera: Camera, parameters: Parameters) -> float:
+    """The usual width of lanes, metres: as the parameter says, or as the camera does."""
+    if parameters["lane_width_m"] == "auto":
+        return _LANE_M if camera.lane_width_m is None else camera.lane_width_m
+    return number(parameters, "lane_width_m")
 
 
 def find_lines(
@@ -361,13 +371,13 @@ def _scores(
     shown = _visible(view, common.shape(centre))
     full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
     own = np.minimum(covered / full, 1.0)
-    bonus = number(parameters, "neighbour_bonus")
-    return centre, np.where(own > 0.03, own + bonus * _support(own, parameters), own)
+    bonus, width = number(parameters, "neighbour_bonus"), lane_width_m(view.camera, parameters)
+    return centre, np.where(own > 0.03, own + bonus * _support(own, width, parameters), own)
 
 
-def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
+def _support(own: FloatArray, width: float, parameters: Parameters) -> FloatArray:
     """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
-    width, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
+    sd = number(parameters, "lane_width_sd")
     lag = np.arange(1, len(own))
     lag = lag[np.abs(lag * _BIN_M - width) <= 3 * sd + _BIN_M]
     if not len(lag):
