@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.vision.calibration.standing_still import edge_counter
 from egolane_pgm.vision.calibration.straight_road import (
     NEAREST_TO_HORIZON,
     FrameFit,
@@ -339,6 +340,7 @@ def find_in_stills(
     Raises InputError if no still can be used, or if the edges do not meet in one point.
     """
     mask = seen_mask(camera)
+    count_edges, moving = edge_counter(camera.width, camera.height)
     skipped: list[str] = []
     used, straight = [], []
     for path, image in read_images(progress(paths), skipped):
@@ -348,12 +350,14 @@ def find_in_stills(
             continue
         used.append(path)
         straight.append(edges(camera, image, mask))
+        count_edges(image)
     if not used:
         raise InputError(f"stills: none of them can be used; {skipped[0]}")
     if most is not None and len(used) > most:
         clear = np.argsort([-clearness(lines, seed) for lines in straight], kind="stable")[:most]
         used, straight = ([given[k] for k in sorted(clear)] for given in (used, straight))
     ahead, each = meeting_of_stills(straight, seed)
+    mask = moving(np.stack(from_level_to_image(camera, ahead)), mask)
     fits, lines = [], []
     for path, point in zip(progress(used), each, strict=True):
         about = point if np.isfinite(point).all() else ahead

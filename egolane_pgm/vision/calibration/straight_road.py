@@ -45,6 +45,9 @@ NEAREST_TO_HORIZON = 0.04
 #: height is not between neighbouring lines.
 _HEIGHTS = (0.5, 4.0)
 
+#: The lowest and the highest camera on usual cars and vans, metres.
+_USUAL_HEIGHTS = (0.9, 2.2)
+
 #: A gap that differs from the most common one by less than this share is one lane.
 _SAME_GAP = 0.15
 
@@ -402,6 +405,30 @@ def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
         f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
         " no distortion",
         "  (offsets hardly depend on it, distances ahead do).",
+    ]
+
+
+def doubts_of(view: RoadView) -> list[str]:
+    """What speaks against a view: nothing, or one line that says what to look at.
+
+    A camera of a car is at a usual height. Where it is not, or where gaps of two lanes are as
+    frequent as those of one and half the height is a usual one, half a lane (between the strokes of
+    a double line, a watermark's letters, seams) may have been taken for a lane, or two lanes.
+    """
+    high, (low, most) = view.camera.height_m, _USUAL_HEIGHTS
+    one = view.lane_width_m
+    n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
+    is_half = high / 2 >= low and n_double > view.is_lane.sum()
+    if low <= high <= most and not is_half:
+        return []
+    taken = "two lanes" if high < low else "half a lane"
+    other = 2 * high if high < low else high / 2
+    return [
+        f"doubtful: with lanes of {one:g} m the camera is {high:.2f} m above the road, and cameras"
+        f" of cars are at {low:g} to {most:g} m; {n_double} gaps between lines are twice as wide as"
+        f" the {view.is_lane.sum()} lanes. If {taken} was taken for a lane, it is at {other:.2f} m:"
+        " look at the picture of it, leave out what is no line of a lane (ignore), or give other"
+        " stills"
     ]
 
 
