@@ -40,6 +40,9 @@ _ROWS = 120
 #: The widest marking, in heights of the camera (block markings are 0.6 m wide and more).
 _MARKING = 0.8
 
+#: The widest dark seam, and the widest gap of a double line, in heights of the camera.
+_SEAM = 0.15
+
 #: A pixel is paint if it is brighter than its surroundings by more than the first number of grey
 #: levels, and by more than the second number times the mean difference in its row.
 _CONTRAST, _SCATTERS = 12.0, 4.0
@@ -225,6 +228,9 @@ def fan(
     bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
     kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
+    # The road between two dark seams is no paint, nor is the gap of a double line a gap.
+    seam = np.ones((1, round(_SEAM / _STEP) | 1), dtype=np.uint8)
+    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, seam)
     paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)
     shown = cv2.erode(seen, kernel) * inside > 0
     return Fan(np.where(shown, paint, 0.0), shown, below, side)
