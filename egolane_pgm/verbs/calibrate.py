@@ -163,9 +163,8 @@ def calibrate(
         else:
             road = view_from_labels(camera, str(lines), first, lane_width, shown("labels"))
         said += describe_view(road.view, road.what)
-        doubts = doubts_of(road.view)
-        said += doubts
-        for doubt in doubts:
+        for doubt in doubts_of(road.view):
+            said.append(doubt)
             warnings.warn(f"{stills or lines}: {doubt}", UserWarning, stacklevel=2)
         if roll:
             said.append(f"Roll: {roll:g} degrees, given.")

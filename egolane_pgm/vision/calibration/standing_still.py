@@ -32,9 +32,9 @@ _POINTS_AT, _LINE = 0.15, 0.5
 def edge_counter(
     width: int, height: int
 ) -> tuple[Callable[[Image], None], Callable[[FloatArray, BoolArray], BoolArray]]:
-    """Makes two functions: one to call with each picture (H, W, 3), and one that gives the pixels
-    (H, W) that may show road, without those of things that stood still; with too few pictures, all.
-    It takes these pixels and the pixel (2,) at which the lines of the road meet."""
+    """Makes two functions: one to call with each picture (H, W, 3), and one that takes the pixel
+    (2,) at which the lines of the road meet and the pixels (H, W) that may show road, and gives
+    these without those of things that stood still; with too few pictures, all."""
     total = np.zeros((2, height, width), dtype=np.float32)
     often = np.zeros((height, width), dtype=np.uint16)
     n = 0

@@ -409,26 +409,19 @@ def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
 
 
 def doubts_of(view: RoadView) -> list[str]:
-    """What speaks against a view: nothing, or one line that says what to look at.
-
-    A camera of a car is at a usual height. Where it is not, or where gaps of two lanes are as
-    frequent as those of one and half the height is a usual one, half a lane (between the strokes of
-    a double line, a watermark's letters, seams) may have been taken for a lane, or two lanes.
-    """
-    high, (low, most) = view.camera.height_m, _USUAL_HEIGHTS
-    one = view.lane_width_m
+    """What speaks against a view, in one line, or nothing: a height that cars' cameras do not have,
+    or gaps of twice a lane's width that outnumber the lanes, where half the height is usual."""
+    high, (low, most), one = view.camera.height_m, _USUAL_HEIGHTS, view.lane_width_m
+    n_lanes = int(view.is_lane.sum())
     n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
-    is_half = high / 2 >= low and n_double > view.is_lane.sum()
-    if low <= high <= most and not is_half:
+    if low <= high <= most and (high / 2 < low or n_double <= n_lanes):
         return []
-    taken = "two lanes" if high < low else "half a lane"
-    other = 2 * high if high < low else high / 2
+    taken, other = ("two lanes were", 2 * high) if high < low else ("half a lane was", high / 2)
     return [
-        f"doubtful: with lanes of {one:g} m the camera is {high:.2f} m above the road, and cameras"
-        f" of cars are at {low:g} to {most:g} m; {n_double} gaps between lines are twice as wide as"
-        f" the {view.is_lane.sum()} lanes. If {taken} was taken for a lane, it is at {other:.2f} m:"
-        " look at the picture of it, leave out what is no line of a lane (ignore), or give other"
-        " stills"
+        f"doubtful: with lanes of {one:g} m the camera is {high:.2f} m above the road, where those"
+        f" of cars are at {low:g} to {most:g} m ({n_lanes} gaps between lines are lanes, {n_double}"
+        f" twice as wide). If {taken} taken for a lane, it is at {other:.2f} m: look at the picture"
+        " of it, leave out what is no line of a lane (ignore), or give other stills"
     ]
 
 

@@ -296,7 +296,7 @@ def test_the_camera_of_the_real_labels(real_pictures):
 
 
 @pytest.mark.parametrize(
-    ("width", "said"), [(3.6, ""), (2.1, "two lanes"), (5.9, "half a lane was taken for a lane")]
+    ("width", "said"), [(3.6, ""), (2.1, "two lanes were taken"), (5.9, "half a lane was taken")]
 )
 def test_a_height_that_no_car_has_is_doubted(width: float, said: str) -> None:
     """The lanes are 3.6 m wide, the camera is 1.4 m above the road."""

@@ -1,8 +1,8 @@
 """Finds pictures that are smeared up and down or to the side, as a shaking camera does, and
 sharpens them; also those that are nothing but noise.
 
-A smear widens a line by how slanted it is in the picture, so that lines beside the own lane become
-wider than any marking.
+A smear widens a line the more, the more it is slanted in the picture: those beside the own lane
+become wider than any marking.
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ def follower(
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct" and road is None
     turned, corrected_deg = turned_up(view), 0.0
-    warn_of_hidden = _hidden_watch()
+    n_hidden = 0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         repeated = count_repeats(picture)
@@ -111,7 +111,7 @@ def follower(
             return tracks
         if repeated:
             return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
-        nonlocal corrected_deg
+        nonlocal corrected_deg, n_hidden
         # A stereo pair is checked first, so that its own errors name the picture that is wrong.
         seen, is_road = (view, None) if road is None else road(picture)
         believed = None if watch is None else watch(picture)
@@ -134,32 +134,19 @@ def follower(
             on_road=is_road,
             mask=mask,
         )
-        warn_of_hidden(picture.frame_id, found.hidden)
+        n_hidden = n_hidden + 1 if found.hidden > _MOSTLY else 0
+        if n_hidden == _LONG:
+            warnings.warn(
+                f"frame {picture.frame_id}: vehicles have seemed to hide most of the road for"
+                f" {_LONG} frames (dense traffic, or something else that is dark), and no line is"
+                " looked for there; shadow_share 0 looks everywhere",
+                UserWarning,
+                stacklevel=2,
+            )
         painted = painted_share(seen, picture.image, found.shape, parameters)
         return advance(tracks, rule, found.shape, painted)
 
     return follow, rule
-
-
-def _hidden_watch() -> Callable[[int, float], None]:
-    """Makes a function of a frame id and the share of the road in it that vehicles seem to hide,
-    which warns once if that is most of it for some time."""
-    n_hidden, has_warned = 0, False
-
-    def watch(frame_id: int, hidden: float) -> None:
-        nonlocal n_hidden, has_warned
-        n_hidden = n_hidden + 1 if hidden > _MOSTLY else 0
-        if n_hidden == _LONG and not has_warned:
-            has_warned = True
-            warnings.warn(
-                f"frame {frame_id}: vehicles have seemed to hide most of the road for {_LONG}"
-                " frames (dense traffic, or something else that is dark is taken for them), and no"
-                " line is looked for there; shadow_share 0 looks everywhere",
-                UserWarning,
-                stacklevel=2,
-            )
-
-    return watch
 
 
 def _turned(tracks: Tracks, more_deg: float, camera: Camera) -> Tracks:

@@ -53,12 +53,7 @@ _STREAKY_RISE = 3.0
 #: what is left of the noise must not be taken for a line. These values were chosen on the first 55
 #: stills with noise of a standard deviation of 15 to 60.
 _NOISY_BLUR, _NOISY_ALONG_M = (5, 5), 0.9
-_NOISY: Parameters = {
-    "least_rise": 3.4,
-    "smooth_along_m": 1.5,
-    "least_score": 0.22,
-    "curve": "line",
-}
+_NOISY = {"least_rise": 3.4, "smooth_along_m": 1.5, "least_score": 0.22}
 
 #: A picture that was smeared up and down shows lines farther ahead than this as bands, metres, and
 #: the others with less contrast. Chosen on the first 55 stills with a blur of 15 rows.
@@ -195,7 +190,7 @@ def find_lines(
             # Bends and what is far away drown first.
             view = _nearer(view, number(parameters, "straight_to_m"))
             image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
-            parameters = {**parameters, **_NOISY}
+            parameters = {**parameters, **_NOISY, "curve": "line"}
         elif cover > RAIN:
             image = without_streaks(image, parameters)
             parameters = {**parameters, "least_rise": _STREAKY_RISE}
