@@ -12,8 +12,8 @@ import numpy as np
 
 from egolane_pgm.vision.camera.picture import Image
 
-#: The distance of the rows or columns that are looked at.
-_STEP = 8
+#: The distance of the pixels of a row or column that are compared.
+_APART = 8
 
 #: The sharpness below which a picture is smeared. Pictures of four cameras have 0.23 to 0.47, but
 #: for a few with less; after a blur of 15 pixels it is 0.14 to 0.16.
@@ -28,19 +28,20 @@ _GAIN, _WIDE = 2.0, 0.012
 _BLOCK, _NOTHING = 8, 0.85
 
 
-def sharpness(image: Image, axis: int) -> float:
+def sharpness(image: Image, axis: int, every: int = 16) -> float:
     """How much neighbouring pixels of a picture's lower half differ, over how much those eight
     apart do: an eighth where it is smeared over more, 1 in noise.
 
     - image: (H, W, 3) or (H, W)
     - axis: 0 for neighbours up and down, 1 for those to the side
+    - every: the distance of the rows or columns that are looked at
     """
     lower = image[image.shape[0] // 2 :]
     red = lower if lower.ndim == 2 else lower[:, :, 2]
-    lines = (red[:, ::_STEP] if axis == 0 else red[::_STEP].T).astype(np.int16)
-    if len(lines) <= _STEP:
+    lines = (red[:, ::every] if axis == 0 else red[::every].T).astype(np.int16, order="C")
+    if len(lines) <= _APART:
         return 1.0
-    apart = float(np.abs(lines[_STEP:] - lines[:-_STEP]).mean())
+    apart = float(np.abs(lines[_APART:] - lines[:-_APART]).mean())
     return float(np.abs(lines[1:] - lines[:-1]).mean()) / apart if apart else 1.0
 
 
@@ -60,4 +61,4 @@ def is_nothing_but_noise(image: Image) -> bool:
     """Whether a picture, (H, W, 3) or (H, W), stays noise where blocks of it are averaged."""
     share = 1 / _BLOCK
     small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    return sharpness(small.astype(np.uint8, copy=False), 0) > _NOTHING
+    return sharpness(small.astype(np.uint8, copy=False), 0, every=1) > _NOTHING

@@ -206,7 +206,7 @@ def find_lines(
         if not is_daylight(view.camera, image):
             parameters = {**parameters, "shadow_share": 0.0}
         free = free_road(view, above, parameters)
-        hidden = float((view.valid & ~free).sum()) / max(int(view.valid.sum()), 1)
+        hidden = float(np.count_nonzero(view.valid & ~free)) / max(int(view.valid.sum()), 1)
         view = replace(view, valid=view.valid & free)
         mask = marking_mask(view, above, parameters)
     if on_road is not None:
