@@ -37,15 +37,15 @@ PARAMETERS = (
         "on_road_margin_m",
         "non_negative",
         "auto",
-        "how far beside what the network sees marking is kept, metres; auto: 0.3 beside lines, 0"
-        " beside an area, because a margin lets in the flanks of vehicles",
+        "how far beside what the network sees marking is kept, metres; auto: 0.3, as many networks"
+        " leave the paint out of the road's area",
         choices=("auto",),
         highest=10,
     ),
 )
 
-#: The margin beside lines where none is given, metres.
-_BESIDE_LINES_M = 0.3
+#: The margin where none is given, metres.
+_MARGIN_M = 0.3
 
 
 def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | None]:
@@ -71,7 +71,8 @@ def keep(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye, Picture]
     if parameters["on_road"] == NO_NETWORK:
         return None
     network = read_network(str(parameters["on_road"]))
-    look, margin = looker(network, camera), _margin_m(network, parameters)
+    look, given = looker(network, camera), parameters["on_road_margin_m"]
+    margin = _MARGIN_M if given == "auto" else number(parameters, "on_road_margin_m")
     last = Answer(None)
 
     def kept(view: BirdsEye, picture: Picture) -> BoolArray:
@@ -81,12 +82,6 @@ def keep(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye, Picture]
         return near
 
     return kept
-
-
-def _margin_m(network: Network, parameters: Parameters) -> float:
-    if parameters["on_road_margin_m"] == "auto":
-        return 0.0 if network.layout == "drivable" else _BESIDE_LINES_M
-    return number(parameters, "on_road_margin_m")
 
 
 def grown(view: BirdsEye, mask: NDArray[np.uint8], margin_m: float) -> NDArray[np.uint8]:

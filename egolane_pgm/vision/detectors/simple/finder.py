@@ -4,6 +4,7 @@ four variants share it: with one or two cameras, for straight lines or clothoids
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -42,6 +43,10 @@ PARAMETERS = (
     *drift.PARAMETERS,
     *looking.PARAMETERS,
 )
+
+#: It is said if vehicles seem to hide more than this share of the road in this number of pictures
+#: in a row. In the densest of 110 pictures of a crowded motorway they hide 0.58.
+_MOSTLY, _LONG = 0.6, 10
 
 #: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
 #: and which of its pixels (R, C) lie on the plane of the road.
@@ -94,6 +99,7 @@ def follower(
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct" and road is None
     turned, corrected_deg = turned_up(view), 0.0
+    n_hidden = 0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         repeated = count_repeats(picture)
@@ -101,7 +107,7 @@ def follower(
             return tracks
         if repeated:
             return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
-        nonlocal corrected_deg
+        nonlocal corrected_deg, n_hidden
         # A stereo pair is checked first, so that its own errors name the picture that is wrong.
         seen, is_road = (view, None) if road is None else road(picture)
         believed = None if watch is None else watch(picture)
@@ -114,18 +120,27 @@ def follower(
             is_road = kept if is_road is None else is_road & kept
         prior = expected(tracks)
         prior_shape = prior if len(prior) else None
-        if finder is None:
-            found = find_lines(
-                seen, picture.image, parameters, prior_shape=prior_shape, on_road=is_road
+        if finder is not None:
+            told = finder(seen, picture, prior_shape, is_road)
+            if told is None:
+                return predicted(tracks, rule)
+            painted = painted_share(seen, picture.image, told.shape, parameters)
+            painted = np.where(np.isnan(told.solid), painted, told.solid)
+            return advance(tracks, rule, told.shape, painted, told.likely)
+        found = find_lines(
+            seen, picture.image, parameters, prior_shape=prior_shape, on_road=is_road
+        )
+        n_hidden = n_hidden + 1 if found.hidden > _MOSTLY else 0
+        if n_hidden == _LONG:
+            warnings.warn(
+                f"frame {picture.frame_id}: vehicles have seemed to hide most of the road for"
+                f" {_LONG} frames (dense traffic, or something else that is dark), and no line is"
+                " looked for there; shadow_share 0 looks everywhere",
+                UserWarning,
+                stacklevel=2,
             )
-            painted = painted_share(seen, picture.image, found.shape, parameters)
-            return advance(tracks, rule, found.shape, painted)
-        told = finder(seen, picture, prior_shape, is_road)
-        if told is None:
-            return predicted(tracks, rule)
-        painted = painted_share(seen, picture.image, told.shape, parameters)
-        painted = np.where(np.isnan(told.solid), painted, told.solid)
-        return advance(tracks, rule, told.shape, painted, told.likely)
+        painted = painted_share(seen, picture.image, found.shape, parameters)
+        return advance(tracks, rule, found.shape, painted)
 
     return follow, rule
 

@@ -157,9 +157,8 @@ def test_nan_is_said_with_the_frame(tmp_path: Path, top_hat: Path) -> None:
 
 
 def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
-    detector = find_detector(
-        "mc", {"on_road": str(tiny_network / "drivable.yaml")}, Path.cwd(), "detector"
-    )
+    given = {"on_road": str(tiny_network / "drivable.yaml"), "on_road_margin_m": 0}
+    detector = find_detector("mc", given, Path.cwd(), "detector")
     scene = heavy_traffic(8)
     view = make_view(scene.camera, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
     road = keep(scene.camera, detector.parameters)
