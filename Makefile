@@ -87,6 +87,7 @@ tuned: .venv/.dev
 # What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
 beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond strangers > results/beyond/strangers.md
+	$(BIN)/python -m makers.beyond sensors > results/beyond/sensors.md
 	$(BIN)/python -m makers.beyond labels --out results/beyond > results/beyond/labels.md
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
 	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
@@ -136,7 +137,7 @@ fuzz: .venv/.dev
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels --out results/camera > results/camera/pictures.md
+	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels lstr --out results/camera > results/camera/pictures.md
 
 # What a search of the detectors' parameters gains on labelled stills (ten minutes of two cores).
 searched: .venv/.dev

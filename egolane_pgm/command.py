@@ -42,6 +42,7 @@ COMMANDS = {
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
     "export": "Write a result for a viewer: Foxglove, PlotJuggler, rerun.",
+    "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
     "lines": "Print the lines of one frame as in the paper's Box 1.",
@@ -49,6 +50,7 @@ COMMANDS = {
     "ls": "List graphs, evidence rules, detectors and experiments.",
     "map": "Read the lanes of motorways from an extract of OpenStreetMap.",
     "network": "Write a graph: a picture, or text for other programs.",
+    "network-check": "Say which layout fits an ONNX file, and the YAML to start from.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw the figures of result directories and studies.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",
@@ -79,8 +81,9 @@ def main() -> None:
 
 def command_of(name: str) -> click.Command:
     """The command that is made from the verb of a name."""
-    module = import_module(f"egolane_pgm.verbs.{name}")
-    verb = getattr(module, name)
+    own = name.replace("-", "_")
+    module = import_module(f"egolane_pgm.verbs.{own}")
+    verb = getattr(module, own)
     if isinstance(verb, Mapping):
         parts = {each: _made(part, each, None) for each, part in verb.items()}
         made: click.Command = click.Group(name, parts, help=module.__doc__)

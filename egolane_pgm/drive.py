@@ -36,9 +36,9 @@ from egolane_pgm.recordings.select import (
     clip_lri,
     fill_missing,
     join,
-    rate_of,
     recording_warnings,
     select_frames,
+    sign_warning,
 )
 from egolane_pgm.recordings.source import IN_MEMORY, LinesFile, Read, Source, find_named
 from egolane_pgm.simulation.drives import OverMap, Simulated
@@ -139,7 +139,8 @@ def load_recording(
         if experiment.ground_truth is not None and (read is None or truth is None):
             files.append(find_named(experiment, "ground_truth.path"))
             truth = read_ground_truth(files[-1], experiment.ground_truth.extra_rows)
-    notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    notes = [*found.notes]
+    notes += [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     if not clips:
         check_one_drive(found.log, ONE_DRIVE)
     first, stop = recording.frames or (None, None)
@@ -165,6 +166,7 @@ def load_recording(
     check_one_drive(log, "clips are run without ground truth (ground_truth: none)")
     truth.check_lanes(experiment.n_lanes)
     scored, annotated = join(log, truth)
+    notes += sign_warning(log.take(scored), truth.take(annotated))
     if len(scored) < len(log):
         notes.append(
             f"{log.source}: {len(log) - len(scored)} of {len(log)} frames have no ground truth;"
@@ -189,13 +191,13 @@ def with_own_rate(experiment: Experiment, read: Read | None = None) -> Experimen
     """The experiment with the frame rate of its recording, where that has one (a video, lines with
     times) and the YAML says none.
 
-    read: the recording, where it is in memory.
+    read: the recording, where it was read.
     """
     if "frame_rate" in experiment.recording.model_fields_set:
         return experiment
     if read is None:
         return _with_rate(experiment, source_of(experiment).frame_rate())
-    return _with_rate(experiment, rate_of(read.log.frame_id, read.log.time_s))
+    return _with_rate(experiment, read.rate)
 
 
 def _with_rate(experiment: Experiment, rate: float | None) -> Experiment:
@@ -266,7 +268,6 @@ def with_recording(
     recording: str | None,
     ground_truth: str | None,
     n_lanes: int | None,
-    frame_id: str | None = None,
     camera: str | None = None,
     detector: str | None = None,
     overrides: Overrides = (),
@@ -280,7 +281,7 @@ def with_recording(
       (`Source.kept_for`): detector and camera for pictures, format, topic, columns and so on for a
       file with the same extension.
 
-    recording, ground_truth, n_lanes, frame_id, camera, detector: what replaces the experiment's,
+    recording, ground_truth, n_lanes, camera, detector: what replaces the experiment's,
         None for what stays. recording may be `IN_MEMORY`, ground_truth "none"; camera and detector
         are for a video or pictures.
     overrides: keys that were overridden in the experiment: they are meant for the new recording, so
@@ -321,8 +322,6 @@ def with_recording(
                 f"{experiment.source}: recording: overrides and recording, or a row of a fleet,"
                 " name two of them; leave one out"
             )
-    if frame_id is not None:
-        section["frame_id"] = frame_id
     if camera is not None:
         section["camera"] = str(Path(camera).absolute())
     if detector is not None:
@@ -465,6 +464,9 @@ def open_drive(
                 check_sources(experiment)
     assert model is not None
     if recorded is None:
+        source = source_of(experiment)
+        if read is None and isinstance(source, LinesFile):
+            read = source.read()
         experiment = with_own_rate(experiment, read)
         recorded = load_recording(experiment, model.parameters, clips=clips, read=read)
     else:

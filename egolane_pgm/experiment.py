@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -22,9 +23,11 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
+    SerializerFunctionWrapHandler,
     ValidationError,
     ValidationInfo,
     field_validator,
+    model_serializer,
     model_validator,
 )
 from pydantic_core import ErrorDetails
@@ -113,6 +116,85 @@ class Section(BaseModel):
 AnySection = TypeVar("AnySection", bound=Section)
 
 
+class LinesMapping(Section):
+    """Where the lines stand in tables and messages. What is left out has the name that it has in
+    our own tables (`recordings.mapping`)."""
+
+    preset: str | None = Field(
+        default=None,
+        description="a known kind of recording (`egolane ls`); its keys hold for what is left out",
+        examples=["openpilot"],
+    )
+    topic: str | None = Field(
+        default=None,
+        description="of the messages; of JSON lines the field that they are in",
+        examples=["/lane/{}"],
+    )
+    frame_id: str | None = Field(default=None, description="number of the frame")
+    time: str | None = Field(
+        default=None,
+        description="when the frame was seen: a number, a date, or a stamp; also in place of frame"
+        " ids",
+        examples=["header.stamp"],
+    )
+    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+        default=None, description="unit of `time`, where that is a number; left out, seconds"
+    )
+    line: str | None = Field(default=None, description="number of the line, from 1 or from 0")
+    offset: str | tuple[str, ...] | None = Field(
+        default=None,
+        description="where the line passes the car, or the coefficients c0, c1, ... of a curve",
+        examples=["lanes[].c0", "{}_c0", ["c0", "c1", "c2", "c3"]],
+    )
+    along: str | None = Field(
+        default=None, description="how far ahead the points are, where `offset` is a list of them"
+    )
+    at_m: float | None = Field(
+        default=None,
+        allow_inf_nan=False,
+        description="how far ahead points or a polynomial are looked at; left out, 0",
+    )
+    is_valid: bool | str | None = Field(
+        default=None,
+        description="whether the detector trusts the line: a field, or a condition on one",
+        examples=["confidence > 0.5", "quality in [2, 3]"],
+    )
+    is_continuous: bool | str | None = Field(
+        default=None,
+        description="whether the line is not dashed, as `is_valid`",
+        examples=["type in [solid, double]"],
+    )
+    lri: str | None = Field(default=None, description="the line reliability index")
+    left_positive: bool | None = Field(
+        default=None, description="whether offsets are positive to the left (ISO 8855, ROS)"
+    )
+    unit: Literal["m", "cm", "mm"] | None = Field(
+        default=None, description="unit of `offset`; left out, metres"
+    )
+    each: tuple[Annotated[str, Field(coerce_numbers_to_str=True)], ...] = Field(
+        default=(),
+        description="names from left to right that take the place of `{}` in the other keys",
+        examples=[["left", "right"]],
+    )
+    also: tuple[_Keys, ...] = Field(
+        default=(), description="further lines of the same frames: the keys that differ"
+    )
+    separator: str | None = Field(
+        default=None, pattern=r"^(.|\\t)$", description="what separates the cells of a CSV"
+    )
+    decimal: str | None = Field(
+        default=None, pattern="^.$", description="the decimal point of a CSV"
+    )
+    null_values: tuple[str, ...] = Field(
+        default=(), description="further texts of a CSV that stand for an empty cell"
+    )
+
+    @model_serializer(mode="wrap")
+    def said(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """The keys that are not left out: one that is null takes that of a preset away."""
+        return {key: value for key, value in dump(self).items() if key in self.model_fields_set}
+
+
 class Recording(Section):
     """The source of the lines: a file (`path`) or a simulated drive (`simulate`)."""
 
@@ -133,10 +215,11 @@ class Recording(Section):
         description="topic of a bag; left out, that of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
     )
-    frame_id: Literal["way_id", "seq", "count"] = Field(
-        default="way_id",
-        description="what of a bag's messages is the frame id: the message's field way_id, seq of"
-        " its header (ROS 1), or their count",
+    definitions: str | None = Field(
+        default=None,
+        description="what defines the messages of `path`, where these do not: the .dbc of a CAN"
+        " log, openpilot's cereal/log.capnp, the folder of a ROS 2 bag's .msg files",
+        examples=["lanes.dbc", "openpilot/cereal/log.capnp"],
     )
     frames: tuple[int, int] | None = Field(
         default=None,
@@ -187,11 +270,16 @@ class Recording(Section):
         description="further options of the format's reader, or of the simulated interchange",
         examples=[{"valid": "always"}],
     )
-    columns: Annotated[dict[str, str], AfterValidator(frozen)] = Field(
-        default_factory=FrozenDict,
-        description="what the columns of a CSV or Parquet table are called, where not as ours",
-        examples=[{"frame_id": "frame", "offset_m": "lateral"}],
+    lines: LinesMapping | None = Field(
+        default=None,
+        description="where the lines stand in a table or in messages, or the name of a preset",
+        examples=["mobileye", {"offset": "lateral", "left_positive": True}],
     )
+
+    @field_validator("lines", mode="before")
+    @classmethod
+    def _preset(cls, value: Any) -> Any:
+        return {"preset": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -398,6 +486,12 @@ class Experiment(Section):
         description="the lane that is answered: the most probable one in each frame, or that of the"
         " most probable path through all frames (with filter smoothed)",
     )
+    start_lane: int | tuple[float, ...] | None = Field(
+        default=None,
+        description="what is known of the lane in which the drive begins: its number, or how"
+        " probable each of the n lanes is",
+        examples=[3, [0, 0, 1, 1]],
+    )
     evidence_reading: Literal["soft", "hard", "jeffrey"] = Field(
         default="soft",
         description="how the evidence of a frame is read: as a likelihood (`soft`), by its most"
@@ -451,6 +545,19 @@ class Experiment(Section):
             return FROM_MAP
         if type(value) is int and value < 1 and not (has_road and value == FROM_MAP):
             raise ValueError("input should be greater than or equal to 1")
+        return value
+
+    @field_validator("start_lane")
+    @classmethod
+    def _lane_of_the_road(cls, value: Any, info: ValidationInfo) -> Any:
+        n_lanes = info.data.get("n_lanes", FROM_MAP)
+        if isinstance(value, int) and (value < 1 or (n_lanes != FROM_MAP and value > n_lanes)):
+            raise ValueError(f"the road has lanes 1 (leftmost) to {n_lanes or 'n'}")
+        if isinstance(value, tuple):
+            if n_lanes != FROM_MAP and len(value) != n_lanes:
+                raise ValueError(f"needs a lane, or a number for each of the {n_lanes} lanes")
+            if not all(0 <= each < math.inf for each in value) or not any(value):
+                raise ValueError("the lanes' probabilities are not negative, and not all 0")
         return value
 
     @field_validator("lag")
@@ -695,8 +802,10 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
         if content[key] is None:
             # A config without it is the same config as ever, and so is its hash.
             del content[key]
-    if not content["recording"]["columns"]:
-        del content["recording"]["columns"]
+    if content["recording"]["definitions"] is None:
+        del content["recording"]["definitions"]
+    if content["recording"]["lines"] is None:
+        del content["recording"]["lines"]
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -178,7 +178,6 @@ def drive_experiment(base: Experiment, drive: FleetDrive, overrides: Overrides =
                 given["recording"],
                 given["ground_truth"],
                 given["n_lanes"],
-                None,
                 given["camera"],
                 given["detector"],
                 overrides,

@@ -31,9 +31,9 @@ MORE, AGAINST = 15.0, 30.0
 
 #: A warning says that there are fewer lanes if motion has less than the first log odds against one
 #: less, and the lines have at least the second ones for it. On the ten recordings motion has up to
-#: 3 and the lines 34 or more if n_lanes is one too large; motion has 40 or more if it is right. On
-#: simulated roads with a lane that the car is never in, the lines have up to 11.
-ALIKE, FEWER = 7.0, 20.0
+#: 3 and the lines 28 or more if n_lanes is one too large; motion has 40 or more if it is right. On
+#: simulated roads with a lane that the car is never in, the lines have up to 22.
+ALIKE, FEWER = 7.0, 25.0
 
 #: AGAINST, ALIKE and FEWER hold for drives of up to this many frames, and in proportion for more.
 FRAMES = 10_000

@@ -14,7 +14,13 @@ import numpy as np
 
 from egolane_pgm.experiment import FROM_MAP, Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
-from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
+from egolane_pgm.inference.compile import (
+    Compiled,
+    compile,
+    compile_tables,
+    starting_in,
+    with_tables,
+)
 from egolane_pgm.inference.filtering import read_evidence
 from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.maps.on_map import (
@@ -127,7 +133,23 @@ def prepare_model(experiment: Experiment) -> Model:
             f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
             f" {experiment.n_lanes} values, has {lanes or 'none'}"
         )
+    if experiment.start_lane is not None:
+        compiled = starting_in(compiled, _start_of(experiment))
     return Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
+
+
+def _start_of(experiment: Experiment) -> FloatArray:
+    """How probable each of the n lanes is before the first frame. Raises InputError for lanes that
+    the road of a map does not have."""
+    given, n_lanes = experiment.start_lane, experiment.n_lanes
+    lanes = np.arange(1, n_lanes + 1)
+    start = np.where(lanes == given, 1.0, 0.0) if isinstance(given, int) else np.array(given)
+    if start.shape != (n_lanes,) or not start.any():
+        raise InputError(
+            f"{experiment.source}: start_lane: the road has {n_lanes} lanes: give one of them, or a"
+            " number for each"
+        )
+    return start
 
 
 def _compiled(
@@ -192,6 +214,8 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     else:
         network = build_network(model.graph, model.n_lanes, parameters, "graph")
         compiled = compile_graph(model.graph, model.roles, network)
+        if model.compiled.start is not None:
+            compiled = starting_in(compiled, model.compiled.start)
     return replace(model, parameters=parameters, compiled=compiled)
 
 

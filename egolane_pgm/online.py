@@ -5,18 +5,25 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment, Section, validated
-from egolane_pgm.inference.events import NO_EVENTS, crossing_probability, next_events
+from egolane_pgm.experiment import Experiment, LinesMapping, Section, validated
+from egolane_pgm.inference.events import (
+    NO_EVENTS,
+    crossing_probability,
+    next_events,
+    place_in_lane,
+)
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import online_output, prepare_model, value_names
+from egolane_pgm.recordings.mapping import columns_of, lines_of_table
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, InputError, LaneEvents, LineLog, not_one_of
@@ -52,13 +59,15 @@ def filter_stream(
       "is_valid": true, "is_continuous": false, "lri": 10}, ...]}`. `is_valid` is true by default,
       `is_continuous` false, `lri` unknown. `time_s`, seconds, says when the frame was; without it
       that is the frame id over the frame rate. A message with `time_s` may lack the frame id: it is
-      then the frame after the last. Blank lines are skipped.
+      then the frame after the last. Blank lines are skipped. `recording.lines` says where the lines
+      stand in other messages.
     - nodes: hidden nodes whose whole belief is part of the answer.
 
     Yields `{frame_id, time_s, lane (0: Unassigned), probability (of that lane, or of the most
     probable one), crossing (the probability that the car is on a line; null where the graph cannot
-    tell), is_impossible, events: [{from_lane, to_lane, time_s (since when), probability}], beliefs:
-    {node: {value: probability}}}`. With filter fixed_lag the answer about a frame comes `lag`
+    tell), is_impossible, events: [{from_lane, to_lane (both 0 where the lane is not known),
+    direction (-1 left, 1 right), time_s (since when), probability}], beliefs: {node: {value:
+    probability}}}`. With filter fixed_lag the answer about a frame comes `lag`
     frames later, those about the last frames at the end.
 
     Raises InputError, naming the message, for one that cannot be used, for a node that the graph
@@ -70,7 +79,8 @@ def filter_stream(
         after = 0
         for number, text in enumerate(messages, start=1):
             if text.strip():
-                log = parse_message(text, f"message {number}", frame_rate, after)
+                where = f"message {number}"
+                log = parse_message(text, where, frame_rate, after, experiment.recording.lines)
                 after = int(log.frame_id[0]) + 1
                 yield log
 
@@ -111,7 +121,9 @@ def filter_logs(
             log = waiting.popleft()
             if log is not None:
                 frame = replace(beliefs.take(slice(t, t + 1)), frame_id=log.frame_id)
-                so_far, _, events = next_events(so_far, frame, log.time_s)
+                so_far, _, events = next_events(
+                    so_far, frame, log.time_s, place_in_lane(frame.marginals)
+                )
                 yield _answer(log, frame, events, below, {node: names[node] for node in nodes})
 
     for log in logs:
@@ -144,8 +156,8 @@ def _answer(
     lane = beliefs.lane[0]
     assigned = int(assigned_lane(beliefs.lane, below)[0])
     crossing = crossing_probability(beliefs.marginals)
-    columns = (events.from_lane, events.to_lane, events.time_s, events.probability)
-    names = ("from_lane", "to_lane", "time_s", "probability")
+    names = ("from_lane", "to_lane", "direction", "time_s", "probability")
+    columns = [getattr(events, name) for name in names]
     return {
         "frame_id": int(log.frame_id[0]),
         "time_s": float(log.time_s[0]),
@@ -154,8 +166,9 @@ def _answer(
         "crossing": None if crossing is None else float(crossing[0]),
         "is_impossible": bool(beliefs.is_impossible[0]),
         "events": [
-            dict(zip(names, event, strict=True))
-            for event in zip(*(column.tolist() for column in columns), strict=True)
+            # What is no number is not known.
+            {name: each if each == each else None for name, each in zip(names, row, strict=True)}
+            for row in zip(*(column.tolist() for column in columns), strict=True)
         ],
         "beliefs": {
             node: dict(zip(values, beliefs.marginals[node][0].tolist(), strict=True))
@@ -164,15 +177,21 @@ def _answer(
     }
 
 
-def parse_message(text: str, where: str, frame_rate: float, after: int = 0) -> LineLog:
+def parse_message(
+    text: str, where: str, frame_rate: float, after: int = 0, mapping: LinesMapping | None = None
+) -> LineLog:
     """One message as a LineLog of one frame; see `filter_stream`.
 
     - after: the id of a frame without one.
+    - mapping: where the lines stand in other messages.
     """
     try:
         content = from_json(text)
     except ValueError as error:
         raise InputError(f"{where}: is not JSON: {error}") from error
+    if mapping is not None:
+        columns = columns_of([content], where)
+        return lines_of_table(columns, mapping, Path(where), frame_rate, first=after)
     message = validated(_Message, content, where)
     lines, time_s = message.lines, message.time_s
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id

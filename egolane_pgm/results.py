@@ -51,6 +51,7 @@ from egolane_pgm.inference.events import (
     in_tracks,
     lane_events,
     numbered,
+    place_in_lane,
     tracks_of,
 )
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
@@ -111,6 +112,8 @@ class Result:
     - is_impossible (T,): marks frames whose evidence the model does not allow.
     - crossing (T,): the probability that the car is on a line between two lanes; None for a graph
       without RoadPosition.
+    - place_in_lane (T,): lane widths right of the middle of the lane, whichever it is, -.5 to .5;
+      NaN where that is not known, None for a graph without RoadPosition.
     - block (T,): the held-out block of each frame; None of a result that held out none.
     - clip (T,): the name of each frame's clip, where there are several, as in `LineLog`.
     - road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
@@ -152,6 +155,7 @@ class Result:
     log_evidence: FloatArray
     is_impossible: BoolArray
     crossing: FloatArray | None = None
+    place_in_lane: FloatArray | None = None
     block: IntArray | None = None
     clip: NDArray[np.str_] | None = None
     road_lanes: IntArray | None = None
@@ -224,7 +228,13 @@ class Result:
             beliefs = in_tracks(beliefs, self.origin)
         pieces = pieces_of(self.clip, len(self))
         found = [
-            lane_events(beliefs.take(piece), rate, lag=lag, time_s=self.time_s[piece])
+            lane_events(
+                beliefs.take(piece),
+                rate,
+                lag=lag,
+                time_s=self.time_s[piece],
+                places=None if self.place_in_lane is None else self.place_in_lane[piece],
+            )
             for piece in pieces
         ]
         return LaneEvents.joined(found)
@@ -487,6 +497,12 @@ COLUMNS = (
         "sometimes",
         "probability that the car is on a line between two lanes, of graphs with RoadPosition",
     ),
+    Column(
+        "place_in_lane",
+        "float64",
+        "sometimes",
+        "mean place in the lane, whichever it is: lane widths right of its middle; NaN if unknown",
+    ),
     Column("assigned_lane", "int64", "always", "the answer; 0 for none (a tie, unassigned_below)"),
     Column(
         "detector_LANE", "float64", "detector_lane", "the evidence rule's own answer", _tentative
@@ -544,6 +560,7 @@ def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
         **fields,
         "marginals": marginals,
         "crossing": crossing_probability(marginals),
+        "place_in_lane": place_in_lane(marginals),
         "tentative": stacked("detector", lanes) if has_detector else None,
     }
 

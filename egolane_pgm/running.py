@@ -33,6 +33,7 @@ from egolane_pgm.inference.events import (
     crossing_probability,
     in_tracks,
     lane_stretches,
+    place_in_lane,
     tracks_of,
 )
 from egolane_pgm.inference.filtering import piece_frames, step
@@ -95,7 +96,7 @@ class Believed:
     - beliefs: with the ids of the frames.
     - assigned (T,): the lane that is answered, 1..n or UNASSIGNED.
     - tentative (T, n): the evidence rule's own answer, or None.
-    - crossing (T,): see `Result`.
+    - crossing, place_in_lane (T,): see `Result`.
     - evidence: what was filtered; None where it was not kept.
     - notes: warnings, a line each.
     """
@@ -104,6 +105,7 @@ class Believed:
     assigned: IntArray
     tentative: FloatArray | None = None
     crossing: FloatArray | None = None
+    place_in_lane: FloatArray | None = None
     evidence: Evidence | None = None
     notes: tuple[str, ...] = ()
 
@@ -122,6 +124,7 @@ class Believed:
             np.concatenate([part.assigned for part in parts]),
             _joined([part.tentative for part in parts]),
             _joined([part.crossing for part in parts]),
+            _joined([part.place_in_lane for part in parts]),
             Evidence.joined(evidence) if len(evidence) == len(parts) else None,
             tuple(notes),
         )
@@ -173,8 +176,8 @@ def believe(drive: Drive) -> Believed:
     else:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
-    crossing = crossing_probability(beliefs.marginals)
-    return Believed(beliefs, assigned, output.tentative, crossing, filtered, tuple(notes))
+    over = crossing_probability(beliefs.marginals), place_in_lane(beliefs.marginals)
+    return Believed(beliefs, assigned, output.tentative, *over, filtered, tuple(notes))
 
 
 # --- the result --------------------------------------------------------------------------------
@@ -229,6 +232,7 @@ def result_rows(drive: Drive, believed: Believed) -> Result:
         log_evidence=beliefs.log_evidence,
         is_impossible=beliefs.is_impossible,
         crossing=believed.crossing,
+        place_in_lane=believed.place_in_lane,
         clip=log.clip,
         road_lanes=None if road is None else road.n_lanes,
         origin=None if road is None else road.origin,
@@ -405,8 +409,8 @@ def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
         state, beliefs = step(model.compiled, state, output.filtered, experiment.filter)
         beliefs = replace(beliefs, frame_id=part.log.frame_id)
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-        crossing = crossing_probability(beliefs.marginals)
-        yield part, Believed(beliefs, assigned, output.tentative, crossing)
+        over = crossing_probability(beliefs.marginals), place_in_lane(beliefs.marginals)
+        yield part, Believed(beliefs, assigned, output.tentative, *over)
 
 
 # --- several runs ------------------------------------------------------------------------------

@@ -728,6 +728,10 @@ class Beliefs:
         return float(self.log_evidence[kept].mean()) if kept.any() else float("nan")
 
 
+#: The directions of lane changes in words.
+SIDES = {-1: "to the left", 1: "to the right"}
+
+
 @dataclass(frozen=True)
 class LaneEvents:
     """E lane changes that a belief shows, in the order in which they are reported.
@@ -735,8 +739,11 @@ class LaneEvents:
     - told_frame_id, told_time_s (E,): when the change was first believed; seconds.
     - frame_id, time_s (E,): since when, up to there, the new lane was more probable than the old
       one without a break.
-    - from_lane, to_lane (E,): 1 (leftmost) to n.
-    - probability (E,): of the new lane, in the belief that first showed the change.
+    - from_lane, to_lane (E,): 1 (leftmost) to n; UNASSIGNED where the car is seen to change lane
+      while its lane is not known.
+    - direction (E,): -1 to the left, 1 to the right.
+    - probability (E,): of the new lane, in the belief that first showed the change; NaN where the
+      lanes are not known.
     - delay_s (E,): how long after the end of the true crossing the change was reported, negative
       where it was reported before; NaN where the car made no such change. None without ground
       truth.
@@ -755,6 +762,7 @@ class LaneEvents:
     time_s: FloatArray
     from_lane: IntArray
     to_lane: IntArray
+    direction: IntArray
     probability: FloatArray
     delay_s: FloatArray | None = None
 
@@ -772,8 +780,10 @@ class LaneEvents:
 
     def __repr__(self) -> str:
         said = [
-            f"lane {a} to {b} at {t:.1f} s"
-            for a, b, t in zip(self.from_lane, self.to_lane, self.time_s, strict=True)
+            f"{f'lane {a} to {b}' if a else SIDES[side]} at {t:.1f} s"
+            for a, b, side, t in zip(
+                self.from_lane, self.to_lane, self.direction, self.time_s, strict=True
+            )
         ]
         several = "" if len(self) == 1 else "s"
         shown = ", ".join(said[:3] + ["..."] * (len(said) > 3))
@@ -794,6 +804,7 @@ class LaneEvents:
             "time_s": self.time_s,
             "from_lane": self.from_lane,
             "to_lane": self.to_lane,
+            "direction": self.direction,
             "probability": self.probability,
             "told_frame_id": self.told_frame_id,
             "told_time_s": self.told_time_s,

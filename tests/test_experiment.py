@@ -339,9 +339,8 @@ def test_a_recording_of_ones_own_takes_nothing_from_the_old_one(tmp_path: Path) 
     assert new.n_lanes == 2
     assert new.parameters == {"sigma1": 0.3}
     assert new.tuned_on == "other_frames"
-    bag = with_recording(old, str(tmp_path / "b.bag"), str(tmp_path / "gt2.txt"), None, "seq")
+    bag = with_recording(old, str(tmp_path / "b.bag"), str(tmp_path / "gt2.txt"), None)
     assert bag.recording.topic == "/t"
-    assert bag.recording.frame_id == "seq"
     assert bag.ground_truth is not None
     assert bag.ground_truth.path == str(tmp_path / "gt2.txt")
     assert bag.ground_truth.extra_rows == ()

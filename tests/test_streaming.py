@@ -315,11 +315,14 @@ def test_lane_changes_are_the_same_wherever_they_are_cut(
     drawn: tuple[ego.Beliefs, list[slice]],
 ) -> None:
     beliefs, parts = drawn
-    whole = ego.lane_events(beliefs, 10.0)
+    rng = np.random.default_rng(len(beliefs))
+    places = (rng.normal(0, 0.2, len(beliefs)).cumsum() + 0.5) % 1 - 0.5
+    places[rng.random(len(beliefs)) < 0.1] = np.nan
+    whole = ego.lane_events(beliefs, 10.0, places=places)
     so_far, found = NO_EVENTS, []
     for part in parts:
         here = beliefs.take(part)
-        so_far, _, events = next_events(so_far, here, here.frame_id / 10.0)
+        so_far, _, events = next_events(so_far, here, here.frame_id / 10.0, places[part])
         found.append(events)
     told = ego.LaneEvents.joined(found)
     for name, column in whole.columns().items():

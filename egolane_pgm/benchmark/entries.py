@@ -124,7 +124,8 @@ def _read_events(file: Path, recording: Recording) -> LaneEvents:
     told, before, after = rows.T.astype(np.int64)
     _check_rows(file, told, np.isin(told, recording.log.frame_id), "is not in the recording")
     when = told / RATE
-    return LaneEvents(told, when, told, when, before, after, np.ones(len(told)))
+    way, sure = np.sign(after - before), np.ones(len(told))
+    return LaneEvents(told, when, told, when, before, after, way, sure)
 
 
 def _table(file: Path) -> tuple[list[str], FloatArray]:

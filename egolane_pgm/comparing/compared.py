@@ -309,6 +309,7 @@ def detector_alone(result: Result) -> Result | None:
         log_evidence=np.full(len(result), np.nan),
         is_impossible=np.zeros(len(result), dtype=bool),
         crossing=None,
+        place_in_lane=None,
     )
 
 

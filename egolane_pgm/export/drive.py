@@ -15,6 +15,7 @@ from egolane_pgm.experiment import load_experiment
 from egolane_pgm.results import LINES, Result, read_result
 from egolane_pgm.types import (
     DATED_S,
+    SIDES,
     UNASSIGNED,
     BoolArray,
     FloatArray,
@@ -126,11 +127,14 @@ class Drive:
     def event_texts(self) -> list[tuple[int, str]]:
         """Per reported lane change the row of the frame in which it is, and a line of text."""
         events, ids = self.events, self.result.frame_id
-        told = events.told_frame_id
-        changes = zip(told, events.from_lane, events.to_lane, events.probability, strict=True)
+        names = ("told_frame_id", "from_lane", "to_lane", "probability", "direction")
+        changes = zip(*(getattr(events, name) for name in names), strict=True)
         return [
-            (int(np.searchsorted(ids, at)), f"lane {a} to {b}, probability {p:.2f}")
-            for at, a, b, p in changes
+            (
+                int(np.searchsorted(ids, at)),
+                f"lane {a} to {b}, probability {p:.2f}" if a else f"a lane {SIDES[side]}",
+            )
+            for at, a, b, p, side in changes
             if ids[0] <= at <= ids[-1]
         ]
 

@@ -8,7 +8,7 @@ object, of which both programs draw every number over time:
     /lanes      model, detector, truth: the lanes that are answered and annotated; 0: none
     /detector   the detector's own answer (detector_1, ...)
     /frame      frame_id, log_evidence, is_impossible; crossing where the graph has RoadPosition
-    /lines      the lines as recorded: offset_m, is_valid, is_continuous, lri
+    /lines      frame_id and the lines as recorded: offset_m, is_valid, is_continuous, lri
     /birdseye   the lines seen from above, and the belief over the lanes as bars behind the car
     /changes    the lane changes that are reported
     /picture    the pictures, as JPEG
@@ -132,7 +132,9 @@ def _messages(drive: Drive, t: int, now: int) -> Iterator[tuple[str, Content]]:
         frame["crossing"] = float(result.crossing[t])
     yield "/frame", frame
     if drive.result.lines is not None:
-        yield "/lines", {"lines": _recorded(drive.result.lines, t)}
+        # As `egolane online` takes them, and `recordings.containers` reads them again.
+        number = int(result.frame_id[t])
+        yield "/lines", {"frame_id": number, "lines": _recorded(drive.result.lines, t)}
     yield "/birdseye", _scene(drive, t, now)
 
 
@@ -262,6 +264,9 @@ _KNOWN: dict[str, tuple[str, Content]] = {
     "/picture": ("foxglove.CompressedImage", {**_picture(0, b""), "data": b""}),
     "/lines": (
         "egolane.lines",
-        {"lines": [{"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None}]},
+        {
+            "frame_id": 0,
+            "lines": [{"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None}],
+        },
     ),
 }

@@ -92,6 +92,8 @@ class Compiled:
     tables: the table of every node in both slices, with its present numbers; those of virtual-
         evidence nodes are not among them.
     values: the names of each of these nodes' values.
+    start (n,): what is known of the lane before the first frame, relative to the tables' own prior;
+        None where nothing is (`starting_in`).
     """
 
     hidden: tuple[str, ...]
@@ -105,6 +107,7 @@ class Compiled:
     places: Mapping[SliceNode, Placement]
     tables: Mapping[SliceNode, Table]
     values: Mapping[str, tuple[str, ...]]
+    start: FloatArray | None = None
 
     def __repr__(self) -> str:
         nodes = " x ".join(f"{name} ({self.cardinality[name]})" for name in self.state_nodes)
@@ -259,8 +262,21 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
         for node in ((name, 0), (name, 1)):
             keeps_layout &= np.array_equal(now[node].values, compiled.tables[node].values)
     if keeps_layout:
-        return _filled(compiled, now)
-    return _compile(now, compiled.hidden, compiled.observed, compiled.inputs, compiled.values)
+        filled = _filled(compiled, now)
+    else:
+        kept = (compiled.hidden, compiled.observed, compiled.inputs, compiled.values)
+        filled = _compile(now, *kept)
+    return filled if compiled.start is None else starting_in(filled, compiled.start)
+
+
+def starting_in(compiled: Compiled, start: FloatArray) -> Compiled:
+    """The network of a drive of whose first lane something is known: virtual evidence of Lane
+    before the first frame.
+
+    - start (n,): the likelihood of each lane, not all 0.
+    """
+    prior = compiled.prior * start[compiled.node_value["Lane"]]
+    return replace(compiled, prior=prior / prior.sum(axis=1, keepdims=True), start=start)
 
 
 def _filled(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> Compiled:

@@ -10,6 +10,11 @@ So events of causal beliefs are causal, too. The definition:
   that lane's probability reaches SURELY_BACK. Otherwise the change stands; if the old lane is still
   believed when the time is over, the change back is reported then.
 
+Where no lane is believed, a change is told by its direction alone, from and to UNASSIGNED: with a
+node RoadPosition, the place inside the lane shows that the car went over a line, whichever lane it
+is in. It is reported once the mean place is BEYOND the line. A lane that is believed after that
+begins anew.
+
 No constant counts frames, and none was searched:
 
 - BELIEVED: to report a change that the car does not make costs two errors, that change and the one
@@ -17,6 +22,8 @@ No constant counts frames, and none was searched:
   2 (1 - p) < p, which is p > 2/3.
 - FLICKER_S: a lane change takes 5 to 6 s on average (Toledo and Zohar 2007). A car that is back
   after half of that has hardly been there.
+- BEYOND: half a car's width is HALF_CAR; less would tell a car that follows the line, and the
+  place is known to about a tenth of a lane.
 - SURELY_BACK: a belief that goes there and back that fast mostly wavers, and its probabilities are
   then too large. So the odds have to be ten times those of BELIEVED (2 to 1), 20 to 1.
 """
@@ -25,11 +32,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
-from egolane_pgm.types import Beliefs, BoolArray, FloatArray, InputError, IntArray, LaneEvents
+from egolane_pgm.types import (
+    UNASSIGNED,
+    Beliefs,
+    BoolArray,
+    FloatArray,
+    InputError,
+    IntArray,
+    LaneEvents,
+)
 
 #: The probability from which a lane is believed.
 BELIEVED = 2 / 3
@@ -46,9 +60,20 @@ SURE = 0.9
 #: Half the width of a car, in lane widths: about .9 m of 3.6 m.
 HALF_CAR = 0.25
 
+#: How far beyond a line the car's middle is when a change without lanes is reported, lane widths.
+BEYOND = 0.15
+
+#: A mean place inside the lane counts if it is at least this definite (0 anywhere, 1 one cell).
+DEFINITE = 0.1
+
 
 def lane_events(
-    beliefs: Beliefs, frame_rate: float, *, lag: int | None = None, time_s: FloatArray | None = None
+    beliefs: Beliefs,
+    frame_rate: float,
+    *,
+    lag: int | None = None,
+    time_s: FloatArray | None = None,
+    places: FloatArray | None = None,
 ) -> LaneEvents:
     """Find the lane changes of a drive.
 
@@ -56,6 +81,7 @@ def lane_events(
     - frame_rate: frames per second.
     - lag: number of frames by which each belief is later than its frame (filter `fixed_lag`).
     - time_s: (T,) when the frames were, seconds; by default frame id over frame rate.
+    - places: (T,) as `place_in_lane` gives them, which it does by default.
 
     Raises InputError for a frame rate that is not positive.
 
@@ -69,7 +95,9 @@ def lane_events(
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")
     frame_id = beliefs.frame_id
     when = frame_id / frame_rate if time_s is None else time_s
-    _, rows, events = next_events(NO_EVENTS, beliefs, when)
+    if places is None:
+        places = place_in_lane(beliefs.marginals)
+    _, rows, events = next_events(NO_EVENTS, beliefs, when, places)
     if not lag:
         return events
     known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
@@ -85,6 +113,10 @@ class EventState:
     before, calm_s: the lane left last, and until when the way back has to be sure.
     ahead (n,): marks the lanes that are more probable than `here`, ...
     since_id, since_s (n,): ... and since which frame they are so without a break; seconds.
+    place: where in its lane the car was last, -.5 to .5 lane widths from the middle.
+    borders: the lines it went over to the right, less those to the left; and how many of them are
+        not made up for.
+    side: the direction of the last change.
     """
 
     here: int
@@ -93,6 +125,9 @@ class EventState:
     ahead: BoolArray
     since_id: IntArray
     since_s: FloatArray
+    place: float = 0.0
+    borders: tuple[int, int] = (0, 0)
+    side: int = 0
 
 
 #: Before the first frame.
@@ -102,30 +137,44 @@ NO_EVENTS = EventState(
 
 
 def next_events(
-    so_far: EventState, beliefs: Beliefs, time_s: FloatArray
+    so_far: EventState, beliefs: Beliefs, time_s: FloatArray, places: FloatArray | None
 ) -> tuple[EventState, IntArray, LaneEvents]:
     """Find the lane changes of T more frames: the new state, the rows in which changes are reported
     (E,), and the changes. However a drive is cut into parts, they are the same.
 
     - time_s: (T,) when the frames were, seconds.
+    - places: (T,) as `place_in_lane` gives them; None: no change is told without lanes.
     """
     lane, frame_id = beliefs.lane, beliefs.frame_id
-    here, before, calm = so_far.here, so_far.before, so_far.calm_s
+    here, before, calm, side = so_far.here, so_far.before, so_far.calm_s, so_far.side
     largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
-    sure = np.flatnonzero(largest >= BELIEVED)
-    columns = (sure, top[sure], largest[sure], time_s[sure])
-    changes: list[tuple[int, int, int]] = []
+    place, borders, sides = _sides(so_far, places)
+    is_asked = largest >= BELIEVED
+    is_asked[[*sides]] = True
+    asked = np.flatnonzero(is_asked)
+    columns = (asked, top[asked], largest[asked], time_s[asked])
+    changes: list[tuple[int, int, int, int]] = []
     for t, k, p, now in zip(*(column.tolist() for column in columns), strict=True):
+        if p < BELIEVED:
+            over = sides[t]
+            if over != side or now >= calm:
+                changes.append((t, -1, -1, over))
+                here, before, calm, side = -1, -1, now + FLICKER_S, over
+            continue
         if k == here or (k == before and now < calm and p < SURELY_BACK):
             continue
         if here >= 0:
-            changes.append((t, here, k))
+            side = 1 if k > here else -1
+            changes.append((t, here, k, side))
             before, calm = here, now + FLICKER_S
         here = k
-    rows, left, entered = np.array(changes, dtype=np.int64).reshape(-1, 3).T
+    rows, left, entered, directions = np.array(changes, dtype=np.int64).reshape(-1, 4).T
     began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
     since, after = so_far, 0
     for e, t in enumerate(rows):
+        if left[e] < 0:
+            began_id[e], began_s[e] = frame_id[t], time_s[t]
+            continue
         since = _ahead(since, lane, frame_id, time_s, slice(after, t + 1), left[e])
         began_id[e], began_s[e] = since.since_id[entered[e]], since.since_s[entered[e]]
         # In the row of a change, the lane that the next one leaves leads: no search goes past it.
@@ -139,9 +188,32 @@ def next_events(
         time_s=began_s,
         from_lane=left + 1,
         to_lane=entered + 1,
-        probability=lane[rows, entered],
+        direction=directions,
+        probability=np.where(left < 0, np.nan, lane[rows, entered]),
     )
-    return replace(since, here=here, before=before, calm_s=calm), rows, events
+    since = replace(since, here=here, before=before, calm_s=calm)
+    return replace(since, place=place, borders=borders, side=side), rows, events
+
+
+def _sides(
+    so_far: EventState, places: FloatArray | None
+) -> tuple[float, tuple[int, int], dict[int, int]]:
+    """The place in its lane and the borders after more frames (see `EventState`); and the rows in
+    which the car is beyond a line for the first time, with the direction.
+
+    - places: as `place_in_lane` gives them. Without any the car is never seen to go over a line.
+    """
+    place, (borders, counted) = so_far.place, so_far.borders
+    sides = {}
+    for t, now in enumerate([] if places is None else places.tolist()):
+        if now == now:
+            borders += round(place - now)
+            place = now
+            beyond = borders + place - counted
+            if abs(beyond) > 0.5 + BEYOND:
+                sides[t] = 1 if beyond > 0 else -1
+                counted += sides[t]
+    return place, (borders, counted), sides
 
 
 def _ahead(
@@ -193,6 +265,7 @@ def numbered(events: LaneEvents, frame_id: IntArray, origin: IntArray) -> LaneEv
     - frame_id, origin (T,): of the beliefs.
     """
     added = tracks_of(origin)[np.searchsorted(frame_id, events.told_frame_id)]
+    added[events.from_lane == UNASSIGNED] = 0
     return replace(events, from_lane=events.from_lane - added, to_lane=events.to_lane - added)
 
 
@@ -205,14 +278,48 @@ def lane_stretches(
     - events: of these beliefs. A stretch ends where the next lane became the more probable one.
 
     The first stretch begins where a lane is first believed; without such a frame there is none.
+    Lane 0 is a stretch in which the lane is not known, after a change without lanes.
     """
     believed = np.flatnonzero(beliefs.lane.max(axis=1, initial=0) >= BELIEVED)
     if not len(believed):
         return []
-    row = int(believed[0])
-    lanes = [int(beliefs.lane[row].argmax()) + 1, *events.to_lane.tolist()]
-    borders = [time_s[row], *events.time_s, time_s[-1]]
-    return [(n, float(a), float(b)) for n, (a, b) in zip(lanes, pairwise(borders), strict=True)]
+    lanes = beliefs.lane[believed].argmax(axis=1) + 1
+    lost = events.time_s[events.to_lane == UNASSIGNED]
+    marks = dict(zip(events.time_s.tolist(), events.to_lane.tolist(), strict=True))
+    # The first lane that is believed, and the first one after each change without lanes.
+    for at in np.searchsorted(time_s[believed], [-np.inf, *lost], side="right").tolist():
+        if at < len(believed):
+            marks[float(time_s[believed[at]])] = int(lanes[at])
+    begin = float(time_s[believed[0]])
+    borders = [at for at in sorted(marks) if at >= begin]
+    ends = [*borders[1:], float(time_s[-1])]
+    return [(marks[at], at, end) for at, end in zip(borders, ends, strict=True)]
+
+
+def place_in_lane(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
+    """Where in its lane the car is, whichever the lane, (T,): lane widths right of the middle, -.5
+    to .5, of beliefs by node. NaN where the belief says nothing about it.
+
+    It is the mean of RoadPosition with all lanes on top of each other, taken as an angle because a
+    place beyond the right border is one at the left border. None without a RoadPosition.
+    """
+    cells = _cells_of_lanes(marginals)
+    if cells is None:
+        return None
+    n_cells = cells.shape[2]
+    angle = np.exp(2j * np.pi * (np.arange(n_cells) + 0.5) / n_cells)
+    mean = -(cells.sum(axis=1) * angle).sum(axis=1)
+    return np.where(np.abs(mean) >= DEFINITE, np.angle(mean) / (2 * np.pi), np.nan)
+
+
+def _cells_of_lanes(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
+    """RoadPosition as (T, n, cells), cells from left to right; None without one, or where the cells
+    of a lane are not the same number in each."""
+    lane, position = marginals["Lane"], marginals.get("RoadPosition")
+    if position is None or position.shape[1] % lane.shape[1]:
+        return None
+    cells = position.reshape(len(lane), lane.shape[1], -1)
+    return cells if np.allclose(cells.sum(axis=2), lane, atol=1e-4) else None
 
 
 def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -227,19 +334,15 @@ def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | No
     since half a second ago is no substitute: with the paper's model that finds the crossing frames
     of runs 1, 3, 6 and 8 with an AUC of .55 to .69.
     """
-    lane, position = marginals["Lane"], marginals.get("RoadPosition")
-    if position is None:
+    of_lanes = _cells_of_lanes(marginals)
+    if of_lanes is None:
         return None
-    n_lanes, n_positions = lane.shape[1], position.shape[1]
-    cells = n_positions // n_lanes
-    if n_positions != cells * n_lanes:
-        return None
-    if not np.allclose(position.reshape(-1, n_lanes, cells).sum(axis=2), lane, atol=1e-4):
-        return None
+    _, n_lanes, cells = of_lanes.shape
+    n_positions = n_lanes * cells
     # The places of the cells' borders, in lane widths from the road's left edge.
     border = np.arange(n_positions + 1) / cells
     share = np.zeros(n_positions)
     for line in range(1, n_lanes):
         near = np.clip(border, line - HALF_CAR, line + HALF_CAR)
         share += np.diff(near) * cells
-    return np.asarray(np.clip(position @ share, 0.0, 1.0))
+    return np.asarray(np.clip(marginals["RoadPosition"] @ share, 0.0, 1.0))

@@ -84,6 +84,9 @@ def unrolled(
     frames = evidence.take(slice(start, stop))
     _, beliefs = step(compiled, state, frames, "exact")
     given: dict[str, int | str] = {}
+    if start == 0 and compiled.start is not None:
+        tables.append(_seen("Lane", int(ids[0]), compiled.start, "start"))
+        given[f"start@{ids[0]}"] = 1
     for t, frame in enumerate(ids[start:stop].tolist()):
         later = int(start + t > 0)
         at = {later: frame, 1 - later: int(ids[start + t - 1])}
@@ -111,12 +114,12 @@ def _position(ids: IntArray, frame: int) -> int:
     return int(found[0])
 
 
-def _seen(key: Observed, frame: int, likelihood: FloatArray) -> Table:
+def _seen(key: Observed, frame: int, likelihood: FloatArray, name: str = "") -> Table:
     names = (key,) if isinstance(key, str) else key
     largest = likelihood.max()
     share = likelihood / largest if largest > 0 else likelihood
     values = np.stack([1 - share, share], axis=-1)
-    return Table((ve_name(key), frame), tuple((name, frame) for name in names), values)
+    return Table((name or ve_name(key), frame), tuple((each, frame) for each in names), values)
 
 
 def _past(compiled: Compiled, state: FilterState, frame: int) -> list[Table]:

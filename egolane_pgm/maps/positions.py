@@ -163,7 +163,8 @@ def read_positions(
 
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
     # `egolane locate --help` does without pyarrow.
-    from egolane_pgm.recordings.table import read_columns, typed
+    from egolane_pgm.recordings.cells import typed
+    from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)
     values = {}
@@ -306,35 +307,34 @@ def _nmea_values(said: Any) -> dict[str, float]:
     return values
 
 
-#: The name of the message type of a receiver's fixes, whatever its package, and the fields that are
-#: read of it.
+#: The name of the message type of a receiver's fixes, whatever its package.
 _FIX = "NavSatFix"
-_FIX_FIELDS = ("header.stamp", "status.status", "latitude", "longitude", "position_covariance")
 
 
 def _read_bag(path: Path, topic: str | None) -> Positions:
     """The fixes on a topic, by default the only one that carries some; by the headers' stamps."""
     # What reads bags is loaded for them only.
-    from egolane_pgm.recordings.rosbag import messages_of, open_bag, topic_of
+    from egolane_pgm.recordings.containers import messages, topics_of
 
+    there = topics_of(path)
+    names = {name for name, (kind, _) in there.items() if kind.split("/")[-1] == _FIX}
+    if topic is None:
+        if len(names) != 1:
+            several = f"; name one of {', '.join(sorted(names))}" if names else ""
+            raise InputError(f"{path}: {len(names)} topics of type {_FIX} in the bag{several}")
+        (topic,) = names
     rows = []
-    with open_bag(path) as bag:
-        if topic is None:
-            names = {c.topic for c in bag.connections if c.msgtype.split("/")[-1] == _FIX}
-            if len(names) != 1:
-                several = f"; name one of {', '.join(sorted(names))}" if names else ""
-                raise InputError(f"{path}: {len(names)} topics of type {_FIX} in the bag{several}")
-            (topic,) = names
-        chosen, _ = topic_of(bag, path, topic, _FIX_FIELDS, "a position")
-        for fix, _ in messages_of(bag, path, chosen):
-            place = (fix.latitude, fix.longitude) if fix.status.status >= 0 else (np.nan, np.nan)
-            # East and north; a covariance of zeros says that it is not known.
-            variance = (fix.position_covariance[0] + fix.position_covariance[4]) / 2
-            sigma = np.sqrt(variance) if variance > 0 else np.nan
-            rows.append((fix.header.stamp.sec + fix.header.stamp.nanosec * 1e-9, *place, sigma))
+    for message in messages(path, [topic]):
+        if message.topic not in names:
+            kind, _ = there[message.topic]
+            raise InputError(f"{path}: topic {topic} has type {kind}, which is not {_FIX}")
+        fix = message.value
+        is_fix = fix["status"]["status"] >= 0
+        place = (fix["latitude"], fix["longitude"]) if is_fix else (np.nan, np.nan)
+        # East and north; a covariance of zeros says that it is not known.
+        variance = (fix["position_covariance"][0] + fix["position_covariance"][4]) / 2
+        rows.append((message.time_s, *place, np.sqrt(variance) if variance > 0 else np.nan))
     t_s, latitude, longitude, sigma_m = np.array(rows, dtype=np.float64).T
-    if not t_s.any():
-        raise InputError(f"{path}: the positions have no time, all stamps are zero")
     return Positions.make(t_s, latitude, longitude, sigma_m=sigma_m, source=str(path))
 
 

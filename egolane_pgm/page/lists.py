@@ -13,7 +13,7 @@ from egolane_pgm.page.packed import is_wrong
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.events import TOLERANCES_S, is_judged, match_events
 from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.types import UNASSIGNED, IntArray, LaneEvents, LaneTruth, joined, pieces_of
+from egolane_pgm.types import SIDES, UNASSIGNED, IntArray, LaneEvents, LaneTruth, joined, pieces_of
 from egolane_pgm.views.answers import is_known
 
 #: How many stretches are listed, and how many lane changes or clips.
@@ -47,6 +47,8 @@ class Change:
       told; of a true one its crossing.
     - probability: of the new lane, when told; NaN of a true one.
     - delay_s: from the end of the true crossing to the report; NaN where there is none.
+    - direction: of a told one, -1 to the left and 1 to the right; from_lane and to_lane may be
+      UNASSIGNED then.
     - outcome: of a told one RIGHT, FALSE or, where the truth says nothing, UNKNOWN; of a true one
       RIGHT or MISSED.
     """
@@ -58,6 +60,7 @@ class Change:
     probability: float
     delay_s: float
     outcome: str
+    direction: int = 0
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ def changes_of(result: Result) -> Changes:
             float(events.probability[e]),
             float(delay[e]),
             outcome[e],
+            int(events.direction[e]),
         )
         for e in range(len(events))
     ]
@@ -157,6 +161,7 @@ def _true_changes(result: Result, truth: LaneTruth) -> tuple[list[Change], list[
 
 
 def _in_tracks(events: LaneEvents, added: IntArray) -> LaneEvents:
+    added = np.where(events.from_lane == UNASSIGNED, 0, added)
     return replace(events, from_lane=events.from_lane + added, to_lane=events.to_lane + added)
 
 
@@ -165,11 +170,13 @@ def change_places(changes: Sequence[Change]) -> tuple[list[str], list[Place]]:
     places = []
     for change in changes:
         told = f"{change.end_s:.1f}" if change.outcome != MISSED else "-"
-        sure = f"{change.probability:.3f}" if change.outcome != MISSED else "-"
+        sure = "-" if np.isnan(change.probability) else f"{change.probability:.3f}"
         outcome = change.outcome
         if outcome == RIGHT:
             outcome = f"{RIGHT}, {change.delay_s:+.1f} s"
         lanes = f"{change.from_lane} → {change.to_lane}"
+        if change.from_lane == UNASSIGNED:
+            lanes = SIDES[change.direction]
         cells = (f"{change.begin_s:.1f}", lanes, told, sure, outcome)
         places.append(Place(change.begin_s, change.end_s, cells))
     return ["time, s", "lanes", "told at, s", "probability", "truth"], places

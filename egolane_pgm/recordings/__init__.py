@@ -8,19 +8,25 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from egolane_pgm.types import InputError, LineLog, problems_in, suggestion
 
+if TYPE_CHECKING:
+    from egolane_pgm.recordings.mapping import LinesGiven
+
 #: Format: (extensions, module, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.rosbag", "read_rosbag"),
-    "table": ((".csv", ".parquet"), "recordings.table", "read_table"),
+    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.containers", "read_messages"),
+    "table": ((".csv", ".tsv", ".parquet"), "recordings.table", "read_table"),
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
     "culane": ((), "vision.formats.culane", "read_culane"),
     "openlane": ((), "vision.formats.openlane", "read_openlane"),
+    "can": ((".blf", ".asc", ".trc", ".log"), "recordings.containers", "read_messages"),
+    "mdf": ((".mf4", ".mdf"), "recordings.containers", "read_messages"),
+    "openpilot": (("rlog", "qlog", ".zst", ".bz2"), "recordings.containers", "read_messages"),
 }
 
 #: Folders: the format of one that holds files with this ending.
@@ -49,6 +55,7 @@ def read_lines(
     format: str | None = None,
     camera: object = None,
     frame_rate: float | None = None,
+    lines: LinesGiven | None = None,
     **options: Any,
 ) -> LineLog:
     """Read a recording of lines, T frames of at most L lines.
@@ -57,9 +64,11 @@ def read_lines(
       tells.
     - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
     - frame_rate: frames per second, where the recording has no times; by default the reader's.
-    - options: further ones of the format's reader (`read_rosbag`: topic, frame_id, stamps;
-      `read_table`: columns; `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step,
-      ahead_m; `read_tusimple` also continuous).
+    - lines: where the lines stand in a table or in messages: keys and values of `recording.lines`,
+      the name of a preset, or a YAML file with the keys.
+    - options: further ones of the format's reader (`read_messages`: topic, definitions;
+      `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step, ahead_m; `read_tusimple`
+      also continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
 
@@ -71,7 +80,8 @@ def read_lines(
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
     """
-    given = dict(options) if frame_rate is None else {**options, "frame_rate": frame_rate}
+    said = {"frame_rate": frame_rate, "lines": lines}
+    given = {**options, **{key: value for key, value in said.items() if value is not None}}
     if camera is not None and takes_camera(format or format_of(path)):
         given["camera"] = camera
     return read_with(path, format, given)
@@ -79,9 +89,14 @@ def read_lines(
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
-    name = format_of(path) if format is None else format
+    lines = options.get("lines")
+    name = format_of(path, lines is not None) if format is None else format
     with problems_in(str(path)):
         read = reader_of(name)
+    if lines is not None:
+        from egolane_pgm.recordings.mapping import mapping_of
+
+        options = {**options, "lines": mapping_of(lines, str(path))}
     allowed = set(read.__kwdefaults__)
     for option in options:
         if option not in allowed:
@@ -159,12 +174,17 @@ def reader_of(name: str) -> Any:
     return getattr(import_module(f"egolane_pgm.{module}"), function)
 
 
-def format_of(path: str | Path) -> str:
+def format_of(path: str | Path, is_mapped: bool = False) -> str:
     """The format of a recording by its extension, or by what is in a folder; InputError where that
-    does not tell."""
+    does not tell.
+
+    - is_mapped: whether a mapping says where its lines stand: then JSON lines are a table.
+    """
     path = Path(path)
+    if is_mapped and path.suffix.lower() in (".jsonl", ".json"):
+        return "table"
     for name, (extensions, _, _) in FORMATS.items():
-        if path.suffix.lower() in extensions:
+        if (path.suffix.lower() or path.name) in extensions:
             return name
     if path.is_dir():
         for ending, name in _FOLDERS.items():

@@ -5,15 +5,17 @@ The names of a file's columns are those of a DataFrame's, see `recordings.table`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import Experiment, LinesMapping
+from egolane_pgm.recordings.cells import check_whole, typed
+from egolane_pgm.recordings.mapping import FRAME_RATE
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read
-from egolane_pgm.recordings.table import FRAME_RATE, check_whole, read_frame, typed, with_index
+from egolane_pgm.recordings.table import read_frame, with_index
 from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
@@ -30,15 +32,16 @@ def in_memory(
     Raises InputError as `lines_of` and `truth_of`.
     """
     recording = experiment.recording
-    log = lines_of(lines, frame_rate=recording.frame_rate, columns=recording.columns)
-    return Read(log, None if truth is None else truth_of(truth))
+    log = lines_of(lines, frame_rate=recording.frame_rate, lines=recording.lines)
+    rate = rate_of(log.frame_id, log.time_s)
+    return Read(log, None if truth is None else truth_of(truth), rate=rate)
 
 
 def lines_of(
     given: LineLog | pd.DataFrame,
     *,
     frame_rate: float = FRAME_RATE,
-    columns: Mapping[str, str] | None = None,
+    lines: LinesMapping | None = None,
 ) -> LineLog:
     """The lines of a DataFrame, T frames of at most L lines; a LineLog is what it is.
 
@@ -47,7 +50,7 @@ def lines_of(
       where frames have times. frame_id, or frame_id and line, may be its index. A frame without
       lines is a row with an empty offset: one without a row counts as not recorded.
     - frame_rate: frames per second; without time_s, time is frame id over frame rate.
-    - columns: for a column of ours the name that it has in the DataFrame.
+    - lines: which columns are what, where they are not called as ours.
 
     Raises InputError for anything else, and as `recordings.table.read_table`.
 
@@ -60,7 +63,7 @@ def lines_of(
     if isinstance(given, LineLog):
         return given
     _check_frame(given, "recording", "lines")
-    return read_frame(given, frame_rate=frame_rate, columns=columns, source=IN_MEMORY)
+    return read_frame(given, frame_rate=frame_rate, lines=lines, source=IN_MEMORY)
 
 
 def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:

@@ -12,11 +12,12 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.recordings import rosbag
+from egolane_pgm.recordings.containers import TOPICS
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
 
 
-def write_rosbag(path: str | Path, log: LineLog, *, topic: str = rosbag.TOPIC) -> None:
+def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPICS[0]) -> None:
     """Write a log as a ROS 1 bag of the published message type, or (.mcap) as an MCAP file of the
     same type in ROS 2, stamped with the log's times.
 

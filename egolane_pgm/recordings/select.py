@@ -12,6 +12,9 @@ from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LaneTruth,
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
 
+#: Frames on each side of an annotated lane change in which the lines pass under the car.
+HALF_CHANGE = 20
+
 #: Filling more frames than this means that the ids are not frame numbers.
 MAX_FILLED = 1_000_000
 
@@ -193,3 +196,29 @@ def _range(frame_id: IntArray) -> str:
     if len(frame_id) == 0:
         return "no frames"
     return f"frames {int(frame_id[0])} to {int(frame_id[-1])}"
+
+
+def sign_warning(log: LineLog, truth: LaneTruth) -> list[str]:
+    """One line where the lines move, at most of the annotated lane changes, as if the car went the
+    other way; the offsets are used all the same.
+
+    - log, truth: of the same K frames.
+    """
+    to_left = -np.diff(truth.lane)
+    changes = [int(k) for k in np.flatnonzero(to_left)]
+    offset = np.where(log.is_valid, log.offset_m, np.nan)
+    agrees = against = 0
+    for k in changes:
+        near = offset[max(0, k - HALF_CHANGE) : k + HALF_CHANGE]
+        step = near[1:, None, :] - near[:-1, :, None]
+        # A line is the nearest one of the next frame, unless it jumps by more than half a metre.
+        nearest = np.nanmin(np.abs(step), axis=(1, 2), initial=0.5)[:, None, None]
+        moved = np.nansum(np.where(np.abs(step) == nearest, step, 0)) * np.sign(to_left[k])
+        agrees, against = agrees + (moved > 1), against + (moved < -1)
+    if against < 3 or against < 0.8 * (agrees + against):
+        return []
+    return [
+        f"{log.source}: at {against} of {agrees + against} annotated lane changes the lines move as"
+        " if the car went the other way; are the offsets positive to the left? `lines:"
+        " {left_positive: true}` says so"
+    ]

@@ -7,6 +7,7 @@ of an experiment.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +17,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors, plugin_names
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
 from egolane_pgm.recordings.catalog import find_file
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.types import InputError, LaneTruth, LineLog, all_problems, suggestion
 
 #: Extensions by which a video is known where no detector is named.
@@ -25,7 +27,7 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wm
 IN_MEMORY = "in memory"
 
 #: The keys of a recording that say how lines are read.
-READING = frozenset({"format", "topic", "frame_id", "options", "columns"})
+READING = frozenset({"format", "topic", "options", "lines", "definitions"})
 
 
 @dataclass(frozen=True)
@@ -35,11 +37,15 @@ class Read:
     - log: T frames, of one drive or of several clips.
     - truth: the lanes, where the source knows them itself.
     - files: what was read (a folder or a glob stands for all files in it).
+    - rate: frames per second, where the recording itself says them.
+    - notes: warnings, a line each.
     """
 
     log: LineLog
     truth: LaneTruth | None = None
     files: tuple[Path, ...] = ()
+    rate: float | None = None
+    notes: tuple[str, ...] = ()
 
 
 class Source(Protocol):
@@ -81,7 +87,8 @@ def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Pa
     name: Any = experiment
     for part in key.split("."):
         name = getattr(name, part)
-    is_fetched = key != "recording.camera" and experiment.recording.detector is None
+    is_own = key in ("recording.camera", "recording.definitions")
+    is_fetched = not is_own and experiment.recording.detector is None
     try:
         return find_file(name, experiment.folder, folders=folders, is_fetched=is_fetched)
     except InputError as error:
@@ -103,10 +110,11 @@ class LinesFile(Source):
                 path = self._path()
                 if recording.camera is not None:
                     find_named(experiment, "recording.camera")
-                elif (recording.format or format_of(path)) in IN_PIXELS:
+                elif self._format(path) in IN_PIXELS:
                     raise InputError(
                         f"{experiment.source}: recording.camera: is missing; the lines of"
-                        f" {path.name} are in pixels"
+                        f" {path.name} are in pixels (lines in metres: recording.lines says where"
+                        " they stand; `egolane inspect` what to write)"
                     )
 
     def _check_format(self) -> None:
@@ -116,6 +124,10 @@ class LinesFile(Source):
         elif format_ is not None and format_ not in FORMATS:
             known = [*FORMATS, *plugin_names("recordings")]
             raise InputError(f"{where}: unknown format '{format_}'{suggestion(format_, known)}")
+
+    def _format(self, path: Path) -> str:
+        recording = self.experiment.recording
+        return recording.format or format_of(path, recording.lines is not None)
 
     def _is_own_format(self) -> bool:
         name = self.experiment.recording.format or "table"
@@ -143,12 +155,22 @@ class LinesFile(Source):
             files.append(options["camera"])
         if recording.topic is not None:
             options["topic"] = recording.topic
-        if recording.frame_id != "way_id":
-            options["frame_id"] = recording.frame_id
-        if recording.columns:
-            options["columns"] = recording.columns
+        if recording.definitions is not None:
+            options["definitions"] = find_named(
+                self.experiment, "recording.definitions", folders=True
+            )
+            files.append(options["definitions"])
+        if recording.lines is not None:
+            options["lines"] = recording.lines
         if not self._is_own_format():
-            return Read(read_with(path, recording.format, options), None, tuple(files))
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                log = read_with(path, recording.format, options)
+            # The stamps of a bag that nobody described are no rate.
+            is_told = recording.lines is not None or self._format(path) == "table"
+            rate = rate_of(log.frame_id, log.time_s) if is_told else None
+            notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+            return Read(log, None, tuple(files), rate, tuple(notes))
         where, folder = self._where("format"), self.experiment.folder
         reader = load_plugin("recordings", str(recording.format), folder, where)
         with plugin_errors(reader, where):
@@ -161,14 +183,7 @@ class LinesFile(Source):
         return files_of(place)
 
     def frame_rate(self) -> float | None:
-        # That of a table with times; the stamps of a bag's messages are no rate.
-        path, recording = self._path(), self.experiment.recording
-        if self._is_own_format() or (recording.format or format_of(path)) != "table":
-            return None
-        # What reads tables is loaded for them only.
-        from egolane_pgm.recordings.table import own_rate
-
-        return own_rate(path, recording.columns)
+        return self.read().rate
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
         # All that says how to read, where the extension is the same.
@@ -192,12 +207,19 @@ def files_in_full(section: dict[str, Any], folder: Path) -> dict[str, Any]:
     return {name: _in_full(name, value, folder) for name, value in section.items()}
 
 
+#: Parameters of detectors that name a network: one that comes along has no ending, but a folder.
+_NETWORKS = ("network", "on_road")
+
+
 def _in_full(key: str, value: Any, folder: Path) -> Any:
     if key == "detector_parameters":
-        return {k: _in_full("detector", v, folder) for k, v in value.items()}
+        return {
+            k: _in_full(k if k in _NETWORKS else "detector", v, folder) for k, v in value.items()
+        }
     if not isinstance(value, str):
         return value
     is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
-    is_path = key in ("path", "camera", "right")
+    is_plugin |= key in _NETWORKS and value != "none"
+    is_path = key in ("path", "camera", "right", "definitions")
     is_there = any(c in value for c in "*?[") or (folder / value).exists()
     return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value

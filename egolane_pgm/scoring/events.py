@@ -7,8 +7,8 @@ of the annotator (at the end in the Italian recordings, after two thirds in the 
 
 - **Right**: an event is right within a tolerance if it is reported at most that long before `begin`
   or after `end`. Anywhere inside is exact: the truth does not know it better. Both lanes must be
-  the true ones. Each event is matched with at most one true change and each change with at most one
-  event, as many as can be.
+  the true ones; of an event without lanes, the direction. Each event is matched with at most one
+  true change and each change with at most one event, as many as can be.
 - **Delay**: from `end`, when the car is in the new lane by anybody's reckoning, to the report;
   negative for a change that is reported before it is over. It is that of the events that are right
   within the largest tolerance.
@@ -31,7 +31,15 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.health import roc_auc
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LaneEvents, LaneTruth, runs_of
+from egolane_pgm.types import (
+    UNASSIGNED,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    LaneEvents,
+    LaneTruth,
+    runs_of,
+)
 
 #: Seconds before and after a true crossing in which an event may be reported.
 TOLERANCES_S = (0.5, 1.0, 2.0)
@@ -71,8 +79,12 @@ def match_events(
     for e, at in enumerate(events.told_frame_id):
         # The changes are in order, so those within reach stand together.
         near = slice(*np.searchsorted(last, [at]), *np.searchsorted(first, [at], side="right"))
-        fits = is_open[near] & (changes.from_lane[near] == events.from_lane[e])
-        fits &= changes.to_lane[near] == events.to_lane[e]
+        left, entered = changes.from_lane[near], changes.to_lane[near]
+        if events.from_lane[e] == UNASSIGNED:
+            is_right = np.sign(entered - left) == events.direction[e]
+        else:
+            is_right = (left == events.from_lane[e]) & (entered == events.to_lane[e])
+        fits = is_open[near] & is_right
         if fits.any():
             found[e] = near.start + np.argmax(fits)
             is_open[found[e]] = False

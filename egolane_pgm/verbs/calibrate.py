@@ -32,6 +32,7 @@ from egolane_pgm.vision.calibration.straight_road import (
     check_lane_width,
     describe_assumed_lens,
     describe_view,
+    doubts_of,
 )
 from egolane_pgm.vision.calibration.video_stills import take_stills
 from egolane_pgm.vision.camera.model import Camera, write_camera
@@ -162,6 +163,9 @@ def calibrate(
         else:
             road = view_from_labels(camera, str(lines), first, lane_width, shown("labels"))
         said += describe_view(road.view, road.what)
+        for doubt in doubts_of(road.view):
+            said.append(doubt)
+            warnings.warn(f"{stills or lines}: {doubt}", UserWarning, stacklevel=2)
         if roll:
             said.append(f"Roll: {roll:g} degrees, given.")
         _written(road.view.camera, said, out)

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from egolane_pgm.recordings import read_with, write_lines
 from egolane_pgm.types import LineLog
-from egolane_pgm.verbs.given import FrameId, Option, StrPath, path_of
+from egolane_pgm.verbs.given import Mapped, Option, StrPath, path_of
 
 EXAMPLES = ("egolane convert drive/lines.csv lines.parquet",)
 
@@ -17,10 +17,10 @@ def convert(
     target: StrPath,
     *,
     topic: str | None = None,
-    frame_id: FrameId | None = None,
     format: Annotated[str | None, Option("NAME")] = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     frame_rate: float | None = None,
+    lines: Mapped = None,
     options: Annotated[
         Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="valid=always")
     ] = None,
@@ -31,15 +31,16 @@ def convert(
     TuSimple's JSON lines, a folder of CULane's .lines.txt or of OpenLane's .json.
 
     - topic: topic of a bag.
-    - frame_id: what of a bag's messages is the frame id; count: their order.
     - format: where the extension does not say it.
     - camera: the camera's YAML, for lines given in pixels.
     - frame_rate: frames per second.
+    - lines: where the lines stand in a table or in messages: the name of a preset, key=value, or a
+      YAML file with such keys.
     - options: a further option of the format, e.g. valid=always for labels.
 
     Returns the lines. Raises InputError, one line, for whatever does not fit.
     """
-    given = {"topic": topic, "frame_id": frame_id, "camera": camera, "frame_rate": frame_rate}
+    given = {"topic": topic, "camera": camera, "frame_rate": frame_rate, "lines": lines}
     chosen = {key: value for key, value in given.items() if value is not None}
     log = read_with(path_of(source, "source"), format, {**(options or {}), **chosen})
     write_lines(path_of(target, "target"), log)

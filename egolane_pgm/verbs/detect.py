@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
+import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 
 from egolane_pgm.recordings import write_lines, writer_of
+from egolane_pgm.recordings.mapping import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
@@ -46,13 +49,14 @@ def detect(
     detector: Annotated[StrPath, Option("NAME|FILE.py", plugins=("detectors",))] = "ml",
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     right: Annotated[StrPath | None, Option("PICTURES")] = None,
+    topic: str | None = None,
     frames: Frames = None,
     parameters: Annotated[
         Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="lri_frames=5")
     ] = None,
     progress: Progress = None,
 ) -> LineLog:
-    """Detect and follow lines in PICTURES: a video, a folder of pictures or a 'glob*.jpg'.
+    """Detect and follow lines in PICTURES: a video, a folder of pictures, a 'glob*.jpg' or a bag.
 
     What was detected before Ctrl-C, or before a picture that cannot be used, is written too. Then
     `egolane run FILE --n-lanes N` gives the lane.
@@ -61,6 +65,7 @@ def detect(
     - detector: `egolane ls` lists them.
     - out: where the lines go: .parquet, .csv or .bag.
     - right: those of the second camera.
+    - topic: topic of the pictures in a bag.
     - frames: frame ids, STOP left out.
     - parameters: a parameter of the detector, e.g. lri_frames=5; `egolane show NAME` lists them.
     - progress: whether a bar shows how far it is; None for in a terminal.
@@ -87,21 +92,30 @@ def detect(
     )
     of_camera = read_camera(Path(camera))
     check_pair(found, of_camera, right is not None, "right")
-    left = open_source(pictures)
+    left = open_source(pictures, topic)
     of_camera = camera_of_pictures(of_camera, left)
     second = open_source(path_of(right, "right")) if right is not None else None
     began, total = time.perf_counter(), None if frames else left.n_frames
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
         lines = detect_lines(found, of_camera, shows)
-        done = collect(lines, left.frame_rate or 10.0, pictures)
+        done = collect(lines, left.frame_rate or FRAME_RATE, pictures, left.time_s)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
     if target is None:
         if done.stopped is not None:
             raise done.stopped
         return done.log
-    write_lines(target, done.log)
+    # A bag's LRIs are whole numbers; those of a network with probabilities need not be.
+    is_bag = target.suffix.lower() == ".bag"
+    write_lines(target, replace(done.log, lri=np.rint(done.log.lri)) if is_bag else done.log)
+    if is_bag and left.frame_rate not in (None, FRAME_RATE):
+        warnings.warn(
+            f"{target}: a ROS 1 bag is read with {FRAME_RATE:g} frames per second if nothing else"
+            f" is said; here recording.frame_rate={left.frame_rate:g}",
+            UserWarning,
+            stacklevel=2,
+        )
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     if done.stopped is not None:

@@ -4,10 +4,10 @@ type do not say."""
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Ge
 
@@ -65,7 +65,10 @@ Detector = Annotated[StrPath | None, Option("NAME|FILE.py", plugins=("detectors"
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
 #: Processes that share the work, or a Dask cluster; see `tools.jobs`.
 Jobs = Annotated[int, Ge(1)] | str
-FrameId = Literal["way_id", "seq", "count"]
+#: Where the lines stand in a table or in messages, see `recordings.mapping`.
+Mapped = Annotated[
+    str | Sequence[str] | Mapping[str, Any] | None, Option("PRESET|KEY=VALUE|FILE", many=True)
+]
 Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
 Fleet = Annotated[StrPath | None, Option("FILE")]
 ByTag = Annotated[str | None, Option("NAME")]

@@ -7,15 +7,18 @@ import click
 from egolane_pgm.experiment import experiments_folder, load_experiment, load_yaml
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
+from egolane_pgm.recordings.mapping import presets
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.verbs.given import shown
 from egolane_pgm.views.tables import line_width
+from egolane_pgm.vision.detectors.networks.description import ready_networks
 
 EXAMPLES = ("egolane ls",)
 
 
 def ls() -> str:
-    """List graphs, evidence rules, detectors, simulated drives and experiments that come along."""
+    """List graphs, evidence rules, detectors, networks, simulated drives and experiments that come
+    along."""
     files = sorted(experiments_folder().rglob("*.yaml"))
     listed = [path for path in files if path.name[0] != "_" and path.name != "published.yaml"]
     text = click.HelpFormatter(width=line_width())
@@ -24,7 +27,9 @@ def ls() -> str:
             ("graphs:", ", ".join(plugin_names("graphs"))),
             ("evidence:", ", ".join(plugin_names("evidence"))),
             ("detectors:", ", ".join(plugin_names("detectors"))),
+            ("networks:", ", ".join(ready_networks())),
             ("recordings:", ", ".join([*FORMATS, *plugin_names("recordings")])),
+            ("lines:", ", ".join(presets())),
             ("simulations:", ", ".join(sorted(PRESETS))),
         ]
     )

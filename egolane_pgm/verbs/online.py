@@ -9,7 +9,8 @@ from typing import Annotated
 
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.online import filter_stream
-from egolane_pgm.verbs.given import Option
+from egolane_pgm.recordings.mapping import mapping_keys
+from egolane_pgm.verbs.given import Mapped, Option
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
@@ -18,6 +19,7 @@ def online(
     experiment: Given,
     *,
     nodes: Annotated[Sequence[str], Option("NODE", names=("--node",), many=True)] = (),
+    lines: Mapped = None,
     overrides: Overrides = (),
 ) -> None:
     """Filter frame by frame: a JSON line in, the lane out at once.
@@ -29,11 +31,16 @@ def online(
     are told with this frame. With `filter: fixed_lag` it comes `lag` frames later.
 
     - nodes: answer with the whole belief of this hidden node, too, e.g. Lane.
+    - lines: where the lines stand in other messages: the name of a preset, key=value (e.g.
+      "offset=lanes[].c0"), or a YAML file with such keys.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
     """
     # Standard input as an iterator would be read ahead in blocks.
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")
     wanted = [nodes] if isinstance(nodes, str) else nodes
-    for answer in filter_stream(load_experiment(experiment, overrides), messages, wanted):
+    chosen = load_experiment(experiment, overrides)
+    if lines is not None:
+        chosen = load_experiment(chosen, {"recording": {"lines": mapping_keys(lines)}})
+    for answer in filter_stream(chosen, messages, wanted):
         print(json.dumps(answer), flush=True)

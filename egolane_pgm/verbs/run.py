@@ -31,10 +31,10 @@ from egolane_pgm.verbs.given import (
     Blocks,
     Detector,
     Fleet,
-    FrameId,
     Hidden,
     Jobs,
     Lines,
+    Mapped,
     Option,
     Progress,
     StrPath,
@@ -84,8 +84,9 @@ def run(  # type: ignore[misc]
     n_lanes: int | None = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Detector = None,
-    frame_id: FrameId | None = None,
     topic: str | None = None,
+    definitions: Annotated[StrPath | None, Option("FILE")] = None,
+    lines: Mapped = None,
     graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
     stream: bool = False,
@@ -116,8 +117,10 @@ def run(  # type: ignore[misc]
     - n_lanes: number of lanes of the road.
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
-    - frame_id: what of a bag's messages is the frame id; count: their order.
-    - topic: topic of a bag.
+    - topic: topic of a bag, of its lines or pictures.
+    - definitions: what defines the messages of a log: a .dbc, openpilot's log.capnp.
+    - lines: where the lines stand in a table or in messages: the name of a preset, key=value (e.g.
+      left_positive=true), or a YAML file with such keys (docs/howto/sensors.md).
     - graph: a graph instead of the experiment's: its name or file, a module, or a
       DynamicBayesianNetwork.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
@@ -145,7 +148,8 @@ def run(  # type: ignore[misc]
     Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
     given, recordings = several_of(experiment), several_of(recording)
-    changes = (ground_truth, n_lanes, frame_id, camera, detector, topic, graph)
+    of_lines = (topic, definitions, lines)
+    changes = (ground_truth, n_lanes, camera, detector, *of_lines, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -163,10 +167,10 @@ def run(  # type: ignore[misc]
             raise InputError("fleet: goes with one experiment; the table names the recordings")
         return _run_fleet(given[0], overrides, fleet, _folder_of(folder), way, jobs, progress)
     if is_one:
-        lines = recordings[0] if recordings else None
+        drive = recordings[0] if recordings else None
         first = given[0] if given else ZERO_LABEL
-        chosen = choose(first, overrides, lines, *changes)
-        read = read_of(chosen, first if lines is None else lines, ground_truth)
+        chosen = choose(first, overrides, drive, *changes)
+        read = read_of(chosen, first if drive is None else drive, ground_truth)
         place = None if folder is None else folder.with_name(folder.name.replace("*", chosen.name))
         if not stream:
             return _run_one(chosen, place, figures, read, way)
@@ -178,11 +182,11 @@ def run(  # type: ignore[misc]
     titled = name_all(given or [ZERO_LABEL], overrides, recordings, *changes)
     folder = None if folder is None else _folder_of(folder)
     plan = plan_runs(titled, folder)
-    lines = recordings[0] if recordings else given[0]
+    drive = recordings[0] if recordings else given[0]
     plan = [
         each
         if each.experiment is None
-        else replace(each, read=read_of(each.experiment, lines, ground_truth))
+        else replace(each, read=read_of(each.experiment, drive, ground_truth))
         for each in plan
     ]
     return _run_several(plan, folder, figures, way, jobs, progress)
@@ -321,10 +325,11 @@ def choose(
     recording: Any = None,
     ground_truth: Any = None,
     n_lanes: int | None = None,
-    frame_id: str | None = None,
     camera: Any = None,
     detector: Any = None,
     topic: str | None = None,
+    definitions: Any = None,
+    lines: Any = None,
     graph: Any = None,
     *,
     name: str | None = None,
@@ -347,12 +352,17 @@ def choose(
         "detector": None if detector is None else path_of(detector, "detector"),
     }
     chosen = found
-    if n_lanes is not None or frame_id is not None or any(files.values()):
-        chosen = with_recording(
-            found, **files, n_lanes=n_lanes, frame_id=frame_id, overrides=overrides
-        )
-    if topic is not None:
-        chosen = load_experiment(chosen, {"recording.topic": topic})
+    if n_lanes is not None or any(files.values()):
+        chosen = with_recording(found, **files, n_lanes=n_lanes, overrides=overrides)
+    said: dict[str, Any] = {"recording.topic": topic}
+    if definitions is not None:
+        said["recording.definitions"] = str(Path(path_of(definitions, "definitions")).absolute())
+    if lines is not None:
+        from egolane_pgm.recordings.mapping import mapping_keys
+
+        said["recording"] = {"lines": mapping_keys(lines)}
+    if any(said.values()):
+        chosen = load_experiment(chosen, {key: value for key, value in said.items() if value})
     if graph is not None:
         from egolane_pgm.comparing.graphs import with_graph
         from egolane_pgm.learning.graph_file import graph_named

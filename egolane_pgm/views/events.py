@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from egolane_pgm.inference.events import BELIEVED, SURE
-from egolane_pgm.types import DATED_S, LaneEvents
+from egolane_pgm.types import DATED_S, UNASSIGNED, LaneEvents
 from egolane_pgm.views.comparison_tables import entries_of, trusted_or_all
 from egolane_pgm.views.tables import score_text
 
@@ -18,7 +18,8 @@ SHORT_S = 60.0
 
 LEGEND = """\
 Lane changes, told in the frame in which the new lane is first believed. Right: told at most 2 s
-(0.5 s) before the true crossing begins or after it ends, from and to the true lanes. Delay: from
+(0.5 s) before the true crossing begins or after it ends, from and to the true lanes, or to the true
+side where no lane is believed. Delay: from
 the end of the true crossing to the telling, seconds, negative where it was told before. Crossing:
 the probability that the car is on a line between two lanes; its AUC for "this frame is crossing",
 how many changes have a warning (from .5 on) while they last, how many seconds before the label's
@@ -36,9 +37,7 @@ def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], li
         row = [
             f"{events.time_s[e]:.1f}",
             str(events.frame_id[e]),
-            str(events.from_lane[e]),
-            str(events.to_lane[e]),
-            f"{events.probability[e]:.3f}",
+            *_lanes_of(events, e),
             f"{events.told_time_s[e]:.1f}",
             f"{events.late_s[e]:.1f}",
         ]
@@ -47,6 +46,13 @@ def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], li
             row.append("no change" if delay != delay else f"{delay:+.1f}")
         rows.append(row)
     return header, rows
+
+
+def _lanes_of(events: LaneEvents, e: int) -> tuple[str, str, str]:
+    """The lanes of a change and its probability; the direction where the lanes are not known."""
+    if events.from_lane[e] == UNASSIGNED:
+        return "?", "left" if events.direction[e] < 0 else "right", "-"
+    return str(events.from_lane[e]), str(events.to_lane[e]), f"{events.probability[e]:.3f}"
 
 
 def lane_words(summary: Mapping[str, Any]) -> str:
@@ -59,7 +65,7 @@ def lane_words(summary: Mapping[str, Any]) -> str:
         return f"no lane is believed (at least {BELIEVED:.2f}) in any frame"
     digits = 1 if stretches[-1][2] - stretches[0][1] < SHORT_S else 0
     said = [
-        f"lane {lane} from {clock(start, digits)} to {clock(end, digits)}"
+        f"lane {lane or 'unknown'} from {clock(start, digits)} to {clock(end, digits)}"
         for lane, start, end in stretches[:LISTED]
     ]
     if len(stretches) > LISTED:

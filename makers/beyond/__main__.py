@@ -2,8 +2,8 @@
 
 `strangers` prints how often the model without labels is right on the ten recordings as other
 detectors might have written them (about ten minutes of one core; --only and --runs take less),
-`failures` where it fails on run 5 and why, and draws it, `labels` how good the labels are that
-`egolane label` makes. Needs EGOLANE_DATA.
+`sensors` the same of sensors that give less, `failures` where it fails on run 5 and why, and draws
+it, `labels` how good the labels are that `egolane label` makes. Needs EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 from egolane_pgm.paper import parse_runs
 
-MODULES = ("failures", "labels", "lanes", "strangers")
+MODULES = ("failures", "labels", "lanes", "sensors", "strangers")
 
 
 def main() -> None:

@@ -25,6 +25,7 @@ from egolane_pgm.export.mcap_file import write_mcap
 from egolane_pgm.recordings import write_lines
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
+from egolane_pgm.vision.camera.pictures import images_of, open_source
 
 #: When the drive began, seconds since 1970.
 START_S = 1_515_801_391
@@ -133,6 +134,22 @@ def test_the_lines_and_the_view_from_above_are_those_of_the_recording(
         marked = [text["text"] for text in entity["texts"] if "true" in text["text"]]
         truth = int(drive.result.true_lane[t])
         assert [text.startswith(f"lane {truth}:") for text in marked] == [True] * (truth > 0)
+
+
+def test_an_exported_drive_is_a_recording_again(result: Path, drive: Drive, tmp_path: Path) -> None:
+    write_mcap(tmp_path / "out.mcap", drive)
+    out = tmp_path / "again"
+    command = ["run", tmp_path / "out.mcap", "--n-lanes", 4, "--no-figures", "--out", out]
+    done = CliRunner().invoke(egolane, [*map(str, command)])
+    assert done.exit_code == 0, done.output
+    lines, again = drive.result.lines, ego.load_result(out).lines
+    assert lines is not None
+    assert again is not None
+    for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(lines, name), err_msg=name)
+    shown = open_source(tmp_path / "out.mcap")
+    np.testing.assert_allclose(shown.time_s, [START_S + k / 10 for k in (10, 11, 40)])
+    assert [int(image.mean()) for _, _, image in images_of(shown, None)] == [10, 11, 40]
 
 
 def test_pictures_stand_at_the_time_of_their_frame(written: Messages) -> None:

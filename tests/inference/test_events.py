@@ -17,6 +17,7 @@ from egolane_pgm.inference.events import (
     crossing_probability,
     lane_events,
     lane_stretches,
+    place_in_lane,
 )
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
 
@@ -188,6 +189,56 @@ def test_a_frame_rate_of_nothing_is_refused() -> None:
 
 
 # --- on a line -----------------------------------------------------------------------------------
+
+
+def over_lines(place: np.ndarray, n_lanes: int, lane: np.ndarray | None = None) -> Beliefs:
+    """A car whose place is known, in lane widths right of the middle of the lane where it began;
+    of the lane nothing is known, or it is `lane` (T,), from 0."""
+    cells = np.floor((place + 0.5) % 1 * 16).astype(int)
+    in_lane = np.eye(16)[cells]
+    share = np.full((len(place), n_lanes), 1 / n_lanes) if lane is None else np.eye(n_lanes)[lane]
+    position = share[:, :, None] * in_lane[:, None, :]
+    known = {"Lane": share, "RoadPosition": position.reshape(len(place), -1)}
+    return Beliefs(np.arange(len(place)), known, np.zeros(len(place)), np.zeros(len(place), bool))
+
+
+@pytest.mark.parametrize("n_lanes", [2, 3])
+def test_a_change_is_told_by_its_direction_where_the_lane_is_not_known(n_lanes: int) -> None:
+    to_right, back = np.linspace(0, 1, 51), np.linspace(1, -1, 101)
+    place = np.concatenate([np.zeros(50), to_right, np.ones(50), back, np.full(50, -1.0)])
+    events = lane_events(over_lines(place, n_lanes), 10.0)
+    assert events.direction.tolist() == [1, -1, -1]
+    assert events.from_lane.tolist() == events.to_lane.tolist() == [0, 0, 0]
+    assert np.isnan(events.probability).all()
+    # The line is crossed at half a lane; the change is told .15 lane widths beyond it.
+    np.testing.assert_allclose(place[events.told_frame_id], [0.65, 0.35, -0.65], atol=0.07)
+    # A car that follows the line changes no lane.
+    wavers = 0.5 + 0.1 * np.sin(np.arange(300) / 10)
+    assert len(lane_events(over_lines(wavers, n_lanes), 10.0)) == 0
+    # Where the lane is known, the change is told with its lanes, once.
+    lane = np.rint(place).astype(int) + 1
+    known = lane_events(over_lines(place, 3, lane), 10.0)
+    assert told(known) == told(lane_events(believed(np.eye(3)[lane]), 10.0))
+    assert known.direction.tolist() == [1, -1, -1]
+
+
+def test_a_lane_that_is_believed_after_a_change_without_lanes_begins_anew() -> None:
+    place = np.concatenate([np.zeros(20), np.linspace(0, 1, 51), np.ones(100)])
+    beliefs = over_lines(place, 2)
+    lane = beliefs.lane.copy()
+    lane[100:] = 0.1, 0.9
+    beliefs = Beliefs(
+        beliefs.frame_id,
+        {"Lane": lane, "RoadPosition": beliefs.marginals["RoadPosition"]},
+        beliefs.log_evidence,
+        beliefs.is_impossible,
+    )
+    events = lane_events(beliefs, 10.0, places=place_in_lane(over_lines(place, 2).marginals))
+    assert told(events)[0][2:] == (0, 0)
+    assert len(events) == 1
+    time_s = beliefs.frame_id / 10
+    assert lane_stretches(beliefs, events, time_s) == [(2, 10.0, 17.0)]
+    assert "LaneEvents(1 lane change: to the right at" in repr(events)
 
 
 def marginals(position: np.ndarray, n_lanes: int) -> dict[str, np.ndarray]:

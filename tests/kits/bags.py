@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.recordings.rosbag import LINES_TYPE_2, TOPIC
+from egolane_pgm.recordings.containers import TOPICS
+from egolane_pgm.recordings.rosbag import LINES_TYPE_2
 from egolane_pgm.recordings.rosbag_writer import write_rosbag
 from egolane_pgm.types import LineLog
 
@@ -40,7 +41,7 @@ def write_bag(
     path: Path,
     messages: list[bytes],
     *,
-    topic: str = TOPIC,
+    topic: str = TOPICS[0],
     text: str | None = None,
     msgtype: str = "pkg/msg/msg_lines",
     stamps: list[int] | None = None,
@@ -98,7 +99,7 @@ def write_bag2(
     log: LineLog,
     *,
     storage: str = "SQLITE3",
-    topic: str = TOPIC,
+    topic: str = TOPICS[0],
     stamps: list[int] | None = None,
     text: str | None = None,
     msgtype: str = LINES_TYPE_2,

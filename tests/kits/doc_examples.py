@@ -14,14 +14,18 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.recordings.rosbag import TOPIC
+from egolane_pgm.recordings.containers import TOPICS
 from egolane_pgm.simulation import simulate
 from egolane_pgm.vision.camera.model import write_camera
 from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
 from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
+from tests.kits.image_bags import write_images
 from tests.kits.image_line_files import entry, tusimple
+from tests.kits.message_files import write_logs
+from tests.kits.sensor_files import write_bags, write_tables
 from tests.kits.synthetic_road import write_video
+from tests.kits.tiny_network import write_known
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -147,14 +151,24 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
         kind = "quickstart" if name in ("X", "other") else "zero_label"
         rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
     _write_bag(folder / "drive.bag")
+    (folder / "sensors").mkdir()
+    write_tables(folder / "sensors")
+    write_bags(folder / "sensors")
+    write_logs(folder / "sensors")
     offsets = np.array([-5.55, -1.85, 1.85, 5.55])
     seen = [draw_road(TRUE, offsets + 0.02 * k, 0.0, k) for k in range(16)]
     write_video(folder / "drive.avi", seen)
     (folder / "drive.avi").rename(folder / "drive.mp4")
+    write_images(folder / "camera_bag", seen)
     write_camera(folder / "cam.yaml", TRUE)
     for file in network.iterdir():
         shutil.copy(file, folder)
     (folder / "drivable.yaml").rename(folder / "road.yaml")
+    # A network that sees nothing.
+    blind = {"pred_logits": np.zeros((1, 7, 2)), "pred_curves": np.zeros((1, 7, 8))}
+    (folder / "models").mkdir()
+    for name in ("mine.onnx", "lstr_360x640.onnx", "models/lstr_360x640.onnx"):
+        write_known(folder / name, blind, (640, 360), {"input_mask": (1, 1, 360, 640)})
     (folder / "boards").mkdir()
     for file in boards.glob("*.png"):
         cv2.imwrite(str(folder / "boards" / f"{file.stem}.jpg"), cv2.imread(str(file)))
@@ -168,7 +182,7 @@ def _write_bag(path: Path) -> None:
 
     log = simulate("quickstart", seed=3, frames=300, n_lanes=4).log
     with Writer(path) as bag:
-        for topic in (TOPIC, "/lanes"):
+        for topic in (TOPICS[0], "/lanes"):
             connection = bag.add_connection(
                 topic, "pkg/msg/msg_lines", msgdef=definition(), md5sum=PLAIN_CHECKSUM
             )

@@ -236,13 +236,24 @@ def top_hat_file(width: int, height: int) -> Path:
 def write_answer(folder: Path, output: NDArray[np.float32], **keys: Any) -> Path:
     """A network that gives this output whatever the picture, for inputs of 80 x 40 pixels, and its
     YAML with these keys."""
-    write_known(folder / "known.onnx", {"answer": output}, (80, 40))
-    return write_network(folder / "known.yaml", **{"model": "known.onnx", "size": [80, 40], **keys})
+    return write_answers(folder, {"answer": output}, **keys)
 
 
-def write_known(path: Path, outputs: dict[str, NDArray[Any]], size: tuple[int, int]) -> Path:
+def write_answers(folder: Path, outputs: dict[str, NDArray[Any]], **keys: Any) -> Path:
+    """The same with several outputs."""
+    keys = {"model": "known.onnx", "size": [80, 40], **keys}
+    write_known(folder / keys["model"], outputs, keys["size"])
+    return write_network(folder / "known.yaml", **keys)
+
+
+def write_known(
+    path: Path,
+    outputs: dict[str, NDArray[Any]],
+    size: tuple[int, int],
+    others: dict[str, tuple[int, ...]] | None = None,
+) -> Path:
     """A network that gives these outputs whatever the picture, for inputs of this width and
-    height."""
+    height, and other inputs of these shapes."""
     from onnx import helper
 
     nodes = [
@@ -253,7 +264,8 @@ def write_known(path: Path, outputs: dict[str, NDArray[Any]], size: tuple[int, i
     known = [(f"known {name}", output.astype(np.float32)) for name, output in outputs.items()]
     ports = {name: output.shape for name, output in outputs.items()}
     weights = [("zero", np.float32(0)), *known]
-    return write_onnx(path, nodes, weights, ports, {"picture": (1, 3, size[1], size[0])})
+    inputs = {"picture": (1, 3, size[1], size[0]), **(others or {})}
+    return write_onnx(path, nodes, weights, ports, inputs)
 
 
 # --- files ----------------------------------------------------------------------------------------

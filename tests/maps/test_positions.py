@@ -114,7 +114,7 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
     bag = line_bag(tmp_path / "a.bag", [1, 2])
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(bag)
-    with pytest.raises(InputError, match="which is not a position: it lacks status"):
+    with pytest.raises(InputError, match="which is not NavSatFix"):
         read_positions(bag, topic="/isis_line_detector/lines")
 
 

@@ -239,12 +239,17 @@ def weigh_positions(
     model_width_m: float,
     alpha: FloatArray,
     beta: FloatArray,
+    tenths: FloatArray,
+    lane_changes: float,
+    kind_changes: float,
+    sight: FloatArray,
     likelihood: FloatArray,
 ) -> None:
-    """Write likelihood (T, n cells, 2), each frame's maximum 1."""
-    n_lanes, n_points = len(log_intensity), log_mean.shape[1]
+    """Write likelihood (T, n cells, 2), each frame's maximum 1, and the belief `sight` after the
+    last frame."""
+    (n_lanes, n_kinds), n_points = sight.shape, log_mean.shape[1]
     cells, n_widths = likelihood.shape[1] // n_lanes, width_m.shape[1]
-    of_lane = np.zeros((n_widths, len(offset_m), n_lanes, cells))
+    of_state = np.zeros((n_widths, len(offset_m), n_kinds * n_lanes, cells))
     mean = np.zeros((n_widths, len(offset_m), cells))
     centre_m = (np.arange(cells) + 0.5) / cells * model_width_m - model_width_m / 2
     for w, i in np.ndindex(n_widths, offset_m.shape[1]):
@@ -256,16 +261,28 @@ def weigh_positions(
         at = np.clip(at, 0, n_points - 2)
         z = at.astype(np.int64)
         right = at - z
-        for lane in range(n_lanes):
-            table = log_intensity[lane]
-            of_lane[w, frames, lane] += (1 - right) * table[c, z] + right * table[c, z + 1]
+        for state in range(n_kinds * n_lanes):
+            table = log_intensity[..., state]
+            of_state[w, frames, state] += (1 - right) * table[c, z] + right * table[c, z + 1]
         mean[w, frames] += (1 - right) * log_mean[c, z] + right * log_mean[c, z + 1]
     # The likelihood of the lines is its mean over the widths.
-    log_p = np.logaddexp.reduce(of_lane) - np.log(n_widths) - expected[:, None]
+    log_p = np.logaddexp.reduce(of_state) - np.log(n_widths)
+    log_p = log_p.reshape(len(offset_m), n_kinds, n_lanes, cells) - expected[..., None]
     log_mean_p = np.logaddexp.reduce(mean) - np.log(n_widths) - expected.mean()
-    known = log_p - log_mean_p[:, None]
-    log_likelihood = np.empty((*log_p.shape, 2))
-    log_likelihood[..., 1] = (beta[:, None] * log_mean_p)[:, None]
-    log_likelihood[..., 0] = log_likelihood[..., 1] + alpha[:, None, None] * known
-    log_likelihood -= log_likelihood.max(axis=(1, 2, 3), keepdims=True)
-    likelihood[:] = np.exp(log_likelihood).reshape(likelihood.shape)
+    known = (log_p - log_mean_p[:, None, None]).transpose(0, 2, 1, 3)
+    # The car is in the lane that it was in, or in the one on either side, if there is one.
+    to_side = np.eye(n_lanes, k=1) + np.eye(n_lanes, k=-1)
+    np.fill_diagonal(to_side, 2 - to_side.sum(axis=1))
+    for t in range(len(offset_m)):
+        moves, changes = (min(rate * tenths[t], 0.3) for rate in (lane_changes, kind_changes))
+        sight[:] = (1 - 2 * moves) * sight + moves * to_side @ sight
+        sight[:] = (1 - changes) * sight + changes * sight.mean(axis=1, keepdims=True)
+        share = sight / sight.sum(axis=1, keepdims=True)
+        of_kinds = (share[:, :, None] * np.exp(alpha[t] * known[t])).sum(axis=1)
+        log_likelihood = np.empty((n_lanes, cells, 2))
+        log_likelihood[..., 1] = beta[t] * log_mean_p[t]
+        log_likelihood[..., 0] = log_likelihood[..., 1] + np.log(of_kinds)
+        likelihood[t] = np.exp(log_likelihood - log_likelihood.max()).reshape(-1, 2)
+        place = np.exp(log_mean_p[t] - log_mean_p[t].max())
+        sight *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alpha[t]
+        sight /= sight.sum()

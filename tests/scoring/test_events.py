@@ -25,7 +25,16 @@ from egolane_pgm.types import LaneEvents, LaneTruth
 def events_at(*told: tuple[int, int, int]) -> LaneEvents:
     """Events (frame told, lane left, lane entered)."""
     frame, left, entered = np.array(told, dtype=np.int64).reshape(-1, 3).T
-    return LaneEvents(frame, frame / 10, frame, frame / 10, left, entered, np.ones(len(frame)))
+    return LaneEvents(
+        frame,
+        frame / 10,
+        frame,
+        frame / 10,
+        left,
+        entered,
+        np.sign(entered - left),
+        np.ones(len(frame)),
+    )
 
 
 def truth_of(lanes: str, crossing: str, first: int = 0) -> LaneTruth:

@@ -198,7 +198,7 @@ def test_a_frame_rate_that_is_not_the_video_s_is_said(place: Path) -> None:
     experiment = load_experiment(place / "run.yaml", ["recording.frame_rate=25"])
     run = run_experiment(experiment)
     assert run.experiment.recording.frame_rate == 25
-    assert any("the video has 12.5 frames per second" in note for note in run.notes)
+    assert any("drive.avi: has 12.5 frames per second" in note for note in run.notes)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) ->
 
 def test_a_command_line_that_makes_no_sense_is_one_line() -> None:
     assert "No such command 'rn'" in refused("rn")
-    assert "egolane run --help" in refused("run", "x.yaml", "--frame-id", "stamp")
+    assert "egolane run --help" in refused("run", "x.yaml", "--filter", "stamp")
     assert "Missing argument" in refused("plot")
     assert refused("run") == "run: name an experiment, or a recording of lines"
     said = refused("run", "quickstart", "--stream", "--recording", "a", "--recording", "b")

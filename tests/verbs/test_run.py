@@ -202,13 +202,13 @@ def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
 ) -> None:
     line_bag(tmp_path / "a.bag", [0] * 6, GOOD)
     said = run_on(tmp_path, tmp_path / "a.bag", earlier)
-    assert "a.bag: all 6 messages have frame id 0" in said
-    assert said.endswith("use frame_id seq (ROS 1) or count")
+    assert "a.bag: frame ids must increase, but 0 is followed by 0" in said
     out = tmp_path / "out"
     words = ("--ground-truth", "none", "--no-figures", "--out", out)
-    done("run", tmp_path / "e.yaml", "--frame-id", "seq", *words)
+    given = ("--lines", "frame_id=header.seq")
+    done("run", tmp_path / "e.yaml", *given, *words)
     np.testing.assert_array_equal(read_result(out).frame_id, np.arange(6))
-    shown = done("convert", tmp_path / "a.bag", tmp_path / "a.csv", "--frame-id", "seq").stdout
+    shown = done("convert", tmp_path / "a.bag", tmp_path / "a.csv", *given).stdout
     assert "6 frames, ids 0 to 5" in shown
 
 
@@ -242,11 +242,11 @@ def half_a_bag(folder: Path) -> None:
         (
             table("frame_id,line,offset_m\n1,1,1.5\n"),
             "a.csv",
-            "--frame-id seq",
-            "has no option 'fra",
+            "--topic /a",
+            "has no option 'top",
         ),
         (
-            table("frame_id,line,offset_m\n5,1,nan\n"),
+            table("frame_id,line,offset_m,is_valid\n5,1,nan,1\n"),
             "a.csv",
             "",
             "a.csv: frame 5: line 1 is valid",
@@ -556,6 +556,7 @@ def test_a_drive_in_one_lane_says_that_no_change_was_believed(tmp_path: Path) ->
     shown = done("run", path, "--no-figures", "--out", tmp_path / "out").stdout
     assert "no lane change was believed" in shown
     header = (
-        "frame_id,time_s,from_lane,to_lane,probability,told_frame_id,told_time_s,late_s,delay_s\n"
+        "frame_id,time_s,from_lane,to_lane,direction,probability,told_frame_id,told_time_s,late_s,"
+        "delay_s\n"
     )
     assert (tmp_path / "out" / "events.csv").read_text() == header

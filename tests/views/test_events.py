@@ -21,7 +21,9 @@ def some(n: int, delay_s: np.ndarray | None = None) -> LaneEvents:
     frame = np.arange(n) * 100 + 50
     left = np.arange(n) % 2 + 1
     told = frame + 3
-    return LaneEvents(told, told / 10, frame, frame / 10, left, 3 - left, np.full(n, 0.75), delay_s)
+    return LaneEvents(
+        told, told / 10, frame, frame / 10, left, 3 - left, 3 - 2 * left, np.full(n, 0.75), delay_s
+    )
 
 
 def test_a_change_is_a_row_and_long_drives_are_cut() -> None:

@@ -353,20 +353,29 @@ def weigh_positions(
     model_width_m: float,
     alpha: FloatArray,
     beta: FloatArray,
+    tenths: FloatArray,
+    lane_changes: float,
+    kind_changes: float,
+    sight: FloatArray,
     likelihood: FloatArray,
 ) -> None:
-    """Fills likelihood (T, n cells, 2); the maximum of each frame is 1.
+    """Fills likelihood (T, n cells, 2); the maximum of each frame is 1. A mean over the lane widths
+    and over the kinds of detectors, which are followed in `sight`.
 
     - kind: (T, L) the line's class, -1 where it does not count
-    - width_m: (T, K) equally probable lane widths, in rising order
+    - width_m: (T, W) equally probable lane widths, in rising order
     - alpha, beta: (T,) exponents of each frame
-    - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in `model.LineTables`;
+    - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in `sight.SightTables`;
       lines are scaled to its width
+    - tenths: (T,) since the frame before, tenths of a second
+    - lane_changes, kind_changes: probabilities in a tenth of a second
+    - sight: (n, K) the belief over lane and kind; becomes that after the last frame
     """
     n_frames, n_lines = offset_m.shape
-    n_lanes, n_widths = log_intensity.shape[0], width_m.shape[1]
+    n_lanes, n_kinds = sight.shape
+    n_states, n_widths = n_lanes * n_kinds, width_m.shape[1]
     cells = likelihood.shape[1] // n_lanes
-    of_lane = np.empty((n_widths, n_lanes, cells))
+    of_state = np.empty((n_widths, cells * n_states))
     mean = np.empty((n_widths, cells))
     weight = np.empty(n_widths)
     expected_mean = expected.mean()
@@ -382,7 +391,7 @@ def weigh_positions(
                 same += 1
             weight[n] = same / n_widths
             scale = model_width_m / width_m[t, k]
-            of_lane[n] = 0.0
+            of_state[n] = 0.0
             mean[n] = 0.0
             for i in range(n_lines):
                 c = kind[t, i]
@@ -395,30 +404,80 @@ def weigh_positions(
                     at = min(max(start + u * cell, 0.0), last)
                     z = int(at)
                     right = at - z
-                    for lane in range(n_lanes):
-                        below = log_intensity[lane, c, z]
-                        above = log_intensity[lane, c, z + 1]
-                        of_lane[n, lane, u] += below + right * (above - below)
-                    below = log_mean[c, z]
-                    mean[n, u] += below + right * (log_mean[c, z + 1] - below)
+                    below, above = log_intensity[c, z], log_intensity[c, z + 1]
+                    target = of_state[n, u * n_states : (u + 1) * n_states]
+                    for s in range(n_states):
+                        target[s] += below[s] + right * (above[s] - below[s])
+                    before, after = log_mean[c, z], log_mean[c, z + 1]
+                    mean[n, u] += before + right * (after - before)
             n += 1
             k += same
         if n > 1:
             _mix(weight, mean, n)
-            for lane in range(n_lanes):
-                _mix(weight, of_lane[:, lane], n)
+            _mix(weight, of_state, n)
+        known = of_state[0].reshape(cells, n_kinds, n_lanes)
+        for u in range(cells):
+            for k in range(n_kinds):
+                for lane in range(n_lanes):
+                    known[u, k, lane] += expected_mean - expected[k, lane] - mean[0, u]
+        _change(sight, min(lane_changes * tenths[t], 0.3), min(kind_changes * tenths[t], 0.3))
         largest = -np.inf
         for u in range(cells):
-            largest = max(largest, beta[t] * mean[0, u])
+            phase_only = beta[t] * mean[0, u]
+            largest = max(largest, phase_only)
             for lane in range(n_lanes):
-                known = of_lane[0, lane, u] - expected[lane] - mean[0, u] + expected_mean
-                of_lane[0, lane, u] = beta[t] * mean[0, u] + alpha[t] * known
-                largest = max(largest, of_lane[0, lane, u])
-        for u in range(cells):
-            phase_only = math.exp(beta[t] * mean[0, u] - largest)
-            for lane in range(n_lanes):
-                likelihood[t, lane * cells + u, 0] = math.exp(of_lane[0, lane, u] - largest)
+                top = known[u, :, lane].max()
+                total = 0.0
+                for k in range(n_kinds):
+                    total += sight[lane, k] * math.exp(alpha[t] * (known[u, k, lane] - top))
+                total /= sight[lane].sum()
+                likelihood[t, lane * cells + u, 0] = phase_only + alpha[t] * top + math.log(total)
                 likelihood[t, lane * cells + u, 1] = phase_only
+                largest = max(largest, likelihood[t, lane * cells + u, 0])
+        for r in range(n_lanes * cells):
+            likelihood[t, r, 0] = math.exp(likelihood[t, r, 0] - largest)
+            likelihood[t, r, 1] = math.exp(likelihood[t, r, 1] - largest)
+        if n_kinds > 1:
+            _learn(sight, known, mean[0], alpha[t])
+
+
+@kernel()
+def _change(sight: FloatArray, to_side: float, to_any: float) -> None:
+    """Predicts the belief (n, K) over lane and kind: the car goes to the lane on either side with
+    one probability, and the kind is any again with another."""
+    n_lanes, n_kinds = sight.shape
+    before = sight.copy()
+    for lane in range(n_lanes):
+        left, right = max(lane - 1, 0), min(lane + 1, n_lanes - 1)
+        for k in range(n_kinds):
+            stays = (1 - 2 * to_side) * before[lane, k]
+            sight[lane, k] = stays + to_side * (before[left, k] + before[right, k])
+        spread = to_any * sight[lane].sum() / n_kinds
+        for k in range(n_kinds):
+            sight[lane, k] = (1 - to_any) * sight[lane, k] + spread
+
+
+@kernel()
+def _learn(sight: FloatArray, known: FloatArray, mean: FloatArray, alpha: float) -> None:
+    """Weighs the belief (n, K) over lane and kind with a frame.
+
+    - known: (cells, K, n) logarithm of the frame's likelihood relative to the mean one
+    - mean: (cells,) logarithm of the mean likelihood; it says where in its lane the car is
+    """
+    n_lanes, n_kinds = sight.shape
+    place = np.exp(mean - mean.max())
+    place /= place.sum()
+    says = np.empty(sight.shape)
+    for lane in range(n_lanes):
+        for k in range(n_kinds):
+            top = known[:, k, lane].max()
+            total = 0.0
+            for u in range(len(mean)):
+                total += place[u] * math.exp(known[u, k, lane] - top)
+            # The best place may have no share that is a number.
+            says[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
+    sight *= np.exp(says - says.max())
+    sight /= sight.sum()
 
 
 @kernel()

@@ -48,6 +48,16 @@ PARAMETERS = (
         search=(0.05, 1.0),
     ),
     Parameter(
+        "sight",
+        "choice",
+        "learned",
+        "how far the detector sees and what it marks: `learned` from the frames so far, among a few"
+        " kinds of detectors and roads; or `generic`, the constants below alone. Tables that are"
+        " given or learned with labels leave nothing to learn here",
+        choices=("learned", "generic"),
+        search=None,
+    ),
+    Parameter(
         "rates",
         "non_negative",
         "generic",

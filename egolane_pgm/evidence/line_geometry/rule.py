@@ -20,7 +20,8 @@ they moved before.
 
 Lines are scaled to lanes of LANE_M metres, so that noise, clutter and reach are relative to the
 lane width. The width is not known but a distribution (`scale`), some quantiles of which stand
-for it: the likelihoods are their means over these.
+for it: the likelihoods are their means over these. So are they over the kinds of detectors and of
+roads (`sight`): how far lines are seen, which ones are marked, whether one lies beside the road.
 
 A detector that never reports a continuous line counts as one that cannot tell. The meaning of its
 other flags and of its LRI is estimated from the recording (`habits`); a warning says so if it is
@@ -45,14 +46,21 @@ from egolane_pgm.evidence.line_geometry.model import (
     LANE_M,
     REACH_M,
     TABLE_STEP_M,
-    LineTables,
+    LineModel,
     line_classes,
     line_model,
-    line_tables,
-    without_flags,
 )
 from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
+from egolane_pgm.evidence.line_geometry.sight import (
+    KIND_CHANGES,
+    LANE_CHANGES,
+    SightTables,
+    kinds_of,
+    new_sight,
+    sight_tables,
+    warn_of_own_lines,
+)
 from egolane_pgm.parameters import Parameters, Value, number
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
 
@@ -94,14 +102,17 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     seen, _ = reading.read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
     lines = seen.lines.sum(axis=0)
     reading.warn_of_doubles(lines, log.source)
+    models = kinds_of(n_lanes, parameters)
+    sight = new_sight(n_lanes, len(models))
     if parameters["lane_width_m"] == "causal":
-        return online(n_lanes, parameters)(recorded)
-    model = line_model(n_lanes, parameters)
-    if not _has_flag(log).any():
-        model = without_flags(model)
-    tables = line_tables(model, LANE_M)
-    weights, _ = reading.frame_weights(log)
-    return _evidence(reading.count_once(seen, lines), widths, weights, tables, parameters)
+        given = _online(models, sight, parameters)(recorded)
+    else:
+        tables = sight_tables(models, has_flags=bool(_has_flag(log).any()))
+        weights, _ = reading.frame_weights(log)
+        seen = reading.count_once(seen, lines)
+        given = _evidence(seen, widths, weights, log.is_missing, tables, sight, parameters)
+    warn_of_own_lines(sight, log.source)
+    return given
 
 
 def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence]:
@@ -109,12 +120,19 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     one before.
 
     All that it knows comes from the frames so far, however they are grouped: the lane width (unless
-    given), the meaning of the detector's flags and LRI, and whether it reports lines twice. The
-    detector counts as one with a continuous flag from the first continuous line on. There are no
-    warnings.
+    given), what the detector sees, the meaning of its flags and LRI, and whether it reports lines
+    twice. The detector counts as one with a continuous flag from the first continuous line on.
+    There are no warnings.
     """
-    model = line_model(n_lanes, parameters)
-    tables = {True: line_tables(model, LANE_M), False: line_tables(without_flags(model), LANE_M)}
+    models = kinds_of(n_lanes, parameters)
+    return _online(models, new_sight(n_lanes, len(models)), parameters)
+
+
+def _online(
+    models: Sequence[LineModel], sight: FloatArray, parameters: Parameters
+) -> Callable[[LineLog], Evidence]:
+    """As `online`; sight: (n, K) the belief over kinds, which becomes that after each log."""
+    tables = {has: sight_tables(models, has_flags=has) for has in (True, False)}
     given = parameters["lane_width_m"]
     width = new_belief(number(parameters, "fallback_width_m"))
     detector = habits.Habits(habits.FULL_LRI, says_valid=True, says_continuous=True)
@@ -150,7 +168,8 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
         seen = reading.count_once(seen, lines + of_frame.cumsum(axis=0))
         lines = lines + of_frame.sum(axis=0)
         weights, last_s = reading.frame_weights(recorded, last_s)
-        return _evidence(seen, widths, weights, tables[has_flags], parameters)
+        told = tables[has_flags]
+        return _evidence(seen, widths, weights, log.is_missing, told, sight, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         if len(recorded) == 1:
@@ -184,14 +203,18 @@ def _evidence(
     seen: reading.SeenLines,
     widths: FloatArray,
     weights: FloatArray,
-    tables: LineTables,
+    is_missing: BoolArray,
+    tables: SightTables,
+    sight: FloatArray,
     parameters: Parameters,
 ) -> Evidence:
-    """The evidence of T frames. widths: (T, K) equally probable lane widths; weights: (T,)."""
+    """The evidence of T frames. widths: (T, W) equally probable lane widths; weights, is_missing:
+    (T,); sight: (n, K), which becomes the belief after the last frame."""
     exponents = (number(parameters, name) for name in ("alpha", "beta"))
     # Limited so that no line counts more than once.
     alpha, beta = (np.minimum(each * weights, max(each, 1.0)) for each in exponents)
-    n_positions = len(tables.expected) * int(number(parameters, "cells"))
+    alpha[is_missing] = 0.0
+    n_positions = len(sight) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
     kernels.weigh_positions(
         seen.offset_m,
@@ -205,6 +228,10 @@ def _evidence(
         tables.width_m,
         alpha,
         beta,
+        weights,
+        LANE_CHANGES,
+        KIND_CHANGES,
+        sight,
         likelihood,
     )
     return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})

@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.vision.calibration.standing_still import edge_counter
 from egolane_pgm.vision.calibration.straight_road import (
     NEAREST_TO_HORIZON,
     FrameFit,
@@ -38,6 +39,9 @@ _ROWS = 120
 
 #: The widest marking, in heights of the camera (block markings are 0.6 m wide and more).
 _MARKING = 0.8
+
+#: The widest dark seam, and the widest gap of a double line, in heights of the camera.
+_SEAM = 0.15
 
 #: A pixel is paint if it is brighter than its surroundings by more than the first number of grey
 #: levels, and by more than the second number times the mean difference in its row.
@@ -224,6 +228,9 @@ def fan(
     bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
     kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
+    # The road between two dark seams is no paint, nor is the gap of a double line a gap.
+    seam = np.ones((1, round(_SEAM / _STEP) | 1), dtype=np.uint8)
+    bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, seam)
     paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)
     shown = cv2.erode(seen, kernel) * inside > 0
     return Fan(np.where(shown, paint, 0.0), shown, below, side)
@@ -339,6 +346,7 @@ def find_in_stills(
     Raises InputError if no still can be used, or if the edges do not meet in one point.
     """
     mask = seen_mask(camera)
+    count_edges, moving = edge_counter(camera.width, camera.height)
     skipped: list[str] = []
     used, straight = [], []
     for path, image in read_images(progress(paths), skipped):
@@ -348,12 +356,14 @@ def find_in_stills(
             continue
         used.append(path)
         straight.append(edges(camera, image, mask))
+        count_edges(image)
     if not used:
         raise InputError(f"stills: none of them can be used; {skipped[0]}")
     if most is not None and len(used) > most:
         clear = np.argsort([-clearness(lines, seed) for lines in straight], kind="stable")[:most]
         used, straight = ([given[k] for k in sorted(clear)] for given in (used, straight))
     ahead, each = meeting_of_stills(straight, seed)
+    mask = moving(np.stack(from_level_to_image(camera, ahead)), mask)
     fits, lines = [], []
     for path, point in zip(progress(used), each, strict=True):
         about = point if np.isfinite(point).all() else ahead

@@ -45,6 +45,9 @@ NEAREST_TO_HORIZON = 0.04
 #: height is not between neighbouring lines.
 _HEIGHTS = (0.5, 4.0)
 
+#: The lowest and the highest camera on usual cars and vans, metres.
+_USUAL_HEIGHTS = (0.9, 2.2)
+
 #: A gap that differs from the most common one by less than this share is one lane.
 _SAME_GAP = 0.15
 
@@ -365,8 +368,9 @@ def view_from(
             f" camera {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m above the road; check the lane width"
         )
     height_m = lane_width_m / float(np.average(gaps[lanes], weights=weights[lanes]))
+    seen = replace(turned, height_m=height_m, lateral_m=camera.lateral_m, lane_width_m=lane_width_m)
     return RoadView(
-        replace(turned, height_m=height_m, lateral_m=camera.lateral_m),
+        seen,
         pixels,
         np.array([u, v]),
         ahead,
@@ -401,6 +405,23 @@ def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
         f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
         " no distortion",
         "  (offsets hardly depend on it, distances ahead do).",
+    ]
+
+
+def doubts_of(view: RoadView) -> list[str]:
+    """What speaks against a view, in one line, or nothing: a height that cars' cameras do not have,
+    or gaps of twice a lane's width that outnumber the lanes, where half the height is usual."""
+    high, (low, most), one = view.camera.height_m, _USUAL_HEIGHTS, view.lane_width_m
+    n_lanes = int(view.is_lane.sum())
+    n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
+    if low <= high <= most and (high / 2 < low or n_double <= n_lanes):
+        return []
+    taken, other = ("two lanes were", 2 * high) if high < low else ("half a lane was", high / 2)
+    return [
+        f"doubtful: with lanes of {one:g} m the camera is {high:.2f} m above the road, where those"
+        f" of cars are at {low:g} to {most:g} m ({n_lanes} gaps between lines are lanes, {n_double}"
+        f" twice as wide). If {taken} taken for a lane, it is at {other:.2f} m: look at the picture"
+        " of it, leave out what is no line of a lane (ignore), or give other stills"
     ]
 
 

@@ -36,7 +36,11 @@ RANGES = {
     "roll_deg": (-60, 60, "degrees, clockwise is positive"),
     "lateral_m": (-5, 5, "metres right of the vehicle's middle"),
     "baseline_m": (0.01, 5, "metres between the two cameras"),
+    "lane_width_m": (2, 6, "metres"),
 }
+
+#: Those that may be missing.
+_OPTIONAL = ("baseline_m", "lane_width_m")
 
 
 @dataclass(frozen=True)
@@ -52,6 +56,8 @@ class Camera:
     - distortion: OpenCV's k1, k2, p1, p2, k3
     - baseline_m: for a rectified stereo pair, how far the second camera is to the right of this
       one; None for a single camera
+    - lane_width_m: the width of the lanes that the height follows from, which detectors then
+      expect; None if it does not follow from one
     - ignore: rectangles of the picture that never show road (bonnet, mirror), each left, top,
       right, bottom in pixels, the last two exclusive
     - name: how messages name it, the YAML file that it was read from; not part of that file
@@ -72,13 +78,14 @@ class Camera:
     lateral_m: float = 0.0
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     baseline_m: float | None = None
+    lane_width_m: float | None = None
     ignore: tuple[tuple[int, int, int, int], ...] = ()
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
-            if value is None and name == "baseline_m":
+            if value is None and name in _OPTIONAL:
                 continue
             _check_number(name, value)
             if not low <= value <= high:
@@ -312,8 +319,9 @@ def camera_content(camera: Camera) -> dict[str, Any]:
     """The camera as the keys of a YAML file."""
     content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)
-    if camera.baseline_m is None:
-        del content["baseline_m"]
+    for name in _OPTIONAL:
+        if content[name] is None:
+            del content[name]
     content["ignore"] = [list(rectangle) for rectangle in camera.ignore]
     if not camera.ignore:
         del content["ignore"]

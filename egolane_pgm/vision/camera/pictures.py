@@ -1,8 +1,8 @@
-"""Reads the pictures of a drive from a video, a folder or a glob, for one camera or for two.
+"""Reads the pictures of a drive from a video, a folder, a glob or a bag, for one camera or for two.
 
-The frame id of a picture in a video is its position, from 0. Picture files are taken in natural
-order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last number of the names that
-increases from file to file; if there is none, their positions, from 0. Only one picture is in
+The frame id of a picture in a video or a bag is its position, from 0. Picture files are taken in
+natural order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last number of the names
+that increases from file to file; if there is none, their positions, from 0. Only one picture is in
 memory at a time.
 """
 
@@ -12,14 +12,17 @@ import glob
 import re
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from egolane_pgm.types import InputError
+from egolane_pgm.recordings import FORMATS, files_of
+from egolane_pgm.recordings.select import rate_of
+from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
 from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.video import open_video, video_images
@@ -37,10 +40,12 @@ class Source:
     """Where the pictures of one camera come from.
 
     - path: as the user gave it
-    - files: the video, or the picture files in order
-    - frame_id: frame id of each picture file; None for a video
+    - files: the video, the files of the bag, or the picture files in order
+    - frame_id: frame id of each picture; None for a video
     - n_frames: None for a video that does not say
     - frame_rate: Hz; None for picture files and for a video that does not say
+    - topic: of the pictures in a bag; None for all else
+    - time_s (n_frames,): when each picture in a bag was taken, seconds; None for all else
     """
 
     path: str
@@ -48,6 +53,8 @@ class Source:
     frame_id: tuple[int, ...] | None
     n_frames: int | None
     frame_rate: float | None
+    topic: str | None = None
+    time_s: FloatArray | None = None
 
     @property
     def is_video(self) -> bool:
@@ -60,8 +67,10 @@ def is_pattern(path: str) -> bool:
     return any(c in path for c in "*?[") and not Path(path).exists()
 
 
-def open_source(path: str | Path) -> Source:
-    """Finds the pictures at a path: a video, a picture, a folder of pictures or a glob.
+def open_source(path: str | Path, topic: str | None = None) -> Source:
+    """Finds the pictures at a path: a video, a picture, a folder of pictures, a glob or a bag.
+
+    - topic: of the pictures in a bag; by default the only one that has some
 
     Raises InputError, naming the path, if there are none or the file is no video.
     """
@@ -71,6 +80,10 @@ def open_source(path: str | Path) -> Source:
     if is_pattern(path):
         return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
     place = Path(path)
+    if is_bag(place):
+        return _pictures_in_bag(place, topic)
+    if topic is not None:
+        raise InputError(f"{path}: topic: only a bag has topics")
     if place.is_dir():
         try:
             return _picture_files(path, list(place.iterdir()))
@@ -85,6 +98,29 @@ def open_source(path: str | Path) -> Source:
     video.release()
     known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
     return Source(path, (place,), None, int(count) if count > 0 else None, known_rate)
+
+
+def is_bag(place: Path) -> bool:
+    """Whether a path is that of a bag or an MCAP file."""
+    is_folder = place.is_dir() and (place / "metadata.yaml").is_file()
+    return is_folder or (place.is_file() and place.suffix.lower() in FORMATS["rosbag"][0])
+
+
+def _pictures_in_bag(place: Path, topic: str | None) -> Source:
+    chosen = image_topic(place, topic)
+    time_s = stamps_of(place, chosen)
+    files = files_of(place) if place.is_dir() else [place]
+    ids = tuple(range(len(time_s)))
+    found = Source(str(place), tuple(files), ids, len(ids), None, chosen)
+    if (np.diff(time_s) <= 0).any():
+        warnings.warn(
+            f"{place}: the stamps of the pictures on {chosen} do not increase; time is frame id"
+            " over frame rate",
+            UserWarning,
+            stacklevel=3,
+        )
+        return found
+    return replace(found, frame_rate=rate_of(np.array(ids), time_s), time_s=time_s)
 
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
@@ -212,7 +248,10 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     read, and where there is none.
     """
     images: Iterator[tuple[int, str, Image]]
-    if source.is_video:
+    if source.topic is not None:
+        in_bag = bag_images(Path(source.path), source.topic, frames)
+        images = ((frame_id, source.path, image) for frame_id, image in in_bag)
+    elif source.is_video:
         found = video_images(source.path, source.files[0], source.n_frames, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
     else:

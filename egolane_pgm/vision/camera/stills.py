@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import cv2
 
+from egolane_pgm.vision.camera.bag import bag_images
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import open_source, read_image
 from egolane_pgm.vision.camera.video import open_video
@@ -29,6 +31,13 @@ def small_pictures(path: str, frame_ids: Sequence[int], height: int) -> dict[int
 
 def _images(path: str, frame_ids: Sequence[int]) -> Iterator[tuple[int, Image]]:
     source = open_source(path)
+    if source.topic is not None:
+        wanted = set(frame_ids)
+        span = (min(wanted), max(wanted) + 1)
+        for each in bag_images(Path(source.path), source.topic, span):
+            if each[0] in wanted:
+                yield each
+        return
     if source.frame_id is not None:
         files = dict(zip(source.frame_id, source.files, strict=True))
         for frame_id in frame_ids:

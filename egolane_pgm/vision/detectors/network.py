@@ -10,8 +10,8 @@ from egolane_pgm.parameters import Parameters, held_fixed
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.detectors import Step
-from egolane_pgm.vision.detectors.networks import looking
 from egolane_pgm.vision.detectors.networks.description import NetworkFile, read_network
+from egolane_pgm.vision.detectors.networks.finding import network_finder
 from egolane_pgm.vision.detectors.simple import finder
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 
@@ -22,8 +22,8 @@ PARAMETERS = held_fixed(
             "network",
             "choice",
             "",
-            "the YAML file that describes the network: its ONNX, what goes in (size, mean, scale)"
-            " and what comes out (layout lanes, instances, row_anchors or polylines)",
+            "the YAML file that describes the network (its ONNX, what goes in and what comes out),"
+            " or the name of one that comes along, whose ONNX lies here, such as lstr",
         ),
         next(p for p in FINDING if p.name == "curve"),
         *finder.PARAMETERS,
@@ -46,5 +46,5 @@ def start(camera: Camera, parameters: Parameters) -> Step:
         camera,
         parameters,
         curve=str(parameters["curve"]),
-        marks=looking.markings(camera, network),
+        finder=network_finder(camera, network, parameters),
     )

@@ -86,7 +86,8 @@ class Pictures:
             unit="frame",
             total=left.n_frames if recording.frames is None else None,
         )
-        done = collect(detect(detector, camera, pictures), recording.frame_rate, left.path)
+        lines = detect(detector, camera, pictures)
+        done = collect(lines, recording.frame_rate, left.path, left.time_s)
         if isinstance(done.stopped, InputError) and done.log is not None:
             raise InputError(
                 f"{done.stopped}; `egolane detect` writes the lines of the frames before"
@@ -95,7 +96,7 @@ class Pictures:
             raise done.stopped
         if left.frame_rate is not None and left.frame_rate != recording.frame_rate:
             warnings.warn(
-                f"{left.path}: the video has {left.frame_rate:g} frames per second,"
+                f"{left.path}: has {left.frame_rate:g} frames per second,"
                 f" recording.frame_rate is {recording.frame_rate:g}; times and delays are counted"
                 " with the latter",
                 UserWarning,
@@ -122,7 +123,7 @@ class Pictures:
 
     def kept_for(self, recording: str, detector: str | None) -> frozenset[str]:
         """See `Source`: detector and camera go with pictures, and with nothing else."""
-        keys = {"camera", "detector", "detector_parameters"}
+        keys = {"camera", "detector", "detector_parameters", "topic"}
         own = self.experiment.recording.path
         return frozenset(keys) if _are_pictures(recording, own, detector) else frozenset()
 
@@ -137,11 +138,12 @@ def pictures_in(place: Path) -> Sequence[Path]:
 def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
     """The pictures at recording.path, or those of the second camera (key: "right"). Raises
     InputError, naming the key, where there are none."""
-    from egolane_pgm.vision.camera.pictures import is_pattern, open_source
+    from egolane_pgm.vision.camera.pictures import is_bag, is_pattern, open_source
 
     path = getattr(experiment.recording, key)
     if not is_pattern(path):
-        return open_source(find_named(experiment, f"recording.{key}", folders=True))
+        place = find_named(experiment, f"recording.{key}", folders=True)
+        return open_source(place, experiment.recording.topic if is_bag(place) else None)
     try:
         return open_source(str(experiment.folder / Path(path).expanduser()))
     except InputError as error:
@@ -151,9 +153,11 @@ def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
 def _are_pictures(recording: str, old: str | None, detector: str | None) -> bool:
     """Whether a recording is a video or pictures. detector: the one that was asked for together
     with the recording, which means that pictures are meant."""
-    from egolane_pgm.vision.camera.pictures import PICTURES, is_pattern
+    from egolane_pgm.vision.camera.pictures import PICTURES, is_bag, is_pattern
 
     path = Path(recording).expanduser()
+    if is_bag(path):
+        return detector is not None
     if path.is_dir():
         return _is_folder_of_pictures(path, detector)
     ending = path.suffix.lower()

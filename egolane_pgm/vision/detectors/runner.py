@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +14,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import FloatArray, InputError, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step, as_log
@@ -129,12 +129,18 @@ class Collected:
     stopped: KeyboardInterrupt | InputError | None
 
 
-def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source: str) -> Collected:
+def collect(
+    frames: Iterable[tuple[int, FrameLines]],
+    frame_rate: float,
+    source: str,
+    time_s: FloatArray | None = None,
+) -> Collected:
     """Collects the lines of a drive into one log; an interruption keeps the frames before it.
 
     - frames: pairs of frame id and lines, as `detect` gives them
     - frame_rate: Hz
     - source: where the lines come from, for messages
+    - time_s: when the frame of each id was taken, seconds; None for frame id over frame rate
     """
     found: list[tuple[int, FrameLines]] = []
     stopped: KeyboardInterrupt | InputError | None = None
@@ -142,4 +148,7 @@ def collect(frames: Iterable[tuple[int, FrameLines]], frame_rate: float, source:
         found.extend(frames)
     except (KeyboardInterrupt, InputError) as reason:
         stopped = reason
-    return Collected(as_log(found, frame_rate, source) if found else None, stopped)
+    if not found:
+        return Collected(None, stopped)
+    log = as_log(found, frame_rate, source)
+    return Collected(log if time_s is None else replace(log, time_s=time_s[log.frame_id]), stopped)

@@ -235,7 +235,8 @@ def test_lines_that_are_reported_twice_count_once(apart: float) -> None:
         np.hstack([log.offset_m, log.offset_m + apart * np.sign(log.offset_m)]),
         *(np.hstack([a, a]) for a in (log.is_valid, log.is_continuous, log.lri)),
     )
-    once, both = read(log, lane_width_m=3.75)[0], read(twice, lane_width_m=3.75)
+    given = {"lane_width_m": 3.75, "sight": "generic"}
+    once, both = read(log, **given)[0], read(twice, **given)
     # Beside the few doubles that the drive has itself.
     assert (np.abs(once - both[0]).max(axis=(1, 2)) > 1e-6).mean() < 0.15
     (said,) = both[1]
@@ -273,12 +274,13 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
 
 def test_what_lines_say_weighs_by_the_time_since_the_frame_before() -> None:
     log = drive().log.take(slice(0, 40))
-    once, _ = read(log, lane_width_m=3.75)
-    thrice, _ = read(replace(log, time_s=3 * log.time_s), lane_width_m=3.75)
+    given = {"lane_width_m": 3.75, "sight": "generic"}
+    once, _ = read(log, **given)
+    thrice, _ = read(replace(log, time_s=3 * log.time_s), **given)
     np.testing.assert_allclose(np.log(thrice[1:]), 3 * np.log(once[1:]), atol=1e-9)
     # Never more than once, however long the gap.
-    long, _ = read(replace(log, time_s=1e6 * log.time_s), lane_width_m=3.75)
-    full, _ = read(log, lane_width_m=3.75, alpha=1.0, beta=1.0)
+    long, _ = read(replace(log, time_s=1e6 * log.time_s), **given)
+    full, _ = read(log, **given, alpha=1.0, beta=1.0)
     np.testing.assert_allclose(np.log(long[1:]), np.log(full[1:]), atol=1e-9)
 
 
@@ -317,7 +319,7 @@ def test_one_frame_after_the_other_finds_out_as_well() -> None:
         100 * np.hstack([log.offset_m, log.offset_m]),
         *(np.hstack([a, a]) for a in (np.zeros_like(flags), flags, log.lri / 10)),
     )
-    parameters = resolved(lane_width_m=375)
+    parameters = resolved(lane_width_m=375, sight="generic")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         whole = line_geometry.evidence(odd, 3, parameters)

@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from itertools import product as product_of
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,11 @@ from egolane_pgm.evidence.line_geometry.model import (
     LANE_M,
     TABLE_STEP_M,
     line_classes,
-    line_model,
-    line_tables,
     places,
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
+from egolane_pgm.evidence.line_geometry.sight import kinds_of, new_sight, sight_tables
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
@@ -104,40 +104,43 @@ def by_the_formula(
 ) -> np.ndarray:
     """One frame, (n cells, 2), from the intensities themselves: their mean over the lane widths, to
     which offsets are relative."""
-    model = line_model(n, parameters)
+    models = kinds_of(n, parameters)
+    expected = np.array([model.expected for model in models])
     width = LANE_M
-    place = places(model, width)
+    place = places(models[0], width)
     cells = int(parameters["cells"])  # type: ignore[call-overload]
     alpha, beta = float(parameters["alpha"]), float(parameters["beta"])  # type: ignore[arg-type]
     result = np.empty((n * cells, 2))
     for u in range(cells):
         in_lane = ((u + 0.5) / cells - 0.5) * width
-        p, mean = np.zeros(n), 0.0
+        p, mean = np.zeros((len(models), n)), 0.0
         for of_width in widths:
-            product, of_mean = np.ones(n), 1.0
+            product, of_mean = np.ones((len(models), n)), 1.0
             for offset, c in lines:
-                intensity = np.empty(n)
-                for lane in range(n):
-                    intensity[lane] = model.clutter[c]
+                intensity = np.empty((len(models), n))
+                for (m, model), lane in product_of(enumerate(models), range(n)):
+                    intensity[m, lane] = model.clutter[c]
                     for k in range(n + 3):
                         z = offset * width / of_width + in_lane - place[lane, k]
                         z /= model.sigma_m[k]
                         normal = math.exp(-0.5 * z**2) / (model.sigma_m[k] * math.sqrt(2 * math.pi))
-                        intensity[lane] += model.rates[lane, k] * model.class_shares[k, c] * normal
+                        rate = model.rates[lane, k] * model.class_shares[k, c]
+                        intensity[m, lane] += rate * normal
                 product *= intensity
                 of_mean *= intensity.mean()
             p += product / len(widths)
             mean += of_mean / len(widths)
-        log_p, log_mean = np.log(p), math.log(mean)
-        log_p -= model.expected
-        log_mean -= model.expected.mean()
+        known = np.log(p) - expected - math.log(mean) + expected.mean()
+        # Before the first frame, all kinds are equally probable.
+        of_lane = np.log(np.exp(alpha * known).mean(axis=0))
         for lane in range(n):
-            bad = beta * log_mean
-            result[lane * cells + u] = bad + alpha * (log_p[lane] - log_mean), bad
+            bad = beta * (math.log(mean) - expected.mean())
+            result[lane * cells + u] = bad + of_lane[lane], bad
     return np.exp(result - result.max())
 
 
-def test_the_likelihood_is_the_formula() -> None:
+@pytest.mark.parametrize("sight", ["generic", "learned"])
+def test_the_likelihood_is_the_formula(sight: str) -> None:
     offsets = [-1.9, 1.6, 5.3, -5.2]
     log = line_log(
         [offsets],
@@ -145,7 +148,7 @@ def test_the_likelihood_is_the_formula() -> None:
         is_continuous=[[True, False, False, False]],
         lri=[[9.0, 6.0, 5.0, 3.0]],
     )
-    parameters = resolved(alpha=0.3, beta=0.7)
+    parameters = resolved(alpha=0.3, beta=0.7, sight=sight)
     right = by_the_formula(list(zip(offsets, [0, 1, 2, 3], strict=True)), 3, parameters)
     for evidence in (line_geometry.evidence, reference.evidence):
         ours = evidence(log, 3, parameters).likelihoods[NODES][0]
@@ -159,16 +162,17 @@ def test_the_likelihood_is_the_formula() -> None:
 )
 def test_over_several_widths_the_likelihood_is_the_mean(widths: tuple[float, ...]) -> None:
     offsets, kinds = [-1.9, 1.6, 5.3, -5.2, 9.9], [0, 1, 2, 3, -1]
-    parameters = resolved(alpha=0.3, beta=0.7)
+    parameters = resolved(alpha=0.3, beta=0.7, sight="generic")
     lines = list(zip(offsets[:4], kinds[:4], strict=True))
     right = by_the_formula(lines, 3, parameters, widths)
-    tables = line_tables(line_model(3, parameters), 3.5)
+    tables = sight_tables(kinds_of(3, parameters), has_flags=True)
     for module in (kernels, reference):
         likelihood = np.empty((1, 48, 2))
         module.weigh_positions(
             *(np.array([offsets]), np.array([kinds]), np.array([widths])),
             *(tables.log_intensity, tables.log_mean, tables.first_m, TABLE_STEP_M, tables.expected),
-            *(tables.width_m, np.array([0.3]), np.array([0.7]), likelihood),
+            *(tables.width_m, np.array([0.3]), np.array([0.7]), np.ones(1), 0.0, 0.0),
+            *(new_sight(3, 1), likelihood),
         )
         np.testing.assert_allclose(np.log(likelihood[0]), np.log(right), atol=5e-3)
 
@@ -206,7 +210,7 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
             is_missing=log.is_missing,
         )
     # A road of equal shoulders, and an odd number of bins about zero.
-    parameters = resolved(shoulder_left=0.1, shoulder_right=0.1)
+    parameters = resolved(shoulder_left=0.1, shoulder_right=0.1, sight="generic")
     here = line_geometry.evidence(log, 3, parameters)
     there = line_geometry.evidence(other, 3, parameters)
     # The tables' points are not the same on both sides of zero.
@@ -340,7 +344,7 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
-    parameters = resolved(edge_continuous=0.95, inner_continuous=0.05, alpha=1)
+    parameters = resolved(edge_continuous=0.95, inner_continuous=0.05, alpha=1, sight="generic")
     cannot_tell = line_log(lines * 2)
     can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
     shares = []

@@ -23,6 +23,7 @@ from egolane_pgm.vision.camera.model import Camera, image_to_road, vanishing_poi
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import files_matching
 from tests.kits.calibration_kit import TRUE, draw_road, unturned
+from tests.kits.synthetic_road import CAMERA, Paint, road
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5)
 WHOLE = road_lines.seen_mask(PLAIN)
@@ -330,3 +331,15 @@ def test_the_camera_of_the_real_lane_change_from_found_lines_only(real_pictures)
     view = view_from(camera, found.ahead, found.each, found.fits, 3.5, "stills")
     assert view.vanishing_point == pytest.approx((470, 214), abs=5)
     assert view.camera.height_m == pytest.approx(1.2, abs=0.08)
+
+
+def test_the_road_between_two_tar_seams_is_no_line(tmp_path) -> None:
+    """Taken for one, it halves the lanes, and the camera is twice as high."""
+    seams = [Paint(offset, grey=40, width_m=0.12) for offset in (-0.3, 0.3)]
+    for k in range(3):
+        image = road((Paint(-1.8, 4, 12), Paint(1.8, 4, 12), *seams), 3.1 * k, seed=k)
+        cv2.imwrite(str(tmp_path / f"{k}.png"), image)
+    lens = unturned(CAMERA)
+    found = find_in_stills(lens, files_matching(str(tmp_path)))
+    view = road_lines.view_from_stills(lens, found, 3.6).view
+    assert view.camera.height_m == pytest.approx(CAMERA.height_m, rel=0.05)

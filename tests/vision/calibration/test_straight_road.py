@@ -22,6 +22,7 @@ from egolane_pgm.vision.calibration.straight_road import (
     RoadView,
     assumed_camera,
     check_lane_width,
+    doubts_of,
     fit_frame,
     from_level,
     from_level_to_image,
@@ -292,3 +293,19 @@ def test_the_camera_of_the_real_labels(real_pictures):
     view = view_of_road(assumed_camera(1280, 720), lines, 3.66)
     assert view.vanishing_point == pytest.approx((658, 236), abs=6)
     assert view.camera.height_m == pytest.approx(1.68, abs=0.04)
+
+
+@pytest.mark.parametrize(
+    ("width", "said"), [(3.6, ""), (2.1, "two lanes were taken"), (5.9, "half a lane was taken")]
+)
+def test_a_height_that_no_car_has_is_doubted(width: float, said: str) -> None:
+    """The lanes are 3.6 m wide, the camera is 1.4 m above the road."""
+    view = view_of_road(
+        PLAIN,
+        [lines_of(replace(PLAIN, height_m=1.4, pitch_deg=-2.0), (-5.4, -1.8, 1.8, 5.4))] * 3,
+        width,
+    )
+    assert view.camera.lane_width_m == width
+    doubts = doubts_of(view)
+    assert len(doubts) == bool(said)
+    assert said in "".join(doubts)

@@ -146,7 +146,10 @@ def test_the_sky_has_no_road_under_it():
 def test_a_camera_comes_back_from_its_file(tmp_path):
     plain = replace(LEVEL, pitch_deg=1.0, yaw_deg=2.0, roll_deg=3.0, lateral_m=0.1)
     ignore = ((0, 600, 1280, 720), (-5, 0, 200, 30))
-    for camera in (plain, replace(plain, distortion=LENS, baseline_m=0.5, ignore=ignore)):
+    for camera in (
+        plain,
+        replace(plain, distortion=LENS, baseline_m=0.5, lane_width_m=3.3, ignore=ignore),
+    ):
         write_camera(tmp_path / "cam.yaml", camera, "by hand\nwith care: twice")
         assert read_camera(tmp_path / "cam.yaml") == camera
 

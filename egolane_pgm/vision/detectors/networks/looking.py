@@ -13,13 +13,14 @@ from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Answer
 from egolane_pgm.vision.detectors.networks.description import (
     NO_NETWORK,
     Network,
     NetworkFile,
     read_network,
 )
-from egolane_pgm.vision.detectors.networks.layouts import Answer, answer, from_above
+from egolane_pgm.vision.detectors.networks.layouts import answer, from_above
 from egolane_pgm.vision.detectors.networks.running import fit_of, load
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
@@ -36,15 +37,15 @@ PARAMETERS = (
         "on_road_margin_m",
         "non_negative",
         "auto",
-        "how far beside what the network sees marking is kept, metres; auto: 0.3 beside lines, 0"
-        " beside an area, because a margin lets in the flanks of vehicles",
+        "how far beside what the network sees marking is kept, metres; auto: 0.3, as many networks"
+        " leave the paint out of the road's area",
         choices=("auto",),
         highest=10,
     ),
 )
 
-#: The margin beside lines where none is given, metres.
-_BESIDE_LINES_M = 0.3
+#: The margin where none is given, metres.
+_MARGIN_M = 0.3
 
 
 def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | None]:
@@ -70,7 +71,8 @@ def keep(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye, Picture]
     if parameters["on_road"] == NO_NETWORK:
         return None
     network = read_network(str(parameters["on_road"]))
-    look, margin = looker(network, camera), _margin_m(network, parameters)
+    look, given = looker(network, camera), parameters["on_road_margin_m"]
+    margin = _MARGIN_M if given == "auto" else number(parameters, "on_road_margin_m")
     last = Answer(None)
 
     def kept(view: BirdsEye, picture: Picture) -> BoolArray:
@@ -82,27 +84,7 @@ def keep(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye, Picture]
     return kept
 
 
-def _margin_m(network: Network, parameters: Parameters) -> float:
-    if parameters["on_road_margin_m"] == "auto":
-        return 0.0 if network.layout == "drivable" else _BESIDE_LINES_M
-    return number(parameters, "on_road_margin_m")
-
-
 def grown(view: BirdsEye, mask: NDArray[np.uint8], margin_m: float) -> NDArray[np.uint8]:
     """The mask (R, C) with all that is within a margin, metres, to the side."""
     wide = 2 * round(margin_m / view.across_m) + 1
     return cv2.dilate(mask, np.ones((1, wide), dtype=np.uint8)).astype(np.uint8, copy=False)
-
-
-def markings(
-    camera: Camera, network: Network
-) -> Callable[[BirdsEye, Picture], NDArray[np.uint8] | None]:
-    """Makes a function that takes the bird's-eye view of a frame and its picture, and gives the
-    markings (R, C) that a network sees; None in frames that it skips."""
-    look = looker(network, camera)
-
-    def marks(view: BirdsEye, picture: Picture) -> NDArray[np.uint8] | None:
-        seen = look(picture)
-        return None if seen is None else from_above(view, seen)
-
-    return marks

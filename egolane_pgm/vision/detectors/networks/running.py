@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -14,14 +16,16 @@ from numpy.typing import NDArray
 from egolane_pgm.types import FloatArray, InputError, suggestion
 from egolane_pgm.vision.camera.picture import Image, check_size
 from egolane_pgm.vision.camera.writing import silent
-from egolane_pgm.vision.detectors.networks.description import Network
-from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
+from egolane_pgm.vision.detectors.networks.anchors import ROWS
+from egolane_pgm.vision.detectors.networks.answers import Outputs
+from egolane_pgm.vision.detectors.networks.description import OUTPUTS, POLYNOMIAL, Network
+from egolane_pgm.vision.detectors.networks.onnx_file import Declared, Shape, read_onnx
 
-#: What a network gives for one picture, without the first axis.
-Output = NDArray[np.float32]
+#: Takes the next picture (H, W, 3) of a drive and gives the outputs that are looked at.
+Run = Callable[[Image], Outputs]
 
-#: Takes a picture (H, W, 3) and gives the output that is looked at.
-Run = Callable[[Image], Output]
+#: The name of an output, and which part of its last axis is meant.
+_Part = tuple[str, slice]
 
 
 @dataclass(frozen=True)
@@ -84,28 +88,68 @@ def load(network: Network, fit: Fit) -> Run:
     """Loads a network and tries it once.
 
     Raises InputError for a file that is no ONNX or that OpenCV cannot run, and for a network whose
-    input or output differs from what its YAML says. `Run` raises it for an output that is not
+    inputs or outputs differ from what its YAML says. `Run` raises it for an output that is not
     finite.
     """
     where, onnx = str(network.file), network.onnx
     declared = read_onnx(onnx, f"{where}: model")
-    _check_input(network, declared)
-    name = _output_name(network, declared)
+    picture = _picture_input(network, declared)
+    parts = _parts(network, declared)
     with _opencv_errors(f"{where}: model: OpenCV {cv2.__version__} cannot load {onnx}"):
         net = cv2.dnn.readNetFromONNX(np.frombuffer(declared.content, dtype=np.uint8))
 
-    def run(image: Image) -> Output:
+    names, given = list(declared.outputs), _first_inputs(network, declared)
+
+    def run(image: Image) -> Outputs:
         values = as_input(network, fit, image)
         with _opencv_errors(f"{where}: OpenCV {cv2.__version__} cannot run {onnx}"):
-            net.setInput(values)
-            found = net.forward(name)
-        output = np.asarray(found)
-        _check_output(network, name, output)
-        return np.asarray(output[0], dtype=np.float32)
+            for port, value in (*given.items(), (picture, values)):
+                net.setInput(value, port)
+            # OpenCV 5 gives all outputs or one.
+            found = dict(zip(names, map(np.asarray, net.forward(names)), strict=True))
+        outputs = {role: _part(found, part) for role, part in parts.items()}
+        _check_outputs(network, parts, outputs)
+        for port, source in network.inputs.items():
+            if isinstance(source, str):
+                _push(given[port], _part(found, named(source)))
+        return {role: value[0].astype(np.float64) for role, value in outputs.items()}
 
     grey = np.full((fit.height, fit.width, 3), 114, dtype=np.uint8)
     run(grey)
+    given = _first_inputs(network, declared)
     return run
+
+
+def named(text: str) -> _Part:
+    """The name and the part of `name[first:stop:step]`."""
+    name, *bounds = re.fullmatch(  # type: ignore[union-attr]
+        r"(.*?)(?:\[(-?\d*):(-?\d*)(?::(\d+))?\])?", text
+    ).groups()
+    return name, slice(*(int(bound) if bound else None for bound in bounds))
+
+
+def _part(found: Mapping[str, NDArray[Any]], part: _Part) -> NDArray[Any]:
+    name, which = part
+    return found[name][..., which] if which != slice(None) else found[name]
+
+
+def _first_inputs(network: Network, declared: Declared) -> dict[str, NDArray[np.float32]]:
+    """What all inputs but the picture get at first: constants, and zeros for what is fed back."""
+    given = {}
+    for name, value in network.inputs.items():
+        shape = [size or 1 for size in declared.inputs[name] or ()]
+        numbers = np.array(0 if isinstance(value, str) else value, dtype=np.float32)
+        if numbers.size not in (1, math.prod(shape)):
+            needed = said(declared.inputs[name])
+            raise InputError(f"{network.file}: inputs.{name}: {numbers.size} numbers, not {needed}")
+        given[name] = np.array(np.broadcast_to(numbers.ravel(), math.prod(shape))).reshape(shape)
+    return given
+
+
+def _push(state: NDArray[np.float32], new: NDArray[Any]) -> None:
+    """Puts an output behind what a state already holds; the oldest numbers leave it."""
+    both = np.concatenate([state.ravel(), new.ravel().astype(np.float32)])
+    state[...] = both[-state.size :].reshape(state.shape)
 
 
 @contextmanager
@@ -120,70 +164,131 @@ def _opencv_errors(message: str) -> Iterator[None]:
         raise InputError(f"{message}: {said.removesuffix(' >')[:240]}") from None
 
 
-def _check_input(network: Network, declared: Declared) -> None:
+def _picture_input(network: Network, declared: Declared) -> str:
+    """The name of the input that gets the picture. Raises InputError for other inputs than the YAML
+    says."""
     where = f"{network.file}: model: {network.onnx.name}"
-    if len(declared.inputs) != 1:
-        names = ", ".join(declared.inputs) or "none"
-        raise InputError(f"{where} takes {len(declared.inputs)} inputs ({names}), not one picture")
-    ((name, shape),) = declared.inputs.items()
-    if shape is None:
-        return
+    sources = [source for source in network.inputs.values() if isinstance(source, str)]
+    for names, known in ((network.inputs, declared.inputs), (sources, declared.outputs)):
+        for name in names:
+            if named(name)[0] not in known:
+                hint = suggestion(name, known)
+                raise InputError(f"{network.file}: inputs: unknown name '{name}'{hint}")
+    left = [name for name in declared.inputs if name not in network.inputs]
+    if len(left) != 1:
+        listed = ", ".join(declared.inputs) or "none"
+        raise InputError(
+            f"{where} takes {len(declared.inputs)} inputs ({listed}), not one picture; say in"
+            f" inputs what the others get, e.g. inputs: {{{left[-1] if left else 'state'}: 0}}"
+        )
+    name, shape = left[0], declared.inputs[left[0]]
     needed = (1, 3, network.size[1], network.size[0])
-    fits = len(shape) == 4 and all(
-        size in (None, want) for size, want in zip(shape, needed, strict=True)
+    fits = shape is None or (
+        len(shape) == 4
+        and all(size in (None, want) for size, want in zip(shape, needed, strict=True))
     )
     if not fits:
-        takes = " x ".join("?" if size is None else str(size) for size in shape)
-        gets = " x ".join(map(str, needed))
         raise InputError(
-            f"{where} takes {takes} ({name}), but size {list(network.size)} makes {gets}"
-            " (pictures, colours, height, width)"
+            f"{where} takes {said(shape)} ({name}), but size {list(network.size)} makes"
+            f" {said(needed)} (pictures, colours, height, width)"
         )
+    return name
 
 
-def _output_name(network: Network, declared: Declared) -> str:
-    where, names = str(network.file), list(declared.outputs)
-    if network.output is None:
-        if len(names) != 1:
+def _parts(network: Network, declared: Declared) -> dict[str, _Part]:
+    """The output, or the part of it, for each thing that the layout reads."""
+    names, given = list(declared.outputs), network.named_outputs
+    if network.output is None and len(names) == len(given) == 1:
+        given = dict.fromkeys(given, names[0])
+    parts = {role: named(text) for role, text in given.items()}
+    for name, _ in parts.values():
+        if name not in names:
+            hint = suggestion(name, names)
+            what = f"unknown name '{name}'{hint}" if network.output else "is missing"
             raise InputError(
-                f"{where}: output: is missing; {network.onnx.name} gives {', '.join(names)}"
+                f"{network.file}: output: {what}; {network.onnx.name} gives {', '.join(names)}"
             )
-        return names[0]
-    if network.output not in names:
-        raise InputError(
-            f"{where}: output: unknown name '{network.output}'{suggestion(network.output, names)}"
-        )
-    return network.output
+    return parts
 
 
-def _check_output(network: Network, name: str, output: NDArray[np.generic]) -> None:
-    """Raises InputError for an output of another shape than the YAML says, or with NaN."""
-    where = f"{network.file}: output {name}"
-    shape, found = output.shape, " x ".join(map(str, output.shape))
-    if output.dtype.kind != "f":
-        raise InputError(f"{where} gives {output.dtype}, not probabilities or logits")
-    n_axes = 3 if network.layout == "polylines" else 4
-    if len(shape) != n_axes or shape[0] != 1 or 0 in shape:
-        raise InputError(
-            f"{where} is {found}; layout {network.layout} needs {n_axes} axes, the first of length"
-            " 1 (docs/networks.md)"
-        )
-    if network.classes is not None and shape[1] != network.classes:
-        raise InputError(
-            f"{where} has {shape[1]} classes ({found}), but the YAML says classes:"
-            f" {network.classes}"
-        )
-    if network.rows is not None and shape[2] != len(network.rows):
-        raise InputError(
-            f"{where} has {shape[2]} rows ({found}), but the YAML lists {len(network.rows)}"
-        )
-    if network.first_x is not None:
-        last = max(network.first_x + 1, network.start or 0, network.length or 0)
-        if last >= shape[2]:
+def said(shape: Shape) -> str:
+    """A shape in words: 1 x 3 x ? x ?."""
+    return " x ".join("?" if size is None else str(size) for size in shape or (None,))
+
+
+def lengths(patterns: dict[str, str], shapes: Mapping[str, Shape]) -> dict[str, int] | str:
+    """The length of each letter of some patterns (`description.OUTPUTS`), or the name of the first
+    shape that does not fit. A size that is not known fits."""
+    found: dict[str, int] = {}
+    for name, shape in shapes.items():
+        pattern = patterns.get(name, patterns.get(f"({name})", "")).split()
+        if not pattern or shape is None:
+            continue
+        if len(pattern) != len(shape):
+            return name
+        for letter, size in zip(pattern, shape, strict=True):
+            if size is not None and size != found.setdefault(
+                letter, int(letter) if letter.isdecimal() else size
+            ):
+                return name
+    return found
+
+
+def _check_outputs(
+    network: Network, parts: dict[str, _Part], outputs: dict[str, NDArray[Any]]
+) -> None:
+    """Raises InputError for outputs of other shapes than the YAML says, or with NaN."""
+    patterns = OUTPUTS[network.layout]
+    sizes = lengths(patterns, {role: value.shape for role, value in outputs.items()})
+    for role, output in outputs.items():
+        where, found = f"{network.file}: output {parts[role][0]}", said(output.shape)
+        if output.dtype.kind != "f":
+            raise InputError(f"{where} gives {output.dtype}, not probabilities or logits")
+        if sizes == role or 0 in output.shape:
             raise InputError(
-                f"{where} has {shape[2]} numbers per line ({found}); first_x, start and length"
-                " must be among them"
+                f"{where} is {found}; layout {network.layout} needs"
+                f" {patterns[role].replace(' ', ' x ')} (docs/networks.md)"
             )
-    if not np.isfinite(output).all():
-        bad = np.count_nonzero(~np.isfinite(output))
-        raise InputError(f"{where}: {bad} of {output.size} numbers are not finite (NaN)")
+        if not np.isfinite(output).all():
+            bad = np.count_nonzero(~np.isfinite(output))
+            raise InputError(f"{where}: {bad} of {output.size} numbers are not finite (NaN)")
+    assert isinstance(sizes, dict)
+    counts = {role: output.size for role, output in outputs.items()}
+    if problem := _wrong_length(network, sizes) or _wrong_count(network, counts):
+        raise InputError(f"{network.file}: output: {problem}")
+
+
+def _wrong_length(network: Network, sizes: dict[str, int]) -> str | None:
+    """What differs from the numbers that the YAML says, None where nothing does."""
+    last = max(network.first_x or 0, network.start or 0, network.length or 0)
+    if isinstance(network.classes, int) and sizes.get("k", network.classes) != network.classes:
+        return f"has {sizes['k']} classes, but the YAML says classes: {network.classes}"
+    if max(network.looked_at, default=0) >= sizes.get("k", math.inf):
+        return f"has {sizes['k']} classes, counted from 0, but the YAML names others"
+    rows = network.rows
+    if isinstance(rows, str):
+        rows = tuple(ROWS[rows]) if network.layout == "row_anchors" else None
+    if rows is not None and sizes["r"] != len(rows):
+        return f"has {sizes['r']} rows, but the YAML has {len(rows)}"
+    if network.layout == "prototypes" and sizes["b"] - 6 != sizes["m"] > sizes["a"] - 5:
+        return f"has boxes of {sizes['a']} numbers, too few for {sizes['m']} prototypes"
+    if network.layout == "polynomials" and sizes["k"] % POLYNOMIAL:
+        return f"has {sizes['k']} numbers; each polynomial needs {POLYNOMIAL}"
+    if network.layout == "polylines" and sizes["k"] <= last + 1:
+        return f"has {sizes['k']} numbers per line; first_x, start and length must be among them"
+    return None
+
+
+def _wrong_count(network: Network, counts: dict[str, int]) -> str | None:
+    """What does not fit of the numbers of lines on the road, None where all does."""
+    if network.ahead is None:
+        return None
+    n_lines, rest = divmod(counts["places"], len(network.ahead))
+    if rest or not n_lines:
+        return f"has {counts['places']} places, not a multiple of {len(network.ahead)} distances"
+    if counts["scores"] % n_lines:
+        return f"has {counts['scores']} scores for {n_lines} lines"
+    for role in ("deviations", "visible"):
+        if counts.get(role, counts["places"]) != counts["places"]:
+            return f"has {counts[role]} {role} for {counts['places']} places"
+    return None

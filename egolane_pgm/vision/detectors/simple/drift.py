@@ -29,7 +29,7 @@ from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
-from egolane_pgm.vision.detectors.simple.fit import Found, find_lines
+from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, lane_width_m
 
 PARAMETERS = (
     Parameter(
@@ -52,7 +52,7 @@ PARAMETERS = (
 )
 
 #: The pitch has drifted if it is off by more than this and two standard deviations, degrees.
-_DRIFT_DEG = 0.4
+_DRIFT_DEG = 0.3
 
 #: The differences from the calibrated pitch that the belief is about, degrees.
 _GRID = np.linspace(-3.0, 3.0, 121)
@@ -95,6 +95,9 @@ _CORRECTION_DEG = 0.1
 #: Distances of neighbouring lines that may be one lane, in usual widths. The finder sees no lines
 #: nearer to each other, and wider gaps are two lanes.
 _ONE_LANE = (0.6, 1.5)
+
+#: The least share of all distances that may be one lane.
+_LEAST_USUAL = 0.2
 
 #: How many of the last such distances are kept, and how many are needed to speak of the height.
 _GAPS, _LEAST_GAPS = 100, 20
@@ -167,12 +170,18 @@ def parallel_at(view: BirdsEye, found: Found) -> float:
     return -math.degrees(squeeze * view.camera.height_m)
 
 
-def with_gaps(drift: Drift, found: Found, parameters: Parameters) -> Drift:
+def with_gaps(drift: Drift, found: Found) -> Drift:
     """The belief with the distances of the neighbouring lines found in one more picture."""
-    gaps = np.diff(found.shape[:, 0]) / number(parameters, "lane_width_m")
-    low, high = _ONE_LANE
-    gaps = gaps[(gaps > low) & (gaps < high)] * number(parameters, "lane_width_m")
+    gaps = np.diff(found.shape[:, 0])
     return replace(drift, gaps_m=np.concatenate([drift.gaps_m, gaps])[-_GAPS:])
+
+
+def lane_gaps(gaps_m: FloatArray, usual_m: float) -> FloatArray:
+    """Those of the distances of neighbouring lines that are lanes: the ones that may be a usual
+    lane, if at least a fifth of all may, and else all of them: then the scale is wrong."""
+    low, high = usual_m * np.array(_ONE_LANE)
+    may_be = gaps_m[(gaps_m > low) & (gaps_m < high)]
+    return may_be if len(may_be) >= _LEAST_USUAL * len(gaps_m) else gaps_m
 
 
 def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float, float]:
@@ -183,11 +192,12 @@ def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float,
     lanes of a road vary by `lane_width_sd` about `lane_width_m`, and no number of pictures of one
     road makes the height surer than that.
     """
-    if len(drift.gaps_m) < _LEAST_GAPS:
+    usual, sd = lane_width_m(camera, parameters), number(parameters, "lane_width_sd")
+    gaps = lane_gaps(drift.gaps_m, usual)
+    if len(gaps) < _LEAST_GAPS:
         return float("nan"), float("nan")
-    usual, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
-    width = float(np.median(drift.gaps_m))
-    scatter = float(np.median(np.abs(drift.gaps_m - width))) * 1.48 / math.sqrt(len(drift.gaps_m))
+    width = float(np.median(gaps))
+    scatter = float(np.median(np.abs(gaps - width))) * 1.48 / math.sqrt(len(gaps))
     found = camera.height_m * usual / width
     return found, found * math.hypot(sd / usual, scatter / width)
 
@@ -229,7 +239,7 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
         best = int(np.argmax(amount))
         drift = looked(drift, away, np.array(amount), parallel[best])
         if (lines := found[best]) is not None:
-            drift = with_gaps(drift, lines, parameters)
+            drift = with_gaps(drift, lines)
         for what, said in _complaints(view.camera, drift, parameters).items():
             if not has_warned[what]:
                 has_warned[what] = True
@@ -273,9 +283,10 @@ def _complaints(camera: Camera, drift: Drift, parameters: Parameters) -> dict[st
         )
     high, high_sd = height(camera, drift, parameters)
     if abs(high - camera.height_m) > _GROSS * camera.height_m + 2 * high_sd:
-        width = number(parameters, "lane_width_m")
+        width = lane_width_m(camera, parameters)
+        seen = np.median(lane_gaps(drift.gaps_m, width))
         said["height"] = (
-            f"{name}: lanes look {np.median(drift.gaps_m):.1f} m wide; if they are {width:g} m"
+            f"{name}: lanes look {seen:.1f} m wide; if they are {width:g} m"
             f" (lane_width_m), the camera is {high:.2f} m (standard deviation {high_sd:.2f}) above"
             f" the road, but it was calibrated with height_m {camera.height_m:.2f}; calibrate it"
             " again with the width of the lanes, or set lane_width_m to it"

@@ -22,6 +22,7 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
+from egolane_pgm.vision.detectors.simple.blur import is_nothing_but_noise, sharpened
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.vision.detectors.simple.kernels import (
     common_scores,
@@ -29,7 +30,7 @@ from egolane_pgm.vision.detectors.simple.kernels import (
 )
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
-from egolane_pgm.vision.detectors.simple.upright import free_road
+from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
 #: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
 #: height, 1/m) and rate (1/m^2). First their usual sizes, standard deviations, then the largest
@@ -47,6 +48,16 @@ _SLOPE_SD = 0.05
 
 #: `least_rise` in a picture full of streaks: what is left of these adds to the contrast around.
 _STREAKY_RISE = 3.0
+
+#: In noise the picture is blurred over some pixels, and its view over some metres along the road;
+#: what is left of the noise must not be taken for a line. These values were chosen on the first 55
+#: stills with noise of a standard deviation of 15 to 60.
+_NOISY_BLUR, _NOISY_ALONG_M = (5, 5), 0.9
+_NOISY = {"least_rise": 3.4, "smooth_along_m": 1.5, "least_score": 0.22}
+
+#: A picture that was smeared up and down shows lines farther ahead than this as bands, metres, and
+#: the others with less contrast. Chosen on the first 55 stills with a blur of 15 rows.
+_SMEARED_TO_M, _SMEARED_RISE = 20.0, 3.0
 
 #: Which of them each curve has.
 _HAS = {
@@ -83,6 +94,9 @@ _WEAK = 1e-3
 #: The visible length that coverage is at least divided by, metres: a shorter view says too little.
 _LEAST_VISIBLE_M = 5.0
 
+#: The width of lanes where neither the user nor the camera's calibration names one, metres.
+_LANE_M = 3.66
+
 #: The largest share of a neighbour's own score that counts as support.
 _MOST_SUPPORT = 0.5
 
@@ -95,12 +109,14 @@ class Found:
     - score: (M,) share of the visible length that contours cover, plus support from neighbours
     - coverage: (M,) share of the visible length that contours cover, after the refinement
     - visible: (M,) length of the line in view, metres
+    - hidden: the share of the road in view that vehicles seem to hide
     """
 
     shape: FloatArray
     score: FloatArray
     coverage: FloatArray
     visible: FloatArray
+    hidden: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -139,6 +155,13 @@ def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
     )
 
 
+def lane_width_m(camera: Camera, parameters: Parameters) -> float:
+    """The usual width of lanes, metres: as the parameter says, or as the camera does."""
+    if parameters["lane_width_m"] == "auto":
+        return _LANE_M if camera.lane_width_m is None else camera.lane_width_m
+    return number(parameters, "lane_width_m")
+
+
 def find_lines(
     view: BirdsEye,
     image: Image,
@@ -158,16 +181,33 @@ def find_lines(
 
     Raises InputError for a picture of another size than the calibration.
     """
-    is_given = mask is not None
+    is_given, hidden = mask is not None, 0.0
     if mask is None:
         cover = streak_cover(image, parameters)
         if cover > NOISE:
-            return _nothing()
-        if cover > RAIN:
+            if is_nothing_but_noise(image):
+                return _nothing()
+            # Bends and what is far away drown first.
+            view = _nearer(view, number(parameters, "straight_to_m"))
+            image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
+            parameters = {**parameters, **_NOISY, "curve": "line"}
+        elif cover > RAIN:
             image = without_streaks(image, parameters)
             parameters = {**parameters, "least_rise": _STREAKY_RISE}
+        else:
+            image, is_smeared = sharpened(image)
+            if is_smeared:
+                view = _nearer(view, _SMEARED_TO_M)
+                parameters = {**parameters, "least_rise": _SMEARED_RISE}
         above = from_above(view, image)
-        view = replace(view, valid=view.valid & free_road(view, above, parameters))
+        if cover > NOISE:
+            rows = max(round(_NOISY_ALONG_M / view.along_m), 1)
+            above = cv2.blur(above, (1, rows)).astype(np.uint8, copy=False)
+        if not is_daylight(view.camera, image):
+            parameters = {**parameters, "shadow_share": 0.0}
+        free = free_road(view, above, parameters)
+        hidden = float(np.count_nonzero(view.valid & ~free)) / max(int(view.valid.sum()), 1)
+        view = replace(view, valid=view.valid & free)
         mask = marking_mask(view, above, parameters)
     if on_road is not None:
         mask[~on_road] = 0
@@ -175,7 +215,12 @@ def find_lines(
     if is_given:
         usual = np.full_like(strips.width_m, number(parameters, "stripe_m"))
         strips = replace(strips, width_m=usual)
-    return fit_lines(view, strips, parameters, prior_shape)
+    return replace(fit_lines(view, strips, parameters, prior_shape), hidden=hidden)
+
+
+def _nearer(view: BirdsEye, far_m: float) -> BirdsEye:
+    """The view without what is farther ahead."""
+    return replace(view, valid=view.valid & (view.x_m <= far_m)[:, None])
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:
@@ -321,13 +366,13 @@ def _scores(
     shown = _visible(view, common.shape(centre))
     full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
     own = np.minimum(covered / full, 1.0)
-    bonus = number(parameters, "neighbour_bonus")
-    return centre, np.where(own > 0.03, own + bonus * _support(own, parameters), own)
+    bonus, width = number(parameters, "neighbour_bonus"), lane_width_m(view.camera, parameters)
+    return centre, np.where(own > 0.03, own + bonus * _support(own, width, parameters), own)
 
 
-def _support(own: FloatArray, parameters: Parameters) -> FloatArray:
+def _support(own: FloatArray, width: float, parameters: Parameters) -> FloatArray:
     """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
-    width, sd = number(parameters, "lane_width_m"), number(parameters, "lane_width_sd")
+    sd = number(parameters, "lane_width_sd")
     lag = np.arange(1, len(own))
     lag = lag[np.abs(lag * _BIN_M - width) <= 3 * sd + _BIN_M]
     if not len(lag):

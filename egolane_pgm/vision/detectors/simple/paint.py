@@ -40,6 +40,11 @@ _LENGTH_M, _REACH_M = 10.0, 0.25
 #: beside the line (on the side with less).
 _LEAST, _OVER_NOISE = 0.14, 2.0
 
+#: A line with a gap longer than this, metres, is broken however long its strokes are (those of the
+#: block marking of an exit lane are longer than its gaps, of 3 m and more), and counts as painted
+#: over this share at most.
+_GAP_M, _BROKEN = 2.0, 0.5
+
 #: Added to the local brightness (grey levels), so that noise in the dark does not count as paint.
 _DARK = 10.0
 
@@ -72,7 +77,10 @@ def painted_share(
             number(parameters, "paint_share") * _quantile(own, 0.9),
             _OVER_NOISE * _quantile(other, 0.5),
         )
-        shares[k] = (own > least).mean()
+        painted = np.flatnonzero(own > least)
+        shares[k] = len(painted) / len(own)
+        if np.diff(painted, prepend=painted[:1]).max(initial=0) * view.along_m > _GAP_M:
+            shares[k] = min(shares[k], _BROKEN)
     return shares
 
 

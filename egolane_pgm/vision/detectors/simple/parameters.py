@@ -94,7 +94,14 @@ _FIT = (
     ),
     Parameter("apart_m", "positive", 2.2, "least distance between lines, metres"),
     Parameter("stripe_m", "positive", 0.1, "width of a marking that counts in full, metres"),
-    Parameter("lane_width_m", "positive", 3.66, "usual distance of neighbouring lines, metres"),
+    Parameter(
+        "lane_width_m",
+        "positive",
+        "auto",
+        "usual distance of neighbouring lines, metres; auto: the width that the camera was"
+        " calibrated with, 3.66 where it names none",
+        choices=("auto",),
+    ),
     Parameter("lane_width_sd", "sigma", 0.2, "standard deviation of that distance, metres"),
     Parameter("neighbour_bonus", "non_negative", 0.5, "score that a line lends to its neighbours"),
     Parameter("least_score", "non_negative", 0.12, "least score of a line that is kept"),

@@ -47,7 +47,8 @@ class Tracks:
 
     - number: (L,) identifies a line for as long as it is followed
     - mean, covariance: (L, 4) and (L, 4, 4), of the line's parameters
-    - hits: (L, k) whether it was detected in the last k frames, the newest last
+    - hits: (L, k) how probable its detection was in the last k frames, the newest last; 0 for none,
+      1 for one of which nobody says how probable it is
     - excess: (L,) how many detections it has beyond the share that makes it valid, 0 to k
     - votes: (L, v) of its last v detections: 1 for continuous, 0 for dashed, NaN for no vote
     - missed: (L,) frames since it was last detected
@@ -59,7 +60,7 @@ class Tracks:
     number: IntArray
     mean: FloatArray
     covariance: FloatArray
-    hits: BoolArray
+    hits: FloatArray
     excess: FloatArray
     votes: FloatArray
     missed: IntArray
@@ -72,9 +73,9 @@ class Tracks:
         return len(self.number)
 
     @property
-    def lri(self) -> IntArray:
-        """The number of detections in the last k frames, (L,)."""
-        detections: IntArray = self.hits.sum(axis=1)
+    def lri(self) -> FloatArray:
+        """The expected number of true detections in the last k frames, (L,)."""
+        detections: FloatArray = self.hits.sum(axis=1)
         return detections
 
 
@@ -166,7 +167,7 @@ def no_tracks(rule: Rules) -> Tracks:
         number=np.zeros(0, dtype=np.int64),
         mean=np.zeros((0, 4)),
         covariance=np.zeros((0, 4, 4)),
-        hits=np.zeros((0, n_hits), dtype=bool),
+        hits=np.zeros((0, n_hits)),
         excess=np.zeros(0),
         votes=np.zeros((0, n_votes)),
         missed=np.zeros(0, dtype=np.int64),
@@ -183,20 +184,28 @@ def expected(tracks: Tracks) -> FloatArray:
     return shapes[np.argsort(shapes[:, 0], kind="stable")]
 
 
-def advance(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: FloatArray) -> Tracks:
+def advance(
+    tracks: Tracks,
+    rule: Rules,
+    shape: FloatArray,
+    coverage: FloatArray,
+    likely: FloatArray | None = None,
+) -> Tracks:
     """The tracks after one more frame.
 
     - shape: (M, 4) the lines found in it
     - coverage: (M,) the share of each line that is painted; NaN where that is unknown
+    - likely: (M,) how probable each line is; 1 where it is left out
     """
+    likely = np.ones(len(shape)) if likely is None else likely
     shape = np.where(np.arange(4) < rule.n_values, shape, 0.0)
     tracks = predicted(tracks, rule)
     matched = _match(tracks, rule, shape)
-    tracks = _update(tracks, rule, matched, shape, coverage)
+    tracks = _update(tracks, rule, matched, shape, coverage, likely)
     is_new = np.ones(len(shape), dtype=bool)
     is_new[matched[matched >= 0]] = False
     for found in np.flatnonzero(is_new):
-        new = _new_track(tracks, rule, shape[found], coverage[found])
+        new = _new_track(tracks, rule, shape[found], coverage[found], likely[found])
         is_apart = _gaps(tracks.mean, shape[found], rule) >= rule["tracks_apart_m"]
         if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
             tracks = _joined(tracks, new)
@@ -219,7 +228,7 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
         tracks.mean[order],
         tracks.is_valid[order],
         is_continuous[order],
-        tracks.lri[order].astype(np.float64),
+        tracks.lri[order],
         tracks.number[order],
     )
 
@@ -264,7 +273,12 @@ def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
 
 
 def _update(
-    tracks: Tracks, rule: Rules, matched: IntArray, shape: FloatArray, coverage: FloatArray
+    tracks: Tracks,
+    rule: Rules,
+    matched: IntArray,
+    shape: FloatArray,
+    coverage: FloatArray,
+    likely: FloatArray,
 ) -> Tracks:
     """Updates the matched lines by a Kalman step, and counts the hits and votes of all lines."""
     is_hit = matched >= 0
@@ -287,6 +301,8 @@ def _update(
     )
     is_known = np.isfinite(coverage[found])
     voting = np.flatnonzero(is_hit)[is_known]
+    hit = np.zeros(len(tracks))
+    hit[is_hit] = likely[found]
     vote = coverage[found][is_known] >= rule["continuous_cover"]
     votes[voting] = np.concatenate([votes[voting][:, 1:], vote[:, None]], axis=1)
     return replace(
@@ -294,7 +310,7 @@ def _update(
         mean=mean,
         covariance=covariance,
         votes=votes,
-        hits=np.concatenate([tracks.hits[:, 1:], is_hit[:, None]], axis=1),
+        hits=np.column_stack([tracks.hits[:, 1:], hit]),
         excess=np.clip(
             tracks.excess + np.where(is_hit, 1.0, -rule.miss_cost), 0.0, tracks.hits.shape[1]
         ),
@@ -323,10 +339,12 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
     return shift
 
 
-def _new_track(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) -> Tracks:
+def _new_track(
+    tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float, likely: float
+) -> Tracks:
     """Tracks with a single line, which was detected for the first time."""
-    hits = np.zeros((1, tracks.hits.shape[1]), dtype=bool)
-    hits[0, -1] = True
+    hits = np.zeros((1, tracks.hits.shape[1]))
+    hits[0, -1] = likely
     votes = np.full((1, tracks.votes.shape[1]), np.nan)
     if np.isfinite(coverage):
         votes[0, -1] = coverage >= rule["continuous_cover"]
@@ -348,8 +366,8 @@ def _new_track(tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float) 
 def _with_validity(tracks: Tracks, rule: Rules) -> Tracks:
     """Sets `is_valid`: a line becomes valid with k detections in excess, which without a miss is
     the largest LRI (the paper's rule), and stays so until its LRI falls below a share of k."""
-    k = tracks.hits.shape[1]
-    is_valid = (tracks.excess >= k) | (tracks.is_valid & (tracks.lri >= rule["valid_until"] * k))
+    k, seen = tracks.hits.shape[1], (tracks.hits > 0).sum(axis=1)
+    is_valid = (tracks.excess >= k) | (tracks.is_valid & (seen >= rule["valid_until"] * k))
     return replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
 
 

@@ -5,7 +5,8 @@ colour of the vehicle. Seen along a ray from the camera, bright road ends there;
 the rays on which it ends at one distance are as wide as a vehicle. The shade of a bridge is wider,
 a crack or a seam is narrower. Behind its foot a vehicle hides the road, and its edges, which stand
 upright, appear in the bird's-eye view as streaks that point away from the camera. No marking is
-looked for there.
+looked for there. Where headlights end, at night, the road is dark as well, and nothing tells that
+from a shadow: vehicles are looked for by daylight only.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray
+from egolane_pgm.vision.camera.model import Camera, vanishing_point
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.vision.detectors.simple.kernels import feet_on_rays, in_front
@@ -35,6 +37,25 @@ _DARK, _EDGE, _ROAD = 5, 2, 8
 #: The narrowest and the widest foot, metres: a motorcycle is narrower, a lorry with the shadow
 #: that the low sun casts beside it is about as wide as its lane.
 _NARROWEST_M, _WIDEST_M = 0.8, 4.0
+
+
+#: The share of what is above the horizon that is no brighter than `is_daylight` takes for the sky
+#: (trees and bridges hide much of it), the same of the road, on which there are vehicles, and the
+#: least brightness of the sky over that of the road: in pictures of four cameras by day 0.7.
+_SKY, _LIT, _DAYLIGHT = 0.9, 0.75, 0.5
+
+
+def is_daylight(camera: Camera, image: Image) -> bool:
+    """Whether the sky in a picture, (H, W, 3) or (H, W), is about as bright as the road, which
+    headlights alone do not make it. A picture without sky counts as taken by day."""
+    horizon = math.floor(vanishing_point(camera)[1])
+    red = (image if image.ndim == 2 else image[:, :, 2])[::8, ::8]
+    sky, below = red[: max(horizon, 0) // 8], red[max(horizon, 0) // 8 :]
+    # Where headlights shine brightest: not the bonnet, not far ahead.
+    road = below[len(below) // 4 : 3 * len(below) // 4, red.shape[1] // 4 : 3 * red.shape[1] // 4]
+    if not sky.size or not road.size:
+        return True
+    return bool(np.quantile(sky, _SKY) >= _DAYLIGHT * np.quantile(road, _LIT))
 
 
 def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray:

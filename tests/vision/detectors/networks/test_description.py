@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.detectors.networks.description import network_files, read_network
+from egolane_pgm.vision.detectors.networks.description import READY, network_files, read_network
 from egolane_pgm.vision.detectors.runner import find_detector
 from tests.kits.tiny_network import write_answer, write_network
 
@@ -31,12 +31,22 @@ def folder(tmp_path: Path) -> Path:
         ({"layout": "lane"}, "(did you mean 'lanes'?)"),
         ({"classes": None}, "layout lanes needs classes"),
         ({"channels": [2]}, "channels: 2 is not one of 2 classes, which are counted from 0"),
-        ({"rows": [1, 2]}, "rows: goes with layout row_anchors only"),
+        ({"rows": [1, 2]}, "rows: goes with layout row_anchors or hybrid_anchors only"),
         ({"layout": "row_anchors"}, "layout row_anchors needs rows"),
         ({"layout": "polylines"}, "classes: goes with layout drivable or lanes or"),
         ({"layout": "polylines", "classes": None}, "classes: goes with layout"),
         ({"classes": 1, "activation": "softmax"}, "softmax needs several classes"),
         ({"activation": "relu"}, "activation: 'relu' is not one of none, sigmoid, softmax"),
+        ({"layout": "hybrid_anchors", "rows": "bdd"}, "'bdd' is not one of tusimple, culane"),
+        (
+            {"layout": "prototypes", "output": {"box": "x"}},
+            "layout prototypes reads boxes, prototypes",
+        ),
+        ({"layout": "prototypes", "output": {"boxes": "x"}}, "reads boxes, prototypes"),
+        ({"layout": "prototypes", "output": "x"}, "reads boxes, prototypes"),
+        ({"classes": {"solid": [1]}}, "a line of lanes has none; say how many there are"),
+        ({"layout": "instances", "classes": {"double": [1]}}, "classes"),
+        ({"inputs": {"state": None}}, "inputs.state"),
         ({"scale": [1, 2]}, "scale"),
         ({"mean": float("nan")}, "is not a finite number"),
         ({"cut_top": 1}, "cut_top: input should be less than 1"),
@@ -66,6 +76,20 @@ def test_all_channels_but_the_background_are_looked_at(folder: Path) -> None:
         assert read_network(path).looked_at == wanted
 
 
+def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
+    """It is looked for beside the place that was named; a file of that name goes before it."""
+    (folder / "x.onnx").rename(folder / "lstr_360x640.onnx")
+    detector = find_detector("network", {"network": "lstr"}, folder, "detector")
+    named = folder.resolve() / "lstr.yaml"
+    assert detector.parameters["network"] == str(named)
+    assert read_network(named).onnx == folder.resolve() / "lstr_360x640.onnx"
+    assert network_files(detector.parameters) == [READY / "lstr.yaml", read_network(named).onnx]
+    with pytest.raises(InputError, match=r"scnn.yaml: model: no file .*scnn.onnx"):
+        read_network(folder / "scnn.yaml")
+    write_network(named, **{**GOOD, "model": "lstr_360x640.onnx"})
+    assert read_network(named).layout == "lanes"
+
+
 def test_a_network_is_found_relative_to_what_names_it(folder: Path) -> None:
     path = write_network(folder / "net.yaml", **GOOD)
     detector = find_detector("mc", {"on_road": "net.yaml"}, folder, "detector")
@@ -80,6 +104,7 @@ def test_a_network_is_found_relative_to_what_names_it(folder: Path) -> None:
         ("network", {}, "here_parameters.network: is missing; it names the YAML file of a network"),
         ("network", {"network": "none"}, "'none' is not the name of a network's .yaml file"),
         ("network", {"network": "x.onnx"}, "'x.onnx' is not the name of a network's .yaml file"),
+        ("network", {"network": "lsrt"}, ".yaml file (did you mean 'lstr'?)"),
         ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a network's .yaml"),
         ("ml", {"on_road_margin_m": -1}, "must not be negative"),
         ("ml", {"on_rode": "x.yaml"}, "unknown key 'on_rode' (did you mean 'on_road'?)"),

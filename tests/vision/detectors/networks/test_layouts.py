@@ -10,8 +10,9 @@ import pytest
 
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Answer, Line
 from egolane_pgm.vision.detectors.networks.description import read_network
-from egolane_pgm.vision.detectors.networks.layouts import Answer, from_above
+from egolane_pgm.vision.detectors.networks.layouts import from_above
 from egolane_pgm.vision.detectors.networks.looking import looker
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from tests.kits.synthetic_road import CAMERA, road
@@ -118,12 +119,12 @@ def test_row_anchors_are_read_as_ultra_fast_lane_detection_writes_them(tmp_path:
     output[0, cells, :5, 1] = 20
     keys: dict[str, Any] = {"layout": "row_anchors", "classes": cells + 1, "rows": ROWS.tolist()}
     found = seen(write_answer(tmp_path, output, **keys))
-    assert [len(line) for line in found.lines] == [11, 6, 11]
-    check_offsets(Answer(None, (found.lines[0], found.lines[2])), (OFFSETS[0], OFFSETS[2]))
+    assert [len(line.points) for line in found.lines] == [11, 6, 11]
+    check_offsets(Answer(None, found.lines[::2]), (OFFSETS[0], OFFSETS[2]))
     # Each point where it was put, in pixels of the picture.
     wanted = (columns()[1, 5:] + 0.5) * 6 - 0.5
-    np.testing.assert_allclose(found.lines[1][:, 0], wanted, atol=0.5)
-    np.testing.assert_allclose(found.lines[1][:, 1], (ROWS[5:] + 0.5) * 6.75 - 0.5)
+    np.testing.assert_allclose(found.lines[1].points[:, 0], wanted, atol=0.5)
+    np.testing.assert_allclose(found.lines[1].points[:, 1], (ROWS[5:] + 0.5) * 6.75 - 0.5)
 
 
 @pytest.mark.parametrize("in_pixels", [False, True])
@@ -143,12 +144,12 @@ def test_polylines_are_read_as_clrnet_and_laneatt_write_them(
     output[0, 0, 5] -= 4 if in_pixels else 4 / 39
     keys: dict[str, Any] = {"layout": "polylines", "start": 2, "length": 5, "first_x": 6}
     found = seen(write_answer(tmp_path, output, in_pixels=in_pixels, **keys))
-    assert [len(line) for line in found.lines] == [7, 11, 11, 11]
-    assert found.lines[0][0, 1] == pytest.approx((27 + 0.5) * 6.75 - 0.5)
+    assert [len(line.points) for line in found.lines] == [7, 11, 11, 11]
+    assert found.lines[0].points[0, 1] == pytest.approx((27 + 0.5) * 6.75 - 0.5)
     check_offsets(Answer(None, found.lines[1:]), OFFSETS[1:])
 
 
 def test_points_above_the_horizon_are_no_place_on_the_road() -> None:
     view = make_view(CAMERA, 6.0, 12.0, -9.0, 9.0)
     sky = np.array([[100.0, 0.0], [200.0, 20.0], [240.0, 106.0]])
-    assert not from_above(view, Answer(None, (sky,))).any()
+    assert not from_above(view, Answer(None, (Line(sky),))).any()

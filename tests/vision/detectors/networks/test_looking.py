@@ -15,8 +15,10 @@ import yaml
 from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.camera.pictures import open_source
 from egolane_pgm.vision.detectors import FrameLines
 from egolane_pgm.vision.detectors.networks.looking import grown, keep
 from egolane_pgm.vision.detectors.runner import detect, find_detector, own_files, start
@@ -30,6 +32,8 @@ from tests.kits.tiny_network import (
     labels,
     vehicles,
     write_answer,
+    write_answers,
+    write_known,
     write_network,
     write_top_hat,
 )
@@ -92,6 +96,27 @@ def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) ->
         assert (seldom[k].lri[seldom[k].is_valid] == 10).all()
 
 
+def test_classes_are_the_continuous_flag_and_probabilities_the_lri(tmp_path: Path) -> None:
+    """Three lines of a network for the road, on pictures in which two others are painted; another
+    class is no line."""
+    scores = np.full((1, 5, 4), 0.01)
+    scores[0, range(5), (1, 2, 2, 3, 1)] = (0.9, 0.6, 1, 0.95, 0.3)
+    places = np.repeat([-3.4, 0.3, 3.9, 7.5, -7], 4).reshape(1, 5, 4)
+    path = write_answers(
+        tmp_path,
+        {"places": places, "scores": scores},
+        layout="road_lines",
+        ahead=[5, 10, 20, 30],
+        classes={"dashed": [1], "solid": [2]},
+    )
+    given = {"network": str(path), "beyond_edge": "keep"}
+    lines = lines_of("network", given, drive(12))[-1]
+    np.testing.assert_allclose(lines.offset_m, [-3.4, 0.3, 3.9], atol=0.01)
+    assert lines.is_continuous.tolist() == [False, True, True]
+    np.testing.assert_allclose(lines.lri, [9, 6, 10], rtol=1e-5)
+    assert lines.is_valid.all()
+
+
 def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
     path = write_answer(tmp_path, np.ones((1, 1, 4, 8)), layout="drivable", classes=1)
     detector = find_detector("network", {"network": str(path)}, Path.cwd(), "detector")
@@ -132,9 +157,8 @@ def test_nan_is_said_with_the_frame(tmp_path: Path, top_hat: Path) -> None:
 
 
 def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
-    detector = find_detector(
-        "mc", {"on_road": str(tiny_network / "drivable.yaml")}, Path.cwd(), "detector"
-    )
+    given = {"on_road": str(tiny_network / "drivable.yaml"), "on_road_margin_m": 0}
+    detector = find_detector("mc", given, Path.cwd(), "detector")
     scene = heavy_traffic(8)
     view = make_view(scene.camera, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
     road = keep(scene.camera, detector.parameters)
@@ -211,6 +235,10 @@ def test_a_mask_grows_to_the_side_only() -> None:
 # --- commands ---------------------------------------------------------------------------------
 
 
+#: The network of `seen`.
+NAMED = "nets/top_hat.yaml"
+
+
 @pytest.fixture(scope="module")
 def seen(place: Path) -> Path:
     """The folder of `place`, its experiment looked at by a network in a folder below it."""
@@ -219,7 +247,7 @@ def seen(place: Path) -> Path:
     content = yaml.safe_load((place / "run.yaml").read_text())
     content["recording"] |= {
         "detector": "network",
-        "detector_parameters": {"network": "nets/top_hat.yaml"},
+        "detector_parameters": {"network": NAMED},
     }
     (place / "seen.yaml").write_text(yaml.safe_dump(content))
     return place
@@ -247,6 +275,14 @@ def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> N
     assert written["recording"]["detector_parameters"]["network"] == str(path.absolute())
     noted = {Path(e["path"]).name for e in json.loads((out / "run.json").read_text())["data"]}
     assert {"top_hat.yaml", "top_hat.onnx"} <= noted
+    # So can that with one that comes along, whose ONNX is beside the first.
+    outputs = {"pred_logits": np.ones((1, 7, 2)), "pred_curves": np.ones((1, 7, 8))}
+    inputs = {"input_mask": (1, 1, 360, 640)}
+    write_known(seen / "lstr_360x640.onnx", outputs, (640, 360), inputs)
+    (seen / "lstr.run.yaml").write_text((seen / "seen.yaml").read_text().replace(NAMED, "lstr"))
+    done = command("run", seen / "lstr.run.yaml", "--no-figures", "--out", out)
+    assert done.exit_code == 0, done.stderr
+    assert "ok" in command("validate", out / "experiment.yaml").stdout
 
 
 def test_a_network_of_the_command_line_is_found_from_where_one_stands(
@@ -268,6 +304,22 @@ def test_a_network_of_the_command_line_is_found_from_where_one_stands(
     assert "absent.yaml: no such file" in refused(
         *words, "--detector", "ml", "--set", "on_road=absent.yaml"
     )
+
+
+def test_lris_of_probabilities_are_written(seen: Path, tmp_path: Path) -> None:
+    """A bag holds whole numbers; it is read with ten frames a second, a table with the video's."""
+    outputs = {"places": np.full((1, 1, 4), 1.7), "scores": np.full((1, 1), 0.56)}
+    path = write_answers(tmp_path, outputs, layout="road_lines", ahead=[5, 10, 20, 30])
+    words = ["detect", seen / "drive.avi", "--camera", seen / "cam.yaml"]
+    words += ["--detector", "network", "--set", f"network={path}", "-o"]
+    rate = open_source(str(seen / "drive.avi")).frame_rate
+    assert rate not in (None, 10)
+    for name, lri, step in (("l.csv", 5.6, 1 / rate), ("l.bag", 6, 0.1)):
+        said = command(*words, tmp_path / name).stderr
+        assert (f"here recording.frame_rate={rate:g}" in said) == (name == "l.bag")
+        lines = read_lines(tmp_path / name)
+        assert lines.lri[-1, 0] == pytest.approx(lri)
+        np.testing.assert_allclose(np.diff(lines.time_s), step)
 
 
 def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:

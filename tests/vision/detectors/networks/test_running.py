@@ -16,11 +16,18 @@ from onnx import helper
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
-from egolane_pgm.vision.detectors.networks.layouts import probabilities
+from egolane_pgm.vision.detectors.networks.masks import probabilities
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.vision.detectors.networks.running import Run, as_input, fit_of, load
 from egolane_pgm.vision.rendering.render import render_frame
-from tests.kits.tiny_network import SIZE, heavy_traffic, write_answer, write_network, write_onnx
+from tests.kits.tiny_network import (
+    SIZE,
+    heavy_traffic,
+    write_answer,
+    write_answers,
+    write_network,
+    write_onnx,
+)
 
 
 def noise(width: int, height: int) -> Image:
@@ -55,7 +62,7 @@ def test_opencv_computes_what_onnxruntime_computes(tiny_network: Path, name: str
     for k in (0, 50):
         image = render_frame(scene, k).image
         (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
-        found = run(image)
+        found = run(image)["mask"]
         np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4)
         share, same = probabilities(network, found), probabilities(network, wanted[0])
         assert np.abs(share - same).max() < 1e-4
@@ -127,7 +134,9 @@ def test_opencv_computes_the_layers_of_lane_networks_as_onnxruntime_does(tmp_pat
         fit = fit_of(network, 80, 40)
         (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
         assert np.ptp(wanted) > 1e-2
-        np.testing.assert_allclose(load(network, fit)(image), wanted[0], rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(
+            load(network, fit)(image)["mask"], wanted[0], rtol=1e-4, atol=1e-4
+        )
 
 
 def test_colours_are_scaled_in_the_order_of_the_network() -> None:
@@ -242,8 +251,8 @@ def conv(tmp_path: Path, shape: tuple[Any, ...], **keys: Any) -> Path:
 
 
 def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) -> None:
-    assert started(conv(tmp_path, (1, 3, 40, 80)))(noise(160, 120)).shape == (2, 40, 80)
-    assert started(conv(tmp_path, ("n", 3, "h", "w")))(noise(160, 120)).shape == (2, 40, 80)
+    assert started(conv(tmp_path, (1, 3, 40, 80)))(noise(160, 120))["mask"].shape == (2, 40, 80)
+    assert started(conv(tmp_path, ("n", 3, "h", "w")))(noise(160, 120))["mask"].shape == (2, 40, 80)
     said = refused(conv(tmp_path, (1, 3, 40, 80), size=[80, 48]))
     assert "x.onnx takes 1 x 3 x 40 x 80 (picture), but size [80, 48] makes 1 x 3 x 48 x 80" in said
     assert "takes 1 x 1 x 40 x 80" in refused(conv(tmp_path, (1, 1, 40, 80)))
@@ -256,7 +265,57 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
         {"picture": (1, 3, 40, 80), "before": (1, 3, 40, 80)},
     )
     said = refused(tmp_path / "net.yaml")
-    assert "x.onnx takes 2 inputs (picture, before), not one picture" in said
+    assert (
+        "x.onnx takes 2 inputs (picture, before), not one picture; say in inputs what the" in said
+    )
+    assert said.endswith("inputs: {before: 0}")
+
+
+def sums(tmp_path: Path, **keys: Any) -> Path:
+    """A network that adds a constant input and the mean of its state to the picture's mean, and
+    gives the sum, three times: `out`."""
+    nodes = [
+        helper.make_node("ReduceMean", ["picture"], ["p"], axes=[1, 2, 3], keepdims=0),
+        helper.make_node("ReduceSum", ["state", "axes"], ["s"], keepdims=0),
+        helper.make_node("ReduceSum", ["more", "axes"], ["m"], keepdims=0),
+        helper.make_node("Sum", ["p", "s", "m"], ["all"]),
+        helper.make_node("Mul", ["all", "ones"], ["out"]),
+    ]
+    weights = [("axes", np.array([1, 2])), ("ones", np.ones((1, 1, 1, 3), dtype=np.float32))]
+    inputs = {"picture": (1, 3, 40, 80), "state": (1, 2, 2), "more": (1, 1, 2)}
+    write_onnx(tmp_path / "x.onnx", nodes, weights, {"out": (1, 1, 1, 3)}, inputs)
+    keys = {"layout": "lanes", "classes": 1, "size": [80, 40], "scale": 1, **keys}
+    return write_network(tmp_path / "net.yaml", model="x.onnx", **keys)
+
+
+def test_other_inputs_are_constant_or_outputs_of_the_picture_before(tmp_path: Path) -> None:
+    """The state has four numbers: those that came last, the newest behind the others."""
+    black = np.zeros((120, 160, 3), dtype=np.uint8)
+
+    def answers(inputs: dict[str, Any]) -> list[float]:
+        run = started(sums(tmp_path, inputs=inputs))
+        return [float(run(black)["mask"][0, 0, 0]) for _ in range(5)]
+
+    assert answers({"state": 0, "more": 2}) == [4, 4, 4, 4, 4]
+    assert answers({"state": [1, 2, 3, 4], "more": [5, 0]}) == [15, 15, 15, 15, 15]
+    # 1, then 1 + 1, 1 + 2 + 1, and 1 + 4 + 2 + 1; then the first one has left the state.
+    assert answers({"state": "out[0:1]", "more": [0, 1]}) == [1, 2, 4, 8, 16]
+    assert answers({"state": "out", "more": [0, 1]}) == [1, 4, 14, 47, 156]
+
+
+@pytest.mark.parametrize(
+    ("inputs", "said"),
+    [
+        ({"state": 0}, "say in inputs what the others get, e.g. inputs: {more: 0}"),
+        ({"state": 0, "mroe": 0}, "inputs: unknown name 'mroe' (did you mean 'more'?)"),
+        ({"state": "oat", "more": 0}, "inputs: unknown name 'oat' (did you mean 'out'?)"),
+        ({"state": [1, 2, 3], "more": 0}, "inputs.state: 3 numbers, not 1 x 2 x 2"),
+    ],
+)
+def test_inputs_that_do_not_fit_are_refused(
+    tmp_path: Path, inputs: dict[str, Any], said: str
+) -> None:
+    assert said in refused(sums(tmp_path, inputs=inputs))
 
 
 def test_an_output_is_named_where_there_are_several(tmp_path: Path) -> None:
@@ -264,29 +323,41 @@ def test_an_output_is_named_where_there_are_several(tmp_path: Path) -> None:
     said = refused(conv(tmp_path, shape, output=None))
     assert said.endswith("output: is missing; x.onnx gives area, marks")
     said = refused(conv(tmp_path, shape, output="mark"))
-    assert said.endswith("output: unknown name 'mark' (did you mean 'marks'?)")
+    assert "output: unknown name 'mark' (did you mean 'marks'?); x.onnx gives area, marks" in said
 
 
 @pytest.mark.parametrize(
     ("shape", "keys", "said"),
     [
-        ((1, 3, 4, 8), {"layout": "lanes", "classes": 2}, "has 3 classes (1 x 3 x 4 x 8), but the"),
-        ((1, 2, 4), {"layout": "lanes", "classes": 2}, "is 1 x 2 x 4; layout lanes needs 4 axes"),
-        ((2, 2, 4, 8), {"layout": "lanes", "classes": 2}, "needs 4 axes, the first of length 1"),
+        (
+            (1, 3, 4, 8),
+            {"layout": "lanes", "classes": 2},
+            "has 3 classes, but the YAML says",
+        ),
+        (
+            (1, 2, 4),
+            {"layout": "lanes", "classes": 2},
+            "is 1 x 2 x 4; layout lanes needs 1 x k",
+        ),
+        (
+            (2, 2, 4, 8),
+            {"layout": "lanes", "classes": 2},
+            "is 2 x 2 x 4 x 8; layout",
+        ),
         (
             (1, 11, 5, 2),
             {"layout": "row_anchors", "classes": 11, "rows": [1, 2, 3]},
-            "has 5 rows (1 x 11 x 5 x 2), but the YAML lists 3",
+            "has 5 rows, but the YAML has 3",
         ),
         (
             (1, 11, 3, 2),
             {"layout": "row_anchors", "classes": 12, "rows": [1, 2, 3]},
-            "has 11 classes (1 x 11 x 3 x 2), but the YAML says classes: 12",
+            "has 11 classes, but the YAML says classes: 12",
         ),
         (
             (1, 4, 6),
             {"layout": "polylines", "start": 2, "length": 4, "first_x": 5},
-            "has 6 numbers per line (1 x 4 x 6)",
+            "has 6 numbers per line; first_x, start and length must be",
         ),
     ],
 )
@@ -294,6 +365,35 @@ def test_an_output_of_another_shape_than_the_yaml_says_is_refused(
     tmp_path: Path, shape: tuple[int, ...], keys: dict[str, Any], said: str
 ) -> None:
     assert said in refused(write_answer(tmp_path, np.zeros(shape), **keys))
+
+
+@pytest.mark.parametrize(
+    ("shapes", "keys", "said"),
+    [
+        ({"columns": (1, 9, 56, 4)}, {"layout": "row_anchors", "classes": 9, "rows": "culane"},
+         "has 56 rows, but the YAML has 18"),
+        ({"loc_row": (1, 9, 5, 4), "loc_col": (1, 9, 6, 4), "exist_row": (1, 2, 6, 4),
+          "exist_col": (1, 2, 6, 4)}, {"layout": "hybrid_anchors", "rows": "culane"},
+         "output exist_row is 1 x 2 x 6 x 4; layout hybrid_anchors needs 1 x 2 x r x 4"),
+        ({"boxes": (1, 8, 99), "prototypes": (1, 8, 5, 5)}, {"layout": "prototypes"},
+         "has boxes of 8 numbers, too few for 8 prototypes"),
+        ({"scores": (1, 9, 2)}, {"layout": "lstr_curves"},
+         "output: is missing; known.onnx gives scores"),
+        ({"places": (1, 3, 5), "scores": (1, 3)}, {"layout": "road_lines", "ahead": [1, 2]},
+         "has 15 places, not a multiple of 2 distances"),
+        ({"places": (1, 3, 2), "scores": (1, 4)}, {"layout": "road_lines", "ahead": [1, 2]},
+         "has 4 scores for 3 lines"),
+        ({"places": (1, 6), "scores": (1, 3), "sd": (1, 3)},
+         {"layout": "road_lines", "ahead": [1, 2],
+          "output": {"places": "places", "scores": "scores", "deviations": "sd"}},
+         "has 3 deviations for 6 places"),
+    ],
+)  # fmt: skip
+def test_outputs_that_do_not_fit_each_other_are_refused(
+    tmp_path: Path, shapes: dict[str, tuple[int, ...]], keys: dict[str, Any], said: str
+) -> None:
+    outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
+    assert said in refused(write_answers(tmp_path, outputs, **keys))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
@@ -336,17 +436,17 @@ def test_weights_that_an_older_file_lists_among_its_inputs_are_none(tmp_path: Pa
     model.graph.input.append(helper.make_tensor_value_info("w", 1, (2, 3, 1, 1)))
     onnx.save(model, str(tmp_path / "x.onnx"))
     assert list(declared(tmp_path / "x.onnx").inputs) == ["picture"]
-    assert started(tmp_path / "net.yaml")(noise(160, 120)).shape == (2, 40, 80)
+    assert started(tmp_path / "net.yaml")(noise(160, 120))["mask"].shape == (2, 40, 80)
 
 
 def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> None:
     path, file = conv(tmp_path, (1, 3, 40, 80)), tmp_path / "x.onnx"
     assert network_files({"on_road": str(path)}) == [path, file]
-    whole = started(path)(noise(160, 120))
+    whole = started(path)(noise(160, 120))["mask"]
     weights = tmp_path / "x.onnx.data"
     apart = {"save_as_external_data": True, "location": weights.name, "size_threshold": 0}
     onnx.save(onnx.load(str(file)), str(file), **apart)
-    assert np.array_equal(started(path)(noise(160, 120)), whole)
+    assert np.array_equal(started(path)(noise(160, 120))["mask"], whole)
     assert network_files({"on_road": str(path)}) == [path, file, weights]
     weights.write_bytes(weights.read_bytes()[:10])
     assert f"net.yaml: model: the weights of {file} cannot be read: " in refused(path)

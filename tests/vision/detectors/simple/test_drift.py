@@ -20,7 +20,7 @@ from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, runner
 from egolane_pgm.vision.detectors.simple import drift
-from egolane_pgm.vision.detectors.simple.fit import view_for
+from egolane_pgm.vision.detectors.simple.fit import lane_width_m, view_for
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import CAMERA, Paint, road
 
@@ -197,3 +197,17 @@ def test_a_camera_that_would_not_see_the_road_is_no_candidate() -> None:
     view = view_for(low, STRAIGHT)
     shown = [Picture(0, np.zeros((400, low.width, 3), np.uint8))]
     assert drift.watch(view, STRAIGHT)(shown[0]).looks == 0
+
+
+def test_gaps_of_two_lanes_count_only_where_hardly_any_is_one() -> None:
+    """A line that is missed makes some; a scale that is doubled makes all."""
+    assert drift.lane_gaps(np.array([3.6, 7.2, 7.2, 1.0]), 3.66).tolist() == [3.6]
+    doubled = np.array([7.2, 7.3, 7.2, 7.1, 7.2, 3.6])
+    assert np.median(drift.lane_gaps(doubled, 3.66)) == 7.2
+
+
+def test_detectors_expect_the_lane_width_that_the_camera_was_calibrated_with() -> None:
+    calibrated = replace(CAMERA, lane_width_m=3.3)
+    given = {**STRAIGHT, "lane_width_m": 3.5}
+    found = [lane_width_m(camera, STRAIGHT) for camera in (CAMERA, calibrated)]
+    assert [*found, lane_width_m(calibrated, given)] == [3.66, 3.3, 3.5]

@@ -345,7 +345,7 @@ def scored(**at: float) -> FloatArray:
 def test_a_neighbour_one_lane_away_lends_its_score_up_to_a_half() -> None:
     parameters = given_(lane_width_m=3.6, lane_width_sd=0.2)
     own = scored(o0=0.3)
-    support = _fit._support(own, parameters)
+    support = _fit._support(own, 3.6, parameters)
     at = int(np.argmax(own))
     lane = round(3.6 / BIN)
     for side in (-1, 1):
@@ -355,7 +355,7 @@ def test_a_neighbour_one_lane_away_lends_its_score_up_to_a_half() -> None:
             assert support[at + side * unusual] == pytest.approx(0.3 * np.exp(-0.5 * 1.5**2))
         assert support[at + side * (lane + 20)] == 0
     assert support[at] == 0
-    assert _fit._support(scored(o0=0.9), parameters).max() == pytest.approx(0.5)
+    assert _fit._support(scored(o0=0.9), 3.6, parameters).max() == pytest.approx(0.5)
 
 
 def test_the_best_places_are_taken_first_and_keep_their_distance() -> None:

@@ -42,6 +42,13 @@ def test_of_a_dashed_line_the_dashes_are_painted(dash: float, period: float) -> 
     assert max(shares) < 0.75
 
 
+@pytest.mark.parametrize("width", [0.15, 0.3])
+def test_block_marking_is_broken_wherever_its_gaps_are(width: float) -> None:
+    line = Paint(1.8, 6.0, 9.0, width_m=width)
+    shares = [share(road([line], travelled), line)[0] for travelled in np.arange(0, 9, 1.3)]
+    assert np.median(shares) == max(shares[:2]) == 0.5
+
+
 def test_a_curved_line_is_followed_along_its_curve() -> None:
     line = Paint(1.8, heading=0.02, curvature=1.5e-3)
     assert share(road([line]), line)[0] > 0.95

@@ -1,0 +1,207 @@
+"""The fields of a table or of messages by their paths, and conditions on them, `confidence > 0.5`.
+A path is `header.seq`, `lanes[].c0` (each of a list) or `y[0]` (its first).
+
+A table's rows and a topic's messages are the same here: columns of pyarrow, nested ones where the
+fields are.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from egolane_pgm.recordings.cells import arrow_column, typed
+from egolane_pgm.tools.yaml import parse_yaml
+from egolane_pgm.types import FloatArray, InputError, IntArray, near_word
+
+#: For each `[]` of a path, the outer first, the list that each element is of.
+Up = tuple[IntArray, ...]
+
+#: A field of a section, an element of a list, or each.
+_STEP = re.compile(r"\.([^.\[\]]+)|\[(-?\d*)\]")
+
+_CONDITION = re.compile(r"(.+?)\s*(>=|<=|==|!=|>|<|\s(?:not )?in\s)\s*(.+)")
+_COMPARED = {
+    ">": np.greater,
+    ">=": np.greater_equal,
+    "<": np.less,
+    "<=": np.less_equal,
+}
+
+
+class _NoField(LookupError):
+    """A path that leads nowhere: `part` is not among `known`."""
+
+    def __init__(self, part: str, known: Sequence[str] = ()) -> None:
+        super().__init__(part)
+        self.part, self.known = part, known
+
+
+@dataclass(frozen=True)
+class Table:
+    """The columns of a table, or the fields of the messages of a topic.
+
+    - columns: of pyarrow or pandas, T rows each, by name.
+    - path: names the file in messages.
+    - used: the columns that were looked at.
+    """
+
+    columns: Mapping[str, Any]
+    n_rows: int
+    path: Path
+    used: set[str] = field(default_factory=set)
+
+    def has(self, path: str) -> bool:
+        """Whether there is such a field."""
+        try:
+            return path in self.columns or bool(_follow(self.columns, path))
+        except _NoField:
+            return False
+
+    def own(self, name: str, beside: str = "") -> str | None:
+        """The path of a field that has our name, in capitals or not; None where none has."""
+        if self.has(beside + name):
+            return beside + name
+        same = [each for each in self.columns if each.casefold() == name]
+        return same[0] if same and not beside else None
+
+    def values(self, key: str, path: str, beside: str = "") -> tuple[str, Any, Up]:
+        """The whole path of a field, its values, of pyarrow, and the lists that they are of.
+
+        - key: of the mapping, for messages.
+        - beside: the list or section in which the field is looked for first, `lanes[].`.
+
+        Raises InputError for a field that is not there.
+        """
+        wrong = _NoField(path)
+        # Of lists that are always empty nobody knows the fields: what says the list is whole.
+        ways = [path] if path.startswith(beside) else [beside + path, path]
+        for whole in ways:
+            try:
+                name, found, up = _follow(self.columns, whole)
+            except _NoField as error:
+                wrong = wrong if wrong.known and error.part == path else error
+            except pa.ArrowException as error:
+                said = " ".join(str(error).split())[:120]
+                raise InputError(f"{self.path}: column {whole} has mixed types ({said})") from None
+            else:
+                self.used.add(name)
+                return whole, found, up
+        what = f"there is no '{wrong.part}'" + (f" in {path}" if wrong.part != path else "")
+        there = f"; there are {', '.join(wrong.known)}" if wrong.known else ""
+        hint = near_word(wrong.part, wrong.known)
+        raise InputError(f"{self.path}: lines: {key}: {what}{hint}{there}")
+
+    def numbers(
+        self, name: str, path: str, beside: str = "", key: str = ""
+    ) -> tuple[FloatArray, Up]:
+        """The values of a field as numbers, (N,), and the lists that they are of.
+
+        - name: ours, by which cells are checked. key: of the mapping, where it is another one.
+        """
+        path, found, up = self.values(key or name, path, beside)
+        return typed(self.path, name, found, path, self.rows(up)), up
+
+    def rows(self, up: Up) -> IntArray:
+        """The row of each value of a field, (N,)."""
+        rows = np.arange(self.n_rows)
+        for each in up:
+            rows = rows[each]
+        return rows
+
+    def aligned(self, key: str, values: FloatArray, of: Up, up: Up) -> FloatArray:
+        """Values of some lists, or of what these are in, for each element of the lists `up`."""
+        if len(of) > len(up) or not all(map(np.array_equal, of, up)):
+            raise InputError(f"{self.path}: lines: {key}: has not a value for each offset")
+        index = np.arange(len(up[-1]) if up else self.n_rows)
+        for each in reversed(up[len(of) :]):
+            index = each[index]
+        return values[index]
+
+    def is_so(self, name: str, said: str, beside: str) -> tuple[FloatArray, Up]:
+        """1 where a condition holds, 0 where it does not or a value is missing; of a bare field its
+        own values, NaN where one is missing. And the lists that they are of."""
+        if self.has(beside + said) or self.has(said) or not _CONDITION.fullmatch(said):
+            return self.numbers(name, said, beside)
+        parts = [self._holds(name, part, beside) for part in re.split(r"\s+and\s+", said)]
+        if len({len(is_so) for is_so, _ in parts}) > 1:
+            raise InputError(f"{self.path}: lines: {name}: {said!r} compares different lists")
+        return np.all([is_so for is_so, _ in parts], axis=0).astype(np.float64), parts[0][1]
+
+    def _holds(self, name: str, said: str, beside: str) -> tuple[Any, Up]:
+        where, match = f"{self.path}: lines: {name}", _CONDITION.fullmatch(said.strip())
+        if match is None:
+            raise InputError(f"{where}: {said!r} is no condition, e.g. confidence > 0.5")
+        operator, meant = match[2].strip(), parse_yaml(match[3], where)
+        path, found, up = self.values(name, match[1], beside)
+        among = list(meant) if isinstance(meant, list) else [meant]
+        if operator in _COMPARED and not isinstance(meant, (int, float)):
+            raise InputError(f"{where}: {match[3]!r} is not a number")
+        if any(isinstance(each, str) for each in among):
+            text = found.cast(pa.string())
+            is_in = pc.is_in(text, pa.array([str(each) for each in among]))
+            is_in, is_there = (
+                each.to_numpy(zero_copy_only=False) for each in (is_in, pc.is_valid(text))
+            )
+        else:
+            kind = "is_valid" if pa.types.is_boolean(found.type) else "number"
+            values = typed(self.path, kind, found, path, self.rows(up))
+            is_there = ~np.isnan(values)
+            if operator in _COMPARED:
+                return _COMPARED[operator](values, meant) & is_there, up
+            is_in = np.isin(values, among)
+        return is_there & (is_in == (operator in ("==", "in"))), up
+
+
+def _follow(columns: Mapping[str, Any], path: str) -> tuple[str, Any, Up]:
+    """The column in which a field is, its values, and the lists that these are of. Raises _NoField
+    where the path leads nowhere."""
+    # A table's columns may have dots and brackets in their names.
+    ends = [len(path), *(m.start() for m in reversed(list(re.finditer(r"[.\[]", path))))]
+    end = next((end for end in ends if path[:end] in columns), None)
+    if end is None:
+        raise _NoField(path[: ends[-1]], [*columns])
+    name, values = path[:end], arrow_column(columns[path[:end]])
+    up: Up = ()
+    while end < len(path):
+        step = _STEP.match(path, end)
+        if step is None:
+            raise _NoField(path[end:])
+        inner, index = step[1], step[2]
+        if pa.types.is_null(values.type):
+            # Of a list that is always empty nobody knows what is in it.
+            if index == "" and len(values):
+                values, up = values[:0], (*up, np.zeros(0, dtype=np.int64))
+        elif inner is None:
+            values, up = _listed(values, up, index)
+        else:
+            known = [f.name for f in values.type] if pa.types.is_struct(values.type) else []
+            if inner not in known:
+                raise _NoField(inner, known)
+            values = pc.struct_field(values, inner)
+        end = step.end()
+    return name, values, up
+
+
+def _listed(values: Any, up: Up, index: str) -> tuple[Any, Up]:
+    """Each element of lists, or the one of an index; null where a list is too short."""
+    if pa.types.is_fixed_size_list(values.type):
+        values = values.cast(pa.list_(values.type.value_type))
+    if not (pa.types.is_list(values.type) or pa.types.is_large_list(values.type)):
+        raise _NoField(f"[{index}]")
+    flat = pc.list_flatten(values)
+    if index == "":
+        parent = pc.list_parent_indices(values).to_numpy(zero_copy_only=False)
+        return flat, (*up, parent.astype(np.int64))
+    length = pc.list_value_length(values).fill_null(0).to_numpy(zero_copy_only=False)
+    at = int(index) if int(index) >= 0 else length + int(index)
+    is_there = (at >= 0) & (at < length)
+    found = np.where(is_there, np.cumsum(length) - length + at, 0)
+    return flat.take(pa.array(found, mask=~is_there)), up

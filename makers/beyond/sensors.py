@@ -1,0 +1,149 @@
+"""What the model without labels makes of sensors that give less: right, sure, and sure and right;
+and how much the start of the drive decides."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from egolane_pgm.inference.events import lane_events
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.model import make_evidence
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.events import score_events
+from egolane_pgm.types import LaneTruth, LineLog
+from makers.beyond.strangers import zero_label
+from tests.kits.strangers import (
+    STRANGERS,
+    Change,
+    Drive,
+    nearest,
+    never_continuous,
+    paper_drive,
+    without,
+)
+
+#: A belief from here on is called sure.
+SURE = 0.95
+
+#: The frames from which a drive is read, at ten frames a second.
+STARTS = (0, 100, 200, 300, 400, 500, 600)
+
+TEXT = """\
+# What a sensor must give
+
+Made by `make beyond`, which runs `python -m makers.beyond sensors`. The model without labels
+(`zero_label.yaml`, causal) on the paper's ten recordings, cut down to what a lesser sensor gives.
+Non-crossing frames; Spain before frame 9577. *Right*: mean over the ten recordings (the worst).
+*Sure*: share of the frames with a belief over .95, and how many of these are right. *Changes*:
+precision and recall within 2 s; without a lane their direction counts. The constants were chosen
+with these recordings in sight: development scores.
+
+| what the sensor gives | right (worst) | sure | right where sure | changes, precision / recall |
+|---|--:|--:|--:|--:|"""
+
+STARTS_TEXT = """
+## Where one starts to read
+
+The same model on each recording as it is, read from frame 0, 100, ..., 600 on: lowest, mean and
+highest share of right frames. It is the first minute that differs.
+
+| run | lowest | mean | highest |
+|---|--:|--:|--:|"""
+
+
+def own_lines(log: LineLog) -> LineLog:
+    """Only the valid line nearest to the vehicle on either side."""
+    keep = np.zeros(log.offset_m.shape, dtype=bool)
+    for side in (-1, 1):
+        is_there = log.is_valid & (np.sign(log.offset_m) == side)
+        away = np.where(is_there, np.abs(log.offset_m), np.inf)
+        rows = np.flatnonzero(np.isfinite(away.min(axis=1)))
+        keep[rows, away[rows].argmin(axis=1)] = True
+    return without(log, ~keep)
+
+
+def _own(drive: Drive) -> list[Drive]:
+    return [replace(drive, log=own_lines(drive.log))]
+
+
+def _four(drive: Drive) -> list[Drive]:
+    return [replace(drive, log=nearest(drive.log, 4))]
+
+
+def _plain(drive: Drive) -> list[Drive]:
+    return [replace(drive, log=never_continuous(own_lines(drive.log)))]
+
+
+#: What is tried: the change of a recording, and whether the start lane is given.
+SENSORS: dict[str, tuple[Change, bool]] = {
+    "all lines, as recorded": (STRANGERS["as recorded"], False),
+    "all lines, no type": (STRANGERS["no line continuous"], False),
+    "the four nearest lines": (_four, False),
+    "the own two lines, with their type": (_own, False),
+    "the own two lines, no type": (_plain, False),
+    "the own two lines, no type, start lane given": (_plain, True),
+    "60 % of all lines missing": (STRANGERS["60 % of lines missing"], False),
+    "no line for 2 s, 30 % of the time": (STRANGERS["blind for 2 s, 30 % of the time"], False),
+    "2 frames a second": (STRANGERS["every 5th, renumbered, rate said"], False),
+    "30 frames a second": (STRANGERS["30 frames a second"], False),
+}
+
+
+def scores(drive: Drive, start: int | None, overrides: tuple[str, ...]) -> list[float]:
+    """Scored frames, right ones, sure ones, sure and right ones; changes told that are right,
+    false, and missed."""
+    given = () if start is None else (f"start_lane={start}",)
+    model = zero_label(drive.n_lanes, (*overrides, *given))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        evidence = make_evidence(model, drive.log).filtered
+    beliefs = filter_beliefs(model.compiled, evidence, "exact", frame_id=drive.log.frame_id)
+    is_scored, sure = drive.lane > 0, beliefs.lane.max(axis=1) > SURE
+    is_right = (assigned_lane(beliefs.lane) == drive.lane) & is_scored
+    rate = 1 / float(np.median(np.diff(drive.log.time_s)))
+    events = lane_events(beliefs, rate, time_s=drive.log.time_s)
+    rows = np.flatnonzero(is_scored)
+    truth = LaneTruth(drive.log.frame_id[rows], drive.lane[rows], np.zeros(len(rows), dtype=bool))
+    within = score_events(events, truth, rate)["within"]["2"]
+    return [
+        *(float(np.count_nonzero(each)) for each in (is_scored, is_right)),
+        *(float(np.count_nonzero(each)) for each in (sure & is_scored, sure & is_right)),
+        *(float(within[key]) for key in ("right", "false", "missed")),
+    ]
+
+
+def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterator[str]:
+    """The page, a line at a time."""
+    yield TEXT
+    for name, (change, is_told) in SENSORS.items():
+        if only not in name:
+            continue
+        found = []
+        for run in runs:
+            drives = change(paper_drive(run))
+            starts = [int(each.lane[each.lane > 0][0]) if is_told else None for each in drives]
+            each = zip(drives, starts, strict=True)
+            found.append(np.sum([scores(d, s, tuple(overrides)) for d, s in each], axis=0))
+        n, right, sure, both, hits, false, missed = np.array(found).T
+        n_hits = hits.sum()
+        cells = [
+            f"{(right / n).mean():.3f} ({(right / n).min():.2f})",
+            f"{(sure / n).mean():.2f}",
+            f"{both.sum() / max(sure.sum(), 1):.4f}",
+            f"{n_hits / max((hits + false).sum(), 1):.3f} / {n_hits / (hits + missed).sum():.3f}",
+        ]
+        yield f"| {name} | {' | '.join(cells)} |"
+    yield STARTS_TEXT
+    for run in runs:
+        drive = paper_drive(run)
+        found = []
+        for start in STARTS:
+            later = replace(drive, log=drive.log.take(slice(start, None)), lane=drive.lane[start:])
+            n, right = scores(later, None, tuple(overrides))[:2]
+            found.append(right / n)
+        cells = [f"{value:.4f}" for value in (min(found), np.mean(found), max(found))]
+        yield f"| {run} | {' | '.join(cells)} |"

@@ -1,0 +1,303 @@
+"""Each layout of several outputs, on random ones, against the arithmetic that the network's authors
+published, written again in plain loops."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Line
+from egolane_pgm.vision.detectors.networks.description import read_network
+from egolane_pgm.vision.detectors.networks.looking import looker
+from tests.kits.synthetic_road import CAMERA, road
+from tests.kits.tiny_network import write_answers
+
+WIDTH, HEIGHT = 480, 270
+seeds = pytest.mark.parametrize("seed", range(4))
+
+#: Pixels are counted from their middles here, from their edges in the published code.
+HALF_PX = 0.5
+
+
+def lines_of(path: Path) -> tuple[Line, ...]:
+    assert (CAMERA.width, CAMERA.height) == (WIDTH, HEIGHT)
+    found = looker(read_network(path), CAMERA)(Picture(0, road()))
+    assert found is not None
+    return found.lines
+
+
+def sigmoid(x: FloatArray) -> FloatArray:
+    return 1 / (1 + np.exp(-x))
+
+
+def softmax(x: FloatArray) -> FloatArray:
+    return np.exp(x) / np.exp(x).sum(axis=-1, keepdims=True)
+
+
+def check(lines: tuple[Line, ...], wanted: list[Any], less: float = HALF_PX) -> None:
+    """Lines in pixels of the picture, in the same order."""
+    assert len(lines) == len(wanted)
+    for line, points in zip(lines, wanted, strict=True):
+        np.testing.assert_allclose(line.points, np.array(points) - less, atol=1e-3)
+
+
+# --- anchors ----------------------------------------------------------------------------------
+
+
+@seeds
+@pytest.mark.parametrize(
+    ("rows", "cut_top", "n_rows"), [("tusimple", 0.2, 56), ("culane", 0.4, 72)]
+)
+def test_four_outputs_are_read_as_ultra_fast_lane_detection_2_does(
+    tmp_path: Path, seed: int, rows: str, cut_top: float, n_rows: int
+) -> None:
+    """`pred2coords` of demo.py, before it drops the fractions."""
+    rng = np.random.default_rng(seed)
+    outputs = {
+        "loc_row": rng.normal(0, 3, (1, 100, n_rows, 4)),
+        "loc_col": rng.normal(0, 3, (1, 90, 41, 4)),
+        "exist_row": rng.normal(0, 1, (1, 2, n_rows, 4)),
+        "exist_col": rng.normal(-0.5, 1, (1, 2, 41, 4)) * [1, 1, 1, -1],
+    }
+    outputs = {name: values.astype(np.float32).astype(float) for name, values in outputs.items()}
+    first, last = {"tusimple": (160 / 720, 710 / 720), "culane": (0.42, 1)}[rows]
+    row_anchor, col_anchor = np.linspace(first, last, n_rows), np.linspace(0, 1, 41)
+    wanted = []
+    for axis, lanes, least in (("row", (1, 2), 2), ("col", (0, 3), 4)):
+        loc, exist = outputs[f"loc_{axis}"][0], outputs[f"exist_{axis}"][0].argmax(axis=0)
+        for lane in lanes:
+            if exist[:, lane].sum() <= exist.shape[0] / least:
+                continue
+            points = []
+            for k in np.flatnonzero(exist[:, lane]):
+                best = int(loc[:, k, lane].argmax())
+                cells = np.arange(max(0, best - 1), min(len(loc) - 1, best + 1) + 1)
+                at = ((softmax(loc[cells, k, lane]) * cells).sum() + 0.5) / (len(loc) - 1)
+                if axis == "row":
+                    points.append((at * WIDTH, row_anchor[k] * HEIGHT))
+                else:
+                    points.append((col_anchor[k] * WIDTH, at * HEIGHT))
+            wanted.append(points)
+    keys = {"layout": "hybrid_anchors", "rows": rows, "cut_top": cut_top}
+    found = lines_of(write_answers(tmp_path, outputs, **keys))
+    check(found, wanted)
+    assert all(0.5 < line.probability < 1 for line in found)
+
+
+# --- curves -----------------------------------------------------------------------------------
+
+
+@seeds
+def test_lstr(tmp_path: Path, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scores, curves = rng.normal(0, 2, (1, 7, 2)), rng.uniform(0.1, 0.9, (1, 7, 8))
+    curves[..., 3] = -0.2
+    wanted, likely = [], []
+    for (no, yes), (lower, upper, k, f, m, n, b, c) in zip(scores[0], curves[0], strict=True):
+        if yes > no:
+            y = np.linspace(lower, upper, 100)
+            x = k / (y - f) ** 2 + m / (y - f) + n + b * y - c
+            wanted.append(np.stack([x * WIDTH, y * HEIGHT], axis=1))
+            likely.append(softmax(np.array([no, yes]))[1])
+    names = {"scores": "pred_logits", "curves": "pred_curves"}
+    outputs = {"pred_logits": scores, "pred_curves": curves, "weights": np.zeros((1, 3, 3))}
+    found = lines_of(write_answers(tmp_path, outputs, layout="lstr_curves", output=names))
+    check(found, wanted)
+    np.testing.assert_allclose([line.probability for line in found], likely, rtol=1e-5)
+
+
+def test_the_pole_of_a_curve_is_left_out(tmp_path: Path) -> None:
+    """The curve is where y is not 0, its last point."""
+    curves = np.array([[[1, 0, 0, 0, 0.02, 0.3, 0, 0]]])
+    outputs = {"scores": np.array([[[0.0, 9.0]]]), "curves": curves}
+    path = write_answers(
+        tmp_path, outputs, layout="lstr_curves", output={"scores": "scores", "curves": "curves"}
+    )
+    (line,) = lines_of(path)
+    assert line.points.shape == (99, 2)
+
+
+@seeds
+def test_polylanenet(tmp_path: Path, seed: int) -> None:
+    """`decode` of lib/models.py, the upper end shared as `share_top_y` trains it."""
+    output = np.random.default_rng(seed).uniform(0.1, 0.9, (1, 35))
+    output[:, ::7] -= 0.5
+    wanted = []
+    for line in output.reshape(-1, 7):
+        if sigmoid(line[0]) >= 0.5:
+            y = np.linspace(output[0, 1], line[2], 100)
+            x = line[3] * y**3 + line[4] * y**2 + line[5] * y + line[6]
+            wanted.append(np.stack([x * WIDTH, y * HEIGHT], axis=1))
+    check(lines_of(write_answers(tmp_path, {"fc": output}, layout="polynomials")), wanted)
+
+
+@seeds
+def test_bezierlanenet(tmp_path: Path, seed: int) -> None:
+    """`inference` of bezier_base.py: local maxima of nine, de Casteljau's points."""
+    rng = np.random.default_rng(seed)
+    scores, curves = rng.normal(0, 2, (1, 40)), rng.uniform(0, 1, (1, 40, 4, 2))
+    wanted = []
+    for k, score in enumerate(scores[0]):
+        if sigmoid(score) > 0.5 and score == scores[0, max(k - 4, 0) : k + 5].max():
+            points = []
+            for t in np.linspace(0, 1, 100):
+                left = curves[0, k]
+                while len(left) > 1:
+                    left = (1 - t) * left[:-1] + t * left[1:]
+                points.append(left[0] * (WIDTH, HEIGHT))
+            wanted.append(points)
+    outputs = {"logits": scores, "curves": curves}
+    names = {"scores": "logits", "curves": "curves"}
+    check(lines_of(write_answers(tmp_path, outputs, layout="beziers", output=names)), wanted)
+
+
+# --- segments ---------------------------------------------------------------------------------
+
+
+def row_middles(mask: FloatArray) -> dict[int, float]:
+    """The middle of each row of the picture of a mask of the input, 80 x 40."""
+    whole = cv2.resize(mask, (WIDTH, HEIGHT)) > 0.5
+    return {v: float(np.flatnonzero(row).mean()) for v, row in enumerate(whole) if row.any()}
+
+
+def drawn_masks(rng: np.random.Generator) -> FloatArray:
+    """Four strips across the input, (4, 40, 80), as logits."""
+    masks = np.full((4, 40, 80), -8.0)
+    for k, (first, slope) in enumerate(
+        zip((8, 26, 44, 62), rng.uniform(-0.2, 0.2, 4), strict=True)
+    ):
+        for row in range(10, 36):
+            middle = first + slope * row
+            masks[k, row] = 8 * np.clip(3 - np.abs(np.arange(80) - middle), -1, 1)
+    return masks
+
+
+def check_middles(lines: tuple[Line, ...], masks: list[FloatArray]) -> None:
+    assert len(lines) == len(masks)
+    for line, mask in zip(lines, masks, strict=True):
+        middles = row_middles(mask)
+        inside = [(u, v) for u, v in line.points if round(v) in middles and 65 < v < 235]
+        assert len(inside) > 15
+        # Pixels of the input are six of the picture's wide.
+        for u, v in inside:
+            assert abs(u - middles[round(v)]) < 4
+
+
+@seeds
+@pytest.mark.parametrize("is_whole", [False, True], ids=["raw", "suppressed"])
+def test_yolo_with_prototypes(tmp_path: Path, seed: int, is_whole: bool) -> None:
+    """`process_mask` and the suppression of Ultralytics: sigmoid of coefficients times prototypes
+    inside the box; of boxes of one class, the best. Class 0 is no line, 1 is dashed, 2 solid."""
+    rng = np.random.default_rng(seed)
+    common = drawn_masks(rng)
+    boxes = np.zeros((60, 4 + 3 + 4))
+    boxes[:, :4] = rng.uniform(10, 30, (60, 4))
+    for k, kind in enumerate((1, 2, 0, 2)):
+        x, score = (8, 26, 44, 62)[k], 0.9 - 0.1 * k
+        boxes[10 * k, :4] = (x, 22, 20, 30)
+        # A worse one of the same line.
+        boxes[10 * k + 3, :4] = (x + 0.5, 22, 20, 30)
+        for row, less in ((10 * k, 0.0), (10 * k + 3, 0.2)):
+            boxes[row, 4 + kind] = score - less
+            boxes[row, 7 + k] = 1
+    output = boxes.T[None]
+    if is_whole:
+        kept = boxes[::10][:4]
+        corners = np.column_stack([kept[:, :2] - kept[:, 2:4] / 2, kept[:, :2] + kept[:, 2:4] / 2])
+        best = kept[:, 4:7]
+        output = np.column_stack([corners, best.max(axis=1), best.argmax(axis=1), kept[:, 7:]])
+        output = np.concatenate([output, np.zeros((20, 10))])[None]
+    keys: dict[str, Any] = {"layout": "prototypes", "threshold": 0.25}
+    keys |= {"output": {"boxes": "output0", "prototypes": "output1"}}
+    outputs = {"output0": output, "output1": common[None]}
+    every = lines_of(write_answers(tmp_path, outputs, **keys))
+    assert [line.kind for line in every] == [1, 2, 0, 2]
+    classes = {"dashed": [1], "solid": [2]}
+    found = lines_of(write_answers(tmp_path, outputs, classes=classes, **keys))
+    assert [line.kind for line in found] == [1, 2, 2]
+    np.testing.assert_allclose([line.probability for line in found], [0.9, 0.8, 0.6], rtol=1e-6)
+    masks = [sigmoid(common[k]) for k in (0, 1, 3)]
+    columns = np.arange(80)
+    for mask, x in zip(masks, (8, 26, 62), strict=True):
+        mask[:, (columns < x - 10) | (columns >= x + 10)] = 0
+        mask[:7] = mask[37:] = 0
+    check_middles(found, masks)
+
+
+@seeds
+def test_rf_detr(tmp_path: Path, seed: int) -> None:
+    """`PostProcess`: sigmoid of the logits of classes and masks, no suppression."""
+    rng = np.random.default_rng(seed)
+    masks = drawn_masks(rng)
+    scores = np.full((1, 4, 3), -4.0)
+    scores[0, range(4), (1, 2, 0, 1)] = (2, 1, 3, -1)
+    outputs = {"dets": np.zeros((1, 4, 4)), "labels": scores, "masks": masks[None]}
+    keys = {"layout": "queries", "output": {"scores": "labels", "masks": "masks"}}
+    classes = {"dashed": [1], "solid": [2]}
+    found = lines_of(write_answers(tmp_path, outputs, classes=classes, **keys))
+    assert [line.kind for line in found] == [1, 2]
+    check_middles(found, [sigmoid(masks[0]), sigmoid(masks[1])])
+
+
+# --- on the road ------------------------------------------------------------------------------
+
+
+@seeds
+def test_openpilot(tmp_path: Path, seed: int) -> None:
+    """`parse_mdn` and `parse_binary_crossentropy` of parse_model_outputs.py: four lines of 33
+    places with two numbers, then their deviations, then two logits for each."""
+    rng = np.random.default_rng(seed)
+    output = rng.normal(0, 2, (1, 700))
+    mu, sd = output[0, 50:314].reshape(4, 33, 2), np.exp(output[0, 314:578].reshape(4, 33, 2))
+    likely = sigmoid(output[0, 578:586])[1::2]
+    ahead = [192 * (k / 32) ** 2 for k in range(33)]
+    wanted = []
+    for line in np.flatnonzero(likely >= 0.3):
+        wanted.append([(ahead[k], mu[line, k, 0]) for k in range(33) if sd[line, k, 0] <= 0.5])
+    parts = {
+        "places": "outputs[50:314:2]",
+        "deviations": "outputs[314:578:2]",
+        "scores": "outputs[579:586:2]",
+    }
+    keys = {"layout": "road_lines", "output": parts, "activation": "sigmoid", "threshold": 0.3}
+    found = lines_of(write_answers(tmp_path, {"outputs": output}, ahead=ahead, **keys))
+    check(found, wanted, 0)
+    np.testing.assert_allclose(
+        [line.probability for line in found], likely[likely >= 0.3], rtol=1e-5
+    )
+
+
+@seeds
+def test_anchor3dlane(tmp_path: Path, seed: int) -> None:
+    """`nms` of anchor_3dlane.py: 1 - softmax of the first class, places that are seen."""
+    rng = np.random.default_rng(seed)
+    output = rng.normal(0, 2, (1, 30, 5 + 3 * 20 + 21))
+    output[..., 45:65] = sigmoid(output[..., 45:65])
+    ahead = np.arange(5, 105, 5)
+    output[..., 65] += 4
+    classes = {"dashed": [1, 3], "solid": [2, 4, 20]}
+    wanted, kinds = [], []
+    for line in output[0]:
+        share = softmax(line[65:])
+        kind = 1 + int(share[1:].argmax())
+        if 1 - share[0] >= 0.5 and kind in (1, 2, 3, 4, 20):
+            wanted.append([(ahead[k], line[5 + k]) for k in range(20) if line[45 + k] >= 0.5])
+            kinds.append(kind)
+    parts = {
+        "places": "reg_proposals[5:25]",
+        "visible": "reg_proposals[45:65]",
+        "scores": "reg_proposals[65:86]",
+    }
+    keys = {"layout": "road_lines", "output": parts, "activation": "softmax"}
+    path = write_answers(
+        tmp_path, {"reg_proposals": output}, ahead=ahead.tolist(), classes=classes, **keys
+    )
+    found = lines_of(path)
+    check(found, wanted, 0)
+    assert [line.kind for line in found] == kinds

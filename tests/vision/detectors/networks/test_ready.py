@@ -1,0 +1,354 @@
+"""The networks that come along, by stand-ins: ONNX files of the same inputs and outputs, which say
+where the lines of a drawn road are as the published code of each network writes it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+
+from egolane_pgm.experiment import validated
+from egolane_pgm.tools.files import read_yaml
+from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.camera.model import image_to_road, road_to_image
+from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.checking import check_onnx
+from egolane_pgm.vision.detectors.networks.description import (
+    OUTPUTS,
+    READY,
+    Network,
+    read_network,
+    ready_networks,
+)
+from egolane_pgm.vision.detectors.networks.layouts import from_above
+from egolane_pgm.vision.detectors.networks.looking import looker
+from egolane_pgm.vision.detectors.networks.running import Fit, fit_of, load
+from egolane_pgm.vision.detectors.runner import detect, find_detector
+from egolane_pgm.vision.detectors.simple.birdseye import make_view
+from tests.kits.drives import command, refused
+from tests.kits.synthetic_road import CAMERA, Paint, drive, road
+from tests.kits.tiny_network import write_known
+
+PAGE = (Path(__file__).parents[4] / "docs" / "networks.md").read_text()
+WITH_LINES = [name for name in ready_networks() if not name.endswith("_road")]
+
+#: `culane_row_anchor` of Ultra-Fast-Lane-Detection.
+CULANE_ROWS = [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277]
+CULANE_ROWS += [287]
+
+#: Offsets of the lines that the stand-ins see, metres.
+OFFSETS = np.array([-2.9, 0.1, 3.1])
+
+
+def place(network: Network, fit: Fit) -> FloatArray:
+    """Where the lines are in each row of the input, (lines, h); NaN above the horizon and in rows
+    that no part of the picture is in."""
+    rows = np.arange(network.size[1], dtype=float)
+    _, v = fit.to_picture(np.zeros(len(rows)), rows)
+    far = np.geomspace(1, 200, 4000)[::-1]
+    found = []
+    for offset in OFFSETS:
+        u, at = road_to_image(CAMERA, far, offset)
+        seen = np.interp(v, at, u, left=np.nan, right=np.nan)
+        seen[(v < 0) | (v > CAMERA.height - 1)] = np.nan
+        found.append((seen + 0.5) * fit.wide / fit.width - 0.5 + fit.left)
+    return np.array(found)
+
+
+def area(network: Network, fit: Fit) -> FloatArray:
+    """The probability of free road: between the outermost lines, (h, w)."""
+    x = place(network, fit)
+    u = np.arange(network.size[0])
+    return np.where((u > x[0][:, None]) & (u < x[-1][:, None]), 0.9, 0.1)
+
+
+def strips(network: Network, fit: Fit) -> FloatArray:
+    """The probability of each line's marking, 0.2 m wide and two pixels at least, (lines, h, w)."""
+    u, v = np.meshgrid(*(np.arange(float(n)) for n in network.size))
+    _, y = image_to_road(CAMERA, *fit.to_picture(u, v))
+    away = np.abs(u - place(network, fit)[:, :, None])
+    near = np.abs(y - OFFSETS[:, None, None]) < 0.1
+    return np.where(near | (away < 1), 0.9, 0.05)
+
+
+def two_classes(share: FloatArray) -> FloatArray:
+    return np.stack([1 - share, share])[None]
+
+
+def twinlitenet(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """Logits of two classes."""
+    return {
+        "da": np.log(two_classes(area(network, fit))),
+        "ll": np.log(two_classes(strips(network, fit).max(axis=0))),
+    }
+
+
+def yolop(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """The sigmoid is in the file; the first output is that of vehicles."""
+    return {
+        "det_out": np.zeros((1, 25200, 6)),
+        "drive_area_seg": two_classes(area(network, fit)),
+        "lane_line_seg": two_classes(strips(network, fit).max(axis=0)),
+    }
+
+
+def ultra_fast(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """`_grid_pts` of data/dataset.py: x // (799 / 199) is a line's class, 200 where there is none.
+    The fourth line is nowhere."""
+    rows = {
+        "culane": CULANE_ROWS,
+        "tusimple": range(64, 285, 4),
+    }[str(network.rows)]
+    assert isinstance(network.classes, int)
+    columns = network.classes - 1
+    output = np.zeros((1, columns + 1, len(rows), 4))
+    output[0, columns] = 1
+    seen = place(network, fit)[:, np.array(rows, dtype=int)]
+    for line, row in zip(*np.nonzero(np.isfinite(seen)), strict=True):
+        column = int(seen[line, row] // (799 / (columns - 1)))
+        if 0 <= column < columns:
+            output[0, column, row, line] = 30
+    return {"output": output}
+
+
+def ultra_fast_2(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """Cells of shares of the picture: rows for the line 1, columns for 0 and 3; 2 is nowhere."""
+    n_rows, first, last = {"culane": (72, 0.42, 1), "tusimple": (56, 160 / 720, 710 / 720)}[
+        str(network.rows)
+    ]
+    loc_row, exist_row = np.zeros((1, 200, n_rows, 4)), np.zeros((1, 2, n_rows, 4))
+    loc_col, exist_col = np.zeros((1, 100, 81, 4)), np.zeros((1, 2, 81, 4))
+    far = np.geomspace(1, 200, 4000)[::-1]
+    for line, offset in zip((0, 1, 3), OFFSETS, strict=True):
+        u, v = (at + 0.5 for at in road_to_image(CAMERA, far, offset))
+        for k, row in enumerate(np.linspace(first, last, n_rows) * CAMERA.height):
+            at = np.interp(row, v, u, left=-1, right=-1) / CAMERA.width
+            if 0 < at < 1:
+                loc_row[0, round(at * 199 - 0.5), k, line] = 30
+                exist_row[0, 1, k, line] = 1
+        order = np.argsort(u)
+        for k, column in enumerate(np.linspace(0, 1, 81) * CAMERA.width):
+            at = np.interp(column, u[order], v[order], left=-1, right=-1) / CAMERA.height
+            if 0 < at < 1:
+                loc_col[0, round(at * 99 - 0.5), k, line] = 30
+                exist_col[0, 1, k, line] = 1
+    names = ("loc_row", "loc_col", "exist_row", "exist_col")
+    return dict(zip(names, (loc_row, loc_col, exist_row, exist_col), strict=True))
+
+
+def shares(network: Network, fit: Fit) -> list[tuple[FloatArray, FloatArray]]:
+    """x and y of each line, shares of the input."""
+    rows = np.arange(network.size[1])
+    found = []
+    for line in place(network, fit):
+        there = np.isfinite(line) & (line > 0) & (line < network.size[0])
+        x = (line[there] + 0.5) / network.size[0]
+        found.append((x, (rows[there] + 0.5) / network.size[1]))
+    return found
+
+
+def lstr(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """A straight line has a slope and two offsets, whose difference counts."""
+    scores, curves = np.zeros((1, 7, 2)), np.zeros((1, 7, 8))
+    scores[..., 0] = 9
+    for k, (x, y) in enumerate(shares(network, fit)):
+        slope, start = np.polyfit(y, x, 1)
+        scores[0, 2 * k] = (0, 9)
+        curves[0, 2 * k] = (y[0], y[-1], 0, -1, 0, start + 0.25, slope, 0.25)
+    nothing = np.zeros((1, 240, 240))
+    return {"pred_logits": scores, "pred_curves": curves, "weights": nothing}
+
+
+def polylanenet(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    output = np.full((1, 5, 7), -9.0)
+    for k, (x, y) in enumerate(shares(network, fit)):
+        output[0, k] = (9, y[0], y[-1], *np.polyfit(y, x, 3))
+    return {"output": output.reshape(1, 35)}
+
+
+def bezierlanenet(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    scores, curves = np.full((1, 40), -9.0), np.zeros((1, 40, 4, 2))
+    for k, (x, y) in enumerate(shares(network, fit)):
+        scores[0, 12 * k] = 9
+        t = np.linspace(0, 1, 4)
+        curves[0, 12 * k] = np.stack([x[0] + t * (x[-1] - x[0]), y[0] + t * (y[-1] - y[0])], 1)
+    return {"logits": scores, "curves": curves}
+
+
+def yolo_seg(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """Prototypes are a quarter of the size of the input; the class of vehicles is no line."""
+    width, height = network.size
+    common = np.array([cv2.resize(s, (width // 4, height // 4)) for s in strips(network, fit)])
+    common = np.concatenate([20 * (common - 0.3), np.ones((29, height // 4, width // 4))])
+    output = np.zeros((1, 4 + 3 + 32, 8400))
+    for k, (kind, line) in enumerate(zip((0, 1, 1), place(network, fit), strict=True)):
+        left, right = np.clip((np.nanmin(line) - 4, np.nanmax(line) + 4), 0, width)
+        output[0, :4, 50 * k] = ((left + right) / 2, height / 2, right - left, height)
+        output[0, 4 + kind, 50 * k] = 0.9
+        output[0, 7 + k, 50 * k] = 1
+    output[0, (0, 1, 2, 3, 6, 37), 1000] = (width / 2, height / 2, 99, 99, 0.9, 1)
+    return {"output0": output, "output1": common[None]}
+
+
+def rf_detr_seg(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    width, height = network.size
+    masks = np.full((1, 20, height // 4, width // 4), -9.0)
+    scores = np.full((1, 20, 3), -9.0)
+    for k, strip in enumerate(strips(network, fit)):
+        masks[0, 5 * k] = 20 * (cv2.resize(strip, (width // 4, height // 4)) - 0.3)
+        scores[0, 5 * k, (1, 2, 2)[k]] = 3
+    return {"dets": np.zeros((1, 20, 4)), "labels": scores, "masks": masks}
+
+
+def anchor3dlane(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    output = np.zeros((1, 100, 5 + 60 + 21))
+    output[..., 65] = 9
+    for k, offset in enumerate(OFFSETS):
+        output[0, 9 * k, 5:25], output[0, 9 * k, 45:65] = offset, 1
+        output[0, 9 * k, 65 + (2, 1, 7)[k]] = 20
+    return {"reg_proposals": output}
+
+
+def clrnet(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """`get_lanes` of clr_head.py: x at `np.linspace(1, 0, 72)` of the height, as shares of the
+    width; the start is a share of 71 strips, and so is the length."""
+    output = np.zeros((1, 192, 78))
+    output[0, :, 0] = 3
+    for k, (x, first, n) in enumerate(at_72(network, fit)):
+        output[0, 5 * k, :6] = (0, 3, first / 71, 0.5, 0.5, n / 71)
+        output[0, 5 * k, 6:] = x / (network.size[0] - 1)
+    return {"output": output}
+
+
+def laneatt(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """`proposals_to_pred` of laneatt.py: x in pixels, the length in rows."""
+    output = np.zeros((1, 1000, 77))
+    output[0, :, 0] = 3
+    for k, (x, first, n) in enumerate(at_72(network, fit)):
+        output[0, 5 * k, :5] = (0, 3, first / 71, 0.5, n)
+        output[0, 5 * k, 5:] = x
+    return {"proposals": output}
+
+
+def at_72(network: Network, fit: Fit) -> list[tuple[FloatArray, int, int]]:
+    """Each line at 72 rows from the bottom up: its x (0 where it is not), its first row and how
+    many there are."""
+    height = network.size[1]
+    found = []
+    for line in place(network, fit):
+        x = np.interp(np.linspace(1, 0, 72) * (height - 1), np.arange(height), line)
+        there = np.flatnonzero((x >= 0) & (x <= network.size[0] - 1))
+        found.append((np.nan_to_num(x), int(there[0]), len(there)))
+    return found
+
+
+def scnn(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """Logits of a background and four lines, the last of which is nowhere."""
+    share = np.zeros((1, 5, *network.size[::-1])) + 0.01
+    share[0, 1:4] = strips(network, fit)
+    share[0, 0] = np.maximum(1 - share[0, 1:].sum(axis=0), 0.01)
+    return {"seg_pred": np.log(share), "exist_pred": np.ones((1, 4))}
+
+
+#: What each network that comes along gives.
+GIVES: dict[str, Callable[[Network, Fit], dict[str, FloatArray]]] = {
+    "twinlitenet_lanes": twinlitenet,
+    "twinlitenet_road": twinlitenet,
+    "yolop_lanes": yolop,
+    "yolop_road": yolop,
+    "ufld_culane": ultra_fast,
+    "ufld_tusimple": ultra_fast,
+    "ufldv2_culane": ultra_fast_2,
+    "ufldv2_tusimple": ultra_fast_2,
+    "scnn": scnn,
+    "clrnet": clrnet,
+    "laneatt": laneatt,
+    "lstr": lstr,
+    "polylanenet": polylanenet,
+    "bezierlanenet": bezierlanenet,
+    "yolo_seg": yolo_seg,
+    "rf_detr_seg": rf_detr_seg,
+    "anchor3dlane": anchor3dlane,
+}
+
+
+def written(folder: Path, name: str) -> Path:
+    """Where a network that comes along is asked for, its stand-in beside it."""
+    path = folder / f"{name}.yaml"
+    network = validated(Network, read_yaml(READY / path.name, ""), name)
+    outputs = GIVES[name](network, fit_of(network, CAMERA.width, CAMERA.height))
+    others = dict.fromkeys(network.inputs, (1, 1, *network.size[::-1]))
+    write_known(folder / network.model, outputs, network.size, others)
+    return path
+
+
+@pytest.mark.parametrize("name", ready_networks())
+def test_each_yaml_reads_what_its_network_writes(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path, name)
+    network = read_network(path)
+    view = make_view(CAMERA, 6.0, 14.0, -5.0, 5.0)
+    answer = looker(network, CAMERA)(Picture(0, road()))
+    assert answer is not None
+    above = from_above(view, answer) > 0
+    if network.layout == "drivable":
+        between = (view.y_m > OFFSETS[0]) & (view.y_m < OFFSETS[-1])
+        edge = np.abs(view.y_m[:, None] - OFFSETS).min(axis=1) < 0.15
+        assert (above == between)[:, ~edge].all()
+        return
+    away = np.abs(view.y_m[:, None] - OFFSETS)
+    assert not above[:, away.min(axis=1) > 0.3].any()
+    for line in range(len(OFFSETS)):
+        found = above[:, away[:, line] < 0.3]
+        assert found.any(axis=1).mean() > 0.9
+        middle = view.y_m[away[:, line] < 0.3][np.nonzero(found)[1]].mean()
+        assert abs(middle - OFFSETS[line]) < 0.06
+
+
+@pytest.mark.parametrize("name", WITH_LINES)
+def test_each_network_with_lines_is_a_detector(tmp_path: Path, name: str) -> None:
+    path = written(tmp_path, name)
+    given = {"network": str(path), "curve": "line"}
+    detector = find_detector("network", given, Path.cwd(), "detector")
+    *_, (_, last) = detect(detector, CAMERA, drive(11, [Paint(-1.7, grey=95)]))
+    assert last.is_valid.all()
+    np.testing.assert_allclose(last.offset_m, OFFSETS, atol=0.15)
+
+
+@pytest.mark.parametrize("name", ready_networks())
+def test_an_onnx_is_known_again_by_its_outputs(tmp_path: Path, name: str) -> None:
+    """The YAML to start from is that of the network, or of its other output or data set."""
+    path = written(tmp_path, name)
+    said = yaml.safe_load(check_onnx(read_network(path).onnx))
+    own = yaml.safe_load((READY / path.name).read_text())
+    for key in ("layout", "size", "classes", "inputs") if not name.endswith("_road") else ("size",):
+        assert said.get(key) == own.get(key)
+
+
+def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
+    """Names and sizes are its own; an output that nothing reads has no YAML."""
+    file = tmp_path / "mine.onnx"
+    outputs = {"a": np.zeros((1, 7, 2)), "b": np.zeros((1, 7, 8)), "c": np.zeros((1, 9))}
+    write_known(file, outputs, (320, 160), {"mask": (1, 1)})
+    said = command("network-check", file).stdout
+    assert "# layouts that fit: lstr_curves\n" in said
+    keys = yaml.safe_load(said)
+    assert keys["output"] == {"scores": "a", "curves": "b"}
+    assert (keys["model"], keys["size"], keys["inputs"]) == ("mine.onnx", [320, 160], {"mask": 0})
+    (tmp_path / "mine.yaml").write_text(said)
+    load(read_network(tmp_path / "mine.yaml"), Fit(320, 160, 0, 0, 0, 320, 160))
+    write_known(file, {"a": np.zeros((1, 3)), "b": np.zeros((2, 2))}, (320, 160))
+    assert command("network-check", file).stdout.endswith(
+        "# layouts that fit: none (docs/networks.md shows what each reads)\n"
+    )
+    file.write_bytes(b"nothing")
+    assert refused("network-check", file) == f"network: {file} is no ONNX file"
+
+
+def test_the_page_has_each_layout_each_key_and_each_network() -> None:
+    assert set(ready_networks()) == set(GIVES)
+    for word in (*OUTPUTS, *Network.model_fields, *GIVES):
+        assert f"`{word}`" in PAGE
