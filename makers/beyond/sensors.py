@@ -106,8 +106,10 @@ def scores(drive: Drive, start: int | None, overrides: tuple[str, ...]) -> list[
     is_right = (assigned_lane(beliefs.lane) == drive.lane) & is_scored
     rate = 1 / float(np.median(np.diff(drive.log.time_s)))
     events = lane_events(beliefs, rate, time_s=drive.log.time_s)
-    rows = np.flatnonzero(is_scored)
-    truth = LaneTruth(drive.log.frame_id[rows], drive.lane[rows], np.zeros(len(rows), dtype=bool))
+    # Frames that are not scored lie in crossings, but for those after the last one.
+    rows = np.arange(np.flatnonzero(is_scored)[0], np.flatnonzero(is_scored)[-1] + 1)
+    before = np.maximum.accumulate(np.where(is_scored, np.arange(len(is_scored)), 0))
+    truth = LaneTruth(drive.log.frame_id[rows], drive.lane[before[rows]], ~is_scored[rows])
     within = score_events(events, truth, rate)["within"]["2"]
     return [
         *(float(np.count_nonzero(each)) for each in (is_scored, is_right)),
