@@ -37,6 +37,7 @@ STICKY = FOLDER / "sticky.yaml"
 #: What is scored as it stands: an experiment or a file, and what is changed in it.
 PLAIN = {
     page.POSITION: ("zero_label", {}),
+    page.NO_SIGHT: ("zero_label", {"parameters.sight": "generic"}),
     page.NO_WIDTH: ("zero_label", {"parameters.lane_width_m": 3.5}),
     page.NO_MOTION: ("zero_label", {"parameters.motion_gain": 0}),
     page.NO_FLAGS: ("zero_label", {"evidence": str(FOLDER / "no_flags.py")}),

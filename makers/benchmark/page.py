@@ -5,6 +5,7 @@ from __future__ import annotations
 from egolane_pgm.benchmark.board import Board, on_track, scores_of
 
 POSITION = "position in lane"
+NO_SIGHT = "position in lane, one kind of detector"
 NO_WIDTH = "position in lane, width not estimated"
 NO_MOTION = "position in lane, without motion"
 NO_FLAGS = "position in lane, without flags and LRI"
@@ -168,8 +169,9 @@ def said(board: Board) -> list[str]:
         f" {gap(BOOSTING, PUBLISHED)}.",
         f"**What the parts of position in lane are worth** on *{main}*: without estimating the"
         f" width {gap(NO_WIDTH, POSITION)}, without motion {gap(NO_MOTION, POSITION)}, without"
-        f" flags and LRI {gap(NO_FLAGS, POSITION)}; an answer that waits for 3 s"
-        f" {gap(AFTER_3_S, POSITION)}.",
+        f" flags and LRI {gap(NO_FLAGS, POSITION)}, with one kind of detector"
+        f" {gap(NO_SIGHT, POSITION)} (on *{blind}* {gap(NO_SIGHT, POSITION, blind)}); an answer"
+        f" that waits for 3 s {gap(AFTER_3_S, POSITION)}.",
         f"**Sure and wrong**: on *{blind}* position in lane is sure in {_share(found['sure'])} of"
         f" the frames and right in {_share(found['right_if_sure'])} of these; on *{main}* in"
         f" {_share(of(POSITION)['sure'])} and {_share(of(POSITION)['right_if_sure'])}. Its first"
