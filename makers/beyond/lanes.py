@@ -41,23 +41,22 @@ TEXT = """\
 the road (`position_in_lane`) and the whole recording shows another number of lanes than `n_lanes`
 (`egolane_pgm.lane_count`). Streams do not.
 
-- *More lanes* are told by the place inside the lane and the motion of the lines, without any
+- *More lanes* show in the place inside the lane and the motion of the lines, without any
   evidence of which lane it is: a car that crosses n lines to one side has no place on a road of n
   lanes. The warning needs log odds of 15, and lines that do not speak against one more lane (by
   less than 30). On the ten recordings motion has 41 to 103 if one too few was told, and up to 3 if
   the right number was. Without the second condition a long drive is enough: motion that is misread
   while the detector fails finds room on a wider road, every time.
-- *Fewer lanes* are told by the lines, by how well one drive explains what each frame says by
-  itself. The warning needs log odds of 20, and motion that does not speak for the lanes that were
-  told (by less than 7). Without the second condition, noise or lines beside the road are enough. On
-  the ten recordings the lines have 35 to 87 if one too many was told; motion has 41 to 103 for the
-  right number.
+- *Fewer lanes* show in the lines, in how well one drive explains each frame. The warning needs log
+  odds of 25, and motion that does not speak for the given number of lanes (by less than 7). Without
+  the second condition, noise or lines beside the road are enough. On the ten recordings the lines
+  have 28 to 120 if one too many was told; motion has 40 to 103 for the right number.
 
-In a drive of more than 10,000 frames the 30, the 20 and the 7 are in proportion to its length.
+In a drive of more than 10,000 frames the 30, the 25 and the 7 are in proportion to its length.
 
 Five minutes of a drive tell less: motion has 8 to 33 for a lane that was left out, the lines have 5
 to 27 against one that is not there. On simulated drives of ten minutes on a road with a lane that
-the car is never in, which motion does not miss, the lines have up to 11 against it.
+the car is never in, which motion does not miss, the lines have up to 22 against it.
 
 | | drives | right number told: warned | one too few: warned rightly, wrongly | one too many |
 |---|--:|--:|--:|--:|"""
