@@ -68,7 +68,7 @@ STRETCHES = ((0, TURN_LANE[0], 6), (TURN_LANE[0], 60_000, 5))
 LANE_WIDTH_M = 3.66
 AHEAD_M = 12.0
 #: Labels are made from the whole drive.
-PARAMETERS = {"alpha": 0.01, "beta": 0.1, "lane_width_m": "auto"}
+PARAMETERS = {"sight": "generic", "alpha": 0.01, "beta": 0.1, "lane_width_m": "auto"}
 WITHIN_S = 3.0
 
 
