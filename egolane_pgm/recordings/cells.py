@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
@@ -27,9 +27,7 @@ def needs(name: str) -> str:
 def arrow_column(column: Any) -> Any:
     """A column of pyarrow or pandas as an array of pyarrow. Raises `pyarrow.ArrowException` for one
     of mixed types."""
-    if isinstance(column, pa.ChunkedArray):
-        column = column.combine_chunks()
-    if not isinstance(column, pa.Array):
+    if not isinstance(column, (pa.Array, pa.ChunkedArray)):
         column = pa.array(column, from_pandas=True)
     if isinstance(column, pa.ChunkedArray):
         column = column.combine_chunks()
@@ -45,71 +43,48 @@ def typed(
     - called: what the table calls it, where that is another name.
     - rows: the row of the file in which each cell stands; by default one after the other.
     """
-    called = called if called in ("", name) else f"{called} ({name})"
-    called, is_flag = called or name, name in FLAGS
+    called, bare = (name if called in ("", name) else f"{called} ({name})"), called or name
     given = getattr(column, "type", None) or column.dtype
+
+    def refuse(row: int, cell: str, cure: str) -> InputError:
+        where = place(path, row if rows is None else int(rows[row]))
+        return InputError(f"{where}: {called} is {cell}, not {needs(name)}{cure}")
+
     try:
         column = arrow_column(column)
         if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-            column = _of_text(path, name, column, called, rows)
-        elif pa.types.is_boolean(column.type) and not is_flag:
+            values = np.full(len(column), np.nan)
+            words = {"": np.nan, **({"true": 1, "false": 0} if name in FLAGS else {})}
+            for row, cell in enumerate(column.to_pylist()):
+                text = (cell or "").strip()
+                try:
+                    values[row] = float(words.get(text.lower(), text))
+                except ValueError:
+                    raise refuse(row, repr(text[:40]), _cure(text)) from None
+        elif pa.types.is_boolean(column.type) and name not in FLAGS:
             raise pa.ArrowInvalid
-        values = _numbers(column)
+        else:
+            if pa.types.is_boolean(column.type):
+                column = column.cast(pa.int8())
+            column = column.cast(pa.float64(), safe=False).fill_null(np.nan)
+            values = column.to_numpy(zero_copy_only=False)
     except pa.ArrowException:
         said = f"{path}: column {called} has type {given}, which is not {needs(name)}"
         raise InputError(said) from None
     # To pyarrow every number but 0 is true; 7 is more likely another column.
-    if is_flag and not (np.isnan(values) | np.isin(values, (0, 1))).all():
-        k = int(np.argmax(~(np.isnan(values) | np.isin(values, (0, 1)))))
-        where = place(path, k if rows is None else int(rows[k]))
-        raise InputError(
-            f"{where}: {called} is {values[k]:g}, not {needs(name)}; a condition says which"
-            f" numbers mean true, `lines: {{{name}: {called.partition(' (')[0]} > 0.5}}`"
-        )
+    if name in FLAGS and (wrong := ~(np.isnan(values) | np.isin(values, (0, 1)))).any():
+        cure = f"; a condition says which numbers mean true, `lines: {{{name}: {bare} > 0.5}}`"
+        raise refuse(int(np.argmax(wrong)), f"{values[np.argmax(wrong)]:g}", cure)
     return values
-
-
-def _of_text(path: Path, name: str, column: Any, called: str, rows: IntArray | None) -> Any:
-    """The numbers that a column of text says. Raises InputError for the first cell without one."""
-    text = trimmed = pc.utf8_trim_whitespace(column)
-    if name in FLAGS:
-        for word, digit in (("(?i)^true$", "1"), ("(?i)^false$", "0")):
-            text = pc.replace_substring_regex(text, word, digit)
-    text = pc.if_else(pc.equal(text, ""), None, text)
-    try:
-        return text.cast(pa.float64())
-    except pa.ArrowInvalid:
-        row = next(k for k, cell in enumerate(text) if not _is_number(cell))
-        cell = str(trimmed[row])[:40]
-        where = place(path, row if rows is None else int(rows[row]))
-        raise InputError(f"{where}: {called} is {cell!r}, not {needs(name)}{_cure(cell)}") from None
 
 
 def _cure(cell: str) -> str:
     """What may help with a cell that is no number: the end of a message."""
-    if cell.count(",") == 1 and cell.replace(",", "").lstrip("+-").isdigit():
+    if re.fullmatch(r"[-+]?\d+,\d+", cell):
         return "; decimal commas: `lines: {decimal: ','}`"
-    if 0 < len(cell) < 8 and not any(c.isdigit() for c in cell) and not cell.islower():
+    if re.fullmatch(r"[^\da-z]{1,7}", cell):
         return f"; if it stands for an empty cell: `lines: {{null_values: [{cell!r}]}}`"
     return ""
-
-
-def _is_number(cell: Any) -> bool:
-    try:
-        cell.cast(pa.float64())
-    except pa.ArrowInvalid:
-        return False
-    return True
-
-
-def _numbers(column: Any) -> FloatArray:
-    """A column of pyarrow as an array."""
-    if pa.types.is_boolean(column.type):
-        column = column.cast(pa.int8())
-    values: FloatArray = (
-        column.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy(zero_copy_only=False)
-    )
-    return values
 
 
 def place(path: Path, row: int) -> str:
@@ -127,14 +102,9 @@ def check_whole(path: Path, cells: Cells, name: str, row: IntArray) -> None:
     number = cells[name]
     # pandas writes whole numbers beside empty cells as 12.0.
     bad = ~np.isnan(number) & ~((np.floor(number) == number) & (np.abs(number) < 2.0**53))
-    if not bad.any():
-        return
-    k = int(np.argmax(bad))
-    said = f"{name} is {number[k]:.17g}, not a whole number"
-    if name == "frame_id":
-        is_large = abs(number[k]) >= 2.0**53
-        said = f"{name} is {number[k]:.17g}, " + (
-            "too large for the number of a frame" if is_large else "not a whole number"
-        )
-        said += "; time stamps: `lines: {time: NAME, time_unit: s}` (or ms, us, ns)"
-    raise InputError(f"{place(path, int(row[k]))}: {said}")
+    if bad.any():
+        k = int(np.argmax(bad))
+        said = "not a whole number" if abs(number[k]) < 2.0**53 else "too large for a number here"
+        if name == "frame_id":
+            said += "; time stamps: `lines: {time: NAME, time_unit: s}` (or ms, us, ns)"
+        raise InputError(f"{place(path, int(row[k]))}: {name} is {number[k]:.17g}, {said}")

@@ -169,7 +169,7 @@ def time_of(value: Any, logged_ns: int) -> float:
     if isinstance(stamp, dict):
         second, nano = (
             next((int(stamp[name]) for name in names if name in stamp), 0)
-            for names in (("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos"))
+            for names in (mapping.SECONDS, mapping.NANOSECONDS)
         )
     # Nanoseconds since 1970 have more digits than a float.
     return second + nano / 1e9 if second or nano else logged_ns // 10**9 + logged_ns % 10**9 / 1e9

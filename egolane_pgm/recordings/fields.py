@@ -25,7 +25,7 @@ from egolane_pgm.types import FloatArray, InputError, IntArray, near_word
 Up = tuple[IntArray, ...]
 
 #: A field of a section, an element of a list, or each.
-_STEP = re.compile(r"\.([^.\[\]]+)|\[(-?\d*)\]")
+_STEP = re.compile(r"\.([^.\[\]]+)|\[(\d*)\]")
 
 _CONDITION = re.compile(r"(.+?)\s*(>=|<=|==|!=|>|<|\s(?:not )?in\s)\s*(.+)")
 _COMPARED = {
@@ -80,24 +80,21 @@ class Table:
 
         Raises InputError for a field that is not there.
         """
-        wrong = _NoField(path)
         # Of lists that are always empty nobody knows the fields: what says the list is whole.
         ways = [path] if path.startswith(beside) else [beside + path, path]
-        for whole in ways:
-            try:
-                name, found, up = _follow(self.columns, whole)
-            except _NoField as error:
-                wrong = wrong if wrong.known and error.part == path else error
-            except pa.ArrowException as error:
-                said = " ".join(str(error).split())[:120]
-                raise InputError(f"{self.path}: column {whole} has mixed types ({said})") from None
-            else:
-                self.used.add(name)
-                return whole, found, up
-        what = f"there is no '{wrong.part}'" + (f" in {path}" if wrong.part != path else "")
-        there = f"; there are {', '.join(wrong.known)}" if wrong.known else ""
-        hint = near_word(wrong.part, wrong.known)
-        raise InputError(f"{self.path}: lines: {key}: {what}{hint}{there}")
+        whole = next(filter(self.has, ways), ways[0])
+        try:
+            name, found, up = _follow(self.columns, whole)
+        except _NoField as wrong:
+            what = f"there is no '{wrong.part}'" + (f" in {path}" if wrong.part != path else "")
+            there = f"; there are {', '.join(wrong.known)}" if wrong.known else ""
+            hint = near_word(wrong.part, wrong.known)
+            raise InputError(f"{self.path}: lines: {key}: {what}{hint}{there}") from None
+        except pa.ArrowException as error:
+            said = " ".join(str(error).split())[:120]
+            raise InputError(f"{self.path}: column {whole} has mixed types ({said})") from None
+        self.used.add(name)
+        return whole, found, up
 
     def numbers(
         self, name: str, path: str, beside: str = "", key: str = ""
@@ -141,23 +138,19 @@ class Table:
             raise InputError(f"{where}: {said!r} is no condition, e.g. confidence > 0.5")
         operator, meant = match[2].strip(), parse_yaml(match[3], where)
         path, found, up = self.values(name, match[1], beside)
-        among = list(meant) if isinstance(meant, list) else [meant]
+        among = meant if isinstance(meant, list) else [meant]
         if operator in _COMPARED and not isinstance(meant, (int, float)):
             raise InputError(f"{where}: {match[3]!r} is not a number")
         if any(isinstance(each, str) for each in among):
-            text = found.cast(pa.string())
-            is_in = pc.is_in(text, pa.array([str(each) for each in among]))
-            is_in, is_there = (
-                each.to_numpy(zero_copy_only=False) for each in (is_in, pc.is_valid(text))
-            )
+            values = np.array(found.cast(pa.string()).to_pylist(), dtype=object)
+            is_there, among = values != None, [*map(str, among)]  # noqa: E711
         else:
             kind = "is_valid" if pa.types.is_boolean(found.type) else "number"
             values = typed(self.path, kind, found, path, self.rows(up))
             is_there = ~np.isnan(values)
-            if operator in _COMPARED:
-                return _COMPARED[operator](values, meant) & is_there, up
-            is_in = np.isin(values, among)
-        return is_there & (is_in == (operator in ("==", "in"))), up
+        if operator in _COMPARED:
+            return _COMPARED[operator](values, meant) & is_there, up
+        return is_there & (np.isin(values, among) == (operator in ("==", "in"))), up
 
 
 def _follow(columns: Mapping[str, Any], path: str) -> tuple[str, Any, Up]:
@@ -192,16 +185,10 @@ def _follow(columns: Mapping[str, Any], path: str) -> tuple[str, Any, Up]:
 
 def _listed(values: Any, up: Up, index: str) -> tuple[Any, Up]:
     """Each element of lists, or the one of an index; null where a list is too short."""
-    if pa.types.is_fixed_size_list(values.type):
-        values = values.cast(pa.list_(values.type.value_type))
-    if not (pa.types.is_list(values.type) or pa.types.is_large_list(values.type)):
+    if not pa.types.is_nested(values.type) or pa.types.is_struct(values.type):
         raise _NoField(f"[{index}]")
-    flat = pc.list_flatten(values)
     if index == "":
         parent = pc.list_parent_indices(values).to_numpy(zero_copy_only=False)
-        return flat, (*up, parent.astype(np.int64))
-    length = pc.list_value_length(values).fill_null(0).to_numpy(zero_copy_only=False)
-    at = int(index) if int(index) >= 0 else length + int(index)
-    is_there = (at >= 0) & (at < length)
-    found = np.where(is_there, np.cumsum(length) - length + at, 0)
-    return flat.take(pa.array(found, mask=~is_there)), up
+        return pc.list_flatten(values), (*up, parent.astype(np.int64))
+    one = pc.list_slice(values, int(index), int(index) + 1, return_fixed_size_list=True)
+    return pc.list_element(one, 0), up
