@@ -19,21 +19,20 @@ import pyarrow.compute as pc
 
 from egolane_pgm.experiment import LinesMapping
 from egolane_pgm.recordings import containers
-from egolane_pgm.recordings.cells import arrow_column
-from egolane_pgm.recordings.fields import Table
+from egolane_pgm.recordings.fields import Table, arrow_column
 from egolane_pgm.recordings.mapping import (
     LinesGiven,
     columns_of,
+    contradictions,
     lines_of,
     lines_of_table,
     mapping_keys,
     mapping_of,
     presets,
     seconds,
-    signs,
 )
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.recordings.table import TABLES, read_columns
+from egolane_pgm.recordings.table import TABLES, read_columns, separator_of
 from egolane_pgm.types import InputError, LineLog
 
 #: Messages of a topic that are looked at.
@@ -169,13 +168,11 @@ def _leaves(table: Table) -> Iterator[_Leaf]:
 
 def _separators(path: Path) -> dict[str, Any]:
     """The separator and the decimal point of a CSV, by its first rows."""
+    found = separator_of(path)
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        rows = [*islice(file, 20)]
-    found = max(",;\t|", key=rows[0].count) if rows else ","
-    if found == ",":
-        return {}
-    comma = any(re.search(r"\d,\d", row) for row in rows[1:])
-    return {"separator": found.replace("\t", "\\t"), **({"decimal": ","} if comma else {})}
+        comma = any(re.search(r"\d,\d", row) for row in islice(file, 1, 20))
+    said = {"separator": found.replace("\t", "\\t"), **({"decimal": ","} if comma else {})}
+    return {} if found == "," else said
 
 
 # --- guesses -------------------------------------------------------------------------------------
@@ -184,16 +181,12 @@ def _separators(path: Path) -> dict[str, Any]:
 def _guesses(tables: _Tables, leaves: Mapping[str, list[_Leaf]]) -> Iterator[dict[str, Any]]:
     """Mappings that may read the lines, the likeliest first."""
     yield {}
-    alike = _alike(tables)
     for name, keys in presets().items():
         for topic, (_, _, table) in tables.items():
             where = {"topic": topic} if len(tables) > 1 and "topic" not in keys else {}
             is_timed = topic or {"time", "frame_id"} & {*keys}
             yield {"preset": name, **where, **({} if is_timed else _frames(leaves[topic], table))}
-        if "{}" in keys.get("topic", ""):
-            for topic, each in alike.items():
-                yield {"preset": name, "topic": topic, "each": each}
-    for topic, each in alike.items():
+    for topic, each in _alike(tables).items():
         first = topic.replace("{}", each[0])
         for guess in _by_names(leaves[first], tables[first][2]):
             yield {"topic": topic, "each": each, **guess}
@@ -217,8 +210,8 @@ def _frames(leaves: list[_Leaf], table: Table) -> dict[str, str]:
     at_root = [leaf for leaf in leaves if "[]" not in leaf.path]
     found: dict[str, str] = {}
     if table.own("frame_id") is None:
-        ids = (leaf.path for leaf in at_root if leaf.has(_FRAME) and leaf.low is not None)
-        found |= {"frame_id": each for each in islice(ids, 1)}
+        for leaf in [x for x in at_root if x.has(_FRAME) and x.low is not None][:1]:
+            found["frame_id"] = leaf.path
     for leaf in at_root if table.own("time_s") is None else []:
         is_date = leaf.type.startswith("timestamp")
         if is_date or (leaf.has(_TIME) and leaf.low is not None):
@@ -259,7 +252,7 @@ def _by_names(leaves: list[_Leaf], table: Table) -> Iterator[dict[str, Any]]:
 
 def _flags(beside: list[_Leaf]) -> dict[str, Any]:
     """Conditions on the fields beside an offset."""
-    found = {}
+    found: dict[str, Any] = {}
     for leaf in beside:
         solid = [text for text in leaf.texts if re.search("solid|double|edge|curb", text, re.I)]
         if leaf.has(_VALID) and leaf.high is not None:
@@ -283,7 +276,7 @@ def _unit_and_sign(log: LineLog, keys: Mapping[str, Any]) -> dict[str, Any]:
     for unit, per in (("cm", 100), ("mm", 1000)):
         if _WIDTH_M[0] < width / per < _WIDTH_M[1]:
             found["unit"] = unit
-    if "preset" not in keys and signs(log).backwards:
+    if "preset" not in keys and "backwards" in contradictions(log):
         found["left_positive"] = True
     return found
 
@@ -293,7 +286,7 @@ def _said(log: LineLog) -> dict[str, Any]:
     step, is_gap = np.diff(log.time_s), np.diff(log.frame_id) > 1
     gap = int(np.argmax(step)) if is_gap.any() else None
     valid = log.offset_m[log.is_valid]
-    is_told = signs(replace(log, offset_m=-log.offset_m)).backwards
+    is_told = "backwards" in contradictions(replace(log, offset_m=-log.offset_m))
     return {
         "frames": len(log),
         "frame_rate": rate_of(log.frame_id, log.time_s),

@@ -22,8 +22,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from egolane_pgm.experiment import LinesMapping, validated
-from egolane_pgm.recordings.cells import FLAGS, Cells, arrow_column, check_whole, place, typed
-from egolane_pgm.recordings.fields import Table
+from egolane_pgm.recordings.fields import (
+    FLAGS,
+    Cells,
+    Table,
+    arrow_column,
+    check_whole,
+    place,
+    typed,
+)
 from egolane_pgm.tools.files import read_text, read_yaml
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import (
@@ -145,8 +152,6 @@ def mapping_keys(given: LinesGiven) -> dict[str, Any]:
 
 def mapping_of(given: LinesGiven, where: str) -> LinesMapping:
     """What a caller gives as a mapping. Raises InputError for keys that do not fit."""
-    if isinstance(given, LinesMapping):
-        return given
     return validated(LinesMapping, mapping_keys(given), f"{where}: lines")
 
 
@@ -244,7 +249,10 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
     for name in ("is_valid", "is_continuous", "lri", "line"):
         said = getattr(keys, name)
         if said is None:
-            said = table.own(name, beside) or _of_line(table, name, part.name)
+            # In a table with one row per frame it is is_valid_1, or valid_1.
+            of_line = (f"{each}_{part.name}" for each in (name, name.removeprefix("is_")))
+            ours = [table.own(name, beside), *map(table.own, of_line)]
+            said = next(filter(None, ours), None)
         if isinstance(said, bool):
             cells[name] = np.full(len(offset), float(said))
         elif said is not None:
@@ -262,13 +270,6 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
         there = ~np.isnan(offset) | (cells["is_valid"] == 1)
         cells, row = {name: values[there] for name, values in cells.items()}, row[there]
     return cells, row
-
-
-def _of_line(table: Table, name: str, line: str) -> str | None:
-    """Our own column of a line, in a table with one row per frame."""
-    if not line:
-        return None
-    return table.own(f"{name}_{line}") or table.own(f"{name.removeprefix('is_')}_{line}")
 
 
 def _at(at_m: float, x: FloatArray, y: FloatArray, line: IntArray, n_lines: int) -> FloatArray:
@@ -488,16 +489,15 @@ def _joined(
     named = [part.keys.topic or default for part in parts]
     topic_of = [topic if topic in tables else default for topic in named]
     frames = {topic: _frames_of(tables[topic], mapping, first) for topic in tables}
-    row_of = {topic: np.arange(table.n_rows) for topic, table in tables.items()}
-    of_frame = frames[default]
+    of_frame, row_of = frames[default], {default: np.arange(tables[default].n_rows)}
     if len(frames) > 1:
         of_frame, row_of = _together(path, frames, by_id=mapping.frame_id is not None)
     found: list[tuple[Cells, IntArray]] = []
     base, width = 0, 0
     for part, topic in zip(parts, topic_of, strict=True):
         start = base if part.slot is None or mapping.also else part.slot
-        is_alone = len(parts) == 1 and part.slot is None
-        cells, row = _rows_of(tables[topic], part, None if is_alone else start)
+        is_only = len(parts) == 1 and part.slot is None
+        cells, row = _rows_of(tables[topic], part, None if is_only else start)
         base = max(base, int(np.nanmax(cells.get("line", base), initial=0)))
         # Lines that `also` adds stand in no order with the others.
         width = base if part.slot is not None or not found else width
@@ -506,12 +506,14 @@ def _joined(
     cells |= {name: values[row] for name, values in of_frame.items()}
     if "line" not in cells:
         # The rows of a frame are its lines; a single one without an offset says that it has none.
-        frame, n = cells["frame_id"], np.arange(len(row))
-        first, last = (np.searchsorted(frame, frame, side) for side in ("left", "right"))
-        is_empty = np.isnan(cells["offset_m"]) & (last - first == 1)
-        cells["line"] = np.where(is_empty, np.nan, n - first + 1)
+        frame = cells["frame_id"]
+        before = np.searchsorted(frame, frame)
+        is_alone = np.searchsorted(frame, frame, "right") - before == 1
+        number = np.arange(1, len(row) + 1) - before
+        cells["line"] = np.where(np.isnan(cells["offset_m"]) & is_alone, np.nan, number)
     log = _assemble(path, cells, row, frame_rate)
-    _warn_of_signs(log, bool(mapping.left_positive), width or None)
+    for said in contradictions(log, bool(mapping.left_positive), width or None).values():
+        warnings.warn(said, UserWarning, stacklevel=4)
     return log
 
 
@@ -606,49 +608,35 @@ def _assemble(path: Path, cells: Cells, row: IntArray, frame_rate: float) -> Lin
 # --- signs ---------------------------------------------------------------------------------------
 
 
-class Signs(NamedTuple):
-    """In which share of the frames all lines are on one side of the car, and in which they go from
-    right to left, where that is nearly all of them; else 0."""
-
-    one_sided: float = 0.0
-    backwards: float = 0.0
-
-
-def signs(log: LineLog, width: int | None = None) -> Signs:
-    """How the signs of the offsets contradict themselves; not at all where there are few frames.
+def contradictions(
+    log: LineLog, is_left_positive: bool = False, width: int | None = None
+) -> dict[str, str]:
+    """The ways in which the signs of the offsets contradict themselves, `one-sided` or
+    `backwards`, each with what may cure it; they are used all the same.
 
     - width: how many lines have numbers from left to right; None for all.
     """
     several = np.flatnonzero(log.is_valid.sum(axis=1) > 1)
     if len(several) < _ENOUGH:
-        return Signs()
+        return {}
     several = several[:: 1 + len(several) // _LOOKED_AT]
     offset = np.where(log.is_valid, log.offset_m, np.nan)[several]
+    said = {}
     one_sided = np.mean((np.nanmin(offset, axis=1) > 0) | (np.nanmax(offset, axis=1) < 0))
+    if one_sided > _MOST:
+        said["one-sided"] = (
+            f"{log.source}: in {one_sided:.0%} of the frames all lines are on one side of the car;"
+            " are the offsets distances without a sign? `lines: also` takes the lines of each side"
+            " with their own left_positive"
+        )
     offset = offset[:, :width]
     order = np.argsort(np.isnan(offset), axis=1, kind="stable")
     step = np.diff(np.take_along_axis(offset, order, axis=1), axis=1)
     backwards = np.mean((step < 0).any(axis=1) & ~(step >= 0).any(axis=1))
-    return Signs(*(float(share) * (share > _MOST) for share in (one_sided, backwards)))
-
-
-def _warn_of_signs(log: LineLog, is_left_positive: bool, width: int | None) -> None:
-    """Warn of signs that contradict themselves, with what may cure it; they are used all the
-    same."""
-    found = signs(log, width)
-    if found.one_sided:
-        warnings.warn(
-            f"{log.source}: in {found.one_sided:.0%} of the frames all lines are on one side of the"
-            " car; are the offsets distances without a sign? `lines: also` takes the lines of each"
-            " side with their own left_positive",
-            UserWarning,
-            stacklevel=5,
-        )
-    if found.backwards:
+    if backwards > _MOST:
         side, turned = ("right", "false") if is_left_positive else ("left", "true")
-        warnings.warn(
-            f"{log.source}: in {found.backwards:.0%} of the frames the lines go from right to left;"
-            f" are their offsets positive to the {side}? then `lines: {{left_positive: {turned}}}`",
-            UserWarning,
-            stacklevel=5,
+        said["backwards"] = (
+            f"{log.source}: in {backwards:.0%} of the frames the lines go from right to left; are"
+            f" their offsets positive to the {side}? then `lines: {{left_positive: {turned}}}`"
         )
+    return said
