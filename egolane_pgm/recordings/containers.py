@@ -91,8 +91,7 @@ def read_messages(
 ) -> LineLog:
     """Read the lines of a file of messages, T frames of at most L lines.
 
-    - topic: of the lines; by default that of the published recordings or of `egolane export`, or
-      the only one.
+    - topic: of the lines; by default one of TOPICS, or the only one.
     - frame_rate: frames per second of messages with frame ids but without times.
     - lines: which fields are what; by default those of the published recordings, or our own names.
     - definitions: as for `topics_of`.

@@ -445,13 +445,12 @@ def lines_of(
     by_topic: dict[str, list[Message]] = {}
     for message in messages:
         by_topic.setdefault(f"/{message.topic.strip('/')}", []).append(message)
-    wanted = topics_of(whole)
-    if not by_topic:
-        raise InputError(f"{where}: has no messages")
-    if not wanted and len(by_topic) > 1:
-        raise InputError(f"{where}: topic: is missing; there are {', '.join(sorted(by_topic))}")
+    wanted = topics_of(whole) or tuple(by_topic)
+    if not topics_of(whole) and len(by_topic) != 1:
+        there = ", ".join(sorted(by_topic)) or "no messages"
+        raise InputError(f"{where}: topic: is missing; there are {there}")
     tables = {}
-    for topic in wanted or by_topic:
+    for topic in wanted:
         found = by_topic.get(f"/{topic.strip('/')}")
         if found is None:
             hint = suggestion(topic, by_topic)

@@ -35,9 +35,6 @@ def read_table(
 ) -> LineLog:
     """Read the lines of a CSV or Parquet table, or of JSON lines, T frames of at most L lines.
 
-    Without a column is_valid every line is valid, without is_continuous none is continuous, without
-    lri the LRI is unknown (NaN). Other columns are ignored with one warning.
-
     - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
     - lines: which columns are what, where they are not called as ours.
 

@@ -75,8 +75,8 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     rate = "unknown" if done["frame_rate"] is None else f"{done['frame_rate']:g} per second"
     gaps = f"gaps: {done['gaps']}"
     if done["gaps"]:
-        gaps += f", the longest {done['longest_gap_s']:g} s after frame"
-        gaps += f" {done['longest_gap_after_frame']}"
+        longest, after = done["longest_gap_s"], done["longest_gap_after_frame"]
+        gaps += f", the longest {longest:g} s after frame {after}"
     text += [
         "",
         f"frames: {done['frames']}, {rate}; {gaps}",
