@@ -69,7 +69,7 @@ _OF_FRAME = ("frame_id", "time_s", "is_missing")
 _BLANK = {"offset_m": np.nan, "is_valid": 1.0, "is_continuous": 0.0, "lri": np.nan}
 
 #: An offset of a table with one row per frame.
-_WIDE = re.compile(r"(offset_(?:m_)?)\d+")
+_WIDE = re.compile(r"offset_\d+")
 
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
@@ -199,9 +199,8 @@ def _with_offset(mapping: LinesMapping, table: Table) -> LinesMapping:
     if mapping.offset is not None:
         return mapping
     own = table.own("offset_m")
-    wide = next(filter(None, map(_WIDE.fullmatch, table.columns)), None)
-    if own is None and wide is not None:
-        own = f"{wide[1]}{{}}"
+    if own is None and any(map(_WIDE.fullmatch, table.columns)):
+        own = "offset_{}"
     elif own is None and table.has("lines[].offset_m"):
         own = "lines[].offset_m"
     if own is None:
@@ -392,6 +391,11 @@ def lines_of_table(
         raise InputError(f"{path}: the table has no rows")
     whole = whole_mapping(mapping, str(path))
     is_own = whole.offset is None
+    if is_own:
+        shorter = {re.sub(r"^offset_m_(?=\d+$)", "offset_", k): v for k, v in columns.items()}
+        if len(shorter) < len(columns):
+            raise InputError(f"{path}: has a line as offset_N and as offset_m_N; leave one out")
+        columns = shorter
     tables = {topic: _inside(columns, topic, path) for topic in topics_of(whole) or ("",)}
     table = next(iter(tables.values()))
     whole = _with_offset(whole, table)
