@@ -163,7 +163,7 @@ def read_positions(
 
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
     # `egolane locate --help` does without pyarrow.
-    from egolane_pgm.recordings.cells import typed
+    from egolane_pgm.recordings.fields import typed
     from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)

@@ -9,9 +9,8 @@ from __future__ import annotations
 import warnings
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from functools import reduce
 from importlib import import_module
-from operator import getitem
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from egolane_pgm.experiment import LinesMapping
 from egolane_pgm.recordings import format_of, mapping
+from egolane_pgm.recordings.fields import Table
 from egolane_pgm.recordings.mapping import Message
 from egolane_pgm.types import InputError, LineLog, near_word
 
@@ -91,8 +91,7 @@ def read_messages(
 ) -> LineLog:
     """Read the lines of a file of messages, T frames of at most L lines.
 
-    - topic: of the lines; by default that of the published recordings or of `egolane export`, or
-      the only one.
+    - topic: of the lines; by default one of TOPICS, or the only one.
     - frame_rate: frames per second of messages with frame ids but without times.
     - lines: which fields are what; by default those of the published recordings, or our own names.
     - definitions: as for `topics_of`.
@@ -125,29 +124,24 @@ def _published(
     zero: time is frame id over frame rate there.
     """
     is_ros1 = path.suffix == ".bag"
-    preset = mapping.presets()["rle" if is_ros1 else "rle_ros2"]
-    given = keys.model_fields_set
-    keys = keys.model_copy(update={k: value for k, value in preset.items() if k not in given})
-    parts = str(keys.frame_id).split(".")
-    if keys.time is not None or parts[-1] not in {**found[0].value, **found[0].value["header"]}:
+    preset = "rle" if is_ros1 else "rle_ros2"
+    keys = mapping.whole_mapping(keys.model_copy(update={"preset": preset}), str(path))
+    columns = mapping.columns_of([message.value for message in found], str(path))
+    if keys.time is not None or keys.frame_id is None:
         return keys, found
-    ids = np.array([reduce(getitem, parts, message.value) for message in found])
-    at = int(np.argmin(np.diff(ids, append=np.inf)))
-    if len(ids) > at + 1 and ids[at + 1] <= ids[at]:
-        raise InputError(
-            f"{path}: frame ids must increase, but {ids[at]} is followed by {ids[at + 1]}; split"
-            " the file there, or, where it does not fill in way_id, take `lines: {frame_id:"
-            " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
-        )
+    ids = Table(columns, len(found), path).numbers("frame_id", keys.frame_id)[0].astype(np.int64)
+    for one, other in pairwise(ids):
+        if other <= one:
+            raise InputError(
+                f"{path}: frame ids must increase, but {one} is followed by {other}; split the file"
+                " there, or, where it does not fill in way_id, take `lines: {frame_id: header.seq}`"
+                " (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
+            )
     backwards = np.diff([message.time_s for message in found]) <= 0
     if backwards.any() and not is_ros1:
         one, other = ids[np.argmax(backwards) :][:2]
-        warnings.warn(
-            f"{path}: the stamps of frames {one} and {other} do not increase; time is frame id over"
-            " frame rate",
-            UserWarning,
-            stacklevel=4,
-        )
+        said = f"{path}: the stamps of frames {one} and {other} do not increase"
+        warnings.warn(f"{said}; time is frame id over frame rate", UserWarning, stacklevel=4)
     if is_ros1 or backwards.any():
         pairs = zip(ids.tolist(), found, strict=True)
         found = [message._replace(time_s=k / frame_rate) for k, message in pairs]
@@ -169,7 +163,7 @@ def time_of(value: Any, logged_ns: int) -> float:
     if isinstance(stamp, dict):
         second, nano = (
             next((int(stamp[name]) for name in names if name in stamp), 0)
-            for names in (("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos"))
+            for names in (mapping.SECONDS, mapping.NANOSECONDS)
         )
     # Nanoseconds since 1970 have more digits than a float.
     return second + nano / 1e9 if second or nano else logged_ns // 10**9 + logged_ns % 10**9 / 1e9
@@ -211,15 +205,12 @@ def _opened(path: str | Path, definitions: str | Path | None) -> tuple[Any, Path
     name = "rosbag" if path.is_dir() else _READERS.get(format_of(path), "rosbag")
     if name == "mdf_file" and found is not None:
         name = "can_log"
-    elif path.suffix.lower() == ".mcap" and not _is_ros2(path):
-        name = "mcap_file"
+    if path.suffix.lower() == ".mcap" and path.is_file():
+        with path.open("rb") as opened:
+            head = opened.read(25)
+        # rosbags reads MCAP files of ROS 2, and says what is wrong with what is no MCAP.
+        if head.startswith(b"\x89MCAP") and head[17:] != b"\x04\0\0\0ros2":
+            name = "mcap_file"
     if name in _NEEDED and found is None:
         raise InputError(f"{path}: {_NEEDED[name]} (recording.definitions)")
     return import_module(f"egolane_pgm.recordings.{name}"), path, found
-
-
-def _is_ros2(path: Path) -> bool:
-    """Whether an MCAP file, or what should be one, is for rosbags, which reads those of ROS 2."""
-    with path.open("rb") as file:
-        head = file.read(25)
-    return not head.startswith(b"\x89MCAP") or head[17:] == b"\x04\0\0\0ros2"

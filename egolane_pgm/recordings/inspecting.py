@@ -6,7 +6,7 @@ from __future__ import annotations
 import contextlib
 import re
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -19,8 +19,7 @@ import pyarrow.compute as pc
 
 from egolane_pgm.experiment import LinesMapping
 from egolane_pgm.recordings import containers
-from egolane_pgm.recordings.cells import arrow_column
-from egolane_pgm.recordings.fields import Table
+from egolane_pgm.recordings.fields import Table, arrow_column
 from egolane_pgm.recordings.mapping import (
     LinesGiven,
     columns_of,
@@ -30,30 +29,30 @@ from egolane_pgm.recordings.mapping import (
     mapping_keys,
     mapping_of,
     presets,
+    seconds,
 )
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.recordings.table import TABLES, read_columns
+from egolane_pgm.recordings.table import TABLES, read_columns, separator_of
 from egolane_pgm.types import InputError, LineLog
 
 #: Messages of a topic that are looked at.
 LOOKED_AT = 2000
 
-#: Lanes are this wide, metres; the widths of the lanes that a unit would give are compared with it.
+#: Lanes are this wide, metres; the unit is the one in which they are.
 _WIDTH_M = (2.2, 5.0)
 
-#: Names by which fields are known, the likeliest first.
-_OFFSET = ("offset", "lateral", r"(^|_)c0$", "position", "dist", r"(^|_)y0?$")
-_TIME = r"time|stamp|^t$|sec"
-_LINE = r"^(line|lane)_?(id|nr|no|number|index)$"
-_FRAME = r"^(frame|seq|image|cycle)"
-_VALID = r"valid|conf|prob|qual|score"
-_CONTINUOUS = r"solid|contin|type|kind|style|marker|class"
-
-#: Steps between frames, seconds, by which the unit of time stamps is told.
+#: Steps between frames, seconds, by which the unit of time stamps is found.
 _STEP_S = (0.004, 3.0)
 
-#: Topics of these types are a line each.
-_LINE_TYPES = {"Path": "path", "LkaLane": "mobileye"}
+#: Names by which fields are known; of offsets the likeliest first.
+_OFFSET = ("offset", "lateral", r"(^|_)c0$", "position", "dist", r"(^|_)y0?$")
+_TIME = r"time|stamp|^t$|sec"
+_FRAME = r"^(frame|seq|image|cycle)"
+_VALID = r"valid|conf|prob|qual|score"
+_CONTINUOUS = r"solid|contin|type|kind|style|mark|class"
+
+_Tables = dict[str, tuple[str, int | None, Table]]
+_Read = Callable[[LinesMapping], LineLog]
 
 
 @dataclass(frozen=True)
@@ -66,13 +65,10 @@ class _Leaf:
     high: float | None = None
     texts: tuple[str, ...] = ()
 
-    @property
-    def name(self) -> str:
-        """The last part of the path, in small letters."""
-        return re.sub(r"\[.*?\]", "", self.path.rpartition(".")[2]).lower()
-
-
-_Read = Callable[[LinesMapping], LineLog]
+    def has(self, pattern: str) -> bool:
+        """Whether the last part of the path, in small letters, has a pattern."""
+        name = re.sub(r"\[.*?\]", "", self.path.rpartition(".")[2])
+        return bool(re.search(pattern, name.lower()))
 
 
 def look_into(
@@ -84,7 +80,7 @@ def look_into(
     - definitions: of a log's messages, see `recordings.containers`.
 
     Returns the file, its topics with their fields, and, where lines were found, their mapping
-    (`lines`), frames, rate, gaps, span and what is odd about their signs.
+    (`lines`), frames, rate, gaps, span and what their signs tell; else the `problem`.
     Raises InputError for a file that cannot be read.
     """
     keys = {} if given is None else mapping_keys(given)
@@ -113,14 +109,13 @@ def look_into(
             continue
         if log.is_valid.sum() >= len(log) / 2:
             guess |= _unit_and_sign(log, guess)
-            found.pop("problem", None)
             return found | {"lines": guess, **_said(read(mapping_of(guess, str(path))))}
     return found
 
 
 def _tables(
     path: Path, keys: LinesMapping, definitions: str | Path | None
-) -> tuple[dict[str, tuple[str, int | None, Table]], _Read, _Read]:
+) -> tuple[_Tables, _Read, _Read]:
     """Of each topic the type, the number of messages and the first of them as a table; and what
     reads the lines of the file, and those of the first messages."""
     if path.suffix.lower() in TABLES:
@@ -173,128 +168,100 @@ def _leaves(table: Table) -> Iterator[_Leaf]:
 
 def _separators(path: Path) -> dict[str, Any]:
     """The separator and the decimal point of a CSV, by its first rows."""
+    found = separator_of(path)
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        rows = [*islice(file, 20)]
-    found = max(",;\t|", key=rows[0].count) if rows else ","
-    cells = {cell.strip() for row in rows[1:] for cell in row.split(found)}
-    keys = {} if found == "," else {"separator": found.replace("\t", "\\t")}
-    if found != "," and any(re.fullmatch(r"[-+]?\d+,\d+", cell) for cell in cells):
-        keys["decimal"] = ","
-    return keys
+        comma = any(re.search(r"\d,\d", row) for row in islice(file, 1, 20))
+    said = {"separator": found.replace("\t", "\\t"), **({"decimal": ","} if comma else {})}
+    return {} if found == "," else said
 
 
 # --- guesses -------------------------------------------------------------------------------------
 
 
-def _guesses(
-    tables: Mapping[str, tuple[str, int | None, Table]], leaves: Mapping[str, list[_Leaf]]
-) -> Iterator[dict[str, Any]]:
+def _guesses(tables: _Tables, leaves: Mapping[str, list[_Leaf]]) -> Iterator[dict[str, Any]]:
     """Mappings that may read the lines, the likeliest first."""
     yield {}
-    for topic, (kind, _, table) in tables.items():
-        frames = _frames(leaves[topic], table)
-        where = {"topic": topic} if topic and len(tables) > 1 else {}
-        other = re.sub("left", "right", topic, flags=re.I)
-        preset = _LINE_TYPES.get(kind.rpartition("/")[2])
-        if preset and topic != other and other in tables:
-            yield {"preset": preset, "topic": re.sub("left", "{}", topic, flags=re.I)}
-        for name, keys in presets().items():
-            added = frames if not topic and not {"time", "frame_id"} & {*keys} else {}
-            yield {"preset": name, **({} if "topic" in keys else where), **added}
+    for name, keys in presets().items():
+        for topic, (_, _, table) in tables.items():
+            where = {"topic": topic} if len(tables) > 1 and "topic" not in keys else {}
+            is_timed = topic or {"time", "frame_id"} & {*keys}
+            yield {"preset": name, **where, **({} if is_timed else _frames(leaves[topic], table))}
     for topic, each in _alike(tables).items():
         first = topic.replace("{}", each[0])
-        for keys in _by_names(leaves[first], tables[first][2]):
-            yield {"topic": topic, "each": each, **keys}
+        for guess in _by_names(leaves[first], tables[first][2]):
+            yield {"topic": topic, "each": each, **guess}
     for topic, (_, _, table) in tables.items():
-        where = {"topic": topic} if topic and len(tables) > 1 else {}
-        for keys in _by_names(leaves[topic], table):
-            yield {**where, **keys}
+        for guess in _by_names(leaves[topic], table):
+            yield {**({"topic": topic} if len(tables) > 1 else {}), **guess}
 
 
-def _alike(topics: Iterable[str]) -> dict[str, list[str]]:
+def _alike(topics: _Tables) -> dict[str, list[str]]:
     """Topics that differ in a number or a side, as `{}`, and what stands there."""
     found: dict[str, list[str]] = {}
     for topic in topics:
         for match in re.finditer(r"\d+|left|right", topic, re.I):
-            found.setdefault(f"{topic[: match.start()]}{{}}{topic[match.end() :]}", []).append(
-                match[0]
-            )
-    return {
-        name: sorted(each, key=lambda k: (len(k), k)) for name, each in found.items() if each[1:]
-    }
+            name = f"{topic[: match.start()]}{{}}{topic[match.end() :]}"
+            found.setdefault(name, []).append(match[0])
+    return {k: sorted(each, key=lambda e: (len(e), e)) for k, each in found.items() if each[1:]}
 
 
-def _named(pattern: str, among: list[_Leaf]) -> list[_Leaf]:
-    return [leaf for leaf in among if re.search(pattern, leaf.name)]
-
-
-def _frames(leaves: list[_Leaf], table: Table) -> dict[str, Any]:
+def _frames(leaves: list[_Leaf], table: Table) -> dict[str, str]:
     """Which fields may be frame id and time, where none have our own names."""
-    at_root = [leaf for leaf in leaves if "[]" not in leaf.path and leaf.low is not None]
-    found: dict[str, Any] = {}
+    at_root = [leaf for leaf in leaves if "[]" not in leaf.path]
+    found: dict[str, str] = {}
     if table.own("frame_id") is None:
-        for leaf in _named(_FRAME, at_root)[:1]:
+        for leaf in [x for x in at_root if x.has(_FRAME) and x.low is not None][:1]:
             found["frame_id"] = leaf.path
-    for leaf in leaves if table.own("time_s") is None else []:
-        if leaf.type.startswith("timestamp"):
-            return found | {"time": leaf.path}
-    for leaf in _named(_TIME, at_root) if table.own("time_s") is None else []:
-        if any(table.has(f"{_place(leaf.path)}.{name}") for name in ("nanosec", "nsec", "nanos")):
-            return found | {"time": _place(leaf.path)}
-        found |= _time_of(table, leaf.path)
-    for leaf in _named(_LINE, at_root) if table.own("line") is None else []:
-        found["line"] = leaf.path
+    for leaf in at_root if table.own("time_s") is None else []:
+        is_date = leaf.type.startswith("timestamp")
+        if is_date or (leaf.has(_TIME) and leaf.low is not None):
+            section = leaf.path.rpartition(".")[0]
+            is_stamp = bool(section) and leaf.has("^(secs?|seconds)$")
+            said = _time(table, section if is_stamp else leaf.path)
+            if said:
+                return found | said
     return found
+
+
+def _time(table: Table, path: str) -> dict[str, str]:
+    """A field as time, with the unit by which its steps are those of a camera."""
+    for unit in ("s", "ms", "us", "ns"):
+        with contextlib.suppress(InputError):
+            step = np.diff(seconds(table, path, unit))
+            later = step[step > 0]
+            if len(later) and (step >= 0).all() and _STEP_S[0] < np.median(later) < _STEP_S[1]:
+                return {"time": path, **({} if unit == "s" else {"time_unit": unit})}
+    return {}
 
 
 def _by_names(leaves: list[_Leaf], table: Table) -> Iterator[dict[str, Any]]:
     """Mappings of a table by the names and values of its fields."""
     frames = _frames(leaves, table)
-    for pattern in _OFFSET:
-        for leaf in _named(pattern, leaves):
-            if leaf.low is None or not leaf.low < leaf.high <= 1e5:  # type: ignore[operator]
-                continue
-            side = re.search("left|right", leaf.path, re.I)
-            each = {}
-            word = "" if side is None else side[0]
-            if word:
-                each = {"each": ("left", "right") if word.islower() else ("Left", "Right")}
-            beside = [o for o in leaves if _place(o.path) == _place(leaf.path) and word in o.path]
-            keys = {"offset": leaf.path, **_flags(beside)}
-            named = {key: said.replace(word, "{}") if word else said for key, said in keys.items()}
-            yield {**frames, **named, **each}
+    for leaf in (leaf for pattern in _OFFSET for leaf in leaves if leaf.has(pattern)):
+        if leaf.low is None or leaf.high is None or not leaf.low < leaf.high <= 1e5:
+            continue
+        side = re.search("left|right", leaf.path, re.I)
+        word, place = side[0] if side else "", leaf.path.rpartition(".")[0]
+        beside = [o for o in leaves if o.path.rpartition(".")[0] == place and word in o.path]
+        keys = {"offset": leaf.path, **_flags(beside)}
+        if word:
+            keys = {key: said.replace(word, "{}") for key, said in keys.items()}
+            keys["each"] = ["left", "right"] if word.islower() else ["Left", "Right"]
+        yield {**frames, **keys}
 
 
-def _place(path: str) -> str:
-    return path.rpartition(".")[0]
-
-
-def _time_of(table: Table, path: str) -> dict[str, Any]:
-    """A field as time, with the unit by which its steps are those of a camera."""
-    values = arrow_column(table.values("time", path)[1]).drop_null()
-    step = np.diff(values.to_numpy(zero_copy_only=False))
-    later = step[step > 0]
-    if not len(later) or (step < 0).any():
-        return {}
-    for unit, per in (("s", 1), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)):
-        if _STEP_S[0] < np.median(later) / per < _STEP_S[1]:
-            return {"time": path} | ({} if unit == "s" else {"time_unit": unit})
-    return {}
-
-
-def _flags(beside: list[_Leaf]) -> dict[str, str]:
+def _flags(beside: list[_Leaf]) -> dict[str, Any]:
     """Conditions on the fields beside an offset."""
-    found = {}
-    for leaf in _named(_VALID, beside)[:1]:
-        if leaf.type == "bool":
-            found["is_valid"] = leaf.path
-        elif leaf.high is not None:
-            found["is_valid"] = f"{leaf.path} " + ("> 0.5" if leaf.high <= 1 else ">= 2")
-    for leaf in _named(_CONTINUOUS, beside):
+    found: dict[str, Any] = {}
+    for leaf in beside:
         solid = [text for text in leaf.texts if re.search("solid|double|edge|curb", text, re.I)]
-        if leaf.type == "bool" or ("solid" in leaf.name and leaf.high == 1):
+        if leaf.has(_VALID) and leaf.high is not None:
+            found.setdefault("is_valid", f"{leaf.path} {'> 0.5' if leaf.high <= 1 else '>= 2'}")
+        elif leaf.has(_VALID) and leaf.type == "bool":
+            found.setdefault("is_valid", leaf.path)
+        elif leaf.has(_CONTINUOUS) and leaf.type == "bool":
             found["is_continuous"] = leaf.path
-        elif solid:
+        elif leaf.has(_CONTINUOUS) and solid:
             found["is_continuous"] = f"{leaf.path} in [{', '.join(solid)}]"
     return found
 
@@ -304,28 +271,28 @@ def _unit_and_sign(log: LineLog, keys: Mapping[str, Any]) -> dict[str, Any]:
     an order go from left to right."""
     offset = np.sort(np.where(log.is_valid, log.offset_m, np.nan), axis=1)
     gap = np.diff(offset, axis=1)
-    width = float(np.nanmedian(gap)) if np.isfinite(gap).any() else np.nan
-    units = {"m": 1, "cm": 100, "mm": 1000}
-    unit = [name for name, per in units.items() if _WIDTH_M[0] < width / per < _WIDTH_M[1]]
-    found: dict[str, Any] = {"unit": unit[0]} if unit and unit[0] != "m" else {}
-    if "preset" not in keys and any("right to left" in said for said in contradictions(log, False)):
+    width = np.median(gap[~np.isnan(gap)]) if np.isfinite(gap).any() else np.nan
+    found: dict[str, Any] = {}
+    for unit, per in (("cm", 100), ("mm", 1000)):
+        if _WIDTH_M[0] < width / per < _WIDTH_M[1]:
+            found["unit"] = unit
+    if "preset" not in keys and "backwards" in contradictions(log):
         found["left_positive"] = True
     return found
 
 
 def _said(log: LineLog) -> dict[str, Any]:
     """What is to be said of the lines of a recording."""
-    step, frames = np.diff(log.time_s), np.diff(log.frame_id)
-    gap = int(np.argmax(step)) if len(step) else 0
+    step, is_gap = np.diff(log.time_s), np.diff(log.frame_id) > 1
+    gap = int(np.argmax(step)) if is_gap.any() else None
     valid = log.offset_m[log.is_valid]
-    mirrored = contradictions(replace(log, offset_m=-log.offset_m), False)
-    is_told = any("right to left" in said for said in mirrored)
+    is_told = "backwards" in contradictions(replace(log, offset_m=-log.offset_m))
     return {
         "frames": len(log),
         "frame_rate": rate_of(log.frame_id, log.time_s),
-        "gaps": int((frames > 1).sum()),
-        "longest_gap_s": float(step[gap]) if (frames > 1).any() else None,
-        "longest_gap_after_frame": int(log.frame_id[gap]) if (frames > 1).any() else None,
+        "gaps": int(is_gap.sum()),
+        "longest_gap_s": None if gap is None else float(step[gap]),
+        "longest_gap_after_frame": None if gap is None else int(log.frame_id[gap]),
         "lines_per_frame": float(log.is_valid.sum() / max(1, len(log))),
         "offset_m": [float(valid.min()), float(valid.max())] if len(valid) else None,
         "sign": "their order goes from left to right" if is_told else "these data do not tell",

@@ -8,10 +8,11 @@ it is there.
 
 from __future__ import annotations
 
+import json
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,8 +22,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from egolane_pgm.experiment import LinesMapping, validated
-from egolane_pgm.recordings.cells import FLAGS, Cells, arrow_column, check_whole, place, typed
-from egolane_pgm.recordings.fields import Table
+from egolane_pgm.recordings.fields import (
+    FLAGS,
+    Cells,
+    Table,
+    arrow_column,
+    check_whole,
+    place,
+    typed,
+)
 from egolane_pgm.tools.files import read_text, read_yaml
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import (
@@ -58,16 +66,16 @@ MAX_LINES = 1000
 _OF_FRAME = ("frame_id", "time_s", "is_missing")
 
 #: What a column of a line says where it has no cell.
-_BLANK = {"offset_m": np.nan, "is_valid": 1.0, "is_continuous": 0.0, "lri": np.nan, "line": np.nan}
+_BLANK = {"offset_m": np.nan, "is_valid": 1.0, "is_continuous": 0.0, "lri": np.nan}
 
 #: An offset of a table with one row per frame.
-_WIDE = re.compile(r"offset_(\d+)")
+_WIDE = re.compile(r"offset_\d+")
 
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 
-#: The parts of a stamp: of ROS 2, of ROS 1, of protobuf.
-_STAMPS = (("sec", "nanosec"), ("secs", "nsecs"), ("sec", "nsec"), ("seconds", "nanos"))
+#: The parts of a stamp as ROS 1, ROS 2 and protobuf call them.
+SECONDS, NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
 
 #: Signs are looked at in this many frames, at least and at most, and this share of them makes a
 #: contradiction.
@@ -144,8 +152,6 @@ def mapping_keys(given: LinesGiven) -> dict[str, Any]:
 
 def mapping_of(given: LinesGiven, where: str) -> LinesMapping:
     """What a caller gives as a mapping. Raises InputError for keys that do not fit."""
-    if isinstance(given, LinesMapping):
-        return given
     return validated(LinesMapping, mapping_keys(given), f"{where}: lines")
 
 
@@ -157,8 +163,7 @@ def topics_of(mapping: LinesMapping) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-@dataclass(frozen=True)
-class _Part:
+class _Part(NamedTuple):
     """Lines that are mapped alike. name, slot: what takes the place of `{}`, and the number of that
     line, from 0."""
 
@@ -179,25 +184,14 @@ def _parts(mapping: LinesMapping, names: Iterable[str], where: str) -> list[_Par
             raise InputError(f"{where}: lines: each: is missing; say what {{}} stands for")
         is_number = all(name.isdigit() for name in each)
         first = min(1, *map(int, each), 1) if is_number else 0
-        found = [
-            _Part(_filled(own, name), name, int(name) - first if is_number else k)
-            for k, name in enumerate(each)
-        ]
-    for keys in mapping.also:
-        part = validated(LinesMapping, {**own, **keys}, f"{where}: lines: also")
+        text = found.pop().keys.model_dump_json()
+        for k, name in enumerate(each):
+            keys = LinesMapping.model_validate_json(text.replace("{}", json.dumps(name)[1:-1]))
+            found.append(_Part(keys, name, int(name) - first if is_number else k))
+    for others in mapping.also:
+        part = validated(LinesMapping, {**own, **others}, f"{where}: lines: also")
         found += _parts(part, names, where)
     return found
-
-
-def _filled(keys: Mapping[str, Any], name: str) -> LinesMapping:
-    """Some keys with a name in place of each `{}`."""
-
-    def fill(value: Any) -> Any:
-        if isinstance(value, tuple):
-            return tuple(map(fill, value))
-        return value.replace("{}", name) if isinstance(value, str) else value
-
-    return LinesMapping(**{key: fill(value) for key, value in keys.items()})
 
 
 def _with_offset(mapping: LinesMapping, table: Table) -> LinesMapping:
@@ -207,7 +201,7 @@ def _with_offset(mapping: LinesMapping, table: Table) -> LinesMapping:
     own = table.own("offset_m")
     if own is None and any(map(_WIDE.fullmatch, table.columns)):
         own = "offset_{}"
-    if own is None and table.has("lines[].offset_m"):
+    elif own is None and table.has("lines[].offset_m"):
         own = "lines[].offset_m"
     if own is None:
         there = ", ".join(table.columns) or "none"
@@ -254,7 +248,10 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
     for name in ("is_valid", "is_continuous", "lri", "line"):
         said = getattr(keys, name)
         if said is None:
-            said = table.own(name, beside) or _of_line(table, name, part.name)
+            # In a table with one row per frame it is is_valid_1, or valid_1.
+            of_line = (f"{each}_{part.name}" for each in (name, name.removeprefix("is_")))
+            ours = [table.own(name, beside), *map(table.own, of_line)]
+            said = next(filter(None, ours), None)
         if isinstance(said, bool):
             cells[name] = np.full(len(offset), float(said))
         elif said is not None:
@@ -272,13 +269,6 @@ def _rows_of(table: Table, part: _Part, base: int | None) -> tuple[Cells, IntArr
         there = ~np.isnan(offset) | (cells["is_valid"] == 1)
         cells, row = {name: values[there] for name, values in cells.items()}, row[there]
     return cells, row
-
-
-def _of_line(table: Table, name: str, line: str) -> str | None:
-    """Our own column of a line, in a table with one row per frame."""
-    if not line:
-        return None
-    return table.own(f"{name}_{line}") or table.own(f"{name.removeprefix('is_')}_{line}")
 
 
 def _at(at_m: float, x: FloatArray, y: FloatArray, line: IntArray, n_lines: int) -> FloatArray:
@@ -307,7 +297,7 @@ def _frames_of(table: Table, mapping: LinesMapping, first: int = 0) -> Cells:
     missing = table.own("is_missing")
     cells: Cells = {}
     if time is not None:
-        cells["time_s"] = _seconds(table, time, mapping.time_unit or "s")
+        cells["time_s"] = seconds(table, time, mapping.time_unit or "s")
     if ids is not None:
         cells["frame_id"], _ = table.numbers("frame_id", ids)
         check_whole(table.path, cells, "frame_id", np.arange(table.n_rows))
@@ -324,16 +314,16 @@ def _frames_of(table: Table, mapping: LinesMapping, first: int = 0) -> Cells:
     return cells
 
 
-def _seconds(table: Table, path: str, unit: str) -> FloatArray:
+def seconds(table: Table, path: str, unit: str) -> FloatArray:
     """A field as times in seconds (T,): numbers of a unit, dates, or stamps."""
     _, values, _ = table.values("time", path)
     per = _PER_SECOND[unit]
     if pa.types.is_struct(values.type):
         known = [f.name for f in values.type]
-        of = next((each for each in _STAMPS if {*each} <= {*known}), None)
-        if of is None:
+        parts = [name for names in (SECONDS, NANOSECONDS) for name in names if name in known]
+        if len(parts) != 2:
             raise InputError(f"{table.path}: lines: time: {path} has {', '.join(known)}")
-        whole, rest = (typed(table.path, name, pc.struct_field(values, name)) for name in of)
+        whole, rest = (typed(table.path, name, pc.struct_field(values, name)) for name in parts)
         return whole + rest / 1e9
     if pa.types.is_timestamp(values.type):
         values, per = values.cast(pa.timestamp("ns", values.type.tz)).cast(pa.int64()), 10**9
@@ -356,11 +346,11 @@ def _seconds(table: Table, path: str, unit: str) -> FloatArray:
 def _ids_of(path: Path, time_s: FloatArray) -> FloatArray:
     """Frame ids by the time stamps (T,) of rows; they begin with 0. A step of the median counts as
     one frame, and a longer one as the whole multiple that is nearest to it: gaps stay gaps."""
-    step = np.diff(time_s)
+    step = np.diff(time_s, prepend=-np.inf)
     for bad, said in ((np.isnan(time_s), "is empty"), (step < 0, "goes back; sort by time")):
         if bad.any():
-            row = int(np.argmax(bad)) + len(time_s) - len(bad)
-            raise InputError(f"{place(path, row)}: time {said}")
+            raise InputError(f"{place(path, int(np.argmax(bad)))}: time {said}")
+    step = step[1:]
     later = step[step > 0]
     if not len(later):
         return np.zeros(len(time_s))
@@ -401,12 +391,12 @@ def lines_of_table(
         raise InputError(f"{path}: the table has no rows")
     whole = whole_mapping(mapping, str(path))
     is_own = whole.offset is None
-    columns = _own_names(columns, path) if is_own else columns
-    wanted = topics_of(whole)
-    lacking = [topic for topic in wanted if topic not in columns]
-    if len(wanted) > 1 and lacking:
-        raise InputError(f"{path}: lines: topic: the table has no field {', '.join(lacking)}")
-    tables = {topic: _inside(columns, topic, path) for topic in wanted or ("",)}
+    if is_own:
+        shorter = {re.sub(r"^offset_m_(?=\d+$)", "offset_", k): v for k, v in columns.items()}
+        if len(shorter) < len(columns):
+            raise InputError(f"{path}: has a line as offset_N and as offset_m_N; leave one out")
+        columns = shorter
+    tables = {topic: _inside(columns, topic, path) for topic in topics_of(whole) or ("",)}
     table = next(iter(tables.values()))
     whole = _with_offset(whole, table)
     log = _joined(tables, whole, path, frame_rate, first)
@@ -416,15 +406,6 @@ def lines_of_table(
         others = ", ".join(name + near_word(name, known) for name in unused)
         warnings.warn(f"{path}: ignored column(s) {others}", UserWarning, stacklevel=3)
     return log
-
-
-def _own_names(columns: Mapping[str, Any], path: Path) -> dict[str, Any]:
-    """A table whose columns of a line may have the unit in their names: offset_m_1."""
-    shorter = [re.sub(r"^offset_m_(?=\d+$)", "offset_", name) for name in columns]
-    twice = [name for name in shorter if shorter.count(name) > 1]
-    if twice:
-        raise InputError(f"{path}: column {twice[0]} (offset_m) occurs more than once")
-    return dict(zip(shorter, columns.values(), strict=True))
 
 
 def _inside(columns: Mapping[str, Any], topic: str, path: Path) -> Table:
@@ -468,13 +449,12 @@ def lines_of(
     by_topic: dict[str, list[Message]] = {}
     for message in messages:
         by_topic.setdefault(f"/{message.topic.strip('/')}", []).append(message)
-    wanted = topics_of(whole)
-    if not by_topic:
-        raise InputError(f"{where}: has no messages")
-    if not wanted and len(by_topic) > 1:
-        raise InputError(f"{where}: topic: is missing; there are {', '.join(sorted(by_topic))}")
+    wanted = topics_of(whole) or tuple(by_topic)
+    if not topics_of(whole) and len(by_topic) != 1:
+        there = ", ".join(sorted(by_topic)) or "no messages"
+        raise InputError(f"{where}: topic: is missing; there are {there}")
     tables = {}
-    for topic in wanted or by_topic:
+    for topic in wanted:
         found = by_topic.get(f"/{topic.strip('/')}")
         if found is None:
             hint = suggestion(topic, by_topic)
@@ -512,16 +492,15 @@ def _joined(
     named = [part.keys.topic or default for part in parts]
     topic_of = [topic if topic in tables else default for topic in named]
     frames = {topic: _frames_of(tables[topic], mapping, first) for topic in tables}
-    row_of = {topic: np.arange(table.n_rows) for topic, table in tables.items()}
-    of_frame = frames[default]
+    of_frame, row_of = frames[default], {default: np.arange(tables[default].n_rows)}
     if len(frames) > 1:
         of_frame, row_of = _together(path, frames, by_id=mapping.frame_id is not None)
     found: list[tuple[Cells, IntArray]] = []
     base, width = 0, 0
     for part, topic in zip(parts, topic_of, strict=True):
         start = base if part.slot is None or mapping.also else part.slot
-        is_alone = len(parts) == 1 and part.slot is None
-        cells, row = _rows_of(tables[topic], part, None if is_alone else start)
+        is_only = len(parts) == 1 and part.slot is None
+        cells, row = _rows_of(tables[topic], part, None if is_only else start)
         base = max(base, int(np.nanmax(cells.get("line", base), initial=0)))
         # Lines that `also` adds stand in no order with the others.
         width = base if part.slot is not None or not found else width
@@ -529,9 +508,14 @@ def _joined(
     cells, row = _stacked(found, len(of_frame["frame_id"]))
     cells |= {name: values[row] for name, values in of_frame.items()}
     if "line" not in cells:
-        cells["line"] = _numbered(cells)
+        # The rows of a frame are its lines; a single one without an offset says that it has none.
+        frame = cells["frame_id"]
+        before = np.searchsorted(frame, frame)
+        is_alone = np.searchsorted(frame, frame, "right") - before == 1
+        number = np.arange(1, len(row) + 1) - before
+        cells["line"] = np.where(np.isnan(cells["offset_m"]) & is_alone, np.nan, number)
     log = _assemble(path, cells, row, frame_rate)
-    for said in contradictions(log, bool(mapping.left_positive), width or None):
+    for said in contradictions(log, bool(mapping.left_positive), width or None).values():
         warnings.warn(said, UserWarning, stacklevel=4)
     return log
 
@@ -541,15 +525,11 @@ def _stacked(found: Sequence[tuple[Cells, IntArray]], n_rows: int) -> tuple[Cell
     one."""
     row = np.concatenate([row for _, row in found])
     absent = np.flatnonzero(np.bincount(row, minlength=n_rows) == 0)
-    if len(found) == 1 and not len(absent):
-        return found[0]
     row = np.concatenate([row, absent])
-    lines = {
-        name: [cells.get(name, np.full(len(of), _BLANK[name])) for cells, of in found]
-        for name in dict.fromkeys(name for cells, _ in found for name in cells)
-    }
-    empty = np.full(len(absent), np.nan)
-    cells = {name: np.concatenate([*values, empty]) for name, values in lines.items()}
+    cells: Cells = {}
+    for name in {name for of, _ in found for name in of}:
+        lines = [of.get(name, np.full(len(at), _BLANK.get(name, np.nan))) for of, at in found]
+        cells[name] = np.concatenate([*lines, np.full(len(absent), np.nan)])
     order = np.lexsort((cells.get("line", row), row))
     return {name: values[order] for name, values in cells.items()}, row[order]
 
@@ -585,13 +565,11 @@ def _assemble(path: Path, cells: Cells, row: IntArray, frame_rate: float) -> Lin
         """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
         if bad.any():
             k = int(np.argmax(bad))
-            where = place(path, int(row[k]))
-            raise InputError(f"{where}: " + why.format(int(cells["frame_id"][k])))
+            said = why.replace("{}", f"{cells['frame_id'][k]:.0f}")
+            raise InputError(f"{place(path, int(row[k]))}: {said}")
 
-    for name in _OF_FRAME:
-        if name in cells and np.isnan(cells[name]).any():
-            k = int(np.argmax(np.isnan(cells[name])))
-            raise InputError(f"{place(path, int(row[k]))}: {name} is empty")
+    for name in (name for name in _OF_FRAME if name in cells):
+        refuse(np.isnan(cells[name]), f"{name} is empty")
     frame, offset = cells["frame_id"].astype(np.int64), cells["offset_m"]
     has_line = ~np.isnan(cells["line"])
     line = np.where(has_line, cells["line"], 0).astype(np.int64) - 1
@@ -604,21 +582,16 @@ def _assemble(path: Path, cells: Cells, row: IntArray, frame_rate: float) -> Lin
         is_later = np.diff(cells["time_s"], prepend=-np.inf) > 0
         refuse(starts & ~is_later, "time_s of frame {} is not later than that before")
     at = np.cumsum(starts) - 1
-    alone = np.bincount(at)[at] == 1
+    is_lone_frame = (np.bincount(at)[at] == 1) & np.isnan(offset)
     refuse(
-        ~has_line & ~(alone & np.isnan(offset)),
+        ~has_line & ~is_lone_frame,
         "frame {} has a row with an empty line, but with an offset or next to other rows",
     )
-    key, again = at * MAX_LINES + line, has_line.copy()
-    again[np.flatnonzero(has_line)[np.unique(key[has_line], return_index=True)[1]]] = False
-    refuse(again, "frame {} has this line twice")
-    for name in ("is_valid", "is_continuous"):
-        if name in cells:
-            refuse(
-                np.isnan(cells[name]) & has_line,
-                f"frame {{}} has a line with empty {name}; `lines: {{{{{name}: {name} == 1}}}}`"
-                " takes it as false",
-            )
+    first = np.unique(np.stack([at, cells["line"]]), axis=1, return_index=True)[1]
+    refuse(has_line & ~np.isin(np.arange(len(at)), first), "frame {} has this line twice")
+    for name in (name for name in ("is_valid", "is_continuous") if name in cells):
+        cure = f"; `lines: {{{name}: {name} == 1}}` takes it as false"
+        refuse(np.isnan(cells[name]) & has_line, f"frame {{}} has a line with empty {name}{cure}")
     zeros = np.zeros(len(frame))
     log = LineLog.from_rows(
         frame[starts],
@@ -635,35 +608,26 @@ def _assemble(path: Path, cells: Cells, row: IntArray, frame_rate: float) -> Lin
     return replace(log, time_s=cells["time_s"][starts]) if "time_s" in cells else log
 
 
-def _numbered(cells: Cells) -> FloatArray:
-    """The numbers of the lines of each frame, in the order of the rows; NaN for a row that stands
-    for a frame without lines."""
-    frame = cells["frame_id"]
-    first = np.flatnonzero(np.diff(frame, prepend=np.nan) != 0)
-    of_frame = np.diff(first, append=len(frame))
-    number = (np.arange(len(frame)) - np.repeat(first, of_frame) + 1).astype(np.float64)
-    number[np.isnan(cells["offset_m"]) & (np.repeat(of_frame, of_frame) == 1)] = np.nan
-    return number
-
-
 # --- signs ---------------------------------------------------------------------------------------
 
 
-def contradictions(log: LineLog, is_left_positive: bool, width: int | None = None) -> list[str]:
-    """One line for each way in which the signs of the offsets contradict themselves, with what may
-    cure it; they are used all the same.
+def contradictions(
+    log: LineLog, is_left_positive: bool = False, width: int | None = None
+) -> dict[str, str]:
+    """The ways in which the signs of the offsets contradict themselves, `one-sided` or
+    `backwards`, each with what may cure it; they are used all the same.
 
     - width: how many lines have numbers from left to right; None for all.
     """
     several = np.flatnonzero(log.is_valid.sum(axis=1) > 1)
     if len(several) < _ENOUGH:
-        return []
+        return {}
     several = several[:: 1 + len(several) // _LOOKED_AT]
     offset = np.where(log.is_valid, log.offset_m, np.nan)[several]
-    said = []
+    said = {}
     one_sided = np.mean((np.nanmin(offset, axis=1) > 0) | (np.nanmax(offset, axis=1) < 0))
     if one_sided > _MOST:
-        said.append(
+        said["one-sided"] = (
             f"{log.source}: in {one_sided:.0%} of the frames all lines are on one side of the car;"
             " are the offsets distances without a sign? `lines: also` takes the lines of each side"
             " with their own left_positive"
@@ -671,11 +635,10 @@ def contradictions(log: LineLog, is_left_positive: bool, width: int | None = Non
     offset = offset[:, :width]
     order = np.argsort(np.isnan(offset), axis=1, kind="stable")
     step = np.diff(np.take_along_axis(offset, order, axis=1), axis=1)
-    is_known = ~np.isnan(step)
-    backwards = np.mean((step < 0).any(axis=1) & ((step < 0) == is_known).all(axis=1))
+    backwards = np.mean((step < 0).any(axis=1) & ~(step >= 0).any(axis=1))
     if backwards > _MOST:
         side, turned = ("right", "false") if is_left_positive else ("left", "true")
-        said.append(
+        said["backwards"] = (
             f"{log.source}: in {backwards:.0%} of the frames the lines go from right to left; are"
             f" their offsets positive to the {side}? then `lines: {{left_positive: {turned}}}`"
         )

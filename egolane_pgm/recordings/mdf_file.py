@@ -35,18 +35,15 @@ def messages(
     """See `recordings.containers`: a message for each row of a group, its channels by name; codes
     with a text stay codes. Times are since 1970, where the file says when it began."""
     with _open(path) as file:
-        chosen = {name: k for name, k in _groups(file).items() if topics is None or name in topics}
         began = file.header.start_time.timestamp()
-        yield from merge(
-            *(_rows(file, name, k, began) for name, k in chosen.items()), key=attrgetter("time_s")
-        )
 
+        def rows(topic: str, group: int) -> Iterator[Message]:
+            frame = file.get_group(group, time_from_zero=False, ignore_value2text_conversions=True)
+            for time_s, cells in zip(frame.index, frame.to_dict("records"), strict=True):
+                yield Message(began + time_s, topic, cells)
 
-def _rows(file: Any, topic: str, group: int, began: float) -> Iterator[Message]:
-    frame = file.get_group(group, time_from_zero=False, ignore_value2text_conversions=True)
-    columns = [frame[name].tolist() for name in frame]
-    for time_s, *cells in zip(frame.index.tolist(), *columns, strict=True):
-        yield Message(began + time_s, topic, dict(zip(frame.columns, cells, strict=True)))
+        chosen = [each for each in _groups(file).items() if topics is None or each[0] in topics]
+        yield from merge(*(rows(*each) for each in chosen), key=attrgetter("time_s"))
 
 
 @contextmanager

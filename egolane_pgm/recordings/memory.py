@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.experiment import Experiment, LinesMapping
-from egolane_pgm.recordings.cells import check_whole, typed
+from egolane_pgm.recordings.fields import check_whole, typed
 from egolane_pgm.recordings.mapping import FRAME_RATE
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read

@@ -18,11 +18,7 @@ import pyarrow as pa
 from pyarrow import csv, json
 
 from egolane_pgm.experiment import LinesMapping
-from egolane_pgm.recordings.mapping import (
-    FRAME_RATE,
-    lines_of_table,
-    whole_mapping,
-)
+from egolane_pgm.recordings.mapping import FRAME_RATE, lines_of_table, whole_mapping
 from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
 from egolane_pgm.types import InputError, LineLog
 
@@ -38,9 +34,6 @@ def read_table(
     path: str | Path, *, frame_rate: float = FRAME_RATE, lines: LinesMapping | None = None
 ) -> LineLog:
     """Read the lines of a CSV or Parquet table, or of JSON lines, T frames of at most L lines.
-
-    Without a column is_valid every line is valid, without is_continuous none is continuous, without
-    lri the LRI is unknown (NaN). Other columns are ignored with one warning.
 
     - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
     - lines: which columns are what, where they are not called as ours.
@@ -164,18 +157,18 @@ def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
     return table.rename_columns(names)
 
 
+def separator_of(path: Path) -> str:
+    """What separates the cells of a CSV, by its heading."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        return max(",;\t|", key=file.readline().count)
+
+
 def _separated(path: Path) -> str:
     """What may help with a CSV whose cells have another separator: the end of a message."""
-    if path.suffix.lower() != ".csv":
-        return ""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        heading = file.readline()
-    found = max(";\t|", key=heading.count)
-    if heading.count(found) <= heading.count(","):
-        return ""
-    name = {";": "semicolons", "\t": "tabs", "|": "bars"}[found]
-    written = "\\t" if found == "\t" else found
-    return f'; {name}: `lines: {{separator: "{written}"}}`'
+    found = separator_of(path) if path.suffix.lower() == ".csv" else ","
+    name = {";": "semicolons", "\t": "tabs", "|": "bars"}.get(found)
+    written = found.replace("\t", "\\t")
+    return f'; {name}: `lines: {{separator: "{written}"}}`' if name else ""
 
 
 def _check_names(path: Path, names: list[str]) -> None:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from egolane_pgm.recordings.inspecting import look_into
-from egolane_pgm.tools.yaml import dump_yaml
 from egolane_pgm.verbs.given import Mapped, Option, StrPath, path_of
 
 EXAMPLES = ("egolane inspect drive.mcap", "egolane inspect drive.csv --lines left_positive=true")
@@ -70,32 +69,21 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
                 )
             text.append(f"  {field['path']:<32} {field['type']:<10} {span}".rstrip())
     if done["lines"] is None:
-        return "\n".join(
-            [
-                *text,
-                "",
-                f"no lines found: {done['problem']}",
-                "docs/howto/sensors.md shows how to say which fields they are",
-            ]
-        )
+        text += ["", f"no lines found: {done['problem']}"]
+        return "\n".join([*text, "docs/howto/sensors.md shows how to say which fields they are"])
     low, high = done["offset_m"] or (float("nan"),) * 2
     rate = "unknown" if done["frame_rate"] is None else f"{done['frame_rate']:g} per second"
     gaps = f"gaps: {done['gaps']}"
     if done["gaps"]:
-        gaps += f", the longest {done['longest_gap_s']:g} s after frame"
-        gaps += f" {done['longest_gap_after_frame']}"
+        longest, after = done["longest_gap_s"], done["longest_gap_after_frame"]
+        gaps += f", the longest {longest:g} s after frame {after}"
     text += [
         "",
         f"frames: {done['frames']}, {rate}; {gaps}",
         f"lines: {done['lines_per_frame']:.1f} valid per frame, {low:.2f} m (left) to {high:.2f} m",
         f"sign: negative to the left? {done['sign']}",
+        "",
+        "to run it (N: how many lanes the road has):",
+        f"  {done['command']}",
     ]
-    if done["lines"]:
-        text += ["read as, in a YAML:", "recording:", "  lines:"]
-        text += [f"    {line}" for line in dump_yaml(_plain(done["lines"])).splitlines()]
-    text += ["", "to run it (N: how many lanes the road has):", f"  {done['command']}"]
     return "\n".join(text)
-
-
-def _plain(keys: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: list(v) if isinstance(v, tuple) else v for key, v in keys.items()}

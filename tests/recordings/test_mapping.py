@@ -154,7 +154,7 @@ def test_polynomials_and_points_are_looked_at_where_it_is_said() -> None:
     points = {"lines": [{"x": [3.0, -1.0], "y": [4.0, 0.0]}, {"x": [], "y": []}]}
     log = one(points, offset="lines[].y[]", along="lines[].x[]", at_m=1.0)
     np.testing.assert_array_equal(log.offset_m, [[2.0, np.nan]])
-    assert one(points, offset="lines[].y[-1]", is_valid=False).offset_m[0, 0] == 0.0
+    assert one(points, offset="lines[].y[1]", is_valid=False).offset_m[0, 0] == 0.0
 
 
 def test_topics_of_one_frame_come_together_and_a_lost_message_leaves_its_line_out() -> None:
