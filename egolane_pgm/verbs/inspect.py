@@ -81,7 +81,7 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
         "",
         f"frames: {done['frames']}, {rate}; {gaps}",
         f"lines: {done['lines_per_frame']:.1f} valid per frame, {low:.2f} m (left) to {high:.2f} m",
-        f"sign: negative to the left? {done['sign']}",
+        f"sign: the command takes negative for left; {done['sign']}",
         "",
         "to run it (N: how many lanes the road has):",
         f"  {done['command']}",
