@@ -13,7 +13,8 @@ So events of causal beliefs are causal, too. The definition:
 Where no lane is believed, a change is told by its direction alone, from and to UNASSIGNED: with a
 node RoadPosition, the place inside the lane shows that the car went over a line, whichever lane it
 is in. It is reported once the mean place is BEYOND the line. A lane that is believed after that
-begins anew.
+begins anew. Where the change itself tells the lane, which is then believed for the first time less
+than FLICKER_S before, the change is told with its lanes.
 
 No constant counts frames, and none was searched:
 
@@ -117,6 +118,7 @@ class EventState:
     borders: the lines it went over to the right, less those to the left; and how many of them are
         not made up for.
     side: the direction of the last change.
+    began_s: when `here` was first believed without a change before it.
     """
 
     here: int
@@ -128,6 +130,7 @@ class EventState:
     place: float = 0.0
     borders: tuple[int, int] = (0, 0)
     side: int = 0
+    began_s: float = -np.inf
 
 
 #: Before the first frame.
@@ -147,33 +150,44 @@ def next_events(
     """
     lane, frame_id = beliefs.lane, beliefs.frame_id
     here, before, calm, side = so_far.here, so_far.before, so_far.calm_s, so_far.side
+    begun = so_far.began_s
     largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
     place, borders, sides = _sides(so_far, places)
     is_asked = largest >= BELIEVED
     is_asked[[*sides]] = True
     asked = np.flatnonzero(is_asked)
     columns = (asked, top[asked], largest[asked], time_s[asked])
-    changes: list[tuple[int, int, int, int]] = []
+    changes: list[tuple[int, int, int, int, bool]] = []
     for t, k, p, now in zip(*(column.tolist() for column in columns), strict=True):
-        if p < BELIEVED:
-            over = sides[t]
-            if over != side or now >= calm:
-                changes.append((t, -1, -1, over))
-                here, before, calm, side = -1, -1, now + FLICKER_S, over
+        is_known = p >= BELIEVED
+        if is_known and k != here and not (k == before and now < calm and p < SURELY_BACK):
+            if here >= 0:
+                side = 1 if k > here else -1
+                changes.append((t, here, k, side, False))
+                before, calm = here, now + FLICKER_S
+            else:
+                begun = now
+            here = k
+        over = sides.get(t, 0)
+        if not over or (over == side and now < calm):
             continue
-        if k == here or (k == before and now < calm and p < SURELY_BACK):
+        if not is_known:
+            changes.append((t, -1, -1, over, True))
+            here, before = -1, -1
+        elif k == here and now < begun + FLICKER_S and 0 <= k - over < lane.shape[1]:
+            changes.append((t, k - over, k, over, True))
+            before = k - over
+        else:
             continue
-        if here >= 0:
-            side = 1 if k > here else -1
-            changes.append((t, here, k, side))
-            before, calm = here, now + FLICKER_S
-        here = k
-    rows, left, entered, directions = np.array(changes, dtype=np.int64).reshape(-1, 4).T
+        calm, side = now + FLICKER_S, over
+    rows, left, entered, directions, by_place = np.array(changes, dtype=np.int64).reshape(-1, 5).T
     began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
     since, after = so_far, 0
     for e, t in enumerate(rows):
-        if left[e] < 0:
+        if by_place[e]:
+            # The place tells when such a change was; no lane led before it.
             began_id[e], began_s[e] = frame_id[t], time_s[t]
+            since, after = replace(since, ahead=np.zeros_like(since.ahead)), t
             continue
         since = _ahead(since, lane, frame_id, time_s, slice(after, t + 1), left[e])
         began_id[e], began_s[e] = since.since_id[entered[e]], since.since_s[entered[e]]
@@ -192,7 +206,8 @@ def next_events(
         probability=np.where(left < 0, np.nan, lane[rows, entered]),
     )
     since = replace(since, here=here, before=before, calm_s=calm)
-    return replace(since, place=place, borders=borders, side=side), rows, events
+    since = replace(since, place=place, borders=borders, side=side, began_s=begun)
+    return since, rows, events
 
 
 def _sides(

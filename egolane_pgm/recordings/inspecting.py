@@ -295,5 +295,7 @@ def _said(log: LineLog) -> dict[str, Any]:
         "longest_gap_after_frame": None if gap is None else int(log.frame_id[gap]),
         "lines_per_frame": float(log.is_valid.sum() / max(1, len(log))),
         "offset_m": [float(valid.min()), float(valid.max())] if len(valid) else None,
-        "sign": "the order of the lines agrees" if is_told else "the data do not say whether rightly",
+        "sign": "the order of the lines agrees"
+        if is_told
+        else "the data do not say whether rightly",
     }

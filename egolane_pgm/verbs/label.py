@@ -62,7 +62,7 @@ def label(
     >>> import egolane_pgm as ego
     >>> found = ego.label(experiment="zero_label", overrides={"recording.frames": [0, 600]})
     >>> found  # of a simulated drive
-    Labels('zero_label': 600 frames, 3 lanes, ... to review (...), accuracy 1.0000)
+    Labels('zero_label': 600 frames, 3 lanes, ... to review (...), accuracy 0.99...)
     >>> found.truth
     LaneTruth('labels': 600 frames, ids 0 to 599, ... crossing)
     >>> with tempfile.TemporaryDirectory() as folder:

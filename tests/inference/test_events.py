@@ -222,6 +222,23 @@ def test_a_change_is_told_by_its_direction_where_the_lane_is_not_known(n_lanes: 
     assert known.direction.tolist() == [1, -1, -1]
 
 
+def test_a_change_that_tells_the_lane_is_told_with_its_lanes() -> None:
+    """A car somewhere on two lanes goes over a line to the left: it is in lane 1 now."""
+    place = np.concatenate([np.zeros(20), np.linspace(0, -1, 51), np.full(60, -1.0)])
+    beliefs = over_lines(place, 2)
+    lane = beliefs.lane.copy()
+    lane[45:] = 0.9, 0.1
+    known = {"Lane": lane}
+    beliefs = Beliefs(beliefs.frame_id, known, beliefs.log_evidence, beliefs.is_impossible)
+    places = place_in_lane(over_lines(place, 2).marginals)
+    events = lane_events(beliefs, 10.0, places=places)
+    assert (events.from_lane.tolist(), events.to_lane.tolist()) == ([2], [1])
+    assert events.direction.tolist() == [-1]
+    # A lane that was believed long before is no news.
+    lane[5:] = 0.9, 0.1
+    assert len(lane_events(beliefs, 10.0, places=places)) == 0
+
+
 def test_a_lane_that_is_believed_after_a_change_without_lanes_begins_anew() -> None:
     place = np.concatenate([np.zeros(20), np.linspace(0, 1, 51), np.ones(100)])
     beliefs = over_lines(place, 2)

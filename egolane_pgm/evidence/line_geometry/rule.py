@@ -111,7 +111,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
         weights, _ = reading.frame_weights(log)
         seen = reading.count_once(seen, lines)
         given = _evidence(seen, widths, weights, log.is_missing, tables, sight, parameters)
-    warn_of_own_lines(sight, log.source)
+    warn_of_own_lines(sight, lines[0] / max(len(log), 1), log.source)
     return given
 
 

@@ -116,9 +116,10 @@ def new_sight(n_lanes: int, n_kinds: int) -> FloatArray:
     return np.full((n_lanes, n_kinds), 1 / (n_lanes * n_kinds))
 
 
-def warn_of_own_lines(sight: FloatArray, source: str) -> None:
+def warn_of_own_lines(sight: FloatArray, lines_per_frame: float, source: str) -> None:
     """Notes that only the lines of the own lane are seen, where that is sure after all frames."""
-    if sight.shape[1] == len(KINDS) and sight[:, -1].sum() > SURE:
+    is_own = sight.shape[1] == len(KINDS) and sight[:, -1].sum() > SURE
+    if is_own and lines_per_frame > 1:
         warnings.warn(
             f"{NOTE}{source}: shows the lines of its own lane only: the lane is known up to where"
             " the drive began (`start_lane`) until a lane change leaves only one answer; lane"

@@ -236,7 +236,8 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
         tmp_path / "e.yaml", recording={"path": "a.jsonl"}, ground_truth=None
     )
     said = refused("validate", experiment)
-    assert said == f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
+    missing = f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
+    assert said.startswith(missing)
     target = tmp_path / "b.jsonl"
     said = refused("convert", labels, target, "--camera", saved_camera(tmp_path))
     assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
@@ -402,7 +403,7 @@ def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(
     with pytest.raises(InputError) as info:
         read_tusimple(tmp_path / "a.json")
     assert str(info.value).startswith(f"{tmp_path / 'a.json'}: line 1: {said}")
-    assert "(formats: rosbag: .bag, .mcap, .db3; table: .csv, .parquet; " in str(info.value)
+    assert "(formats: rosbag: .bag, .mcap, .db3; table: .csv" in str(info.value)
 
 
 def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
