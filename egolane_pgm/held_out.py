@@ -16,7 +16,7 @@ import numpy as np
 
 from egolane_pgm.drive import Drive, evidence_on, load_drive
 from egolane_pgm.experiment import Experiment, Tuning, resolved
-from egolane_pgm.inference.events import crossing_probability, place_in_lane
+from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learning import fit as learn_from
@@ -135,8 +135,7 @@ def held_out_result(
         found.beliefs,
         assigned_lane(found.beliefs.lane, experiment.unassigned_below),
         np.concatenate(own) if own else None,
-        crossing_probability(found.beliefs.marginals),
-        place_in_lane(found.beliefs.marginals),
+        **across_lanes(found.beliefs.marginals),
         notes=tuple(dict.fromkeys(notes)),
     )
     run = {

@@ -13,12 +13,7 @@ from pydantic import ConfigDict, Field
 from pydantic_core import from_json
 
 from egolane_pgm.experiment import Experiment, LinesMapping, Section, validated
-from egolane_pgm.inference.events import (
-    NO_EVENTS,
-    crossing_probability,
-    next_events,
-    place_in_lane,
-)
+from egolane_pgm.inference.events import NO_EVENTS, across_lanes, next_events
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
@@ -26,7 +21,7 @@ from egolane_pgm.model import online_output, prepare_model, value_names
 from egolane_pgm.recordings.mapping import columns_of, lines_of_table
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import Beliefs, InputError, LaneEvents, LineLog, not_one_of
+from egolane_pgm.types import Beliefs, FloatArray, InputError, LaneEvents, LineLog, not_one_of
 
 
 class _Strict(Section):
@@ -121,10 +116,10 @@ def filter_logs(
             log = waiting.popleft()
             if log is not None:
                 frame = replace(beliefs.take(slice(t, t + 1)), frame_id=log.frame_id)
-                so_far, _, events = next_events(
-                    so_far, frame, log.time_s, place_in_lane(frame.marginals)
-                )
-                yield _answer(log, frame, events, below, {node: names[node] for node in nodes})
+                across = across_lanes(frame.marginals)
+                so_far, _, events = next_events(so_far, frame, log.time_s, across["place_in_lane"])
+                named = {node: names[node] for node in nodes}
+                yield _answer(log, frame, across["crossing"], events, below, named)
 
     for log in logs:
         if recording.lri == "clip":
@@ -148,6 +143,7 @@ def filter_logs(
 def _answer(
     log: LineLog,
     beliefs: Beliefs,
+    crossing: FloatArray | None,
     events: LaneEvents,
     below: float,
     nodes: Mapping[str, Sequence[str]],
@@ -155,7 +151,6 @@ def _answer(
     """The answer to a frame. nodes: the names of the values of each node in the answer."""
     lane = beliefs.lane[0]
     assigned = int(assigned_lane(beliefs.lane, below)[0])
-    crossing = crossing_probability(beliefs.marginals)
     names = ("from_lane", "to_lane", "direction", "time_s", "probability")
     columns = [getattr(events, name) for name in names]
     return {

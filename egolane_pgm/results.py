@@ -47,11 +47,10 @@ from pydantic_core import from_json
 
 from egolane_pgm.experiment import Experiment, config_hash, make_experiment, validated
 from egolane_pgm.inference.events import (
-    crossing_probability,
+    across_lanes,
     in_tracks,
     lane_events,
     numbered,
-    place_in_lane,
     tracks_of,
 )
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
@@ -559,8 +558,7 @@ def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
     return {
         **fields,
         "marginals": marginals,
-        "crossing": crossing_probability(marginals),
-        "place_in_lane": place_in_lane(marginals),
+        **across_lanes(marginals),
         "tentative": stacked("detector", lanes) if has_detector else None,
     }
 

@@ -30,10 +30,9 @@ from egolane_pgm.drive import (
 from egolane_pgm.experiment import Experiment, config_hash, load_experiment, resolved
 from egolane_pgm.inference.events import (
     SURE,
-    crossing_probability,
+    across_lanes,
     in_tracks,
     lane_stretches,
-    place_in_lane,
     tracks_of,
 )
 from egolane_pgm.inference.filtering import piece_frames, step
@@ -176,8 +175,14 @@ def believe(drive: Drive) -> Believed:
     else:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
     notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
-    over = crossing_probability(beliefs.marginals), place_in_lane(beliefs.marginals)
-    return Believed(beliefs, assigned, output.tentative, *over, filtered, tuple(notes))
+    return Believed(
+        beliefs,
+        assigned,
+        output.tentative,
+        **across_lanes(beliefs.marginals),
+        evidence=filtered,
+        notes=tuple(notes),
+    )
 
 
 # --- the result --------------------------------------------------------------------------------
@@ -409,8 +414,8 @@ def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
         state, beliefs = step(model.compiled, state, output.filtered, experiment.filter)
         beliefs = replace(beliefs, frame_id=part.log.frame_id)
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-        over = crossing_probability(beliefs.marginals), place_in_lane(beliefs.marginals)
-        yield part, Believed(beliefs, assigned, output.tentative, *over)
+        across = across_lanes(beliefs.marginals)
+        yield part, Believed(beliefs, assigned, output.tentative, **across)
 
 
 # --- several runs ------------------------------------------------------------------------------

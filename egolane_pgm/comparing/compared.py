@@ -15,7 +15,7 @@ import numpy as np
 from egolane_pgm.comparing.lags import lag_notes, lag_scores, lagged_beliefs
 from egolane_pgm.drive import drive_key, may_fit
 from egolane_pgm.fleet import first_names
-from egolane_pgm.inference.events import crossing_probability, lane_events
+from egolane_pgm.inference.events import lane_events
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.results import SCHEMA_VERSION, Result
@@ -283,10 +283,10 @@ def _events(result: Result, kept: BoolArray) -> dict[str, Any]:
     """The scores of a result's lane changes, as `event_scores`, over the frames (K,) that are kept.
     The changes are found in all annotated frames."""
     rate, truth = result.run["frame_rate"], truth_of(result).take(kept)
-    events = lane_events(result.beliefs, rate, lag=result.experiment.lag)
-    return event_scores(
-        events, crossing_probability(result.beliefs.take(kept).marginals), truth, rate
-    )
+    lag, places = result.experiment.lag, result.place_in_lane
+    events = lane_events(result.beliefs, rate, lag=lag, places=places)
+    crossing = None if result.crossing is None else result.crossing[kept]
+    return event_scores(events, crossing, truth, rate)
 
 
 # --- what the detector alone answers -----------------------------------------------------------

@@ -33,8 +33,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import TypedDict
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.types import (
     UNASSIGNED,
@@ -311,6 +314,22 @@ def lane_stretches(
     return [(marks[at], at, end) for at, end in zip(borders, ends, strict=True)]
 
 
+class AcrossLanes(TypedDict):
+    """What beliefs say of the car's place across its lane, (T,) each, as a `Result` has it; None
+    without a RoadPosition."""
+
+    crossing: FloatArray | None
+    place_in_lane: FloatArray | None
+
+
+def across_lanes(marginals: Mapping[str, FloatArray]) -> AcrossLanes:
+    """`crossing_probability` and `place_in_lane` of beliefs by node."""
+    cells = _cells_of_lanes(marginals)
+    if cells is None:
+        return {"crossing": None, "place_in_lane": None}
+    return {"crossing": _crossing(cells), "place_in_lane": _place(cells)}
+
+
 def place_in_lane(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
     """Where in its lane the car is, whichever the lane, (T,): lane widths right of the middle, -.5
     to .5, of beliefs by node. NaN where the belief says nothing about it.
@@ -318,24 +337,7 @@ def place_in_lane(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
     It is the mean of RoadPosition with all lanes on top of each other, taken as an angle because a
     place beyond the right border is one at the left border. None without a RoadPosition.
     """
-    cells = _cells_of_lanes(marginals)
-    if cells is None:
-        return None
-    n_cells = cells.shape[2]
-    angle = np.exp(2j * np.pi * (np.arange(n_cells) + 0.5) / n_cells)
-    mean = -(cells.sum(axis=1) * angle).sum(axis=1)
-    return np.where(np.abs(mean) >= DEFINITE, np.angle(mean) / (2 * np.pi), np.nan)
-
-
-def _cells_of_lanes(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
-    """RoadPosition as (T, n, cells), cells from left to right; None without one, or where the cells
-    of a lane are not the same number in each."""
-    lane, position = marginals["Lane"], marginals.get("RoadPosition")
-    if position is None or position.shape[1] % lane.shape[1]:
-        return None
-    cells = position.reshape(len(lane), lane.shape[1], -1)
-    # One frame at a time, np.allclose would take longer than all the rest.
-    return cells if (np.abs(cells.sum(axis=2) - lane) <= 1e-4).all() else None
+    return across_lanes(marginals)["place_in_lane"]
 
 
 def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -350,15 +352,44 @@ def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | No
     since half a second ago is no substitute: with the paper's model that finds the crossing frames
     of runs 1, 3, 6 and 8 with an AUC of .55 to .69.
     """
-    of_lanes = _cells_of_lanes(marginals)
-    if of_lanes is None:
+    return across_lanes(marginals)["crossing"]
+
+
+def _cells_of_lanes(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
+    """RoadPosition as (T, n, cells), cells from left to right; None without one, or where the cells
+    of a lane are not the same number in each."""
+    lane, position = marginals["Lane"], marginals.get("RoadPosition")
+    if position is None or position.shape[1] % lane.shape[1]:
         return None
-    _, n_lanes, cells = of_lanes.shape
-    n_positions = n_lanes * cells
+    cells = position.reshape(len(lane), lane.shape[1], -1)
+    # One frame at a time, np.allclose would take longer than all the rest.
+    return cells if (np.abs(cells.sum(axis=2) - lane) <= 1e-4).all() else None
+
+
+def _place(cells: FloatArray) -> FloatArray:
+    mean = -(cells.sum(axis=1) * _angles(cells.shape[2])).sum(axis=1)
+    return np.where(np.abs(mean) >= DEFINITE, np.angle(mean) / (2 * np.pi), np.nan)
+
+
+def _crossing(cells: FloatArray) -> FloatArray:
+    n_frames, n_lanes, n_cells = cells.shape
+    near = cells.reshape(n_frames, -1) @ _near_lines(n_lanes, n_cells)
+    return np.asarray(np.clip(near, 0.0, 1.0))
+
+
+@lru_cache(maxsize=8)
+def _angles(n_cells: int) -> NDArray[np.complex128]:
+    """The places of a lane's cells as angles."""
+    return np.asarray(np.exp(2j * np.pi * (np.arange(n_cells) + 0.5) / n_cells))
+
+
+@lru_cache(maxsize=8)
+def _near_lines(n_lanes: int, n_cells: int) -> FloatArray:
+    """How much of each cell of the road is at most half a car's width from a line between lanes."""
     # The places of the cells' borders, in lane widths from the road's left edge.
-    border = np.arange(n_positions + 1) / cells
-    share = np.zeros(n_positions)
+    border = np.arange(n_lanes * n_cells + 1) / n_cells
+    share = np.zeros(n_lanes * n_cells)
     for line in range(1, n_lanes):
         near = np.clip(border, line - HALF_CAR, line + HALF_CAR)
-        share += np.diff(near) * cells
-    return np.asarray(np.clip(marginals["RoadPosition"] @ share, 0.0, 1.0))
+        share += np.diff(near) * n_cells
+    return share

@@ -421,6 +421,7 @@ def weigh_positions(
                 for lane in range(n_lanes):
                     known[u, k, lane] += expected_mean - expected[k, lane] - mean[0, u]
         _change(sight, min(lane_changes * tenths[t], 0.3), min(kind_changes * tenths[t], 0.3))
+        of_lane = sight.sum(axis=1)
         largest = -np.inf
         for u in range(cells):
             phase_only = beta[t] * mean[0, u]
@@ -430,7 +431,7 @@ def weigh_positions(
                 total = 0.0
                 for k in range(n_kinds):
                     total += sight[lane, k] * math.exp(alpha[t] * (known[u, k, lane] - top))
-                total /= sight[lane].sum()
+                total /= of_lane[lane]
                 likelihood[t, lane * cells + u, 0] = phase_only + alpha[t] * top + math.log(total)
                 likelihood[t, lane * cells + u, 1] = phase_only
                 largest = max(largest, likelihood[t, lane * cells + u, 0])
