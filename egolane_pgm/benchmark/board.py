@@ -14,6 +14,7 @@ import numpy as np
 
 from egolane_pgm.benchmark.scored import SCORES, VERSION, resamples, total
 from egolane_pgm.benchmark.tracks import SHOWN_ONLY
+from egolane_pgm.scoring.seeds import with_bounds
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.views.benchmark_tables import ABOUT, Place, places_table, track_table
@@ -183,5 +184,5 @@ def _order(entry: Scores) -> tuple[bool, float]:
 
 def _interval(values: FloatArray) -> tuple[float, float] | None:
     """Of all recordings and each resample, (1 + R,); None where they are all alike."""
-    low, high = np.nanquantile(values[1:], [0.025, 0.975])
-    return (float(low), float(high)) if np.ptp(values) else None
+    _, low, high = with_bounds(values)
+    return (low, high) if np.ptp(values) else None

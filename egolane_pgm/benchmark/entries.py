@@ -79,10 +79,15 @@ def by_experiment(
     if found and recording.n_lanes in found:
         learned = with_found(drive.model, found[recording.n_lanes], drive.experiment)
         drive = replace(drive, model=learned)
-    beliefs = believe(drive).beliefs
-    log = drive.recorded.log
-    told = lane_events(beliefs, RATE, lag=drive.experiment.lag, time_s=log.time_s)
-    return Answer(beliefs.lane, told, time.perf_counter() - begun)
+    believed = believe(drive)
+    told = lane_events(
+        believed.beliefs,
+        RATE,
+        lag=drive.experiment.lag,
+        time_s=drive.recorded.log.time_s,
+        places=believed.place_in_lane,
+    )
+    return Answer(believed.beliefs.lane, told, time.perf_counter() - begun)
 
 
 # --- a folder ----------------------------------------------------------------------------------

@@ -21,7 +21,7 @@ from scipy.signal import lfilter
 
 from egolane_pgm.benchmark import uah
 from egolane_pgm.benchmark.tracks import RATE, write_recording
-from egolane_pgm.drive import load_recording
+from egolane_pgm.drive import open_drive
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.simulation.transplanting import Donor, Path, donor_of, transplanted
@@ -42,9 +42,6 @@ DONORS = {
     9: ("spain_sc", 3.4),
     10: ("spain_mld", 4.06),
 }
-
-#: From here on the Spanish label jumps with no lane change.
-_TRUSTED = 9577
 
 #: The standard deviation of the place in the lane, lanes, and how much of it is left after 5 s.
 _SPREAD, _MEMORY = 0.09, 0.34
@@ -70,15 +67,12 @@ Change = tuple[float, int, int]
 def paper_log(run: int) -> tuple[LineLog, LaneTruth, int]:
     """The annotated frames of one of the paper's runs that can be trusted, renumbered from 0, and
     the number of lanes. Raises InputError where the recording is not there."""
-    experiment = load_experiment(paper_experiment(run))
-    recorded = load_recording(experiment)
-    assert recorded.truth is not None
-    log, truth = recorded.log.take(recorded.scored), recorded.truth
-    kept = slice(0, int(np.searchsorted(truth.frame_id, _TRUSTED)) if run > 5 else len(truth))
-    log, truth = log.take(kept), truth.take(kept)
+    drive = open_drive(load_experiment(paper_experiment(run)))
+    kept = np.flatnonzero(drive.may_fit)
+    log, truth = drive.recorded.log.take(drive.rows[kept]), drive.truth.take(kept)
     frame = np.arange(len(log))
     log = replace(log, frame_id=frame, time_s=frame / RATE)
-    return log, replace(truth, frame_id=frame), experiment.n_lanes
+    return log, replace(truth, frame_id=frame), drive.n_lanes
 
 
 @lru_cache(maxsize=len(DONORS))

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth, LineLog, runs_of
 
@@ -33,9 +34,6 @@ _JUMP = 0.3
 
 #: Lines that are further away are not reported, metres.
 _REACH_M = 16.5
-
-#: Offsets that stand for none, metres.
-_NO_OFFSET_M = 1e-6
 
 
 @dataclass(frozen=True)
@@ -90,7 +88,7 @@ def donor_of(log: LineLog, truth: LaneTruth, n_lanes: int, width_m: float) -> Do
     path = Path(_across(log, truth, width_m), n_lanes)
     where = path.across[:, None] + log.offset_m / width_m
     nearest = np.round(where)
-    is_line = np.isfinite(where) & (np.abs(log.offset_m) > _NO_OFFSET_M)
+    is_line = is_placed(log.offset_m)
     on_road = is_line & (np.abs(where - nearest) < _NEAR) & (nearest >= 0) & (nearest <= n_lanes)
     left, right = is_line & ~on_road & (where < 0), is_line & ~on_road & (where > n_lanes)
     number = np.where(on_road, nearest, -1).astype(np.int64)
@@ -106,7 +104,7 @@ def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
     """(T,): the car's place across the road: inside the lane the best path on a circle through what
     the lines say (Viterbi), in the lane that the truth has between two changes."""
     centre = (np.arange(_PLACES) + 0.5) / _PLACES
-    use = log.is_valid & (np.abs(log.offset_m) > _NO_OFFSET_M)
+    use = log.is_valid & is_placed(log.offset_m)
     off = np.where(use, log.offset_m, 0.0)[:, :, None] / width_m + centre
     off -= np.round(off)
     each = np.log(0.1 + np.exp(-0.5 * (off / _SPREAD) ** 2))

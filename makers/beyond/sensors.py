@@ -4,7 +4,7 @@ and how much the start of the drive decides."""
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -66,26 +66,24 @@ def own_lines(log: LineLog) -> LineLog:
     return without(log, ~keep)
 
 
-def _own(drive: Drive) -> list[Drive]:
-    return [replace(drive, log=own_lines(drive.log))]
+def _lines(change: Callable[[LineLog], LineLog]) -> Change:
+    """A change of the lines only."""
+    return lambda drive: [replace(drive, log=change(drive.log))]
 
 
-def _four(drive: Drive) -> list[Drive]:
-    return [replace(drive, log=nearest(drive.log, 4))]
-
-
-def _plain(drive: Drive) -> list[Drive]:
-    return [replace(drive, log=never_continuous(own_lines(drive.log)))]
+def plain_own_lines(log: LineLog) -> LineLog:
+    """The own lines, never continuous."""
+    return never_continuous(own_lines(log))
 
 
 #: What is tried: the change of a recording, and whether the start lane is given.
 SENSORS: dict[str, tuple[Change, bool]] = {
     "all lines, as recorded": (STRANGERS["as recorded"], False),
     "all lines, no type": (STRANGERS["no line continuous"], False),
-    "the four nearest lines": (_four, False),
-    "the own two lines, with their type": (_own, False),
-    "the own two lines, no type": (_plain, False),
-    "the own two lines, no type, start lane given": (_plain, True),
+    "the four nearest lines": (_lines(lambda log: nearest(log, 4)), False),
+    "the own two lines, with their type": (_lines(own_lines), False),
+    "the own two lines, no type": (_lines(plain_own_lines), False),
+    "the own two lines, no type, start lane given": (_lines(plain_own_lines), True),
     "60 % of all lines missing": (STRANGERS["60 % of lines missing"], False),
     "no line for 2 s, 30 % of the time": (STRANGERS["blind for 2 s, 30 % of the time"], False),
     "2 frames a second": (STRANGERS["every 5th, renumbered, rate said"], False),
