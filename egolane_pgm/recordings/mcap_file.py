@@ -25,13 +25,20 @@ _Decode = Callable[[bytes], Any]
 
 
 def topics_of(path: Path, definitions: Path | None) -> Topics:
-    """See `recordings.containers`."""
+    """See `recordings.containers`. Without a summary at its end the whole file is read."""
     found: Topics = {}
     with _open(path) as reader:
-        for schema, channel, _ in reader.iter_messages():
+        summary = reader.get_summary()
+        if summary is not None and summary.statistics is not None:
+            counts = summary.statistics.channel_message_counts
+            channels = [(summary.channels[k], count) for k, count in counts.items() if count]
+            each = [(summary.schemas.get(c.schema_id), c, count) for c, count in channels]
+        else:
+            each = [(schema, channel, 1) for schema, channel, _ in reader.iter_messages()]
+        for schema, channel, count in each:
             kind = f"{schema.name if schema else 'no schema'}, {channel.message_encoding}"
             number = found.get(channel.topic, (kind, 0))[1] or 0
-            found[channel.topic] = (kind, number + 1)
+            found[channel.topic] = (kind, number + count)
     return found
 
 

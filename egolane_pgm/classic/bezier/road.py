@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.types import FloatArray
+from egolane_pgm.vision.detectors import powers
 
 #: How far a point is off its line, metres.
 _POINT_SD_M = 0.1
@@ -17,7 +18,7 @@ _HEADING_SD, _CURVATURE_SD, _RATE_SD = 0.03, 1e-3, 3e-5
 def shape_of(x: FloatArray, y: FloatArray) -> FloatArray:
     """The line s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6, (4,) as in FrameLines, nearest to points (P,)
     by least squares; all but the offset is kept small."""
-    design = np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=1) / _POINT_SD_M
+    design = powers(x) / _POINT_SD_M
     usual = np.diag([0, 1 / _HEADING_SD, 1 / _CURVATURE_SD, 1 / _RATE_SD])
     rows, values = np.vstack([design, usual]), np.concatenate([y / _POINT_SD_M, np.zeros(4)])
     # In units in which the four columns are alike.

@@ -25,6 +25,13 @@ from egolane_pgm.vision.camera.picture import Image as Image
 from egolane_pgm.vision.camera.picture import Picture
 
 
+def powers(x: FloatArray | float) -> FloatArray:
+    """What offset, heading, curvature and its rate of a line are multiplied with at a distance of
+    x metres (...), (..., 4): shape @ powers(x) is where it lies there."""
+    x = np.asarray(x, dtype=np.float64)
+    return np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=-1)
+
+
 @dataclass(frozen=True)
 class FrameLines:
     """The L lines of one frame, sorted left to right.

@@ -12,6 +12,7 @@ from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors import powers
 from egolane_pgm.vision.detectors.networks.answers import Answer, Line
 from egolane_pgm.vision.detectors.networks.description import Network
 from egolane_pgm.vision.detectors.networks.layouts import from_above, on_road
@@ -92,7 +93,7 @@ def fitted(
         shape = _fitted(view, valid, *on_road(view.camera, seen, line), str(parameters["curve"]))
         if shape is None or abs(shape[0]) > number(parameters, "side_m"):
             continue
-        gaps = (np.array(shapes).reshape(-1, 4) - shape) @ _powers(_COMPARED_M)
+        gaps = (np.array(shapes).reshape(-1, 4) - shape) @ powers(_COMPARED_M)
         if (np.abs(gaps) >= number(parameters, "apart_m")).all():
             shapes.append(shape)
             kept.append(line)
@@ -101,12 +102,6 @@ def fitted(
     told = [network.continuous.get(-1 if line.kind is None else line.kind) for line in kept]
     solid = np.array([np.nan if each is None else each for each in told], dtype=np.float64)
     return Seen(found[order], np.array([line.probability for line in kept])[order], solid[order])
-
-
-def _powers(x: FloatArray | float) -> FloatArray:
-    """What offset, heading, curvature and rate are multiplied with at a distance, (..., 4)."""
-    x = np.asarray(x, dtype=np.float64)
-    return np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=-1)
 
 
 def _fitted(
@@ -125,7 +120,7 @@ def _fitted(
         return None
     n = _CURVES.index(curve) + 2
     weight = (_NEAR_SD_M + _SD_PER_M * at[inside]) ** -2
-    design = _powers(at[inside])[:, :n]
+    design = powers(at[inside])[:, :n]
     normal = design.T @ (design * weight[:, None]) + np.diag(_USUAL[:n])
     shape = np.zeros(4)
     shape[:n] = np.linalg.solve(normal, design.T @ (weight * place[inside]))

@@ -19,7 +19,7 @@ import numpy as np
 
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
-from egolane_pgm.vision.detectors import FrameLines
+from egolane_pgm.vision.detectors import FrameLines, powers
 
 #: The distances ahead at which a line is compared (four parameters need four), and the standard
 #: deviations of a found line there, metres; that of the rate of a clothoid's curvature, 1/m^2.
@@ -119,7 +119,7 @@ def rules(parameters: Parameters, *, curve: str) -> Rules:
         return float(parameters[name])  # type: ignore[arg-type]
 
     x = _AHEAD_M
-    at = np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=1)
+    at = powers(x)
     noise = np.diag(_SIGMA_M**2)
     if n_values == 4:
         noise = _noise_of_clothoids(at, _SIGMA_M, _SIGMA_RATE)
