@@ -534,7 +534,6 @@ def evidence_on(drive: Drive, model: Model) -> RuleOutput:
         return output
     joint = with_positions(
         model.compiled,
-        model.n_lanes,
         recorded.log,
         output.filtered,
         recorded.across,

@@ -394,7 +394,7 @@ class Learning(Section):
 
 class Gnss(Section):
     """The noise of positions, which are evidence of the lane in addition to the lines. The defaults
-    are as four receivers had it on a recorded drive."""
+    are as telephones' receivers and maps had it on recorded drives."""
 
     lane_width_m: float = Field(
         default=3.75, gt=0, allow_inf_nan=False, description="width of a lane, metres"
@@ -407,13 +407,13 @@ class Gnss(Section):
         " in its lane included",
     )
     drift_sigma_m: float = Field(
-        default=2.1,
+        default=4.0,
         ge=0,
         allow_inf_nan=False,
         description="standard deviation of the drift, metres, the map's own errors included",
     )
     drift_s: float = Field(
-        default=26.0,
+        default=300.0,
         gt=0,
         allow_inf_nan=False,
         description="correlation time of the drift, seconds",

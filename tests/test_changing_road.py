@@ -164,15 +164,18 @@ def hidden_lines(drive: Any, folder: Path, begin_s: float, stop_s: float) -> dic
 def test_positions_tell_the_lane_where_lines_are_missing(
     tmp_path: Path, graph: str, rule: str
 ) -> None:
-    drive = simulate_interchange(6, None, Journey(n_frames=800))
-    content = hidden_lines(drive, tmp_path, 40.0, 70.0)
     behind = slice(400, 700)
-    found = {}
-    for name, gnss in (("lines", None), ("both", {})):
-        done = ego.run({**content, "gnss": gnss, "graph": graph, "evidence": rule})
-        right = done.assigned_lane == drive.truth.lane
-        found[name] = right[behind][~drive.truth.is_crossing[behind]].mean()
-    assert found["both"] > found["lines"] + 0.3
+    gained = []
+    for seed in range(1, 5):
+        drive = simulate_interchange(seed, None, Journey(n_frames=800))
+        content = hidden_lines(drive, tmp_path, 40.0, 70.0)
+        found = []
+        for gnss in (None, {}):
+            done = ego.run({**content, "gnss": gnss, "graph": graph, "evidence": rule})
+            right = done.assigned_lane == drive.truth.lane
+            found.append(right[behind][~drive.truth.is_crossing[behind]].mean())
+        gained.append(found[1] - found[0])
+    assert np.mean(gained) > 0.2
 
 
 def test_positions_go_with_a_constant_number_of_lanes_too(tmp_path: Path) -> None:

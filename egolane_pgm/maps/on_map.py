@@ -17,7 +17,6 @@ import numpy as np
 from egolane_pgm.evidence.lines_beside import fit_of_counts
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.maps.lanes_from_gnss import Across, across, beside_lines
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.steps import (
@@ -162,20 +161,15 @@ def _positions_along(
 
 
 def with_positions(
-    compiled: Compiled, n_lanes: int, log: LineLog, lines: Evidence, seen: Across, gnss: Gnss
+    compiled: Compiled, log: LineLog, lines: Evidence, seen: Across, gnss: Gnss
 ) -> Evidence:
     """The evidence of T frames with what positions say of the lane, or of the place across the road
     for a graph that knows it.
 
     - lines: the evidence of the T frames of the log without them.
     """
-    beliefs = filter_beliefs(compiled, lines, "exact")
     of_places = POSITIONS in lines.likelihoods
-    key = POSITIONS if of_places else "Lane"
-    believed = beliefs.marginals[POSITIONS[0]] if of_places else beliefs.lane
-    # A frame without lines is no evidence of the drift, however sure the belief still is.
-    has_lines = log.is_valid.any(axis=1, keepdims=True)
-    believed = np.where(has_lines, believed, 1 / believed.shape[1])
-    said = beside_lines(seen, log.time_s, believed, gnss, believed.shape[1] // n_lanes)
+    key, node = (POSITIONS, POSITIONS[0]) if of_places else ("Lane", "Lane")
+    said = beside_lines(compiled, lines, node, log, seen, gnss)
     joint = lines.likelihoods[key] * (said[:, :, None] if of_places else said)
     return replace(lines, likelihoods={**lines.likelihoods, key: joint})

@@ -65,7 +65,7 @@ def lane_belief(
         given = lines
         if gnss is not None:
             seen = across(road, time_s, lanes.n_lanes, gnss.lane_width_m)
-            given = with_positions(model.compiled, model.n_lanes, log, lines, seen, gnss)
+            given = with_positions(model.compiled, log, lines, seen, gnss)
         beliefs.append(filter_beliefs(model.compiled, given, "exact").lane)
     return beliefs, lanes
 

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from itertools import product
-
 import numpy as np
 import pytest
 from scipy.linalg import expm
 
 from egolane_pgm.experiment import Gnss
-from egolane_pgm.maps.lanes_from_gnss import Across, _drifts, _wander, across, beside_lines
+from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior
+from egolane_pgm.inference.compile import compile
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.maps.lanes_from_gnss import (
+    _JUMP_S,
+    Across,
+    _drifts,
+    _wander,
+    across,
+    beside_lines,
+)
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.types import FloatArray
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, LineLog
 from tests.kits.gnss_alone import AloneNoise, lanes_from_offsets
 from tests.kits.lane_maps import slow
+from tests.reference.oracle import oracle_filter
 
 W = 3.5
 
@@ -80,89 +89,111 @@ def test_the_smoothed_answer_of_the_last_second_is_the_filtered_one() -> None:
 
 NOISE = Gnss(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=1.0, drift_s=20.0)
 
+#: A car that mostly keeps its lane.
+STAYS = np.array([[0.9, 0.1, 0.0], [0.05, 0.9, 0.05], [0.0, 0.1, 0.9]])
+
+SILENT = np.ones((1, 3))
+
 
 def seen(metres: list[float], sigma: float = np.nan) -> Across:
     return Across(np.array(metres), np.full(len(metres), sigma))
 
 
-def enumerated(metres: FloatArray, lanes: list[int], noise: Gnss) -> FloatArray:
-    """P(position at t | lane at t, positions and lanes before) by every path of the drift."""
-    drift, (first, rates) = _drifts(noise), _wander(noise)
-    moves = expm(rates)
-    found = np.empty((len(metres), 3))
-
-    def density(t: int, lane: int, cell: int) -> float:
-        off = metres[t] - (lane + 0.5) * noise.lane_width_m - drift[cell]
-        said = np.exp(-0.5 * (off / noise.sigma_m) ** 2) / np.sqrt(2 * np.pi) / noise.sigma_m
-        return float((1 - noise.off_share) * said + noise.off_share / 50.0)
-
-    for t in range(len(metres)):
-        for lane in range(3):
-            total = 0.0
-            for path in product(range(len(drift)), repeat=t + 1):
-                chance = first[path[0]]
-                for k in range(t):
-                    chance *= density(k, lanes[k], path[k]) * moves[path[k], path[k + 1]]
-                total += chance * density(t, lane, path[t])
-            found[t, lane] = total
-    return found / found.max(axis=1, keepdims=True)
+def lanes_only() -> list[Table]:
+    return [*prior("Lane", [0.2, 0.5, 0.3]), *dynamics("Lane", [previous("Lane")], STAYS)]
 
 
-def test_where_the_lines_are_sure_the_likelihood_is_that_of_all_paths_of_the_drift() -> None:
+def said_by(across_road: Across, lines: FloatArray, noise: Gnss = NOISE) -> FloatArray:
+    """What positions say, one a second, beside lines of these likelihoods (T, 3). Where these are
+    all 1 no line is seen."""
+    compiled = compile(declare(lanes_only(), ["Lane"]), hidden=("Lane",), observed=["Lane"])
+    log = seen_once_a_second((lines < 1).any(axis=1))
+    return beside_lines(compiled, Evidence({"Lane": lines}), "Lane", log, across_road, noise)
+
+
+def seen_once_a_second(has_lines: BoolArray) -> LineLog:
+    n, valid = len(has_lines), has_lines[:, None]
+    offset = np.where(valid, 1.5, np.nan)
+    return LineLog(np.arange(n), np.arange(n) * 1.0, offset, valid, ~valid & False, offset * 0)
+
+
+def test_the_belief_is_that_of_the_network_with_the_drift_as_one_more_node() -> None:
+    """By pgmpy's variable elimination."""
     noise = Gnss(lane_width_m=3.5, sigma_m=1.5, drift_sigma_m=1.5, drift_s=4.0)
-    metres, lanes = np.array([6.5, 9.9, 8.8]), [1, 2, 2]
-    said = beside_lines(seen(list(metres)), np.arange(3.0), np.eye(3)[lanes], noise)
-    np.testing.assert_allclose(said, enumerated(metres, lanes, noise), rtol=1e-9)
+    metres, lines = np.array([6.5, 9.9, 8.8]), np.array([[0.3, 1, 0.2], [1, 1, 0.9], [0.1, 0.9, 1]])
+    start, rates = _wander(noise)
+    stays = np.exp(-1 / _JUMP_S)
+    moves = stays * expm(rates) + (1 - stays) * start
+    network = declare(
+        [*lanes_only(), *prior("Drift", start), *dynamics("Drift", [previous("Drift")], moves)],
+        ["Lane", ("Lane", "Drift")],
+    )
+    centre = np.array([1.75, 5.25, 8.75])
+    off = metres[:, None, None] - centre[:, None] - _drifts(noise)
+    density = 0.95 * np.exp(-0.5 * (off / 1.5) ** 2) / np.sqrt(2 * np.pi) / 1.5 + 0.05 / 50
+    both = Evidence({"Lane": lines, ("Lane", "Drift"): density})
+    right = oracle_filter(network, ("Lane", "Drift"), ["Lane", ("Lane", "Drift")], both).lane
+
+    compiled = compile(declare(lanes_only(), ["Lane"]), hidden=("Lane",), observed=["Lane"])
+    joint = lines * said_by(seen(list(metres)), lines, noise)
+    ours = filter_beliefs(compiled, Evidence({"Lane": joint})).lane
+    np.testing.assert_allclose(ours, right, rtol=0, atol=1e-9)
 
 
 def test_without_drift_a_position_is_worth_its_noise() -> None:
     noise = Gnss(lane_width_m=3.5, sigma_m=1.0, drift_sigma_m=0.0)
-    said = beside_lines(seen([5.0]), np.zeros(1), np.full((1, 3), 1 / 3), noise)
+    said = said_by(seen([5.0]), SILENT, noise)
     off = 5.0 - np.array([1.75, 5.25, 8.75])
     normal = 0.95 * np.exp(-0.5 * off**2) / np.sqrt(2 * np.pi) + 0.05 / 50
     np.testing.assert_allclose(said[0], normal / normal.max())
 
 
+def test_a_bias_that_lasts_is_evidence_of_the_lane_once() -> None:
+    """A minute of the same position says little more than the first of them."""
+    stays = [*prior("Lane", np.full(3, 1 / 3)), *dynamics("Lane", [previous("Lane")], np.eye(3))]
+    compiled = compile(declare(stays, ["Lane"]), hidden=("Lane",), observed=["Lane"])
+    silent, log = Evidence({"Lane": np.ones((60, 3))}), seen_once_a_second(np.ones(60, dtype=bool))
+    said = beside_lines(compiled, silent, "Lane", log, seen([9.4] * 60), Gnss())
+    belief = filter_beliefs(compiled, Evidence({"Lane": said})).lane[:, 2]
+    assert 0.4 < belief[0] < 0.6
+    assert abs(belief[-1] - belief[0]) < 0.1
+
+
 def test_in_a_mirror_the_lanes_are_mirrored() -> None:
     rng = np.random.default_rng(3)
-    metres, believed = rng.uniform(0, 10.5, 20), rng.dirichlet(np.ones(3), 20)
+    metres, lines = rng.uniform(0, 10.5, 20), rng.dirichlet(np.ones(3), 20)
     metres[[4, 11]] = np.nan
-    time_s = np.arange(20.0)
-    said = beside_lines(Across(metres, np.full(20, np.nan)), time_s, believed, NOISE)
-    other = Across(10.5 - metres, np.full(20, np.nan))
-    np.testing.assert_allclose(
-        beside_lines(other, time_s, believed[:, ::-1], NOISE), said[:, ::-1], rtol=1e-6
-    )
+    # The first frame's prior is not symmetric.
+    lines[0] = [0, 1, 0]
+    said = said_by(Across(metres, np.full(20, np.nan)), lines)
+    other = said_by(Across(10.5 - metres, np.full(20, np.nan)), lines[:, ::-1])
+    np.testing.assert_allclose(other, said[:, ::-1], rtol=1e-6)
     assert (said[[4, 11]] == 1).all()
 
 
 def test_no_position_is_told_of_before_it_is_there() -> None:
     rng = np.random.default_rng(4)
-    metres, believed = rng.uniform(0, 10.5, 20), rng.dirichlet(np.ones(3), 20)
-    whole = beside_lines(seen(list(metres)), np.arange(20.0), believed, NOISE)
-    half = beside_lines(seen(list(metres[:10])), np.arange(10.0), believed[:10], NOISE)
+    metres, lines = rng.uniform(0, 10.5, 20), rng.dirichlet(np.ones(3), 20)
+    whole = said_by(seen(list(metres)), lines)
+    half = said_by(seen(list(metres[:10])), lines[:10])
     np.testing.assert_array_equal(whole[:10], half)
 
 
 def test_the_drift_that_the_lines_tell_is_taken_off_where_they_are_missing() -> None:
     """The receiver errs by a lane; by itself it would be believed."""
-    known, unknown = np.tile([0, 1.0, 0], (10, 1)), np.full((5, 3), 1 / 3)
-    metres = [5.25 + 3.5] * 15
-    said = beside_lines(seen(metres), np.arange(15.0), np.concatenate([known, unknown]), NOISE)
+    known, unknown = np.tile([0, 1.0, 0], (10, 1)), np.ones((5, 3))
+    said = said_by(seen([5.25 + 3.5] * 15), np.concatenate([known, unknown]))
     assert said[0].argmax() == 2
     assert (said[10:].argmax(axis=1) == 1).all()
 
 
 def test_a_receiver_that_says_it_is_unsure_says_little() -> None:
-    usual = beside_lines(seen([1.75]), np.zeros(1), np.full((1, 3), 1 / 3), NOISE)
-    unsure = beside_lines(seen([1.75], 20.0), np.zeros(1), np.full((1, 3), 1 / 3), NOISE)
-    assert usual[0, 2] < 0.1
-    assert unsure[0, 2] > 0.9
+    assert said_by(seen([1.75]), SILENT)[0, 2] < 0.1
+    assert said_by(seen([1.75], 20.0), SILENT)[0, 2] > 0.9
 
 
 def test_a_position_far_off_the_road_says_nothing() -> None:
-    said = beside_lines(seen([400.0]), np.zeros(1), np.full((1, 3), 1 / 3), NOISE)
-    np.testing.assert_allclose(said, 1.0)
+    np.testing.assert_allclose(said_by(seen([400.0]), SILENT), 1.0)
 
 
 def table(t_s: list[float], offset_m: list[float], n: int, way_line: float) -> RoadTable:
