@@ -740,7 +740,7 @@ class LaneEvents:
     - frame_id, time_s (E,): since when, up to there, the new lane was more probable than the old
       one without a break.
     - from_lane, to_lane (E,): 1 (leftmost) to n; UNASSIGNED where the car is seen to change lane
-      while its lane is not known.
+      while its lane is not known or the belief stays in its lane.
     - direction (E,): -1 to the left, 1 to the right.
     - probability (E,): of the new lane, in the belief that first showed the change; NaN where the
       lanes are not known.

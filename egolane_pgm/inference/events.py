@@ -10,11 +10,16 @@ So events of causal beliefs are causal, too. The definition:
   that lane's probability reaches SURELY_BACK. Otherwise the change stands; if the old lane is still
   believed when the time is over, the change back is reported then.
 
-Where no lane is believed, a change is told by its direction alone, from and to UNASSIGNED: with a
-node RoadPosition, the place inside the lane shows that the car went over a line, whichever lane it
-is in. It is reported once the mean place is BEYOND the line. A lane that is believed after that
-begins anew. Where the change itself tells the lane, which is then believed for the first time less
-than FLICKER_S before, the change is told with its lanes.
+With a node RoadPosition, the place inside the lane shows whether the car goes over a line,
+whichever lane it is in, and an event is one crossing of one line:
+
+- A lane that is believed while the car stays inside its lane (it is further than BEYOND from the
+  line on that side) is another number for the same lane, as where a ramp joins; it is no change.
+- Where the mean place is BEYOND a line and no belief told it, a change is told by its direction
+  alone, from and to UNASSIGNED, and the lane begins anew; where the lane is believed for the first
+  time less than FLICKER_S before, with its lanes. Within FLICKER_S after a change none is.
+- Where the place is not known or moves more than a car can (JUMP), and until FLICKER_S later, what
+  is believed counts alone.
 
 No constant counts frames, and none was searched:
 
@@ -25,6 +30,8 @@ No constant counts frames, and none was searched:
   after half of that has hardly been there.
 - BEYOND: half a car's width is HALF_CAR; less would tell a car that follows the line, and the
   place is known to about a tenth of a lane.
+- JUMP: a car needs a second for that. Where the place does it from one frame to the next, it may
+  have gone the other way round.
 - SURELY_BACK: a belief that goes there and back that fast mostly wavers, and its probabilities are
   then too large. So the odds have to be ten times those of BELIEVED (2 to 1), 20 to 1.
 """
@@ -64,11 +71,18 @@ SURE = 0.9
 #: Half the width of a car, in lane widths: about .9 m of 3.6 m.
 HALF_CAR = 0.25
 
-#: How far beyond a line the car's middle is when a change without lanes is reported, lane widths.
+#: How far the mean place moves in a frame at most while it is followed, lane widths.
+JUMP = 0.25
+
+#: How far beyond a line the car's middle is when a change without lanes is reported, and how far
+#: before it at most when one with lanes is, lane widths.
 BEYOND = 0.15
 
 #: A mean place inside the lane counts if it is at least this definite (0 anywhere, 1 one cell).
 DEFINITE = 0.1
+
+#: Fewer cells in a lane do not show where in it the car is.
+FEWEST_CELLS = 4
 
 
 def lane_events(
@@ -117,10 +131,9 @@ class EventState:
     before, calm_s: the lane left last, and until when the way back has to be sure.
     ahead (n,): marks the lanes that are more probable than `here`, ...
     since_id, since_s (n,): ... and since which frame they are so without a break; seconds.
-    place: where in its lane the car was last, -.5 to .5 lane widths from the middle.
-    borders: the lines it went over to the right, less those to the left; and how many of them are
-        not made up for.
-    side: the direction of the last change.
+    beyond: where the car was last, lane widths right of the middle of the lane that it is in after
+        the changes so far.
+    lost_s: when its place was last not known or jumped.
     began_s: when `here` was first believed without a change before it.
     """
 
@@ -130,9 +143,8 @@ class EventState:
     ahead: BoolArray
     since_id: IntArray
     since_s: FloatArray
-    place: float = 0.0
-    borders: tuple[int, int] = (0, 0)
-    side: int = 0
+    beyond: float = 0.0
+    lost_s: float = -np.inf
     began_s: float = -np.inf
 
 
@@ -149,40 +161,46 @@ def next_events(
     (E,), and the changes. However a drive is cut into parts, they are the same.
 
     - time_s: (T,) when the frames were, seconds.
-    - places: (T,) as `place_in_lane` gives them; None: no change is told without lanes.
+    - places: (T,) as `place_in_lane` gives them; None: only what is believed counts.
     """
     lane, frame_id = beliefs.lane, beliefs.frame_id
-    here, before, calm, side = so_far.here, so_far.before, so_far.calm_s, so_far.side
-    begun = so_far.began_s
+    here, before, calm, begun = so_far.here, so_far.before, so_far.calm_s, so_far.began_s
+    beyond, lost = so_far.beyond, so_far.lost_s
     largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
-    place, borders, sides = _sides(so_far, places)
-    is_asked = largest >= BELIEVED
-    is_asked[[*sides]] = True
-    asked = np.flatnonzero(is_asked)
-    columns = (asked, top[asked], largest[asked], time_s[asked])
+    asked = np.arange(len(lane)) if places is not None else np.flatnonzero(largest >= BELIEVED)
+    place = np.full(len(lane), np.nan) if places is None else places
+    columns = (asked, top[asked], largest[asked], time_s[asked], place[asked])
     changes: list[tuple[int, int, int, int, bool]] = []
-    for t, k, p, now in zip(*(column.tolist() for column in columns), strict=True):
+    for t, k, p, now, at in zip(*(column.tolist() for column in columns), strict=True):
+        moved = (at - beyond + 0.5) % 1 - 0.5
+        if at == at:
+            beyond += moved
+        if not abs(moved) <= JUMP:
+            lost = now
         is_known = p >= BELIEVED
         if is_known and k != here and not (k == before and now < calm and p < SURELY_BACK):
-            if here >= 0:
-                side = 1 if k > here else -1
+            side = 1 if k > here else -1
+            is_near = side * beyond >= 0.5 - BEYOND
+            if here < 0:
+                begun = now
+            elif is_near or now < lost + FLICKER_S:
                 changes.append((t, here, k, side, False))
                 before, calm = here, now + FLICKER_S
-            else:
-                begun = now
+                beyond -= side if is_near else round(beyond)
             here = k
-        over = sides.get(t, 0)
-        if not over or (over == side and now < calm):
+        if abs(beyond) <= 0.5 + BEYOND:
             continue
-        if not is_known:
-            changes.append((t, -1, -1, over, True))
-            here, before = -1, -1
-        elif k == here and now < begun + FLICKER_S and 0 <= k - over < lane.shape[1]:
-            changes.append((t, k - over, k, over, True))
-            before = k - over
+        side = 1 if beyond > 0 else -1
+        beyond -= side
+        if now < calm:
+            continue
+        calm = now + FLICKER_S
+        if is_known and now < begun + FLICKER_S and 0 <= k - side < lane.shape[1]:
+            before = k - side
+            changes.append((t, before, k, side, True))
         else:
-            continue
-        calm, side = now + FLICKER_S, over
+            here, before = -1, -1
+            changes.append((t, -1, -1, side, True))
     rows, left, entered, directions, by_place = np.array(changes, dtype=np.int64).reshape(-1, 5).T
     began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
     since, after = so_far, 0
@@ -209,29 +227,7 @@ def next_events(
         probability=np.where(left < 0, np.nan, lane[rows, entered]),
     )
     since = replace(since, here=here, before=before, calm_s=calm)
-    since = replace(since, place=place, borders=borders, side=side, began_s=begun)
-    return since, rows, events
-
-
-def _sides(
-    so_far: EventState, places: FloatArray | None
-) -> tuple[float, tuple[int, int], dict[int, int]]:
-    """The place in its lane and the borders after more frames (see `EventState`); and the rows in
-    which the car is beyond a line for the first time, with the direction.
-
-    - places: as `place_in_lane` gives them. Without any the car is never seen to go over a line.
-    """
-    place, (borders, counted) = so_far.place, so_far.borders
-    sides = {}
-    for t, now in enumerate([] if places is None else places.tolist()):
-        if now == now:
-            borders += round(place - now)
-            place = now
-            beyond = borders + place - counted
-            if abs(beyond) > 0.5 + BEYOND:
-                sides[t] = 1 if beyond > 0 else -1
-                counted += sides[t]
-    return place, (borders, counted), sides
+    return replace(since, beyond=beyond, lost_s=lost, began_s=begun), rows, events
 
 
 def _ahead(
@@ -295,19 +291,24 @@ def lane_stretches(
     - time_s: (T,) when the frames were, seconds.
     - events: of these beliefs. A stretch ends where the next lane became the more probable one.
 
-    The first stretch begins where a lane is first believed; without such a frame there is none.
-    Lane 0 is a stretch in which the lane is not known, after a change without lanes.
+    The first stretch begins where a lane is first believed; without such a frame there is none. One
+    begins, too, where the belief goes to another lane while the car crosses no line. Lane 0 is a
+    stretch in which the lane is not known, after a change without lanes.
     """
     believed = np.flatnonzero(beliefs.lane.max(axis=1, initial=0) >= BELIEVED)
     if not len(believed):
         return []
     lanes = beliefs.lane[believed].argmax(axis=1) + 1
-    lost = events.time_s[events.to_lane == UNASSIGNED]
-    marks = dict(zip(events.time_s.tolist(), events.to_lane.tolist(), strict=True))
-    # The first lane that is believed, and the first one after each change without lanes.
-    for at in np.searchsorted(time_s[believed], [-np.inf, *lost], side="right").tolist():
-        if at < len(believed):
-            marks[float(time_s[believed[at]])] = int(lanes[at])
+    told = [*zip(events.time_s.tolist(), events.to_lane.tolist(), events.told_time_s, strict=True)]
+    marks, here, calm, e = dict[float, int](), UNASSIGNED, -np.inf, 0
+    for at, k in [*zip(time_s[believed].tolist(), lanes.tolist(), strict=True), (np.inf, 0)]:
+        while e < len(told) and told[e][0] <= at:
+            began, here, now = told[e]
+            marks[began] = here
+            calm = now + FLICKER_S if here else -np.inf
+            e += 1
+        if at < np.inf and k != here and at >= calm:
+            marks[at] = here = k
     begin = float(time_s[believed[0]])
     borders = [at for at in sorted(marks) if at >= begin]
     ends = [*borders[1:], float(time_s[-1])]
@@ -368,7 +369,8 @@ def _cells_of_lanes(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
 
 def _place(cells: FloatArray) -> FloatArray:
     mean = -(cells.sum(axis=1) * _angles(cells.shape[2])).sum(axis=1)
-    return np.where(np.abs(mean) >= DEFINITE, np.angle(mean) / (2 * np.pi), np.nan)
+    is_definite = (np.abs(mean) >= DEFINITE) & (cells.shape[2] >= FEWEST_CELLS)
+    return np.where(is_definite, np.angle(mean) / (2 * np.pi), np.nan)
 
 
 def _crossing(cells: FloatArray) -> FloatArray:

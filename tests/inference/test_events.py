@@ -13,10 +13,12 @@ from egolane_pgm.inference.events import (
     BELIEVED,
     FLICKER_S,
     HALF_CAR,
+    NO_EVENTS,
     SURELY_BACK,
     crossing_probability,
     lane_events,
     lane_stretches,
+    next_events,
     place_in_lane,
 )
 from egolane_pgm.types import Beliefs, InputError, LaneEvents
@@ -234,9 +236,64 @@ def test_a_change_that_tells_the_lane_is_told_with_its_lanes() -> None:
     events = lane_events(beliefs, 10.0, places=places)
     assert (events.from_lane.tolist(), events.to_lane.tolist()) == ([2], [1])
     assert events.direction.tolist() == [-1]
-    # A lane that was believed long before is no news.
+    # A lane that was believed long before is not the new one: only the direction is known.
     lane[5:] = 0.9, 0.1
-    assert len(lane_events(beliefs, 10.0, places=places)) == 0
+    assert told(lane_events(beliefs, 10.0, places=places)) == [
+        (*events.told_frame_id[[0, 0]], 0, 0)
+    ]
+
+
+def test_an_event_is_one_crossing_of_one_line() -> None:
+    """A ramp joins at the left: the lanes get other numbers, before, in and after a change."""
+    n = np.zeros(60)
+    place = np.concatenate([n, np.linspace(0, 1, 41), n + 1])
+    crossed = int(np.argmax(place > 0.5))
+    for at, lanes in (
+        (30, [(1, 2), (2, 3)]),  # counts the ramp, then follows
+        (crossed + 15, [(1, 2), (2, 3)]),  # follows, then counts the ramp
+        (30, [(2, 1), (1, 2)]),  # the same to the other side
+    ):
+        lane = np.full(len(place), lanes[0][0])
+        lane[min(at, crossed) :] = lanes[0][1]
+        lane[max(at, crossed) :] = lanes[1][1]
+        events = lane_events(over_lines(place, 3, lane - 1), 10.0)
+        assert told(events) == [(crossed, crossed, *lanes[at < crossed])]
+        assert events.direction.tolist() == [1]
+        stretches = lane_stretches(over_lines(place, 3, lane - 1), events, np.arange(161) / 10)
+        assert [k for k, _, _ in stretches] == [lanes[0][0], lanes[0][1], lanes[1][1]]
+    # A car that changes no lane: numbers alone are no event.
+    lane = np.repeat([0, 1, 0], [60, 41, 60])
+    stays = over_lines(0.1 * np.sin(np.arange(161) / 9), 3, lane)
+    assert len(lane_events(stays, 10.0)) == 0
+    # Unless its place is not known, or was lost shortly before.
+    places = place_in_lane(stays.marginals)
+    assert places is not None
+    places[50:55] = np.nan
+    assert told(lane_events(stays, 10.0, places=places)) == [(60, 60, 1, 2)]
+    assert len(lane_events(over_lines(place, 3, np.zeros(161, int)), 10.0)) == 1
+
+
+@given(drives(), st.data())
+def test_events_with_places_do_not_depend_on_how_a_drive_is_cut_and_are_mirrored(
+    beliefs: Beliefs, data: st.DataObject
+) -> None:
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    n = len(beliefs)
+    path = np.cumsum(rng.normal(0, rng.choice([0.01, 0.05, 0.2]), n))
+    places = np.where(rng.random(n) < 0.02, np.nan, path - np.round(path))
+    time_s = beliefs.frame_id / 10
+    whole = lane_events(beliefs, 10.0, places=places)
+    state, parts = NO_EVENTS, [lane_events(beliefs.take(slice(0, 0)), 10.0)]
+    cuts = [0, *np.flatnonzero(rng.random(max(n - 1, 0)) < 0.2) + 1, n]
+    for part in (slice(a, b) for a, b in pairwise(cuts) if b > a):
+        state, _, events = next_events(state, beliefs.take(part), time_s[part], places[part])
+        parts.append(events)
+    for name, column in LaneEvents.joined(parts).columns().items():
+        np.testing.assert_array_equal(column, whole.columns()[name])
+    other = believed(beliefs.lane[:, ::-1], beliefs.frame_id)
+    mirrored = lane_events(other, 10.0, places=-places)
+    np.testing.assert_array_equal(mirrored.direction, -whole.direction)
+    np.testing.assert_array_equal(mirrored.told_frame_id, whole.told_frame_id)
 
 
 def test_a_lane_that_is_believed_after_a_change_without_lanes_begins_anew() -> None:
