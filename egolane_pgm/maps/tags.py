@@ -111,7 +111,7 @@ def _both_ways(
     number = [_count(tags, ["lanes" + key], problems) for key in (":forward", ":backward")]
     if total and not any(number):
         # As the wiki's Key:lanes has it, an even number is half for each direction.
-        share, odd = divmod(total - middle, 2)
+        share, odd = divmod(max(total - middle, 0), 2)
         number = [0, 0] if odd else [share, share]
     elif total and not all(number):
         number = [max(total - middle - sum(number), 0) if n == 0 else n for n in number]
