@@ -42,13 +42,15 @@ GRAPHS = {
 TEXT = """\
 # Lane changes where a ramp joins
 
-A simulated road of two lanes, told as two; a ramp joins from one side for 5 to 10 s (`makers/beyond/ramps.py`). Shares of
-drives with one change told, to the right side and within 2.5 s of the line, or none where the car makes none. The seeds are
-others than those that were in sight when the rule of events was made. No real drive with a ramp is among them.
+A simulated road of two lanes, told as two; a ramp joins from one side for 5 to 10 s
+(`makers/beyond/ramps.py`). Shares of drives with one change told, to the right side and within
+2.5 s of the line, or none where the car makes none. The seeds are others than those that were
+in sight when the rule of events was made. No real drive with a ramp is among them.
 
-Before an event was one crossing of one line, zero labels had .86 of the changes away from the ramp, .70 of the drives beside
-it and .95 of those away from it (means of the five rows). The paper's graph has no position in the lane: its events are
-changes of belief as before. What is still wrong are bursts of failures in which all lines are reported shifted.
+Before an event was one crossing of one line, zero labels had .86 of the changes away from the
+ramp, .70 of the drives beside it and .95 of those away from it (means of the five rows). The
+paper's graph has no position in the lane: its events are changes of belief as before. What is
+still wrong are bursts of failures in which all lines are reported shifted.
 """
 
 
