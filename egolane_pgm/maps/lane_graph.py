@@ -104,6 +104,13 @@ def joins_from(graph: LaneGraph) -> IntArray:
     return np.searchsorted(graph.before, np.arange(len(graph) + 1)).astype(np.int64)
 
 
+def ways_named(ways: IntArray) -> str:
+    """The first three of some ways (K,), each once, for a message: `ways 5, 7, 9 and 4 more`."""
+    known = list(dict.fromkeys(ways.tolist()))
+    more = f" and {len(known) - 3} more" if len(known) > 3 else ""
+    return f"way{'s' * (len(known) > 1)} {', '.join(map(str, known[:3]))}{more}"
+
+
 # --- a file ------------------------------------------------------------------------------------
 
 _OF_SEGMENT = (

@@ -419,6 +419,7 @@ def _table(
         next_side=of_next(lambda: graph.side[row], 0),
         next_optional=of_next(lambda: optional_lanes(graph, row), ""),
         source=source,
+        untold=np.where(on & (graph.n_lanes[here] == 0), graph.way[here], 0),
     )
 
 

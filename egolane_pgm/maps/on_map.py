@@ -17,6 +17,7 @@ import numpy as np
 from egolane_pgm.evidence.lines_beside import fit_of_counts
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
 from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.maps.lane_graph import ways_named
 from egolane_pgm.maps.lanes_from_gnss import Across, across, beside_lines
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.steps import (
@@ -84,6 +85,22 @@ def road_along(
         place_sigma_m=float(parameters.get("place_sigma_m", 0.0)),
         source=log.source,
     )
+
+
+def untold_lanes(table: RoadTable, log: LineLog) -> list[str]:
+    """A line for the frames of a log in which the map does not tell the number of lanes, and one
+    for those that are off the map."""
+    row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
+    off, way = table.segment[row] < 0, table.untold[row]
+    untold = ~off & ((table.n_lanes[row] == 0) | (way > 0))
+    # A table that was written without the ways has none to name.
+    named = f" ({ways_named(way[way > 0])})" if (way > 0).any() else ""
+    said = (untold, f"the map does not tell how many lanes the road has{named}")
+    return [
+        f"{table.source}: in {here.sum()} of {len(log)} frames {what}; the number before goes on"
+        for here, what in (said, (off, "the car is off the map"))
+        if here.any()
+    ]
 
 
 def across_road(
