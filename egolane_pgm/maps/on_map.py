@@ -88,17 +88,20 @@ def road_along(
 
 
 def untold_lanes(table: RoadTable, log: LineLog) -> list[str]:
-    """A line for the frames of a log in which the map does not tell the number of lanes, and one
-    for those that are off the map."""
+    """Lines for the frames of a log in which the map does not tell the number of lanes, whether it
+    was guessed or not, and for those that are off the map."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
     off, way = table.segment[row] < 0, table.untold[row]
-    untold = ~off & ((table.n_lanes[row] == 0) | (way > 0))
-    # A table that was written without the ways has none to name.
-    named = f" ({ways_named(way[way > 0])})" if (way > 0).any() else ""
-    said = (untold, f"the map does not tell how many lanes the road has{named}")
+    untold, guessed = ~off & (table.n_lanes[row] == 0), (table.n_lanes[row] > 0) & (way > 0)
+    what, goes_on = "the map does not tell how many lanes the road has", "the number before goes on"
+    said = (
+        (guessed, f"{what} ({ways_named(way[guessed])}); the number is a guess"),
+        (untold, f"{what}; {goes_on}"),
+        (off, f"the car is off the map; {goes_on}"),
+    )
     return [
-        f"{table.source}: in {here.sum()} of {len(log)} frames {what}; the number before goes on"
-        for here, what in (said, (off, "the car is off the map"))
+        f"{table.source}: in {here.sum()} of {len(log)} frames {what}"
+        for here, what in said
         if here.any()
     ]
 

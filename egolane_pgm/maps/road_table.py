@@ -35,7 +35,7 @@ class RoadTable:
       gives none.
     - way_line (T,): number of lanes between the left edge and the way's line; NaN unknown.
     - sure (T,): the probability of the segment, 0 to 1.
-    - n_lanes (T,): lanes of the segment; 0 unknown.
+    - n_lanes (T,): lanes of the segment, a guess where the way is `untold`; 0 unknown.
     - next_in_m (T,): metres to the next join at which lanes begin, end or get other numbers, or the
       road splits or merges; NaN where there is none within 2 km.
     - next_n_lanes, next_shift, next_join, next_side (T,): of that join, as in `LaneGraph`, towards

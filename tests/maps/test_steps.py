@@ -159,8 +159,8 @@ def test_a_run_says_where_the_map_does_not_tell_the_lanes() -> None:
     goes_on = "; the number before goes on"
     unknown = "road table: in 50 of 200 frames the map does not tell how many lanes the road has"
     assert untold_lanes(table, log) == [unknown + goes_on]
-    of_way = replace(table, untold=np.where(table.n_lanes == 0, 77, 0))
-    assert untold_lanes(of_way, log) == [f"{unknown} (way 77){goes_on}"]
+    guessed = replace(table, n_lanes=table.n_lanes.clip(2), untold=77 * (table.n_lanes == 0))
+    assert untold_lanes(guessed, log) == [f"{unknown} (way 77); the number is a guess"]
     off = replace(table, segment=np.where(table.n_lanes == 0, -1, 0))
     assert untold_lanes(off, log) == [
         f"road table: in 50 of 200 frames the car is off the map{goes_on}"
