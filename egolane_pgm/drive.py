@@ -17,7 +17,7 @@ from egolane_pgm.experiment import INTERCHANGE, Experiment, Overrides, make_expe
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.maps.lanes_from_gnss import Across
-from egolane_pgm.maps.on_map import across_road, road_along, with_positions
+from egolane_pgm.maps.on_map import across_road, road_along, untold_lanes, with_positions
 from egolane_pgm.maps.steps import LanesAlong
 from egolane_pgm.model import (
     Model,
@@ -157,6 +157,7 @@ def load_recording(
             files.append(find_named(experiment, "road"))
         table = road_of(experiment)
         road = road_along(experiment, table, values, log)
+        notes += [] if road is None else untold_lanes(table, log)
         seen = across_road(experiment, table, road, log)
     none = np.zeros(0, dtype=np.int64)
     rate = recording.frame_rate

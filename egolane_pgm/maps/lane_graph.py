@@ -6,7 +6,7 @@ a map is read from OpenStreetMap once.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -102,6 +102,40 @@ def joins_from(graph: LaneGraph) -> IntArray:
     """Where the joins that leave each segment begin, (S + 1,): those of segment k are the rows
     `start[k]:start[k + 1]` of `before`, `after`, `shift`, ..."""
     return np.searchsorted(graph.before, np.arange(len(graph) + 1)).astype(np.int64)
+
+
+def with_guesses(graph: LaneGraph) -> LaneGraph:
+    """The graph with a number of lanes on segments that tell none: that of the road of its kind
+    before it, the widest of several, else of the one behind it, else what most metres of its kind
+    have. 0 stays where no segment of its kind tells any."""
+    n_lanes = graph.n_lanes
+    if (n_lanes > 0).all():
+        return graph
+    along = graph.kind[graph.before] == graph.kind[graph.after]
+    before, after = graph.before[along], graph.after[along]
+    guess = n_lanes.copy()
+    for here, there in ((before, after), (after, before)):
+        is_new = True
+        # A number goes on by one segment each time, through all that tell none.
+        while is_new:
+            found = np.zeros(len(graph), dtype=np.int64)
+            np.maximum.at(found, there, guess[here])
+            new = (guess == 0) & (found > 0)
+            guess[new] = found[new]
+            is_new = bool(new.any())
+    for kind in np.unique(graph.kind[guess == 0]):
+        told = (graph.kind == kind) & (n_lanes > 0)
+        if told.any():
+            usual = np.bincount(n_lanes[told], weights=graph.length_m[told]).argmax()
+            guess[(graph.kind == kind) & (guess == 0)] = usual
+    return replace(graph, n_lanes=guess)
+
+
+def ways_named(ways: IntArray) -> str:
+    """The first three of some ways (K,), each once, for a message: `ways 5, 7, 9 and 4 more`."""
+    known = list(dict.fromkeys(ways.tolist()))
+    more = f" and {len(known) - 3} more" if len(known) > 3 else ""
+    return f"way{'s' * (len(known) > 1)} {', '.join(map(str, known[:3]))}{more}"
 
 
 # --- a file ------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.joins import optional_lanes
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line
+from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line, with_guesses
 from egolane_pgm.maps.matching import Matched, match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
@@ -71,9 +71,12 @@ def locate(
       not known then: what is ahead is what lies on the road itself.
     - matched: the road of each position, by default that of `matching.match`
 
+    Where the map tells no number of lanes, it is a guess (`with_guesses`).
+
     Raises InputError where no position is near a road of the map.
     """
     matched = match(graph, index, positions, online=online) if matched is None else matched
+    untold, graph = graph.n_lanes == 0, with_guesses(graph)
     used = np.flatnonzero(matched.segment >= 0)
     if not len(used):
         raise InputError(
@@ -116,7 +119,7 @@ def locate(
     return _table(
         graph, ahead, route, time, place, segment, along, sure,
         _of_positions(matched.offset_m, is_position), _of_positions(positions.sigma_m, is_position),
-        online, positions.source,
+        online, positions.source, untold,
     )  # fmt: skip
 
 
@@ -384,6 +387,7 @@ def _table(
     sigma: FloatArray,
     online: bool,
     source: str,
+    untold: BoolArray,
 ) -> RoadTable:
     metres, join = np.full(len(time), np.inf), np.full(len(time), -1, dtype=np.int64)
     on = segment >= 0
@@ -419,6 +423,7 @@ def _table(
         next_side=of_next(lambda: graph.side[row], 0),
         next_optional=of_next(lambda: optional_lanes(graph, row), ""),
         source=source,
+        untold=np.where(on & untold[here], graph.way[here], 0),
     )
 
 

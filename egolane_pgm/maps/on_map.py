@@ -17,6 +17,7 @@ import numpy as np
 from egolane_pgm.evidence.lines_beside import fit_of_counts
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
 from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.maps.lane_graph import ways_named
 from egolane_pgm.maps.lanes_from_gnss import Across, across, beside_lines
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.steps import (
@@ -84,6 +85,25 @@ def road_along(
         place_sigma_m=float(parameters.get("place_sigma_m", 0.0)),
         source=log.source,
     )
+
+
+def untold_lanes(table: RoadTable, log: LineLog) -> list[str]:
+    """Lines for the frames of a log in which the map does not tell the number of lanes, whether it
+    was guessed or not, and for those that are off the map."""
+    row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
+    off, way = table.segment[row] < 0, table.untold[row]
+    untold, guessed = ~off & (table.n_lanes[row] == 0), (table.n_lanes[row] > 0) & (way > 0)
+    what, goes_on = "the map does not tell how many lanes the road has", "the number before goes on"
+    said = (
+        (guessed, f"{what} ({ways_named(way[guessed])}); the number is a guess"),
+        (untold, f"{what}; {goes_on}"),
+        (off, f"the car is off the map; {goes_on}"),
+    )
+    return [
+        f"{table.source}: in {here.sum()} of {len(log)} frames {what}"
+        for here, what in said
+        if here.any()
+    ]
 
 
 def across_road(

@@ -6,7 +6,7 @@ It is one Parquet table with the columns of `RoadTable`. Matching writes it, and
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
@@ -35,13 +35,15 @@ class RoadTable:
       gives none.
     - way_line (T,): number of lanes between the left edge and the way's line; NaN unknown.
     - sure (T,): the probability of the segment, 0 to 1.
-    - n_lanes (T,): lanes of the segment; 0 unknown.
+    - n_lanes (T,): lanes of the segment, a guess where the way is `untold`; 0 unknown.
     - next_in_m (T,): metres to the next join at which lanes begin, end or get other numbers, or the
       road splits or merges; NaN where there is none within 2 km.
     - next_n_lanes, next_shift, next_join, next_side (T,): of that join, as in `LaneGraph`, towards
       the segment that the car takes. 0, NaN, "" and 0 where there is none.
     - next_optional (T,): the lanes before that join, with blanks between, that lead to the segment
       that the car takes and to another; "" none.
+    - untold (T,): the way of a segment whose number of lanes the map does not tell; 0 where it
+      does, and off the map. A table that was written without this column has zeros.
 
     Raises InputError for columns of different lengths and for times that do not increase.
     """
@@ -61,8 +63,11 @@ class RoadTable:
     next_side: IntArray
     next_optional: NDArray[np.str_]
     source: str = "road table"
+    untold: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
+        if not len(self.untold):
+            object.__setattr__(self, "untold", np.zeros(len(self), dtype=np.int64))
         for name in COLUMNS:
             rows = len(getattr(self, name))
             if rows != len(self):
@@ -93,6 +98,7 @@ def load(path: str | Path) -> RoadTable:
     Raises InputError as `read_stored` and `RoadTable` do.
     """
     table = read_stored(path, "road table", VERSION, "egolane locate MAP POSITIONS")
-    columns = {name: table[name].to_numpy() for name in COLUMNS}
+    known = [name for name in COLUMNS if name != "untold" or name in table.column_names]
+    columns = {name: table[name].to_numpy() for name in known}
     columns |= {name: columns[name].astype(np.str_) for name in _WORDS}
     return RoadTable(**columns, source=str(path))

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from egolane_pgm.maps import load_map
-from egolane_pgm.maps.lane_graph import LaneGraph, save
+from egolane_pgm.maps.lane_graph import LaneGraph, save, ways_named
 from egolane_pgm.maps.stored import check_path
 from egolane_pgm.tools.files import check_not_read, check_place
 from egolane_pgm.types import InputError
@@ -64,7 +64,7 @@ def says(done: LaneGraph, given: Mapping[str, Any]) -> str:
     """What is on the map, and the files that were written."""
     n_lanes = done.n_lanes
     km = [
-        f"{done.length_m[n_lanes == n].sum() / 1000:.1f} km with {n or 'an unknown number of'}"
+        f"{done.length_m[n_lanes == n].sum() / 1000:.1f} km with {n or 'an unknown number'}"
         for n in np.unique(n_lanes)
     ]
     kinds = [f"{(done.join == join).sum()} {join}" for join in np.unique(done.join)]
@@ -72,6 +72,9 @@ def says(done: LaneGraph, given: Mapping[str, Any]) -> str:
         f"{(done.source == source).sum()} {source or 'unknown'}"
         for source in np.unique(done.source)
     ]
+    untold = done.way[n_lanes == 0]
+    if len(untold):
+        km[0] += f" ({ways_named(untold)})"
     lines = [
         f"{len(done)} segments, {done.length_m.sum() / 1000:.1f} km of carriageway"
         " (© OpenStreetMap contributors, ODbL)",

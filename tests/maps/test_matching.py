@@ -12,7 +12,7 @@ pytest.importorskip("pyproj")
 
 from egolane_pgm.maps import matching
 from egolane_pgm.maps.index import RoadIndex, index_of, near
-from egolane_pgm.maps.lane_graph import LaneGraph
+from egolane_pgm.maps.lane_graph import LaneGraph, with_guesses
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.lock_on_road import lock_on_road
 from egolane_pgm.maps.matching import match
@@ -256,3 +256,33 @@ def test_matching_beats_the_baseline_on_noisy_trips(graph: LaneGraph, index: Roa
     assert right["hmm"] / n > 0.985
     assert right["online"] / n > 0.96
     assert right["baseline"] < right["online"] < right["hmm"]
+
+
+@pytest.mark.parametrize(
+    ("n_lanes", "guess"),
+    [
+        # The road before, through two that tell none; the road behind; what its kind mostly has.
+        ([3, 0, 0, 2], [3, 3, 3, 2]),
+        ([0, 0, 2, 3], [2, 2, 2, 3]),
+        ([0, 0, 0, 0], [0, 0, 0, 0]),
+    ],
+)
+def test_lanes_that_a_map_does_not_tell_are_guessed_from_the_road(
+    n_lanes: list[int], guess: list[int]
+) -> None:
+    lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
+    road = lane_map(lines, n_lanes, [(k, k + 1, np.nan, "same", 0) for k in range(3)])
+    assert with_guesses(road).n_lanes.tolist() == guess
+    places = drive(np.arange(10.0, 3990, 30), 0.0)
+    table = locate(road, index_of(road), places)
+    np.testing.assert_array_equal(table.n_lanes, np.array(guess)[table.segment])
+    untold = np.where(np.array(n_lanes) == 0, road.way, 0)
+    np.testing.assert_array_equal(table.untold, untold[table.segment])
+
+
+def test_a_number_is_not_guessed_from_a_link() -> None:
+    lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
+    road = lane_map(lines, [1, 0, 4, 3], [(0, 1, np.nan, "entry", 0)])
+    road = replace(road, kind=np.array(["motorway_link", *["motorway"] * 3]))
+    road = replace(road, length_m=np.array([1.0, 1.0, 1.0, 2.0]))
+    assert with_guesses(road).n_lanes.tolist() == [1, 3, 4, 3]

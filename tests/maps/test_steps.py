@@ -10,9 +10,11 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from egolane_pgm.maps.lane_graph import ways_named
+from egolane_pgm.maps.on_map import untold_lanes
 from egolane_pgm.maps.road_table import RoadTable, load, save
 from egolane_pgm.maps.steps import OPTIONAL, SERVED, lanes_along, road_changes
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, LineLog
 
 SPEED = 25.0
 
@@ -149,6 +151,24 @@ def test_lanes_that_the_map_does_not_know_are_those_before() -> None:
     assert set(told(replace(lost, n_lanes=np.where(lost.segment < 0, 0, 2)))[0]) == {"2"}
 
 
+def test_a_run_says_where_the_map_does_not_tell_the_lanes() -> None:
+    table = drive((250, 2, 0, "same"), (250, 0, 0, "same"), (500, 2, 0, ""))
+    nothing = np.zeros((200, 1))
+    frames = np.arange(200)
+    log = LineLog(frames, frames / 5, nothing, nothing > 0, nothing > 0, nothing)
+    goes_on = "; the number before goes on"
+    unknown = "road table: in 50 of 200 frames the map does not tell how many lanes the road has"
+    assert untold_lanes(table, log) == [unknown + goes_on]
+    guessed = replace(table, n_lanes=table.n_lanes.clip(2), untold=77 * (table.n_lanes == 0))
+    assert untold_lanes(guessed, log) == [f"{unknown} (way 77); the number is a guess"]
+    off = replace(table, segment=np.where(table.n_lanes == 0, -1, 0))
+    assert untold_lanes(off, log) == [
+        f"road table: in 50 of 200 frames the car is off the map{goes_on}"
+    ]
+    assert untold_lanes(drive((260, 2, 0, "")), log) == []
+    assert ways_named(np.array([7, 7, 5, 1, 2, 3])) == "ways 7, 5, 1 and 2 more"
+
+
 def test_off_the_map_a_change_is_of_unknown_side() -> None:
     table = drive((260, 2, 0, "same"), (300, 0, 0, "same"), (400, 3, 0, ""))
     off = (table.t_s > 9) & (table.t_s < 23)
@@ -199,6 +219,10 @@ def test_a_road_table_comes_back_as_it_was_written(tmp_path: Path) -> None:
     assert len(back) == len(table)
     np.testing.assert_array_equal(back.next_join, table.next_join)
     np.testing.assert_array_equal(back.next_in_m, table.next_in_m)
+    # A table that was written before there was this column.
+    older = parquet.read_table(tmp_path / "road.parquet").drop_columns(["untold"])
+    parquet.write_table(older, tmp_path / "road.parquet")
+    assert not load(tmp_path / "road.parquet").untold.any()
 
 
 def test_what_is_no_road_table_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,14 @@ def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, .
     assert "lanes: 2, 3" in done.output
     table = road_table.load(out)
     assert set(table.n_lanes) == {2, 3}
+
+
+def test_a_map_says_on_which_ways_it_has_no_number_of_lanes(tmp_path: Path) -> None:
+    graph = interchange()
+    untold = replace(graph, n_lanes=graph.n_lanes * (graph.way != 101))
+    lane_graph.save(untold, tmp_path / "x.parquet")
+    done = CliRunner().invoke(egolane, ["map", str(tmp_path / "x.parquet")])
+    assert "1.0 km with an unknown number (way 101)" in done.output
 
 
 @pytest.mark.parametrize(
