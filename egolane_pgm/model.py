@@ -32,7 +32,7 @@ from egolane_pgm.maps.on_map import (
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.maps.steps import LanesAlong
-from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.parameters import Value, looking_back, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
     load_plugin,
@@ -117,8 +117,9 @@ def prepare_model(experiment: Experiment) -> Model:
     )
     with all_problems() as part:
         with part():
+            specs = declared_parameters(rule, graph)
             parameters = resolve_parameters(
-                declared_parameters(rule, graph),
+                looking_back(specs) if experiment.filter == "smoothed" else specs,
                 experiment.parameters,
                 experiment.n_lanes,
                 f"{source}: parameters",

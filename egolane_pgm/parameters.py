@@ -36,6 +36,7 @@ class Parameter:
     - lowest, highest: the smallest and the largest number, both allowed; none is above LARGEST
     - shape: for a parameter that is a table, its shape for n lanes. The numbers may be given as
       nested lists or as one row; the value is one row, the last axis fastest.
+    - smoothed: the default where the filter is `smoothed`; None for the same
 
     >>> import egolane_pgm as ego
     >>> ego.Parameter("p1", "probability", 0.9, "how often a working sensor stays so").search_range
@@ -52,6 +53,7 @@ class Parameter:
     lowest: float = 0
     highest: float = math.inf
     shape: Callable[[int], tuple[int, ...]] | None = None
+    smoothed: Value | None = None
 
     def __post_init__(self) -> None:
         if self.search not in ("auto", None) and not _is_pair(self.search):
@@ -164,6 +166,11 @@ def _is_pair(given: object) -> bool:
 def held_fixed(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """The same parameters, which a search leaves as they are unless the user gives it bounds."""
     return tuple(replace(spec, search=None) for spec in specs)
+
+
+def looking_back(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """The same parameters with the defaults that hold where the filter is `smoothed`."""
+    return tuple(s if s.smoothed is None else replace(s, default=s.smoothed) for s in specs)
 
 
 def number(parameters: Parameters, name: str) -> float:

@@ -7,6 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from egolane_pgm.experiment import experiments_folder, load_experiment
+from egolane_pgm.model import prepare_model
+from egolane_pgm.parameters import Value
 from egolane_pgm.results import read_result
 from tests.kits.drives import done, refused, write_drive
 
@@ -69,3 +72,13 @@ def test_hidden_nodes_that_pass_and_a_detector_whose_errors_persist_run(tmp_path
     marginals = read_result(tmp_path / "out").marginals
     assert set(marginals) == {"Lane", "X"}
     np.testing.assert_allclose(marginals["X"], [[0.2, 0.8]] * len(marginals["X"]), atol=1e-12)
+
+
+def test_a_default_of_its_own_holds_where_the_whole_drive_is_read() -> None:
+    def alpha(**overrides: object) -> Value:
+        return prepare_model(
+            load_experiment(experiments_folder() / "zero_label.yaml", overrides)
+        ).parameters["alpha"]
+
+    assert alpha(filter="smoothed") == 0.5 * alpha() > 0  # type: ignore[operator]
+    assert alpha(filter="smoothed", **{"parameters.alpha": 0.035}) == alpha()

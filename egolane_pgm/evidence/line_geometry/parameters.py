@@ -37,8 +37,10 @@ PARAMETERS = (
         "alpha",
         "non_negative",
         0.035,
-        "weight of the evidence on the lane in a tenth of a second",
+        "weight of the evidence on the lane in a tenth of a second. Half of it where the filter is"
+        " `smoothed`: what is wrong for ten seconds then counts before and after them",
         search=(0.01, 0.2),
+        smoothed=0.0175,
     ),
     Parameter(
         "beta",
