@@ -30,7 +30,7 @@ NO_NETWORK = "none"
 #: The outputs of each layout and their shapes: a letter stands for a length, the same wherever it
 #: is. Those in brackets may be absent; those without a shape may have any.
 OUTPUTS = {
-    "drivable": {"mask": "1 k h w"},
+    "drivable": {"mask": "1 k h w", "(lanes)": "1 k m n"},
     "lanes": {"mask": "1 k h w"},
     "instances": {"mask": "1 k h w"},
     "row_anchors": {"columns": "1 k r n"},

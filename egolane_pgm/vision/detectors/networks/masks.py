@@ -24,11 +24,11 @@ def probabilities(network: Network, output: Output) -> FloatArray:
 
 
 def mask(network: Network, fit: Fit, outputs: Outputs) -> Answer:
-    """The answer of a network with one mask for all lines, or for the road."""
-    share = probabilities(network, outputs["mask"]).sum(axis=0)
-    width, height = network.size
-    if share.shape != (height, width):
-        share = np.asarray(cv2.resize(share, (width, height)), dtype=np.float64)
+    """The answer of a network with one mask for all lines, or for the road, which lines are part
+    of."""
+    masks = [probabilities(network, output).sum(axis=0) for output in outputs.values()]
+    # Where it has the size already, OpenCV copies it only.
+    share = np.max([cv2.resize(one, network.size) for one in masks], axis=0)
     share = share[fit.upper : fit.upper + fit.high, fit.left : fit.left + fit.wide]
     seen = np.zeros((fit.height, fit.width), dtype=np.uint8)
     lower = cv2.resize(share, (fit.width, fit.height - fit.top))

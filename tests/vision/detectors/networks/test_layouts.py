@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.networks.answers import Answer, Line
@@ -16,7 +17,7 @@ from egolane_pgm.vision.detectors.networks.layouts import from_above
 from egolane_pgm.vision.detectors.networks.looking import looker
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from tests.kits.synthetic_road import CAMERA, road
-from tests.kits.tiny_network import write_answer
+from tests.kits.tiny_network import write_answer, write_answers
 
 #: Offsets of the lines that the outputs show, metres.
 OFFSETS = (-2.9, 0.1, 3.1)
@@ -91,6 +92,22 @@ def test_a_mask_is_nothing_in_the_part_that_is_cut_off(tmp_path: Path) -> None:
     assert found.mask is not None
     assert (found.mask[:108] == 0).all()
     assert (found.mask[108:] == 255).all()
+
+
+@pytest.mark.parametrize("size", [(40, 80), (4, 8)])
+def test_lines_are_part_of_the_road(tmp_path: Path, size: tuple[int, int]) -> None:
+    """The free road leaves the paint out; one with more classes is refused."""
+    road, lanes = np.zeros((1, 2, *size)), np.zeros((1, 2, 4, 8))
+    road[0, 1, :, : size[1] // 2] = lanes[0, 1, :, 6:] = 1
+    outputs = {"da": road, "ll": lanes}
+    keys: dict[str, Any] = {"layout": "drivable", "classes": 2}
+    for output, place in (("da", [1, 0, 0]), ({"mask": "da", "lanes": "ll"}, [1, 0, 1])):
+        found = seen(write_answers(tmp_path, outputs, output=output, **keys))
+        assert found.mask is not None
+        assert (found.mask[:, [100, 300, 450]] == np.array(place) * 255).all()
+    outputs["ll"] = lanes[:, :1]
+    with pytest.raises(InputError, match="layout drivable needs"):
+        seen(write_answers(tmp_path, outputs, output={"mask": "da", "lanes": "ll"}, **keys))
 
 
 def test_instances_are_lines_through_the_middle_of_their_channels(tmp_path: Path) -> None:
