@@ -313,7 +313,7 @@ def test_the_98_percent_that_are_surest_are_right(real: dict[str, Labels]) -> No
         scores = label_scores(labels)
         assert scores["surest"]["0.98"] >= 0.9995, name
         assert scores["unreviewed"] >= 0.9999, name
-        assert scores["reviewed"] <= 0.07, name
+        assert scores["reviewed"] <= 0.09, name
 
 
 @needs_compiler
