@@ -152,7 +152,7 @@ def _online(
             has_flags &= detector.says_continuous
         recent.append(habits.columns(recorded))
         log = habits.translated(recorded, detector)
-        has_flags = has_flags or bool(_has_flag(log).any())
+        has_flags |= bool(_has_flag(log).any())
         n_frames += len(log)
         kind, is_strong = line_classes(log)
         if isinstance(given, str):
@@ -165,8 +165,8 @@ def _online(
             log, kind, middle, parameters, repeats_are_held=held, last=last
         )
         of_frame = seen.lines
-        lines = lines + of_frame.cumsum(axis=0)
-        seen, lines = reading.count_once(seen, lines), lines[-1]
+        seen = reading.count_once(seen, lines + of_frame.cumsum(axis=0))
+        lines = lines + of_frame.sum(axis=0)
         weights, last_s = reading.frame_weights(recorded, last_s)
         told = tables[has_flags]
         return _evidence(seen, widths, weights, log.is_missing, told, sight, parameters)
