@@ -46,6 +46,7 @@ from typing import TypedDict
 import numpy as np
 from numpy.typing import NDArray
 
+from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import (
     UNASSIGNED,
     Beliefs,
@@ -163,7 +164,7 @@ def next_events(
     - time_s: (T,) when the frames were, seconds.
     - places: (T,) as `place_in_lane` gives them; None: only what is believed counts.
     """
-    lane, frame_id = beliefs.lane, beliefs.frame_id
+    lane, frame_id = np.ascontiguousarray(beliefs.lane), beliefs.frame_id
     here, before, calm, begun = so_far.here, so_far.before, so_far.calm_s, so_far.began_s
     beyond, lost = so_far.beyond, so_far.lost_s
     largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
@@ -201,59 +202,60 @@ def next_events(
         else:
             here, before = -1, -1
             changes.append((t, -1, -1, side, True))
-    rows, left, entered, directions, by_place = np.array(changes, dtype=np.int64).reshape(-1, 5).T
-    began_id, began_s = np.empty(len(rows), dtype=np.int64), np.empty(len(rows))
-    since, after = so_far, 0
-    for e, t in enumerate(rows):
-        if by_place[e]:
+    began_id, began_s = np.empty(len(changes), dtype=np.int64), np.empty(len(changes))
+    ahead, since_id, since_s = so_far.ahead.copy(), so_far.since_id.copy(), so_far.since_s.copy()
+    if not len(ahead):
+        ahead, since_s = np.zeros(lane.shape[1], dtype=bool), np.zeros(lane.shape[1])
+        since_id = since_s.astype(np.int64)
+    after = 0
+    for e, (t, left, entered, _, by_place) in enumerate(changes):
+        if by_place:
             # The place tells when such a change was; no lane led before it.
             began_id[e], began_s[e] = frame_id[t], time_s[t]
-            since, after = replace(since, ahead=np.zeros_like(since.ahead)), t
-            continue
-        since = _ahead(since, lane, frame_id, time_s, slice(after, t + 1), left[e])
-        began_id[e], began_s[e] = since.since_id[entered[e]], since.since_s[entered[e]]
+        else:
+            part = slice(after, t + 1)
+            _follow(lane[part], frame_id[part], time_s[part], left, ahead, since_id, since_s)
+            began_id[e], began_s[e] = since_id[entered], since_s[entered]
         # In the row of a change, the lane that the next one leaves leads: no search goes past it.
-        since, after = replace(since, ahead=np.zeros_like(since.ahead)), t
+        ahead[:] = False
+        after = t
     if here >= 0:
-        since = _ahead(since, lane, frame_id, time_s, slice(after, len(lane)), here)
+        _follow(lane[after:], frame_id[after:], time_s[after:], here, ahead, since_id, since_s)
+    state = EventState(
+        here, before, calm, ahead, since_id, since_s, beyond=beyond, lost_s=lost, began_s=begun
+    )
+    rows, left_lanes, entered_lanes, directions, _ = np.array(changes, np.int64).reshape(-1, 5).T
     events = LaneEvents(
         told_frame_id=frame_id[rows],
         told_time_s=time_s[rows],
         frame_id=began_id,
         time_s=began_s,
-        from_lane=left + 1,
-        to_lane=entered + 1,
+        from_lane=left_lanes + 1,
+        to_lane=entered_lanes + 1,
         direction=directions,
-        probability=np.where(left < 0, np.nan, lane[rows, entered]),
+        probability=np.where(left_lanes < 0, np.nan, lane[rows, entered_lanes]),
     )
-    since = replace(since, here=here, before=before, calm_s=calm)
-    return replace(since, beyond=beyond, lost_s=lost, began_s=begun), rows, events
+    return state, rows, events
 
 
-def _ahead(
-    since: EventState,
+@kernel()
+def _follow(
     lane: FloatArray,
     frame_id: IntArray,
     time_s: FloatArray,
-    part: slice,
     here: int,
-) -> EventState:
-    """Since when each lane has been more probable than `here`, after the frames of a part."""
-    leads = lane[part] > lane[part, here : here + 1]
-    n_rows, n_lanes = leads.shape
-    if not since.ahead.size:
-        none = np.zeros(n_lanes)
-        since = replace(since, ahead=none > 0, since_id=none.astype(np.int64), since_s=none)
-    # The row after the last in which a lane does not lead, counted from the part's first.
-    row = n_rows - np.argmax(np.concatenate([~leads[::-1], np.full((1, n_lanes), True)]), axis=0)
-    goes_on = (row == 0) & since.ahead
-    at = part.start + np.minimum(row, n_rows - 1)
-    return replace(
-        since,
-        ahead=row < n_rows,
-        since_id=np.where(goes_on, since.since_id, frame_id[at]),
-        since_s=np.where(goes_on, since.since_s, time_s[at]),
-    )
+    ahead: BoolArray,
+    since_id: IntArray,
+    since_s: FloatArray,
+) -> None:
+    """Since when each lane has been more probable than `here`, after some more frames; the last
+    three, (n,) each, as in `EventState`."""
+    for t in range(len(lane)):
+        for k in range(lane.shape[1]):
+            leads = lane[t, k] > lane[t, here]
+            if leads and not ahead[k]:
+                since_id[k], since_s[k] = frame_id[t], time_s[t]
+            ahead[k] = leads
 
 
 def tracks_of(origin: IntArray) -> IntArray:
@@ -325,10 +327,16 @@ class AcrossLanes(TypedDict):
 
 def across_lanes(marginals: Mapping[str, FloatArray]) -> AcrossLanes:
     """`crossing_probability` and `place_in_lane` of beliefs by node."""
-    cells = _cells_of_lanes(marginals)
-    if cells is None:
+    lane, position = np.ascontiguousarray(marginals["Lane"]), marginals.get("RoadPosition")
+    (n_frames, n_lanes), place = lane.shape, np.empty(len(lane))
+    if position is None or position.shape[1] % n_lanes:
         return {"crossing": None, "place_in_lane": None}
-    return {"crossing": _crossing(cells), "place_in_lane": _place(cells)}
+    cells = np.ascontiguousarray(position).reshape(n_frames, n_lanes, -1)
+    crossing = np.empty(n_frames)
+    angles, near = _angles(cells.shape[2]), _near_lines(n_lanes, cells.shape[2])
+    if not _read_cells(cells, lane, angles, near, crossing, place):
+        return {"crossing": None, "place_in_lane": None}
+    return {"crossing": crossing, "place_in_lane": place}
 
 
 def place_in_lane(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
@@ -356,27 +364,33 @@ def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | No
     return across_lanes(marginals)["crossing"]
 
 
-def _cells_of_lanes(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
-    """RoadPosition as (T, n, cells), cells from left to right; None without one, or where the cells
-    of a lane are not the same number in each."""
-    lane, position = marginals["Lane"], marginals.get("RoadPosition")
-    if position is None or position.shape[1] % lane.shape[1]:
-        return None
-    cells = position.reshape(len(lane), lane.shape[1], -1)
-    # One frame at a time, np.allclose would take longer than all the rest.
-    return cells if (np.abs(cells.sum(axis=2) - lane) <= 1e-4).all() else None
-
-
-def _place(cells: FloatArray) -> FloatArray:
-    mean = -(cells.sum(axis=1) * _angles(cells.shape[2])).sum(axis=1)
-    is_definite = (np.abs(mean) >= DEFINITE) & (cells.shape[2] >= FEWEST_CELLS)
-    return np.where(is_definite, np.angle(mean) / (2 * np.pi), np.nan)
-
-
-def _crossing(cells: FloatArray) -> FloatArray:
+@kernel()
+def _read_cells(
+    cells: FloatArray,
+    lane: FloatArray,
+    angles: NDArray[np.complex128],
+    near: FloatArray,
+    crossing: FloatArray,
+    place: FloatArray,
+) -> bool:
+    """Fills crossing and place (T,) from RoadPosition (T, n, cells), cells from left to right.
+    False where the cells of a lane do not add up to it."""
     n_frames, n_lanes, n_cells = cells.shape
-    near = cells.reshape(n_frames, -1) @ _near_lines(n_lanes, n_cells)
-    return np.asarray(np.clip(near, 0.0, 1.0))
+    for t in range(n_frames):
+        crosses = 0.0
+        mean = 0j
+        for k in range(n_lanes):
+            total = 0.0
+            for c in range(n_cells):
+                total += cells[t, k, c]
+                crosses += cells[t, k, c] * near[k, c]
+                mean -= cells[t, k, c] * angles[c]
+            if not abs(total - lane[t, k]) <= 1e-4:
+                return False
+        crossing[t] = min(max(crosses, 0.0), 1.0)
+        is_definite = abs(mean) >= DEFINITE and n_cells >= FEWEST_CELLS
+        place[t] = np.angle(mean) / (2 * np.pi) if is_definite else np.nan
+    return True
 
 
 @lru_cache(maxsize=8)
@@ -387,11 +401,11 @@ def _angles(n_cells: int) -> NDArray[np.complex128]:
 
 @lru_cache(maxsize=8)
 def _near_lines(n_lanes: int, n_cells: int) -> FloatArray:
-    """How much of each cell of the road is at most half a car's width from a line between lanes."""
+    """How much of each lane's cells is at most half a car's width from a line between lanes."""
     # The places of the cells' borders, in lane widths from the road's left edge.
     border = np.arange(n_lanes * n_cells + 1) / n_cells
     share = np.zeros(n_lanes * n_cells)
     for line in range(1, n_lanes):
         near = np.clip(border, line - HALF_CAR, line + HALF_CAR)
         share += np.diff(near) * n_cells
-    return share
+    return share.reshape(n_lanes, n_cells)

@@ -215,7 +215,4 @@ def forward(
         total,
         is_impossible,
     )
-    with np.errstate(divide="ignore"):
-        log_evidence = np.log(total)
-    log_evidence[is_impossible] = 0.0
-    return beliefs, log_evidence, is_impossible
+    return beliefs, np.log(np.where(is_impossible, 1.0, total)), is_impossible

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, IntArray
+from egolane_pgm.tools.jit import kernel
+from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, FloatArray, IntArray
 
 
 def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
@@ -19,14 +20,20 @@ def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
 
     Returns (T,).
     """
-    values = np.asarray(belief, dtype=np.float64)
-    n_lanes = values.shape[1]
-    # A row per lane: NumPy reduces over a short last axis one frame at a time, which is slow.
-    rows = np.ascontiguousarray(values.T)
-    top = np.maximum.reduce(rows)
-    is_near_top = rows >= top - TIE_TOLERANCE * top
-    is_near_top &= top >= unassigned_below
-    small = np.min_scalar_type(n_lanes)
-    lane = np.maximum.reduce(is_near_top * np.arange(1, n_lanes + 1, dtype=small)[:, None])
-    is_unique = np.add.reduce(is_near_top, dtype=small) == 1
-    return np.where(is_unique, lane, UNASSIGNED).astype(np.int64)
+    values = np.ascontiguousarray(belief, dtype=np.float64)
+    lane = np.empty(len(values), dtype=np.int64)
+    _assign(values, unassigned_below, lane)
+    return lane
+
+
+@kernel()
+def _assign(values: FloatArray, below: float, lane: IntArray) -> None:
+    """Fills lane (T,); see `assigned_lane`."""
+    for t in range(len(values)):
+        top = values[t].max()
+        lane[t] = UNASSIGNED
+        n_near = 0
+        for k in range(values.shape[1]):
+            if top >= below and values[t, k] >= top - TIE_TOLERANCE * top:
+                lane[t] = k + 1 if n_near == 0 else UNASSIGNED
+                n_near += 1

@@ -235,6 +235,8 @@ def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:
 
     lines: numbers of lines and of doubles that decide it, (2,) for all frames or (T, 2) for each.
     """
+    if not seen.is_double.any():
+        return seen
     has_many = lines[..., 1] >= LEAST_DOUBLES * lines[..., 0]
     return replace(seen, kind=np.where(seen.is_double & has_many[..., None], -1, seen.kind))
 

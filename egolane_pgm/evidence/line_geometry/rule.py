@@ -152,7 +152,7 @@ def _online(
             has_flags &= detector.says_continuous
         recent.append(habits.columns(recorded))
         log = habits.translated(recorded, detector)
-        has_flags |= bool(_has_flag(log).any())
+        has_flags = has_flags or bool(_has_flag(log).any())
         n_frames += len(log)
         kind, is_strong = line_classes(log)
         if isinstance(given, str):
