@@ -1,0 +1,126 @@
+"""Drives that nobody looked at: other seeds and other donors than the benchmark's tracks have."""
+
+from __future__ import annotations
+
+import warnings
+import zlib
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from egolane_pgm.benchmark import making
+from egolane_pgm.benchmark.entries import by_experiment
+from egolane_pgm.benchmark.scored import score_recording
+from egolane_pgm.benchmark.tracks import RATE, Recording
+from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment
+from egolane_pgm.simulation.transplanting import Path as Driven
+from egolane_pgm.simulation.transplanting import transplanted
+from egolane_pgm.tools.jobs import in_order
+
+#: Donors of each stretch of the trip, and the length of the other drives, frames.
+_DONORS, _FRAMES = 4, 1800
+
+#: The mean of the seconds between two drawn lane changes, beyond the least.
+_MEAN_S, _LEAST_S = 25.0, 6.0
+
+TEXT = """\
+# Drives that nobody looked at
+
+Made by `python -m makers.beyond drawn`: lines of the paper's ten recordings, transplanted as for
+the benchmark's tracks, with other seeds. *Rotterdam*: each annotated stretch with four donors.
+*Drawn*: three minutes of each donor on roads of 3, 4 and 5 lanes, a lane change every 31 s in the
+mean, at least 6 s apart. Means over drives of the share of frames whose lane is right; *sure* is a
+belief over .95. First causal, then smoothed; *MLD* are the two multi-lane donors. No constant was
+chosen on these drives, but the donors are the recordings that the constants were chosen on.
+
+| track | drives | right | first minute | sure | right where sure | right, MLD | smoothed: right | sure \
+| right where sure |
+|---|--:|--:|--:|--:|--:|--:|--:|--:|--:|"""
+
+
+def rotterdam() -> Iterator[Recording]:
+    """The stretches of the benchmark's trip with four donors each."""
+    annotations = Path(making.__file__).parent / "rotterdam/annotations.csv"
+    for k, (begin, end, n_lanes, changes) in enumerate(making.stretches_of(annotations)):
+        at = [(when - begin, before, after) for when, before, after in changes]
+        for run in ((3 * k + j) % len(making.DONORS) + 1 for j in range(_DONORS)):
+            name = f"trip1-{int(begin)}-n{n_lanes}-{making.DONORS[run][0]}-new"
+            path = making.driven(at, round(RATE * (end - begin)), n_lanes, _rng(name, "path"))
+            yield _recording("Rotterdam", name, path, run)
+
+
+def drawn() -> Iterator[Recording]:
+    """Each donor on roads of 3, 4 and 5 lanes, with lane changes at random."""
+    for run in making.DONORS:
+        for n_lanes in (3, 4, 5):
+            name = f"drawn-n{n_lanes}-{making.DONORS[run][0]}"
+            rng = _rng(name, "path")
+            lane, when, changes = int(rng.integers(1, n_lanes + 1)), 0.0, []
+            while (when := when + _LEAST_S + rng.exponential(_MEAN_S)) < _FRAMES / RATE:
+                sides = [side for side in (-1, 1) if 1 <= lane + side <= n_lanes]
+                changes.append((when, lane, lane + int(rng.choice(sides))))
+                lane = changes[-1][2]
+            path = making.driven(changes or [(0.0, lane, lane)], _FRAMES, n_lanes, rng)
+            yield _recording("drawn", name, path, run)
+
+
+def _recording(track: str, name: str, path: Driven, run: int) -> Recording:
+    log, donor = transplanted(making.donor(run), path, _rng(name, "lines")), making.DONORS[run][0]
+    n_lanes = path.n_lanes
+    title = f"{track}, {n_lanes} lanes"
+    return Recording(title, name, name, name, donor, n_lanes, log, path.truth())
+
+
+def _rng(*words: str) -> np.random.Generator:
+    return np.random.default_rng([zlib.crc32(word.encode()) for word in words])
+
+
+def scores(experiment: Experiment, recording: Recording) -> dict[str, float]:
+    """Shares of the frames of a drive; NaN of none."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        sums = score_recording(recording, by_experiment(experiment, recording))
+    with np.errstate(invalid="ignore"):
+        return {
+            "right": sums["right"] / sums["scored"],
+            "first": float(np.float64(sums["beginning_right"]) / sums["beginning"]),
+            "sure": sums["sure"] / sums["scored"],
+            "n_sure": sums["sure"],
+            "sure_right": sums["sure_right"],
+            "is_mld": float(recording.donor.endswith("mld")),
+        }
+
+
+def rows(recordings: Sequence[Recording], overrides: Sequence[str]) -> Iterator[str]:
+    """A row of the table for each track."""
+    tracks = defaultdict(list)
+    for each in recordings:
+        tracks[each.track].append(each)
+    for track, drives in sorted(tracks.items()):
+        cells = [track, str(len(drives))]
+        for filter_ in ("exact", "smoothed"):
+            keys = ("parameters.lane_width_m=causal", f"filter={filter_}", *overrides)
+            experiment = load_experiment(experiments_folder() / "zero_label.yaml", keys)
+            found = list(in_order(partial(scores, experiment), drives, 1))
+            of = {key: np.array([each[key] for each in found]) for key in found[0]}
+            shown = [of["right"], of["first"], of["sure"]]
+            cells += [_share(np.nanmean(values)) for values in shown]
+            cells.append(_share(of["sure_right"].sum() / of["n_sure"].sum()))
+            is_mld = of["is_mld"] > 0
+            cells.append(_share(of["right"][is_mld].mean()) if is_mld.any() else "")
+            if filter_ == "smoothed":
+                del cells[-1], cells[-4]
+        yield f"| {' | '.join(cells)} |"
+
+
+def _share(value: float) -> str:
+    return f"{value:.3f}"
+
+
+def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterator[str]:
+    """The page, a line at a time."""
+    yield TEXT
+    yield from rows([each for each in (*rotterdam(), *drawn()) if only in each.name], overrides)
