@@ -29,7 +29,6 @@ from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.viterbi import viterbi
-from egolane_pgm.plugins import declared_parameters, load_rule_and_graph
 from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
@@ -348,7 +347,11 @@ def label_experiment(
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
-    run = run_experiment(_looking_back(experiment), recorded=recorded, read=read)
+    smoothed = load_experiment(
+        experiment,
+        {"filter": "smoothed", "lag": None, "decode": "marginal", "unassigned_below": 0.0},
+    )
+    run = run_experiment(smoothed, recorded=recorded, read=read)
     assert run.lines is not None
     assert run.evidence is not None
     check_one_drive(run.lines, ONE_DRIVE)
@@ -365,23 +368,6 @@ def label_experiment(
             score_with_intervals(beliefs.lane[k], run.truth, rate, assigned=lane[k])
         )
     return Labels(replace(run, assigned_lane=lane, scores=scores), lane, possible, story, below)
-
-
-def _looking_back(experiment: Experiment) -> Experiment:
-    """The experiment with all that a labeller may know."""
-    keys: dict[str, Any] = {
-        "filter": "smoothed",
-        "lag": None,
-        "decode": "marginal",
-        "unassigned_below": 0.0,
-    }
-    parts = (experiment.evidence, experiment.graph, experiment.folder, experiment.source)
-    for each in declared_parameters(*load_rule_and_graph(*parts)):
-        # What is estimated from the frames so far is, if it can be, from all of them.
-        given = experiment.parameters.get(each.name, each.default)
-        if given == "causal" and "auto" in each.choices:
-            keys[f"parameters.{each.name}"] = "auto"
-    return load_experiment(experiment, keys)
 
 
 def lane_path(belief: FloatArray) -> IntArray:

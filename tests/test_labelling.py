@@ -198,13 +198,12 @@ def test_the_review_says_what_makes_frames_hard() -> None:
 # --- whole recordings ----------------------------------------------------------------------------
 
 
-def test_a_labeller_looks_back_whatever_the_experiment_says() -> None:
-    causal = simulated(**{"parameters.lane_width_m": "causal"})
-    run = causal.run
-    assert run.experiment.filter == "smoothed"
-    assert run.experiment.parameters["lane_width_m"] == "auto"
-    np.testing.assert_array_equal(run.assigned_lane, causal.lane)
-    given = simulated(**{"parameters.lane_width_m": 3.4}).run.experiment
+def test_a_labeller_looks_back() -> None:
+    labels = simulated(filter="exact")
+    assert labels.run.experiment.filter == "smoothed"
+    assert labels.run.model.parameters["lane_width_m"] == "auto"
+    np.testing.assert_array_equal(labels.run.assigned_lane, labels.lane)
+    given = simulated(**{"parameters.lane_width_m": 3.4}).run.model
     assert given.parameters["lane_width_m"] == 3.4
 
 

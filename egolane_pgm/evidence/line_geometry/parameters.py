@@ -18,9 +18,10 @@ PARAMETERS = (
         "positive",
         "causal",
         "lane width in the detector's metres: a number, `causal` (that, and what the detector's"
-        " flags and LRI mean, from the frames so far) or `auto` (from the lines of the whole"
-        " recording)",
+        " flags and LRI mean, from the frames so far) or `auto` (from the whole recording, the"
+        " default where the filter is `smoothed`)",
         choices=("auto", "causal"),
+        smoothed="auto",
         lowest=_NARROWEST_M,
         highest=_WIDEST_M,
     ),
