@@ -25,8 +25,8 @@ from makers.camera._following import (
     calibrate,
     data_folder,
     follow,
-    lanes_of,
     mirrored,
+    run_of,
     runs,
 )
 
@@ -106,8 +106,8 @@ def ego_lane(followed: Followed) -> EgoLane:
         np.where(has_right, offset[rows, right], np.nan),
         log.is_continuous[rows, left] & has_left,
         log.is_continuous[rows, right] & has_right,
-        lanes_of(log, N_LANES, RATE),
-        lanes_of(log, N_LANES, RATE, **ZERO_LABEL),
+        run_of(log, N_LANES, RATE).assigned_lane,
+        run_of(log, N_LANES, RATE, **ZERO_LABEL).assigned_lane,
     )
 
 

@@ -34,7 +34,7 @@ from makers.camera._following import (
     Followed,
     data_folder,
     follow,
-    lanes_of,
+    run_of,
     runs,
     wilson,
 )
@@ -181,7 +181,7 @@ def _present(lanes: Sequence[Sequence[float]]) -> FloatArray:
 def lane_at_the_end(clips: tuple[Clip, ...], **keys: Any) -> IntArray:
     """(T,): the assigned lane over the clip in the rightmost lane."""
     clip = next(c for c in clips if c.name == RIGHTMOST)
-    return lanes_of(clip.followed.log(RATE), N_LANES, RATE, **keys)
+    return run_of(clip.followed.log(RATE), N_LANES, RATE, **keys).assigned_lane
 
 
 def measure() -> list[str]:

@@ -34,7 +34,7 @@ from egolane_pgm.vision.detectors.networks.finding import network_finder
 from egolane_pgm.vision.detectors.runner import find_detector, start
 from egolane_pgm.vision.detectors.simple.fit import view_for
 from makers.camera import carnd, clips, lane_change, tusimple
-from makers.camera._following import ZERO_LABEL, lanes_of, runs
+from makers.camera._following import ZERO_LABEL, run_of, runs
 
 FILE = "networks/lstr_360x640.onnx"
 VIDEO_COLUMNS = ["", "both ego lines", "width", "left, right continuous"]
@@ -170,16 +170,12 @@ def _change_row(name: str, folder: Path) -> list[str]:
     given = lane_change.SETTINGS if name in ("ml", "mc") else {}
     pictures = read_pictures(open_source(folder), camera)
     log = as_log(followed(name, camera, pictures, **given), lane_change.RATE)
-    cells = [name]
-    for keys in ({}, ZERO_LABEL):
-        lane = lanes_of(log, lane_change.N_LANES, lane_change.RATE, **keys)
-        left, right = lane_change.changes(lane)
-        cells += [f"{left}, {right}", runs(lane)]
-    return cells
+    return [name, *lane_change.changes_and_lanes(log)]
 
 
 def _lanes(log: LineLog, n_lanes: int, rate: float, first: int) -> list[str]:
-    return [runs(lanes_of(log, n_lanes, rate, **keys)[first:]) for keys in ({}, ZERO_LABEL)]
+    found = (run_of(log, n_lanes, rate, **keys) for keys in ({}, ZERO_LABEL))
+    return [runs(run.assigned_lane[first:]) for run in found]
 
 
 def measure() -> list[str]:
@@ -219,10 +215,10 @@ def measure() -> list[str]:
             [_video_row(name, of_video) for name in (CUT, *NAMES)],
         ).splitlines(),
         "",
-        "The lane change to the right (out-of-sample), n = 3; changes left, right:",
+        "The lane change to the right (out-of-sample), n = 3:",
         "",
         *markdown(
-            ["", "the paper's graph", "its lanes", "zero labels", "its lanes"],
+            ["", *lane_change.CHANGES_AND_LANES],
             [_change_row(name, of_change) for name in (CUT, *NAMES)],
         ).splitlines(),
     ]
