@@ -29,11 +29,11 @@ from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
 from egolane_pgm.vision.detectors.simple.tracking import Tracks, lines_of, no_tracks
 
 
-def data_folder(name: str) -> Path | None:
-    """A folder of $EGOLANE_DATA/camera, or None where it is absent."""
+def data_path(name: str) -> Path | None:
+    """A file or folder of $EGOLANE_DATA, or None where it is absent."""
     data = os.environ.get("EGOLANE_DATA")
-    folder = Path(data) / "camera" / name if data else None
-    return folder if folder is not None and folder.is_dir() else None
+    path = Path(data) / name if data else None
+    return path if path is not None and path.exists() else None
 
 
 def calibrate(target: Path, *words: object) -> Camera:

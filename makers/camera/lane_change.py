@@ -25,7 +25,7 @@ from makers.camera._following import (
     ZERO_LABEL,
     Followed,
     calibrate,
-    data_folder,
+    data_path,
     follow,
     run_of,
     runs,
@@ -57,12 +57,9 @@ CHANGES_AND_LANES = (
 
 @dataclass(frozen=True)
 class Crossing:
-    """A tracked line that was right of the car and ended left of it: from the first to the last
-    frame that it was followed."""
+    """A tracked line that was right of the car and ended left of it: where it was in the first and
+    the last frame in which it was followed, metres, and the frame from which on it was left."""
 
-    number: int
-    first_frame: int
-    last_frame: int
     first_m: float
     last_m: float
     crossed_at: int
@@ -70,7 +67,7 @@ class Crossing:
 
 def data() -> Path | None:
     """The folder, or None where it is absent."""
-    return data_folder("lane_change_right")
+    return data_path("camera/lane_change_right")
 
 
 @cache
@@ -105,8 +102,7 @@ def crossings(followed: Followed) -> Iterator[Crossing]:
         frames, places = zip(*offsets[number], strict=True)
         if np.sign(places[0]) != np.sign(places[-1]) and min(abs(places[0]), abs(places[-1])) > 0.5:
             other = np.flatnonzero(np.sign(places) != np.sign(places[-1]))
-            at = frames[int(other[-1]) + 1]
-            yield Crossing(number, frames[0], frames[-1], places[0], places[-1], at)
+            yield Crossing(places[0], places[-1], frames[int(other[-1]) + 1])
 
 
 def changes_and_lanes(log: LineLog) -> list[str]:
