@@ -41,7 +41,7 @@ from egolane_pgm.vision.calibration.labels import label_picture, label_places, r
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.camera.pictures import open_source, read_image
-from egolane_pgm.vision.detectors import networks, simple
+from egolane_pgm.vision.detectors import networks, powers, simple
 from egolane_pgm.vision.detectors.pictures import pictures_in
 from egolane_pgm.vision.detectors.runner import (
     Detector,
@@ -231,8 +231,7 @@ def _looked_at(seen: Labelled, detector: Detector, clip: Clip) -> IntArray:
     pictures = (Picture(k, read_image(path)) for k, path in enumerate(clip.pictures))
     for _, found in detect(detector, seen.camera, pictures):
         lines = found
-    x = seen.given.ahead_m
-    places = lines.shape @ np.array([1.0, x, x**2 / 2, x**3 / 6])
+    places = lines.shape @ powers(seen.given.ahead_m)
     if len(clip.pictures) > 1:
         places = places[lines.is_valid]
     return line_counts(clip.label_m, places, seen.given.side_m, seen.given.tolerance_m)

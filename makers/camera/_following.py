@@ -19,8 +19,8 @@ from egolane_pgm.command import egolane
 from egolane_pgm.drive import Recorded
 from egolane_pgm.experiment import make_experiment
 from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.results import Result
 from egolane_pgm.running import run_experiment
-from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import IntArray, LineLog
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.camera.picture import Picture
@@ -29,11 +29,11 @@ from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
 from egolane_pgm.vision.detectors.simple.tracking import Tracks, lines_of, no_tracks
 
 
-def data_folder(name: str) -> Path | None:
-    """A folder of $EGOLANE_DATA/camera, or None where it is absent."""
+def data_path(name: str) -> Path | None:
+    """A file or folder of $EGOLANE_DATA, or None where it is absent."""
     data = os.environ.get("EGOLANE_DATA")
-    folder = Path(data) / "camera" / name if data else None
-    return folder if folder is not None and folder.is_dir() else None
+    path = Path(data) / name if data else None
+    return path if path is not None and path.exists() else None
 
 
 def calibrate(target: Path, *words: object) -> Camera:
@@ -72,9 +72,9 @@ def follow(
     return Followed(tuple(ids), tuple(lines), tuple(history))
 
 
-def lanes_of(log: LineLog, n_lanes: int, frame_rate: float, **keys: Any) -> IntArray:
-    """(T,): the assigned lane of each frame (0: none); default: the paper's evidence, graph and
-    filter with the parameters they have if nothing is said."""
+def run_of(log: LineLog, n_lanes: int, frame_rate: float, **keys: Any) -> Result:
+    """The run over a recording; default: the paper's evidence, graph and filter with the parameters
+    they have if nothing is said."""
     content = {
         "name": "pictures",
         "recording": {"path": "pictures", "frame_rate": frame_rate},
@@ -85,8 +85,7 @@ def lanes_of(log: LineLog, n_lanes: int, frame_rate: float, **keys: Any) -> IntA
     recorded = Recorded(log, None, np.zeros(0, dtype=np.int64), (), ())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        run = run_experiment(experiment, recorded=recorded)
-    return assigned_lane(run.beliefs.lane)
+        return run_experiment(experiment, recorded=recorded)
 
 
 #: Position in lane with generic constants: the graph for a drive without labels.

@@ -36,8 +36,6 @@ from makers.camera import clips, tusimple
 WIDTH_PX = 640
 MEAN_PX, MEDIAN_PX = 15.0, 20.0
 
-_AHEAD = np.array([1.0, tusimple.AHEAD_M, tusimple.AHEAD_M**2 / 2, tusimple.AHEAD_M**3 / 6])
-
 
 def walked(points: FloatArray) -> FloatArray:
     """Points (P, 2) a pixel apart along the straight legs between points (N, 2)."""
@@ -100,7 +98,7 @@ def measured(pictures: Iterable[tuple[Camera, dict[str, Any], Found]]) -> Measur
     for camera, frame, found in pictures:
         still = tusimple.Still(
             label_places(camera, frame, tusimple.AHEAD_M),
-            found.shape @ _AHEAD,
+            found.shape @ tusimple.AHEAD,
             np.ones(len(found.shape)),
         )
         at_10_m.append(still.counts())

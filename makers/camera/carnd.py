@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from egolane_pgm.types import BoolArray, FloatArray, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
@@ -23,10 +23,10 @@ from makers.camera._following import (
     ZERO_LABEL,
     Followed,
     calibrate,
-    data_folder,
+    data_path,
     follow,
-    lanes_of,
     mirrored,
+    run_of,
     runs,
 )
 
@@ -65,7 +65,7 @@ class EgoLane:
 
 def data() -> Path | None:
     """The folder, or None where it is absent."""
-    return data_folder("carnd")
+    return data_path("camera/carnd")
 
 
 @cache
@@ -93,9 +93,8 @@ def follow_video(
     return follow(pictures, mirrored(camera) if flip else camera)
 
 
-def ego_lane(followed: Followed) -> EgoLane:
+def ego_lane(log: LineLog) -> EgoLane:
     """The lines next to the car and the belief."""
-    log = followed.log(RATE)
     rows = np.arange(len(log))
     offset = log.offset_m
     left = np.where(offset < 0, offset, -np.inf).argmax(axis=1)
@@ -106,21 +105,20 @@ def ego_lane(followed: Followed) -> EgoLane:
         np.where(has_right, offset[rows, right], np.nan),
         log.is_continuous[rows, left] & has_left,
         log.is_continuous[rows, right] & has_right,
-        lanes_of(log, N_LANES, RATE),
-        lanes_of(log, N_LANES, RATE, **ZERO_LABEL),
+        run_of(log, N_LANES, RATE).assigned_lane,
+        run_of(log, N_LANES, RATE, **ZERO_LABEL).assigned_lane,
     )
 
 
 def as_it_is(folder: Path) -> EgoLane:
     """The video as it is."""
-    return ego_lane(follow_video(folder))
+    return ego_lane(follow_video(folder).log(RATE))
 
 
 def left_to_right(folder: Path) -> EgoLane:
     """Mirrored, the camera too."""
-    return ego_lane(
-        follow_video(folder, lambda image: np.ascontiguousarray(image[:, ::-1]), flip=True)
-    )
+    turned = follow_video(folder, lambda image: np.ascontiguousarray(image[:, ::-1]), flip=True)
+    return ego_lane(turned.log(RATE))
 
 
 def left_blanked(folder: Path) -> Followed:

@@ -32,9 +32,9 @@ from makers.camera import tusimple
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,
-    data_folder,
+    data_path,
     follow,
-    lanes_of,
+    run_of,
     runs,
     wilson,
 )
@@ -65,7 +65,7 @@ class Clip:
 
 def data() -> Path | None:
     """The folder with the clips, or None where it or that of the stills is absent."""
-    return data_folder("tusimple_clips") if tusimple.data_file() else None
+    return data_path("camera/tusimple_clips") if tusimple.data_file() else None
 
 
 def _name(frame: Mapping[str, Any]) -> str:
@@ -73,9 +73,7 @@ def _name(frame: Mapping[str, Any]) -> str:
 
 
 def _still(label_m: FloatArray, shape: FloatArray) -> tusimple.Still:
-    ahead = tusimple.AHEAD_M
-    places = shape @ np.array([1.0, ahead, ahead**2 / 2, ahead**3 / 6])
-    return tusimple.Still(label_m, places, np.ones(len(places)))
+    return tusimple.Still(label_m, shape @ tusimple.AHEAD, np.ones(len(shape)))
 
 
 @cache
@@ -181,7 +179,7 @@ def _present(lanes: Sequence[Sequence[float]]) -> FloatArray:
 def lane_at_the_end(clips: tuple[Clip, ...], **keys: Any) -> IntArray:
     """(T,): the assigned lane over the clip in the rightmost lane."""
     clip = next(c for c in clips if c.name == RIGHTMOST)
-    return lanes_of(clip.followed.log(RATE), N_LANES, RATE, **keys)
+    return run_of(clip.followed.log(RATE), N_LANES, RATE, **keys).assigned_lane
 
 
 def measure() -> list[str]:

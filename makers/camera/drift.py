@@ -54,7 +54,6 @@ def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) 
     values["camera_drift"] = "correct"
     view = view_for(replace(camera, pitch_deg=camera.pitch_deg + away_deg), values)
     look, turned = drift.watch(view, values), turned_up(view)
-    ahead = np.array([1.0, tusimple.AHEAD_M, tusimple.AHEAD_M**2 / 2, tusimple.AHEAD_M**3 / 6])
     stills, pitch, sd = [], [], []
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
@@ -64,7 +63,7 @@ def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) 
             sd.append(believed.pitch_sd_deg)
             found = find_lines(turned(drift.correction_deg(believed)), picture.image, values)
             places = label_places(camera, frame, tusimple.AHEAD_M)
-            stills.append(tusimple.Still(places, found.shape @ ahead, found.score))
+            stills.append(tusimple.Still(places, found.shape @ tusimple.AHEAD, found.score))
     return Turned(stills, np.array(pitch), np.array(sd), [str(one.message) for one in said])
 
 

@@ -25,7 +25,6 @@ camera the former finds all nine and the latter three.
 
 from __future__ import annotations
 
-import os
 import tempfile
 import warnings
 from collections.abc import Sequence
@@ -40,6 +39,7 @@ from egolane_pgm.running import run_experiment
 from egolane_pgm.vision.calibration.labels import line_points, read_labels
 from egolane_pgm.vision.calibration.straight_road import assumed_camera, view_of_road
 from egolane_pgm.vision.camera.model import write_camera
+from makers.camera._following import data_path
 
 FILE = "camera/tusimple_labels_0313-1.jsonl"
 
@@ -127,9 +127,7 @@ class Outcome:
 
 def data_file() -> Path | None:
     """The labels, or None where they are absent."""
-    folder = os.environ.get("EGOLANE_DATA")
-    path = Path(folder) / FILE if folder else None
-    return path if path is not None and path.is_file() else None
+    return data_path(FILE)
 
 
 def calibrated(labels: Path, target: Path) -> str:

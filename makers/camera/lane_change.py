@@ -18,16 +18,16 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from egolane_pgm.types import IntArray
+from egolane_pgm.types import LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,
     calibrate,
-    data_folder,
+    data_path,
     follow,
-    lanes_of,
+    run_of,
     runs,
 )
 
@@ -46,15 +46,20 @@ SETTINGS = {
     "continuous_cover": 0.65,
 }
 
+#: Lane changes that are told to the left and to the right, and the assigned lanes, of both graphs.
+CHANGES_AND_LANES = (
+    "changes told left, right, the paper's graph",
+    "its lanes",
+    "changes told left, right, zero labels",
+    "its lanes",
+)
+
 
 @dataclass(frozen=True)
 class Crossing:
-    """A tracked line that was right of the car and ended left of it: from the first to the last
-    frame that it was followed."""
+    """A tracked line that was right of the car and ended left of it: where it was in the first and
+    the last frame in which it was followed, metres, and the frame from which on it was left."""
 
-    number: int
-    first_frame: int
-    last_frame: int
     first_m: float
     last_m: float
     crossed_at: int
@@ -62,7 +67,7 @@ class Crossing:
 
 def data() -> Path | None:
     """The folder, or None where it is absent."""
-    return data_folder("lane_change_right")
+    return data_path("camera/lane_change_right")
 
 
 @cache
@@ -97,21 +102,19 @@ def crossings(followed: Followed) -> Iterator[Crossing]:
         frames, places = zip(*offsets[number], strict=True)
         if np.sign(places[0]) != np.sign(places[-1]) and min(abs(places[0]), abs(places[-1])) > 0.5:
             other = np.flatnonzero(np.sign(places) != np.sign(places[-1]))
-            at = frames[int(other[-1]) + 1]
-            yield Crossing(number, frames[0], frames[-1], places[0], places[-1], at)
+            yield Crossing(places[0], places[-1], frames[int(other[-1]) + 1])
 
 
-def changes(lane: IntArray) -> tuple[int, int]:
-    """Lane changes to the left and to the right, frames without an answer left out."""
-    known = lane[lane > 0]
-    step = np.diff(known)
-    return int((step < 0).sum()), int((step > 0).sum())
-
-
-def lanes(followed: Followed, zero_label: bool = False) -> IntArray:
-    """(T,): the assigned lane."""
-    keys = ZERO_LABEL if zero_label else {}
-    return lanes_of(followed.log(RATE), N_LANES, RATE, **keys)
+def changes_and_lanes(log: LineLog) -> list[str]:
+    """The cells of `CHANGES_AND_LANES`: first of the paper's graph, then of the one without labels,
+    the lane changes that the run tells (`Result.events`) to the left and to the right, and its
+    assigned lanes. Where the assigned lane goes there and back, no change need be told."""
+    cells = []
+    for keys in ({}, ZERO_LABEL):
+        run = run_of(log, N_LANES, RATE, **keys)
+        side = run.events.direction
+        cells += [f"{(side < 0).sum()}, {(side > 0).sum()}", runs(run.assigned_lane)]
+    return cells
 
 
 def measure() -> list[str]:
@@ -127,8 +130,7 @@ def measure() -> list[str]:
         f" lines, {LANE_WIDTH_M} m apart ({camera.height_m:.2f} m high); settings for these"
         f" pictures (see the module); n = {N_LANES}.",
         "",
-        "| | tracked lines that cross | changes left, right, the paper's graph | its lanes |"
-        " zero labels | its lanes |",
+        f"| | tracked lines that cross | {' | '.join(CHANGES_AND_LANES)} |",
         "|---|---|---|---|---|---|",
     ]
     for name, curve in (("**mc**", "clothoid"), ("ml", "line")):
@@ -137,10 +139,6 @@ def measure() -> list[str]:
             f"{c.first_m:+.1f} m to {c.last_m:+.1f} m, at picture {c.crossed_at}"
             for c in crossings(followed)
         )
-        cells = []
-        for zero_label in (False, True):
-            lane = lanes(followed, zero_label)
-            left, right = changes(lane)
-            cells += [f"{left}, {right}", runs(lane)]
+        cells = changes_and_lanes(followed.log(RATE))
         lines.append(f"| {name} | {crossed} | {' | '.join(cells)} |")
     return lines

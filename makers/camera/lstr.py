@@ -9,10 +9,8 @@ as in TuSimple's. Nothing else was chosen for it.
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,24 +20,22 @@ import cv2
 import numpy as np
 import yaml
 
-from egolane_pgm.types import LineLog
 from egolane_pgm.views.tables import markdown
 from egolane_pgm.vision.calibration.labels import label_picture, label_places, read_labels
 from egolane_pgm.vision.camera.model import Camera, vanishing_point
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
-from egolane_pgm.vision.detectors import FrameLines, Step, as_log
+from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.networks.description import READY, read_network
 from egolane_pgm.vision.detectors.networks.finding import network_finder
-from egolane_pgm.vision.detectors.runner import find_detector, start
+from egolane_pgm.vision.detectors.runner import detect, find_detector
 from egolane_pgm.vision.detectors.simple.fit import view_for
 from makers.camera import carnd, clips, lane_change, tusimple
-from makers.camera._following import ZERO_LABEL, lanes_of, runs
+from makers.camera._following import data_path, runs
 
 FILE = "networks/lstr_360x640.onnx"
 VIDEO_COLUMNS = ["", "both ego lines", "width", "left, right continuous"]
 VIDEO_COLUMNS += ["the paper's graph", "zero labels", "pictures/s"]
-AHEAD = np.array([1.0, tusimple.AHEAD_M, tusimple.AHEAD_M**2 / 2, tusimple.AHEAD_M**3 / 6])
 
 #: The detectors that are compared; on the videos the network also with the sky cut off.
 NAMES = ("lstr", "ml", "mc")
@@ -51,9 +47,7 @@ HORIZON = 236 / 720
 
 def data_file() -> Path | None:
     """The ONNX, or None where it is absent."""
-    folder = os.environ.get("EGOLANE_DATA")
-    path = Path(folder) / FILE if folder else None
-    return path if path is not None and path.is_file() else None
+    return data_path(FILE)
 
 
 def detector(name: str, **given: Any) -> Any:
@@ -63,20 +57,6 @@ def detector(name: str, **given: Any) -> Any:
     onnx = data_file()
     assert onnx is not None
     return find_detector("network", {"network": "lstr", **given}, onnx.parent, "lstr")
-
-
-@contextmanager
-def started(name: str, camera: Camera, **given: Any) -> Iterator[Step]:
-    """The step of a detector for one drive."""
-    if name != CUT:
-        yield start(detector(name, **given), camera)
-        return
-    horizon = vanishing_point(camera)[1] / camera.height
-    keys = yaml.safe_load((READY / "lstr.yaml").read_text())
-    keys |= {"model": str(data_file()), "cut_top": float((horizon - HORIZON) / (1 - HORIZON))}
-    with TemporaryDirectory() as folder:
-        (Path(folder) / "cut.yaml").write_text(yaml.safe_dump(keys))
-        yield start(find_detector("network", {"network": "cut.yaml"}, Path(folder), "cut"), camera)
 
 
 def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
@@ -90,7 +70,7 @@ def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
         seen = find(view, Picture(0, cv2.imread(str(label_picture(frame, labels)))), None, None)
         assert seen is not None
         places = label_places(camera, frame, tusimple.AHEAD_M)
-        stills.append(tusimple.Still(places, seen.shape @ AHEAD, seen.likely))
+        stills.append(tusimple.Still(places, seen.shape @ tusimple.AHEAD, seen.likely))
     return stills
 
 
@@ -98,8 +78,15 @@ def followed(
     name: str, camera: Camera, pictures: Iterable[Picture], **given: Any
 ) -> list[tuple[int, FrameLines]]:
     """The lines of a detector over a drive, by frame."""
-    with started(name, camera, **given) as step:
-        return [(picture.frame_id, step(picture)) for picture in pictures]
+    if name != CUT:
+        return list(detect(detector(name, **given), camera, pictures))
+    horizon = vanishing_point(camera)[1] / camera.height
+    keys = yaml.safe_load((READY / "lstr.yaml").read_text())
+    keys |= {"model": str(data_file()), "cut_top": float((horizon - HORIZON) / (1 - HORIZON))}
+    with TemporaryDirectory() as folder:
+        (Path(folder) / "cut.yaml").write_text(yaml.safe_dump(keys))
+        cut = find_detector("network", {"network": "cut.yaml"}, Path(folder), "cut")
+        return list(detect(cut, camera, pictures))
 
 
 @cache
@@ -112,7 +99,7 @@ def on_clips(folder: Path, name: str, beyond: str = clips.BEYOND[0]) -> np.ndarr
         clip = Path(frame["raw_file"]).parent
         pictures = read_pictures(open_source(folder / str(clip).removeprefix("clips/")), camera)
         _, last = followed(name, camera, pictures, beyond_edge=beyond)[-1]
-        places = last.shape[last.is_valid] @ AHEAD
+        places = last.shape[last.is_valid] @ tusimple.AHEAD
         label_m = label_places(camera, frame, tusimple.AHEAD_M)
         total += tusimple.Still(label_m, places, np.ones(len(places))).counts()
     return total
@@ -149,18 +136,17 @@ def _video_row(name: str, folder: Path) -> list[str]:
     began = time.perf_counter()
     log = as_log(followed(name, camera, pictures), carnd.RATE)
     speed = len(log) / (time.perf_counter() - began)
-    offset, rows = log.offset_m, np.arange(len(log))
-    left = np.where(offset < 0, offset, -np.inf).argmax(axis=1)
-    right = np.where(offset > 0, offset, np.inf).argmin(axis=1)
-    both = (offset < 0).any(axis=1) & (offset > 0).any(axis=1)
-    width = (offset[rows, right] - offset[rows, left])[both]
-    solid = [log.is_continuous[rows, side][both].mean() for side in (left, right)]
+    lane, first = carnd.ego_lane(log), round(carnd.FROM_S * carnd.RATE)
+    both = np.isfinite(lane.width_m)
+    width = lane.width_m[both]
+    solid = [side[both].mean() for side in (lane.is_left_continuous, lane.is_right_continuous)]
     return [
         name,
         f"{both.sum()} of {len(log)}",
         f"{width.mean():.2f} m (sd {width.std():.2f})",
         f"{solid[0]:.0%}, {solid[1]:.0%}",
-        *_lanes(log, carnd.N_LANES, carnd.RATE, round(carnd.FROM_S * carnd.RATE)),
+        runs(lane.lane[first:]),
+        runs(lane.lane_zero[first:]),
         f"{speed:.0f}",
     ]
 
@@ -170,16 +156,7 @@ def _change_row(name: str, folder: Path) -> list[str]:
     given = lane_change.SETTINGS if name in ("ml", "mc") else {}
     pictures = read_pictures(open_source(folder), camera)
     log = as_log(followed(name, camera, pictures, **given), lane_change.RATE)
-    cells = [name]
-    for keys in ({}, ZERO_LABEL):
-        lane = lanes_of(log, lane_change.N_LANES, lane_change.RATE, **keys)
-        left, right = lane_change.changes(lane)
-        cells += [f"{left}, {right}", runs(lane)]
-    return cells
-
-
-def _lanes(log: LineLog, n_lanes: int, rate: float, first: int) -> list[str]:
-    return [runs(lanes_of(log, n_lanes, rate, **keys)[first:]) for keys in ({}, ZERO_LABEL)]
+    return [name, *lane_change.changes_and_lanes(log)]
 
 
 def measure() -> list[str]:
@@ -219,10 +196,10 @@ def measure() -> list[str]:
             [_video_row(name, of_video) for name in (CUT, *NAMES)],
         ).splitlines(),
         "",
-        "The lane change to the right (out-of-sample), n = 3; changes left, right:",
+        "The lane change to the right (out-of-sample), n = 3:",
         "",
         *markdown(
-            ["", "the paper's graph", "its lanes", "zero labels", "its lanes"],
+            ["", *lane_change.CHANGES_AND_LANES],
             [_change_row(name, of_change) for name in (CUT, *NAMES)],
         ).splitlines(),
     ]

@@ -90,7 +90,7 @@ def _drawn(
     hidden[np.rint(v).astype(int), np.rint(u).astype(int)] = 1
     hidden = cv2.morphologyEx(hidden, cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8)) > 0
     image[hidden] = image[hidden] // 2 + np.array(_HIDDEN, dtype=np.uint8) // 2
-    still = tusimple.Still(label_m, found.shape @ [1, 10, 50, 1000 / 6], found.score)
+    still = tusimple.Still(label_m, found.shape @ tusimple.AHEAD, found.score)
     _, is_right = still.matched()
     x = view.x_m
     for shape, right in zip(found.shape, is_right, strict=True):

@@ -22,7 +22,7 @@ from egolane_pgm.views.tables import markdown
 from egolane_pgm.vision.camera.model import write_camera
 from egolane_pgm.vision.picture_task import counts_of, load_labelled
 from makers.camera import tusimple
-from makers.camera._following import data_folder
+from makers.camera._following import data_path
 
 TRIALS, DETECTORS = 60, ("ml", "mc")
 
@@ -68,7 +68,7 @@ def as_they_are(path: Path) -> list[float]:
 
 def measure() -> list[str]:
     """The figures as Markdown, or one line that says what is absent."""
-    stills, clips = tusimple.data_file(), data_folder("tusimple_clips")
+    stills, clips = tusimple.data_file(), data_path("camera/tusimple_clips")
     if stills is None or clips is None:
         return ["Searched: camera/tusimple_frames or tusimple_clips is absent (EGOLANE_DATA)."]
     lines = [

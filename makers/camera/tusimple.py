@@ -10,7 +10,6 @@ precision the lines within 6 m, matched with any label.
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -30,13 +29,16 @@ from egolane_pgm.vision.calibration.labels import (
 )
 from egolane_pgm.vision.calibration.straight_road import assumed_camera, view_of_road
 from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.detectors import powers
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
+from makers.camera._following import data_path
 
 FILE = "camera/tusimple_frames/labels.jsonl"
 HALF = 55
 LANE_WIDTH_M = 3.66
 AHEAD_M = 10.0
+AHEAD = powers(AHEAD_M)
 TOLERANCE_M = 0.35
 SIDE_M = 6.0
 
@@ -65,9 +67,7 @@ class Still:
 
 def data_file() -> Path | None:
     """The labels, or None where they are absent."""
-    folder = os.environ.get("EGOLANE_DATA")
-    path = Path(folder) / FILE if folder else None
-    return path if path is not None and path.is_file() else None
+    return data_path(FILE)
 
 
 def calibrated(labels: Path) -> Camera:
@@ -81,11 +81,10 @@ def look_at(labels: Path, which: slice, **parameters: Any) -> list[Still]:
     camera = calibrated(labels)
     settings = resolve_parameters(FINDING, {"least_score": 0.0, **parameters}, 1)
     view = view_for(camera, settings)
-    ahead = np.array([1.0, AHEAD_M, AHEAD_M**2 / 2, AHEAD_M**3 / 6])
     stills = []
     for frame in read_labels(labels)[which]:
         found = find_lines(view, cv2.imread(str(label_picture(frame, labels))), settings)
-        stills.append(Still(label_places(camera, frame, AHEAD_M), found.shape @ ahead, found.score))
+        stills.append(Still(label_places(camera, frame, AHEAD_M), found.shape @ AHEAD, found.score))
     return stills
 
 

@@ -298,7 +298,6 @@ def view_of_road(
 
     Raises InputError if the lines do not meet or do not give a height.
     """
-    check_lane_width(lane_width_m)
     rays = [[to_level(camera, line[:, 0], line[:, 1]) for line in lines] for lines in frames]
     with_lines = [lines for lines in rays if len(lines) >= 2]
     if not with_lines:

@@ -130,7 +130,7 @@ def line_log(
     _check_options(valid, frame_step, ahead_m, source)
     ids, ordered, clip = _in_order(frames, frame_rate, frame_step, source)
     if camera is not None:
-        _check_rows(ordered, camera, source)
+        _check_rows(ordered, camera)
     offsets, flags = [], []
     for frame in ordered:
         offset = np.array([offset_of(line, camera, ahead_m) for line in frame.lines])
@@ -357,7 +357,7 @@ def _numbered(
     return by_id
 
 
-def _check_rows(frames: Iterable[ImageFrame], camera: Camera, source: str) -> None:
+def _check_rows(frames: Iterable[ImageFrame], camera: Camera) -> None:
     """Raise InputError if lines reach far below the camera's picture: then they are of another
     camera."""
     for frame in frames:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.simulation._common import check_fields, check_seed, slow_noise
+from egolane_pgm.simulation._common import check_fields, slow_noise
 from egolane_pgm.simulation.detector import DetectorModel, sensor_failures
 from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.world import Road, World, simulate_road
@@ -112,7 +112,6 @@ class Scene:
     camera: Camera
     road: Road
     seed: int
-    failures: Failures
     level: Mapping[str, FloatArray]
     is_failing: BoolArray
     s_m: FloatArray
@@ -183,7 +182,6 @@ def make_scene(
     if not np.isfinite(image_to_road(camera, camera.cx, 0.8 * camera.height)[0]):
         raise InputError("simulation: the camera does not see the road; check cy and pitch_deg")
     road = simulate_road(chosen, seed)
-    check_seed(seed)
 
     def rng(part: int) -> np.random.Generator:
         # Each part has its own random numbers, so that a change of one leaves the others as is.
@@ -212,7 +210,6 @@ def make_scene(
         camera=camera,
         road=road,
         seed=seed,
-        failures=failures,
         level=level,
         is_failing=is_failing,
         s_m=s_m,

@@ -260,4 +260,4 @@ def test_a_lane_change_to_the_right_is_one_line_that_crosses_and_one_change_of_l
     assert crossed.first_m > 1
     assert crossed.last_m < -1
     assert 7530 <= crossed.crossed_at <= 7590
-    assert lane_change.changes(lane_change.lanes(followed)) == (0, 1)
+    assert lane_change.changes_and_lanes(followed.log(lane_change.RATE))[0] == "0, 1"

@@ -96,11 +96,14 @@ def test_an_offset_comes_back_whatever_the_heading(offsets: list[float], heading
     assert there == pytest.approx(offsets[0] + 10 * heading, abs=0.02)
 
 
-def test_a_line_seen_only_far_ahead_or_above_the_horizon_has_no_offset() -> None:
+def test_a_line_seen_only_far_ahead_above_the_horizon_or_in_one_row_has_no_offset() -> None:
     far = np.linspace(30, 60, 10)
     assert np.isnan(offset_of(ImageLine(*road_to_image(CAMERA, far, 0 * far)), CAMERA))
     sky = ImageLine(np.array([600.0, 610.0, 620.0]), np.array([20.0, 50.0, 90.0]))
     assert np.isnan(offset_of(sky, CAMERA))
+    # A point says where the line is, and not where it goes.
+    one_row = ImageLine(np.array([600.0]), np.array([500.0]))
+    assert np.isnan(offset_of(one_row, CAMERA))
 
 
 def test_points_above_the_horizon_are_left_out(tmp_path: Path) -> None:

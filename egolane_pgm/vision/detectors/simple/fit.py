@@ -91,7 +91,8 @@ _RUN_SD_M = 0.02
 #: without runs near it.
 _WEAK = 1e-3
 
-#: The visible length that coverage is at least divided by, metres: a shorter view says too little.
+#: The visible length that the covered one is at least divided by, metres: a shorter one says too
+#: little.
 _LEAST_VISIBLE_M = 5.0
 
 #: The width of lanes where neither the user nor the camera's calibration names one, metres.
@@ -107,15 +108,11 @@ class Found:
 
     - shape: (M, 4) as in FrameLines
     - score: (M,) share of the visible length that contours cover, plus support from neighbours
-    - coverage: (M,) share of the visible length that contours cover, after the refinement
-    - visible: (M,) length of the line in view, metres
     - hidden: the share of the road in view that vehicles seem to hide
     """
 
     shape: FloatArray
     score: FloatArray
-    coverage: FloatArray
-    visible: FloatArray
     hidden: float = 0.0
 
 
@@ -244,21 +241,12 @@ def fit_lines(
     centre, score = _scores(view, strips, offset, agreement, common, parameters)
     peaks = _peaks(centre, score, parameters)
     common, found = _refine(strips, common, centre[peaks], parameters, prior)
-    shape = common.shape(found)
-    visible = _visible(view, shape)
-    coverage = _coverage(view, strips, found, common, parameters) / np.maximum(visible, 1e-9)
-    return _select(shape, score[peaks], np.minimum(coverage, 1.0), visible)
+    order = np.argsort(found, kind="stable")
+    return Found(common.shape(found[order]), score[peaks][order])
 
 
 def _nothing() -> Found:
-    return Found(np.zeros((0, 4)), np.zeros(0), np.zeros(0), np.zeros(0))
-
-
-def _select(
-    shape: FloatArray, score: FloatArray, coverage: FloatArray, visible: FloatArray
-) -> Found:
-    order = np.argsort(shape[:, 0], kind="stable")
-    return Found(shape[order], score[order], coverage[order], visible[order])
+    return Found(np.zeros((0, 4)), np.zeros(0))
 
 
 def _prior(prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
@@ -441,16 +429,3 @@ def _refine(
         now = np.linalg.solve(normal, right)
         common, found = _Common(*map(float, now[:4] * has)), now[4:]
     return common, found
-
-
-def _coverage(
-    view: BirdsEye, strips: Strips, found: FloatArray, common: _Common, parameters: Parameters
-) -> FloatArray:
-    """The length (M,), metres, over which contours cover the lines with offsets `found` (M,)."""
-    offset, agreement = _along(strips, common)
-    near = np.abs(offset - found[:, None]) <= number(parameters, "reach_m")
-    line, run = np.nonzero(near & (agreement > 0))
-    covers = np.zeros((len(found), len(view.x_m)), dtype=bool)
-    covers[line, strips.row[run]] = True
-    length: FloatArray = covers.sum(axis=1) * view.along_m
-    return length
