@@ -92,6 +92,7 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
 	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
+	$(BIN)/python -m makers.beyond drawn > results/beyond/drawn.md
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
