@@ -171,7 +171,7 @@ def test_over_several_widths_the_likelihood_is_the_mean(widths: tuple[float, ...
         module.weigh_positions(
             *(np.array([offsets]), np.array([kinds]), np.array([widths])),
             *(tables.log_intensity, tables.log_mean, tables.first_m, TABLE_STEP_M, tables.expected),
-            *(tables.width_m, np.array([0.3]), np.array([0.7]), np.ones(1), 0.0, 0.0),
+            *(tables.width_m, 0.3, 0.7, np.ones(1), np.zeros(1, dtype=bool), 0.0, 0.0),
             *(new_sight(3, 1), likelihood),
         )
         np.testing.assert_allclose(np.log(likelihood[0]), np.log(right), atol=5e-3)
