@@ -166,8 +166,10 @@ def follow_width(
         total = 0.0
         total_wandering = 0.0
         for j in range(n_widths):
-            likelihood = math.exp((says[j] - most) / alike)
-            quick = math.exp((says[j] - most) / alike_wandering)
+            # Of most widths the gaps say the same.
+            if j == 0 or says[j] != says[j - 1]:
+                likelihood = math.exp((says[j] - most) / alike)
+                quick = math.exp((says[j] - most) / alike_wandering)
             of_steady += moved[j] * quick
             of_wandering += wandering[j] * quick
             steady[j] *= likelihood
@@ -508,7 +510,8 @@ def _mix(weight: FloatArray, log_value: FloatArray, n: int) -> None:
             largest = max(largest, log_value[k, u])
         total = 0.0
         for k in range(n):
-            total += weight[k] * math.exp(log_value[k, u] - largest)
+            below = log_value[k, u] - largest
+            total += weight[k] * (math.exp(below) if below else 1.0)
         log_value[0, u] = largest + math.log(total)
 
 
