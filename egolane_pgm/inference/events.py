@@ -116,7 +116,7 @@ def lane_events(
     when = frame_id / frame_rate if time_s is None else time_s
     if places is None:
         places = place_in_lane(beliefs.marginals)
-    _, rows, events = next_events(NO_EVENTS, beliefs, when, places)
+    _, rows, events = next_events(NO_EVENTS, beliefs.lane, frame_id, when, places)
     if not lag:
         return events
     known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
@@ -155,15 +155,20 @@ NO_EVENTS = EventState(
 
 
 def next_events(
-    so_far: EventState, beliefs: Beliefs, time_s: FloatArray, places: FloatArray | None
+    so_far: EventState,
+    lane: FloatArray,
+    frame_id: IntArray,
+    time_s: FloatArray,
+    places: FloatArray | None,
 ) -> tuple[EventState, IntArray, LaneEvents]:
     """Find the lane changes of T more frames: the new state, the rows in which changes are reported
     (E,), and the changes. However a drive is cut into parts, they are the same.
 
-    - time_s: (T,) when the frames were, seconds.
+    - lane: (T, n) the belief over lanes.
+    - frame_id, time_s: (T,) of the frames; when they were, seconds.
     - places: (T,) as `place_in_lane` gives them; None: only what is believed counts.
     """
-    lane, frame_id = np.ascontiguousarray(beliefs.lane), beliefs.frame_id
+    lane = np.ascontiguousarray(lane)
     place = np.full(len(lane), np.nan) if places is None else places
     # A frame has two changes at most.
     whole, real = np.empty((5, 2 * len(lane)), dtype=np.int64), np.empty((2, 2 * len(lane)))
