@@ -427,6 +427,26 @@ def test_each_log_may_have_its_own_number_of_line_slots(seed: int, width: object
         np.testing.assert_array_equal(ours, whole.likelihoods[NODES])
 
 
+@pytest.mark.parametrize("width", [3.6, "auto", "causal"])
+def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) -> None:
+    log, parameters = causal_drive("doubled"), resolved(lane_width_m=width)
+    none = log.take(slice(0, 0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        given = line_geometry.evidence(none, 3, parameters)
+    give, steadily = (line_geometry.online(3, parameters) for _ in range(2))
+    parts = [give(none)]
+    # The detector's habits are found before the frame that follows the first 200.
+    for part in (slice(0, 150), slice(150, 200), slice(200, 333), slice(333, None)):
+        parts += [give(log.take(part)), give(none)]
+    for empty in (given, *parts[::2]):
+        assert empty.likelihoods[NODES].shape == (0, 48, 2)
+        assert empty.inputs["LineMotion"].shape == (0,)
+    ours, whole = Evidence.joined(parts), steadily(log)
+    np.testing.assert_array_equal(ours.likelihoods[NODES], whole.likelihoods[NODES])
+    np.testing.assert_array_equal(ours.inputs["LineMotion"], whole.inputs["LineMotion"])
+
+
 def test_the_arrays_of_a_frame_may_be_used_again_for_the_next_one() -> None:
     # Habits are found after 200 frames: an LRI of 0 to 1, and no line valid.
     log = causal_drive("plain").take(slice(0, 250))
