@@ -166,7 +166,7 @@ def follow_width(
         total = 0.0
         total_wandering = 0.0
         for j in range(n_widths):
-            # Of most widths the gaps say the same.
+            # The gaps say the same of most neighbours, and exp takes longer than the rest.
             if j == 0 or says[j] != says[j - 1]:
                 likelihood = math.exp((says[j] - most) / alike)
                 quick = math.exp((says[j] - most) / alike_wandering)
@@ -510,6 +510,7 @@ def _mix(weight: FloatArray, log_value: FloatArray, n: int) -> None:
             largest = max(largest, log_value[k, u])
         total = 0.0
         for k in range(n):
+            # The exp of the largest need not be computed.
             below = log_value[k, u] - largest
             total += weight[k] * (math.exp(below) if below else 1.0)
         log_value[0, u] = largest + math.log(total)
