@@ -240,13 +240,12 @@ def _search(
                 calm = now + FLICKER_S
                 if is_known and now < begun + FLICKER_S and 0 <= k - side < n_lanes:
                     before = k - side
-                    whole[:, n_events] = t, frame_id[t], before + 1, k + 1, side
-                    real[:, n_events] = now, p
                 else:
-                    here, before = -1, -1
-                    whole[:, n_events] = t, frame_id[t], UNASSIGNED, UNASSIGNED, side
-                    real[:, n_events] = now, np.nan
+                    # No lane is index -1, and UNASSIGNED.
+                    here, before, k, p = -1, -1, -1, np.nan
                 # The place tells when such a change was; no lane led before it.
+                whole[:, n_events] = t, frame_id[t], before + 1, k + 1, side
+                real[:, n_events] = now, p
                 n_events += 1
                 ahead[:] = False
         if here >= 0:

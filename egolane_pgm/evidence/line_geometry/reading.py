@@ -164,14 +164,8 @@ class LastFrame(NamedTuple):
 
 #: Before the first frame.
 NO_FRAME = LastFrame(
-    np.empty(0),
-    np.empty(0, dtype=np.int64),
-    np.empty(0),
-    np.empty(0, dtype=bool),
-    0,
-    -1,
-    0.0,
-    np.zeros(2, dtype=np.int64),
+    *(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool)),
+    *(0, -1, 0.0, np.zeros(2, dtype=np.int64)),
 )
 
 
