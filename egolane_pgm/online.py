@@ -115,9 +115,10 @@ def filter_logs(
         for t in range(len(beliefs)):
             log = waiting.popleft()
             if log is not None:
-                frame = replace(beliefs.take(slice(t, t + 1)), frame_id=log.frame_id)
+                frame = beliefs.take(slice(t, t + 1))
                 across = across_lanes(frame.marginals)
-                so_far, _, events = next_events(so_far, frame, log.time_s, across["place_in_lane"])
+                place = across["place_in_lane"]
+                so_far, _, events = next_events(so_far, frame.lane, log.frame_id, log.time_s, place)
                 named = {node: names[node] for node in nodes}
                 yield _answer(log, frame, across["crossing"], events, below, named)
 

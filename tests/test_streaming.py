@@ -322,7 +322,9 @@ def test_lane_changes_are_the_same_wherever_they_are_cut(
     so_far, found = NO_EVENTS, []
     for part in parts:
         here = beliefs.take(part)
-        so_far, _, events = next_events(so_far, here, here.frame_id / 10.0, places[part])
+        so_far, _, events = next_events(
+            so_far, here.lane, here.frame_id, here.frame_id / 10.0, places[part]
+        )
         found.append(events)
     told = ego.LaneEvents.joined(found)
     for name, column in whole.columns().items():

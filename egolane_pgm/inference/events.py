@@ -39,9 +39,9 @@ No constant counts frames, and none was searched:
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
-from typing import TypedDict
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,15 +116,14 @@ def lane_events(
     when = frame_id / frame_rate if time_s is None else time_s
     if places is None:
         places = place_in_lane(beliefs.marginals)
-    _, rows, events = next_events(NO_EVENTS, beliefs, when, places)
+    _, rows, events = next_events(NO_EVENTS, beliefs.lane, frame_id, when, places)
     if not lag:
         return events
     known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
     return replace(events, told_frame_id=frame_id[known], told_time_s=when[known])
 
 
-@dataclass(frozen=True)
-class EventState:
+class EventState(NamedTuple):
     """The state of the search for lane changes after some frames, to go on with later ones. Lanes
     are indices, from 0.
 
@@ -156,28 +155,68 @@ NO_EVENTS = EventState(
 
 
 def next_events(
-    so_far: EventState, beliefs: Beliefs, time_s: FloatArray, places: FloatArray | None
+    so_far: EventState,
+    lane: FloatArray,
+    frame_id: IntArray,
+    time_s: FloatArray,
+    places: FloatArray | None,
 ) -> tuple[EventState, IntArray, LaneEvents]:
     """Find the lane changes of T more frames: the new state, the rows in which changes are reported
     (E,), and the changes. However a drive is cut into parts, they are the same.
 
-    - time_s: (T,) when the frames were, seconds.
+    - lane: (T, n) the belief over lanes.
+    - frame_id, time_s: (T,) of the frames; when they were, seconds.
     - places: (T,) as `place_in_lane` gives them; None: only what is believed counts.
     """
-    lane, frame_id = np.ascontiguousarray(beliefs.lane), beliefs.frame_id
-    here, before, calm, begun = so_far.here, so_far.before, so_far.calm_s, so_far.began_s
-    beyond, lost = so_far.beyond, so_far.lost_s
-    largest, top = lane.max(axis=1, initial=0), lane.argmax(axis=1)
-    asked = np.arange(len(lane)) if places is not None else np.flatnonzero(largest >= BELIEVED)
+    lane = np.ascontiguousarray(lane)
     place = np.full(len(lane), np.nan) if places is None else places
-    columns = (asked, top[asked], largest[asked], time_s[asked], place[asked])
-    changes: list[tuple[int, int, int, int, bool]] = []
-    for t, k, p, now, at in zip(*(column.tolist() for column in columns), strict=True):
-        moved = (at - beyond + 0.5) % 1 - 0.5
-        if at == at:
+    # A frame has two changes at most.
+    whole, real = np.empty((5, 2 * len(lane)), dtype=np.int64), np.empty((2, 2 * len(lane)))
+    state, n_events = _search(so_far, lane, frame_id, time_s, place, whole, real)
+    rows, began_id, from_lane, to_lane, direction = whole[:, :n_events].copy()
+    began_s, probability = real[:, :n_events].copy()
+    events = LaneEvents(
+        told_frame_id=frame_id[rows],
+        told_time_s=time_s[rows],
+        frame_id=began_id,
+        time_s=began_s,
+        from_lane=from_lane,
+        to_lane=to_lane,
+        direction=direction,
+        probability=probability,
+    )
+    return state, rows, events
+
+
+@kernel()
+def _search(
+    so_far: EventState,
+    lane: FloatArray,
+    frame_id: IntArray,
+    time_s: FloatArray,
+    place: FloatArray,
+    whole: IntArray,
+    real: FloatArray,
+) -> tuple[EventState, int]:
+    """The state after T more frames, and the number of changes in them.
+
+    whole (5, E), real (2, E): written, of each change its row, since which frame, the lanes from
+        and to, from 1, and the direction; since when, and the new lane's probability.
+    """
+    here, before, calm, _, _, _, beyond, lost, begun = so_far
+    n_lanes, n_events = lane.shape[1], 0
+    ahead, since_id = np.zeros(n_lanes, dtype=np.bool_), np.zeros(n_lanes, dtype=np.int64)
+    since_s, n_before = np.zeros(n_lanes), len(so_far.ahead)
+    ahead[:n_before], since_id[:n_before] = so_far.ahead, so_far.since_id
+    since_s[:n_before] = so_far.since_s
+    for t in range(len(lane)):
+        now, k = time_s[t], int(lane[t].argmax())
+        moved = (place[t] - beyond + 0.5) % 1 - 0.5
+        if not np.isnan(moved):
             beyond += moved
         if not abs(moved) <= JUMP:
             lost = now
+        p = lane[t, k]
         is_known = p >= BELIEVED
         if is_known and k != here and not (k == before and now < calm and p < SURELY_BACK):
             side = 1 if k > here else -1
@@ -185,77 +224,53 @@ def next_events(
             if here < 0:
                 begun = now
             elif is_near or now < lost + FLICKER_S:
-                changes.append((t, here, k, side, False))
+                _follow(lane[t], frame_id[t], now, here, ahead, since_id, since_s)
+                whole[:, n_events] = t, since_id[k], here + 1, k + 1, side
+                real[:, n_events] = since_s[k], p
+                n_events += 1
+                # The lane that the next change leaves leads now: no search goes past this frame.
+                ahead[:] = False
                 before, calm = here, now + FLICKER_S
                 beyond -= side if is_near else round(beyond)
             here = k
-        if abs(beyond) <= 0.5 + BEYOND:
-            continue
-        side = 1 if beyond > 0 else -1
-        beyond -= side
-        if now < calm:
-            continue
-        calm = now + FLICKER_S
-        if is_known and now < begun + FLICKER_S and 0 <= k - side < lane.shape[1]:
-            before = k - side
-            changes.append((t, before, k, side, True))
-        else:
-            here, before = -1, -1
-            changes.append((t, -1, -1, side, True))
-    began_id, began_s = np.empty(len(changes), dtype=np.int64), np.empty(len(changes))
-    ahead, since_id, since_s = so_far.ahead.copy(), so_far.since_id.copy(), so_far.since_s.copy()
-    if not len(ahead):
-        ahead, since_s = np.zeros(lane.shape[1], dtype=bool), np.zeros(lane.shape[1])
-        since_id = since_s.astype(np.int64)
-    after = 0
-    for e, (t, left, entered, _, by_place) in enumerate(changes):
-        if by_place:
-            # The place tells when such a change was; no lane led before it.
-            began_id[e], began_s[e] = frame_id[t], time_s[t]
-        else:
-            part = slice(after, t + 1)
-            _follow(lane[part], frame_id[part], time_s[part], left, ahead, since_id, since_s)
-            began_id[e], began_s[e] = since_id[entered], since_s[entered]
-        # In the row of a change, the lane that the next one leaves leads: no search goes past it.
-        ahead[:] = False
-        after = t
-    if here >= 0:
-        _follow(lane[after:], frame_id[after:], time_s[after:], here, ahead, since_id, since_s)
-    state = EventState(
-        here, before, calm, ahead, since_id, since_s, beyond=beyond, lost_s=lost, began_s=begun
-    )
-    rows, left_lanes, entered_lanes, directions, _ = np.array(changes, np.int64).reshape(-1, 5).T
-    events = LaneEvents(
-        told_frame_id=frame_id[rows],
-        told_time_s=time_s[rows],
-        frame_id=began_id,
-        time_s=began_s,
-        from_lane=left_lanes + 1,
-        to_lane=entered_lanes + 1,
-        direction=directions,
-        probability=np.where(left_lanes < 0, np.nan, lane[rows, entered_lanes]),
-    )
-    return state, rows, events
+        if abs(beyond) > 0.5 + BEYOND:
+            side = 1 if beyond > 0 else -1
+            beyond -= side
+            if now >= calm:
+                calm = now + FLICKER_S
+                if is_known and now < begun + FLICKER_S and 0 <= k - side < n_lanes:
+                    before = k - side
+                else:
+                    # No lane is index -1, and UNASSIGNED.
+                    here, before, k, p = -1, -1, -1, np.nan
+                # The place tells when such a change was; no lane led before it.
+                whole[:, n_events] = t, frame_id[t], before + 1, k + 1, side
+                real[:, n_events] = now, p
+                n_events += 1
+                ahead[:] = False
+        if here >= 0:
+            _follow(lane[t], frame_id[t], now, here, ahead, since_id, since_s)
+    state = EventState(here, before, calm, ahead, since_id, since_s, beyond, lost, begun)
+    return state, n_events
 
 
 @kernel()
 def _follow(
     lane: FloatArray,
-    frame_id: IntArray,
-    time_s: FloatArray,
+    frame_id: int,
+    time_s: float,
     here: int,
     ahead: BoolArray,
     since_id: IntArray,
     since_s: FloatArray,
 ) -> None:
-    """Since when each lane has been more probable than `here`, after some more frames; the last
-    three, (n,) each, as in `EventState`."""
-    for t in range(len(lane)):
-        for k in range(lane.shape[1]):
-            leads = lane[t, k] > lane[t, here]
-            if leads and not ahead[k]:
-                since_id[k], since_s[k] = frame_id[t], time_s[t]
-            ahead[k] = leads
+    """Since when each lane has been more probable than `here`, after one more frame; lane (n,), the
+    last three as in `EventState`."""
+    for k in range(len(lane)):
+        leads = lane[k] > lane[here]
+        if leads and not ahead[k]:
+            since_id[k], since_s[k] = frame_id, time_s
+        ahead[k] = leads
 
 
 def tracks_of(origin: IntArray) -> IntArray:

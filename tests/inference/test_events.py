@@ -286,7 +286,8 @@ def test_events_with_places_do_not_depend_on_how_a_drive_is_cut_and_are_mirrored
     state, parts = NO_EVENTS, [lane_events(beliefs.take(slice(0, 0)), 10.0)]
     cuts = [0, *np.flatnonzero(rng.random(max(n - 1, 0)) < 0.2) + 1, n]
     for part in (slice(a, b) for a, b in pairwise(cuts) if b > a):
-        state, _, events = next_events(state, beliefs.take(part), time_s[part], places[part])
+        here = beliefs.lane[part], beliefs.frame_id[part], time_s[part], places[part]
+        state, _, events = next_events(state, *here)
         parts.append(events)
     for name, column in LaneEvents.joined(parts).columns().items():
         np.testing.assert_array_equal(column, whole.columns()[name])

@@ -29,7 +29,7 @@ def plain() -> Iterator[None]:
         follow_lines,
         coast,
         weigh_frames,
-        drop_doubles,
+        find_doubles,
         weigh_positions,
     )
     ours = {f.__name__: f for f in twins}
@@ -145,25 +145,26 @@ def follow_lines(
     frame_id: IntArray,
     is_missing: BoolArray,
     repeats_are_held: bool,
-    farthest_m: FloatArray,
-    reach_m: FloatArray,
+    width_m: FloatArray,
+    farthest: float,
+    reach: float,
     last_offset_m: FloatArray,
     last_kind: IntArray,
     last_lri: FloatArray,
     last_is_held: BoolArray,
-    last_frame: IntArray,
+    last_id: int,
+    last_state: int,
     is_held: BoolArray,
-    displacement_m: FloatArray,
+    displacement: FloatArray,
     steps: IntArray,
 ) -> None:
-    """Write is_held (T, L), displacement_m (T,), NaN where unknown, and steps (T,); and kind (T, L)
+    """Write is_held (T, L), displacement (T,), NaN where unknown, and steps (T,); and kind (T, L)
     -1 where a line is too far away."""
-    displacement_m[:] = np.nan
+    displacement[:] = np.nan
     is_held[:] = False
-    kind[~(np.abs(offset_m) < farthest_m[:, None])] = -1
+    kind[~(np.abs(offset_m) < farthest * width_m[:, None])] = -1
     if len(offset_m) == 0:
         return
-    last_id, last_state = last_frame
     steps[:] = np.diff(frame_id, prepend=last_id if last_state >= 0 else frame_id[0] - 1)
     is_real = np.concatenate([[last_state == 1], ~is_missing])
     follows = is_real[1:] & is_real[:-1] & (steps == 1)
@@ -188,12 +189,12 @@ def follow_lines(
         match = apart.argmin(axis=2)
         nearest = np.take_along_axis(apart, match[:, :, None], axis=2)[:, :, 0]
         rival = np.take_along_axis(apart.min(axis=1), match, axis=1)
-        is_match = (nearest < reach_m[:, None]) & (nearest <= rival)
+        is_match = (nearest < reach * width_m[:, None]) & (nearest <= rival)
         with np.errstate(invalid="ignore"):
             moves = offset_m - np.take_along_axis(before_m, match, axis=1)
         moves = np.where(is_match, moves, np.nan)
-        found = is_match.any(axis=1) & np.isnan(displacement_m)
-        displacement_m[found] = np.nanmedian(moves[found], axis=1)
+        found = is_match.any(axis=1) & np.isnan(displacement)
+        displacement[found] = np.nanmedian(moves[found], axis=1) / width_m[found]
 
 
 def coast(
@@ -213,18 +214,27 @@ def coast(
         velocity[t + 1] = share[t] * velocity[t] + part[t]
 
 
-def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
-    """Set kind (T, L) to -1 where a better line is nearer than near_m (T,)."""
+def find_doubles(
+    offset_m: FloatArray,
+    kind: IntArray,
+    width_m: FloatArray,
+    near: float,
+    is_double: BoolArray,
+    lines: IntArray,
+) -> None:
+    """Write is_double (T, L), and lines (T + 1, 2), whose first row is given."""
     counts = kind >= 0
     offset = np.where(counts, offset_m, np.inf)
     with np.errstate(invalid="ignore"):
-        near = np.abs(offset[:, :, None] - offset[:, None, :]) < near_m[:, None, None]
+        is_near = np.abs(offset[:, :, None] - offset[:, None, :]) < near * width_m[:, None, None]
     # Class, then distance, then place in the list; lexsort has its first key last.
     place = np.broadcast_to(np.arange(kind.shape[1]), kind.shape)
     rank = np.argsort(np.lexsort((place, np.abs(offset), kind), axis=1), axis=1)
     is_better = rank[:, None, :] < rank[:, :, None]
     both = counts[:, :, None] & counts[:, None, :]
-    kind[(near & is_better & both).any(axis=2)] = -1
+    is_double[:] = (is_near & is_better & both).any(axis=2)
+    of_frame = np.stack([counts.sum(axis=1), is_double.sum(axis=1)], axis=1)
+    lines[1:] = lines[0] + of_frame.cumsum(axis=0)
 
 
 def weigh_positions(
@@ -237,9 +247,10 @@ def weigh_positions(
     step_m: float,
     expected: FloatArray,
     model_width_m: float,
-    alpha: FloatArray,
-    beta: FloatArray,
+    alpha: float,
+    beta: float,
     tenths: FloatArray,
+    is_missing: BoolArray,
     lane_changes: float,
     kind_changes: float,
     sight: FloatArray,
@@ -273,16 +284,18 @@ def weigh_positions(
     # The car is in the lane that it was in, or in the one on either side, if there is one.
     to_side = np.eye(n_lanes, k=1) + np.eye(n_lanes, k=-1)
     np.fill_diagonal(to_side, 2 - to_side.sum(axis=1))
+    alphas, betas = (np.minimum(each * tenths, max(each, 1.0)) for each in (alpha, beta))
+    alphas[is_missing] = 0.0
     for t in range(len(offset_m)):
         moves, changes = (min(rate * tenths[t], 0.3) for rate in (lane_changes, kind_changes))
         sight[:] = (1 - 2 * moves) * sight + moves * to_side @ sight
         sight[:] = (1 - changes) * sight + changes * sight.mean(axis=1, keepdims=True)
         share = sight / sight.sum(axis=1, keepdims=True)
-        of_kinds = (share[:, :, None] * np.exp(alpha[t] * known[t])).sum(axis=1)
+        of_kinds = (share[:, :, None] * np.exp(alphas[t] * known[t])).sum(axis=1)
         log_likelihood = np.empty((n_lanes, cells, 2))
-        log_likelihood[..., 1] = beta[t] * log_mean_p[t]
+        log_likelihood[..., 1] = betas[t] * log_mean_p[t]
         log_likelihood[..., 0] = log_likelihood[..., 1] + np.log(of_kinds)
         likelihood[t] = np.exp(log_likelihood - log_likelihood.max()).reshape(-1, 2)
         place = np.exp(log_mean_p[t] - log_mean_p[t].max())
-        sight *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alpha[t]
+        sight *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alphas[t]
         sight /= sight.sum()

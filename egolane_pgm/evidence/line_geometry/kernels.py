@@ -166,8 +166,10 @@ def follow_width(
         total = 0.0
         total_wandering = 0.0
         for j in range(n_widths):
-            likelihood = math.exp((says[j] - most) / alike)
-            quick = math.exp((says[j] - most) / alike_wandering)
+            # The gaps say the same of most neighbours, and exp takes longer than the rest.
+            if j == 0 or says[j] != says[j - 1]:
+                likelihood = math.exp((says[j] - most) / alike)
+                quick = math.exp((says[j] - most) / alike_wandering)
             of_steady += moved[j] * quick
             of_wandering += wandering[j] * quick
             steady[j] *= likelihood
@@ -189,40 +191,43 @@ def follow_lines(
     frame_id: IntArray,
     is_missing: BoolArray,
     repeats_are_held: bool,
-    farthest_m: FloatArray,
-    reach_m: FloatArray,
+    width_m: FloatArray,
+    farthest: float,
+    reach: float,
     last_offset_m: FloatArray,
     last_kind: IntArray,
     last_lri: FloatArray,
     last_is_held: BoolArray,
-    last_frame: IntArray,
+    last_id: int,
+    last_state: int,
     is_held: BoolArray,
-    displacement_m: FloatArray,
+    displacement: FloatArray,
     steps: IntArray,
 ) -> None:
-    """Fills is_held (T, L), displacement_m (T,), NaN where it is unknown, and steps (T,): frames
+    """Fills is_held (T, L), displacement (T,), NaN where it is unknown, and steps (T,): frames
     since the frame before.
 
     - kind: (T, L) the line's class, -1 where there is none; becomes -1 where a line is too far away
     - repeats_are_held: whether a line that repeats its offset is held whatever its LRI
-    - farthest_m: (T,) lines at this distance or farther do not count
-    - reach_m: (T,) largest distance between matched lines
-    - last_...: (K,) the lines of the frame before the first
-    - last_frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there is none
+    - width_m: (T,) of a lane; the distances below and the displacement are in lane widths
+    - farthest: lines at this distance or farther do not count
+    - reach: largest distance between matched lines
+    - last_...: as in `reading.LastFrame`, of the frame before the first
     """
     n_frames, n_lines = offset_m.shape
     moves = np.empty(n_lines)
     for t in range(n_frames):
-        displacement_m[t] = np.nan
+        displacement[t] = np.nan
+        farthest_m, reach_m = farthest * width_m[t], reach * width_m[t]
         for i in range(n_lines):
             is_held[t, i] = False
-            if not abs(offset_m[t, i]) < farthest_m[t]:
+            if not abs(offset_m[t, i]) < farthest_m:
                 kind[t, i] = -1
         if t == 0:
             before_m, before_kind, before_lri = last_offset_m, last_kind, last_lri
             before_held = last_is_held
-            steps[t] = frame_id[t] - last_frame[0] if last_frame[1] >= 0 else 1
-            follows = last_frame[1] == 1
+            steps[t] = frame_id[t] - last_id if last_state >= 0 else 1
+            follows = last_state == 1
         else:
             before_m, before_kind, before_lri = offset_m[t - 1], kind[t - 1], lri[t - 1]
             before_held = is_held[t - 1]
@@ -244,7 +249,7 @@ def follow_lines(
             for i in range(n_lines):
                 if kind[t, i] < 0 or is_held[t, i]:
                     continue
-                nearest = reach_m[t]
+                nearest = reach_m
                 match = -1
                 for j in range(n_before):
                     if before_kind[j] < 0 or (before_held[j] and not take_held):
@@ -265,7 +270,7 @@ def follow_lines(
                     moves[n_moves] = offset_m[t, i] - before_m[match]
                     n_moves += 1
             if n_moves:
-                displacement_m[t] = np.median(moves[:n_moves])
+                displacement[t] = np.median(moves[:n_moves]) / width_m[t]
                 break
 
 
@@ -317,27 +322,36 @@ def weigh_frames(
 
 
 @kernel()
-def drop_doubles(offset_m: FloatArray, kind: IntArray, near_m: FloatArray) -> None:
-    """Sets kind (T, L) to -1 where a better line is nearer than near_m (T,). A line is better if
-    its class is better; in the same class, if it is nearer to the vehicle, or else listed first."""
+def find_doubles(
+    offset_m: FloatArray,
+    kind: IntArray,
+    width_m: FloatArray,
+    near: float,
+    is_double: BoolArray,
+    lines: IntArray,
+) -> None:
+    """Fills is_double (T, L): whether a better line is nearer than `near` lane widths. A line is
+    better if its class is; in the same class, if it is nearer to the vehicle, or else listed first.
+
+    - lines: (T + 1, 2) the numbers of lines and of doubles so far; the first row is given
+    """
     n_frames, n_lines = offset_m.shape
-    is_double = np.empty(n_lines, dtype=np.bool_)
     for t in range(n_frames):
+        lines[t + 1] = lines[t]
         for i in range(n_lines):
-            is_double[i] = False
+            is_double[t, i] = False
             if kind[t, i] < 0:
                 continue
             for j in range(n_lines):
                 if j == i or kind[t, j] < 0 or kind[t, j] > kind[t, i]:
                     continue
-                if not abs(offset_m[t, i] - offset_m[t, j]) < near_m[t]:
+                if not abs(offset_m[t, i] - offset_m[t, j]) < near * width_m[t]:
                     continue
                 here, there = abs(offset_m[t, i]), abs(offset_m[t, j])
                 if kind[t, j] < kind[t, i] or there < here or (there == here and j < i):
-                    is_double[i] = True
-        for i in range(n_lines):
-            if is_double[i]:
-                kind[t, i] = -1
+                    is_double[t, i] = True
+            lines[t + 1, 0] += 1
+            lines[t + 1, 1] += is_double[t, i]
 
 
 @kernel()
@@ -351,9 +365,10 @@ def weigh_positions(
     step_m: float,
     expected: FloatArray,
     model_width_m: float,
-    alpha: FloatArray,
-    beta: FloatArray,
+    alpha: float,
+    beta: float,
     tenths: FloatArray,
+    is_missing: BoolArray,
     lane_changes: float,
     kind_changes: float,
     sight: FloatArray,
@@ -364,10 +379,11 @@ def weigh_positions(
 
     - kind: (T, L) the line's class, -1 where it does not count
     - width_m: (T, W) equally probable lane widths, in rising order
-    - alpha, beta: (T,) exponents of each frame
+    - alpha, beta: exponents of a frame a tenth of a second after the one before
     - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in `sight.SightTables`;
       lines are scaled to its width
     - tenths: (T,) since the frame before, tenths of a second
+    - is_missing: (T,) marks frames whose lines say nothing
     - lane_changes, kind_changes: probabilities in a tenth of a second
     - sight: (n, K) the belief over lane and kind; becomes that after the last frame
     """
@@ -382,6 +398,9 @@ def weigh_positions(
     cell = model_width_m / cells / step_m
     last = log_mean.shape[1] - 2
     for t in range(n_frames):
+        # Limited so that no line counts more than once.
+        of_lane = 0.0 if is_missing[t] else min(alpha * tenths[t], max(alpha, 1.0))
+        of_place = min(beta * tenths[t], max(beta, 1.0))
         # Equal widths are one.
         n = 0
         k = 0
@@ -421,25 +440,25 @@ def weigh_positions(
                 for lane in range(n_lanes):
                     known[u, k, lane] += expected_mean - expected[k, lane] - mean[0, u]
         _change(sight, min(lane_changes * tenths[t], 0.3), min(kind_changes * tenths[t], 0.3))
-        of_lane = sight.sum(axis=1)
+        lane_share = sight.sum(axis=1)
         largest = -np.inf
         for u in range(cells):
-            phase_only = beta[t] * mean[0, u]
+            phase_only = of_place * mean[0, u]
             largest = max(largest, phase_only)
             for lane in range(n_lanes):
                 top = known[u, :, lane].max()
                 total = 0.0
                 for k in range(n_kinds):
-                    total += sight[lane, k] * math.exp(alpha[t] * (known[u, k, lane] - top))
-                total /= of_lane[lane]
-                likelihood[t, lane * cells + u, 0] = phase_only + alpha[t] * top + math.log(total)
+                    total += sight[lane, k] * math.exp(of_lane * (known[u, k, lane] - top))
+                total /= lane_share[lane]
+                likelihood[t, lane * cells + u, 0] = phase_only + of_lane * top + math.log(total)
                 likelihood[t, lane * cells + u, 1] = phase_only
                 largest = max(largest, likelihood[t, lane * cells + u, 0])
         for r in range(n_lanes * cells):
             likelihood[t, r, 0] = math.exp(likelihood[t, r, 0] - largest)
             likelihood[t, r, 1] = math.exp(likelihood[t, r, 1] - largest)
         if n_kinds > 1:
-            _learn(sight, known, mean[0], alpha[t])
+            _learn(sight, known, mean[0], of_lane)
 
 
 @kernel()
@@ -491,7 +510,9 @@ def _mix(weight: FloatArray, log_value: FloatArray, n: int) -> None:
             largest = max(largest, log_value[k, u])
         total = 0.0
         for k in range(n):
-            total += weight[k] * math.exp(log_value[k, u] - largest)
+            # The exp of the largest need not be computed.
+            below = log_value[k, u] - largest
+            total += weight[k] * (math.exp(below) if below else 1.0)
         log_value[0, u] = largest + math.log(total)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import warnings
-from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -52,28 +51,21 @@ INERTIA = 10.0
 UPDATE_EVERY = 200
 
 
-@dataclass(frozen=True)
-class SeenLines:
+class SeenLines(NamedTuple):
     """The lines of a log, read for the geometry.
 
     - offset_m: (T, L) in the detector's unit
     - kind: (T, L) the class of a line that counts, otherwise -1
     - motion: (T,) the value of LineMotion
     - is_double: (T, L) whether a better line on the same border between lanes counts as well
+    - lines: (T, 2) the numbers of lines up to each frame that count, and of doubles among them
     """
 
     offset_m: FloatArray
     kind: IntArray
     motion: IntArray
     is_double: BoolArray
-
-    @property
-    def lines(self) -> IntArray:
-        """The numbers of lines in each frame that count, and of doubles among them, (T, 2)."""
-        lines = np.empty((len(self.kind), 2), dtype=np.int64)
-        np.sum(self.kind >= 0, axis=1, out=lines[:, 0])
-        np.sum(self.is_double, axis=1, out=lines[:, 1])
-        return lines
+    lines: IntArray
 
 
 def recording_width(log: LineLog, parameters: Parameters) -> float:
@@ -155,26 +147,25 @@ class LastFrame(NamedTuple):
     """The lines of a frame, kept to read the next one.
 
     - offset_m, kind, lri, is_held: (L,) its lines
-    - frame: (2,) its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
+    - frame_id, state: its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
     - velocity: of the lines, lane widths per frame
+    - lines: (2,) the numbers of lines up to it that count, and of doubles among them
     """
 
     offset_m: FloatArray
     kind: IntArray
     lri: FloatArray
     is_held: BoolArray
-    frame: IntArray
+    frame_id: int
+    state: int
     velocity: float
+    lines: IntArray
 
 
 #: Before the first frame.
 NO_FRAME = LastFrame(
-    np.empty(0),
-    np.empty(0, dtype=np.int64),
-    np.empty(0),
-    np.empty(0, dtype=bool),
-    np.array([0, -1]),
-    0.0,
+    *(np.empty(0), np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=bool)),
+    *(0, -1, 0.0, np.zeros(2, dtype=np.int64)),
 )
 
 
@@ -196,9 +187,11 @@ def read_lines(
     """
     n_frames = len(log)
     # The numbers of a log need not be floats, those of the last frame are.
-    offset_m, lri = (np.asarray(each, dtype=np.float64) for each in (log.offset_m, log.lri))
-    is_held = np.empty(kind.shape, dtype=bool)
+    offset_m = np.asarray(log.offset_m, dtype=np.float64)
+    lri = np.asarray(log.lri, dtype=np.float64)
+    is_held, is_double = np.empty(kind.shape, dtype=bool), np.empty(kind.shape, dtype=bool)
     displacement, steps = np.empty(n_frames), np.empty(n_frames, dtype=np.int64)
+    farthest = number(parameters, "motion_range")
     kernels.follow_lines(
         offset_m,
         kind,
@@ -206,28 +199,26 @@ def read_lines(
         log.frame_id,
         log.is_missing,
         repeats_are_held,
-        widths * (REACH_M / LANE_M),
-        widths * number(parameters, "motion_range"),
-        *last[:-1],
+        widths,
+        REACH_M / LANE_M,
+        farthest,
+        *last[:6],
         is_held,
         displacement,
         steps,
     )
-    displacement /= widths
-    velocity = np.full(n_frames + 1, last.velocity)
-    farthest = number(parameters, "motion_range")
+    velocity, lines = np.empty(n_frames + 1), np.empty((n_frames + 1, 2), dtype=np.int64)
+    velocity[0], lines[0] = last.velocity, last.lines
     kernels.coast(displacement, steps, farthest, INERTIA, KEPT_VELOCITY, velocity)
-    if n_frames:
-        frame = np.array([log.frame_id[-1], 0 if log.is_missing[-1] else 1])
-        # Copies: a caller may use its arrays again for the next frame.
-        last = LastFrame(
-            offset_m[-1].copy(), kind[-1].copy(), lri[-1].copy(), is_held[-1], frame, velocity[-1]
-        )
-    kind[is_held] = -1
-    single = kind.copy()
-    kernels.drop_doubles(offset_m, single, DOUBLE * widths)
     motion = motion_index(displacement, steps, velocity[:-1], parameters)
-    return SeenLines(offset_m, kind, motion, kind != single), last
+    measured = np.where(is_held, -1, kind)
+    kernels.find_doubles(offset_m, measured, widths, DOUBLE, is_double, lines)
+    if n_frames:
+        # Copies: a caller may use its arrays again for the next frame.
+        of_lines = (offset_m[-1].copy(), kind[-1], lri[-1].copy(), is_held[-1])
+        frame = (int(log.frame_id[-1]), 0 if log.is_missing[-1] else 1)
+        last = LastFrame(*of_lines, *frame, velocity[-1], lines[-1])
+    return SeenLines(offset_m, measured, motion, is_double, lines[1:]), last
 
 
 def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:
@@ -238,7 +229,7 @@ def count_once(seen: SeenLines, lines: IntArray) -> SeenLines:
     if not seen.is_double.any():
         return seen
     has_many = lines[..., 1] >= LEAST_DOUBLES * lines[..., 0]
-    return replace(seen, kind=np.where(seen.is_double & has_many[..., None], -1, seen.kind))
+    return seen._replace(kind=np.where(seen.is_double & has_many[..., None], -1, seen.kind))
 
 
 def warn_of_doubles(lines: IntArray, source: str) -> None:

@@ -99,9 +99,8 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     widths = np.full((len(log), 1), width)
     kind, _ = line_classes(log)
     held = detector.repeats_are_held
-    seen, _ = reading.read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
-    lines = seen.lines.sum(axis=0)
-    reading.warn_of_doubles(lines, log.source)
+    seen, last = reading.read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
+    reading.warn_of_doubles(last.lines, log.source)
     models = kinds_of(n_lanes, parameters)
     sight = new_sight(n_lanes, len(models))
     if parameters["lane_width_m"] == "causal":
@@ -109,9 +108,9 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     else:
         tables = sight_tables(models, has_flags=bool(_has_flag(log).any()))
         weights, _ = reading.frame_weights(log)
-        seen = reading.count_once(seen, lines)
+        seen = reading.count_once(seen, last.lines)
         given = _evidence(seen, widths, weights, log.is_missing, tables, sight, parameters)
-    warn_of_own_lines(sight, lines[0] / max(len(log), 1), log.source)
+    warn_of_own_lines(sight, last.lines[0] / max(len(log), 1), log.source)
     return given
 
 
@@ -140,11 +139,10 @@ def _online(
     recent: list[habits.Columns] = []
     has_flags = False
     n_frames, last, last_s = 0, reading.NO_FRAME, -math.inf
-    lines = np.zeros(2, dtype=np.int64)
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """The evidence of frames that are all read in the same way."""
-        nonlocal detector, has_flags, n_frames, last, last_s, lines
+        nonlocal detector, has_flags, n_frames, last, last_s
         if n_frames and n_frames % reading.UPDATE_EVERY == 0:
             seen_before[:] = [habits.added([*seen_before, habits.count_lines(recent)])]
             recent.clear()
@@ -164,9 +162,7 @@ def _online(
         seen, last = reading.read_lines(
             log, kind, middle, parameters, repeats_are_held=held, last=last
         )
-        of_frame = seen.lines
-        seen = reading.count_once(seen, lines + of_frame.cumsum(axis=0))
-        lines = lines + of_frame.sum(axis=0)
+        seen = reading.count_once(seen, seen.lines)
         weights, last_s = reading.frame_weights(recorded, last_s)
         told = tables[has_flags]
         return _evidence(seen, widths, weights, log.is_missing, told, sight, parameters)
@@ -210,10 +206,6 @@ def _evidence(
 ) -> Evidence:
     """The evidence of T frames. widths: (T, W) equally probable lane widths; weights, is_missing:
     (T,); sight: (n, K), which becomes the belief after the last frame."""
-    exponents = (number(parameters, name) for name in ("alpha", "beta"))
-    # Limited so that no line counts more than once.
-    alpha, beta = (np.minimum(each * weights, max(each, 1.0)) for each in exponents)
-    alpha[is_missing] = 0.0
     n_positions = len(sight) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
     kernels.weigh_positions(
@@ -226,9 +218,10 @@ def _evidence(
         TABLE_STEP_M,
         tables.expected,
         tables.width_m,
-        alpha,
-        beta,
+        number(parameters, "alpha"),
+        number(parameters, "beta"),
         weights,
+        is_missing,
         LANE_CHANGES,
         KIND_CHANGES,
         sight,
@@ -267,8 +260,8 @@ def fit_pooled(
         first_width = first_width or reading.as_metres(width, parameters)
         kind, _ = line_classes(log)
         held, widths = detector.repeats_are_held, np.full(len(log), width)
-        seen, _ = reading.read_lines(log, kind, widths, parameters, repeats_are_held=held)
-        seen = reading.count_once(seen, seen.lines.sum(axis=0))
+        seen, last = reading.read_lines(log, kind, widths, parameters, repeats_are_held=held)
+        seen = reading.count_once(seen, last.lines)
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (LANE_M / width))
         kinds.append(seen.kind[used])

@@ -250,10 +250,15 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
     offset = np.round(rng.uniform(-2, 2, (30, n_lines)), 1)
     kind = rng.integers(-1, 4, (30, n_lines))
     near = rng.uniform(0, 0.6, 30)
-    ours, twin = kind.copy(), kind.copy()
-    _line_geometry_kernel.drop_doubles(offset, ours, near)
-    _line_geometry_numpy.drop_doubles(offset, twin, near)
+    found = []
+    for module in (_line_geometry_kernel, _line_geometry_numpy):
+        is_double, lines = np.empty(kind.shape, dtype=bool), np.zeros((31, 2), dtype=np.int64)
+        module.find_doubles(offset, kind, near, 1.0, is_double, lines)
+        assert lines[-1].tolist() == [(kind >= 0).sum(), is_double.sum()]
+        found.append((is_double, lines))
+    (ours, lines), (twin, of_twin) = found
     np.testing.assert_array_equal(ours, twin)
+    np.testing.assert_array_equal(lines, of_twin)
     for t in range(30):
         lines = [
             (int(k), abs(o), i) for i, (o, k) in enumerate(zip(offset[t], kind[t], strict=True))
@@ -266,7 +271,7 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
                 and abs(offset[t, line[2]] - offset[t, i]) < near[t]
                 and line < lines[i]
             ]
-            assert ours[t, i] == (-1 if better else k)
+            assert ours[t, i] == (k >= 0 and bool(better))
 
 
 # --- frame rates ---------------------------------------------------------------------------------

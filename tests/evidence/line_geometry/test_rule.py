@@ -171,7 +171,7 @@ def test_over_several_widths_the_likelihood_is_the_mean(widths: tuple[float, ...
         module.weigh_positions(
             *(np.array([offsets]), np.array([kinds]), np.array([widths])),
             *(tables.log_intensity, tables.log_mean, tables.first_m, TABLE_STEP_M, tables.expected),
-            *(tables.width_m, np.array([0.3]), np.array([0.7]), np.ones(1), 0.0, 0.0),
+            *(tables.width_m, 0.3, 0.7, np.ones(1), np.zeros(1, dtype=bool), 0.0, 0.0),
             *(new_sight(3, 1), likelihood),
         )
         np.testing.assert_allclose(np.log(likelihood[0]), np.log(right), atol=5e-3)
@@ -425,6 +425,26 @@ def test_each_log_may_have_its_own_number_of_line_slots(seed: int, width: object
         np.testing.assert_array_equal(motion, whole.inputs["LineMotion"])
         ours = np.concatenate([p.likelihoods[NODES] for p in parts])
         np.testing.assert_array_equal(ours, whole.likelihoods[NODES])
+
+
+@pytest.mark.parametrize("width", [3.6, "auto", "causal"])
+def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) -> None:
+    log, parameters = causal_drive("doubled"), resolved(lane_width_m=width)
+    none = log.take(slice(0, 0))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        given = line_geometry.evidence(none, 3, parameters)
+    give, steadily = (line_geometry.online(3, parameters) for _ in range(2))
+    parts = [give(none)]
+    # The detector's habits are found before the frame that follows the first 200.
+    for part in (slice(0, 150), slice(150, 200), slice(200, 333), slice(333, None)):
+        parts += [give(log.take(part)), give(none)]
+    for empty in (given, *parts[::2]):
+        assert empty.likelihoods[NODES].shape == (0, 48, 2)
+        assert empty.inputs["LineMotion"].shape == (0,)
+    ours, whole = Evidence.joined(parts), steadily(log)
+    np.testing.assert_array_equal(ours.likelihoods[NODES], whole.likelihoods[NODES])
+    np.testing.assert_array_equal(ours.inputs["LineMotion"], whole.inputs["LineMotion"])
 
 
 def test_the_arrays_of_a_frame_may_be_used_again_for_the_next_one() -> None:

@@ -81,11 +81,10 @@ def test_in_one_lane_that_is_never_left_the_kinds_are_averaged_exactly(module: o
     def likelihood(log_intensity: FloatArray, expected: FloatArray, kinds: int) -> FloatArray:
         """Relative to the mean one, which is that of the state BAD with beta 1."""
         found = np.empty((30, 1, 2))
-        ones = np.ones(30)
         module.weigh_positions(  # type: ignore[attr-defined]
             *(offsets, kind, np.full((30, 1), LANE_M), log_intensity, tables.log_mean),
-            *(tables.first_m, TABLE_STEP_M, expected, LANE_M, ones, ones, ones, 0.0, 0.0),
-            *(new_sight(1, kinds), found),
+            *(tables.first_m, TABLE_STEP_M, expected, LANE_M, 1.0, 1.0, np.ones(30)),
+            *(np.zeros(30, dtype=bool), 0.0, 0.0, new_sight(1, kinds), found),
         )
         return found[:, 0, 0] / found[:, 0, 1]
 
