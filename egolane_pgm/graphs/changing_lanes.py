@@ -5,7 +5,8 @@ the map knows of the road (`lane_steps`). Lane moves in two parts: first to wher
 then to a neighbour as in the paper's Table `tab:cptlane`, of a road with the lanes that there are
 now. On a road that does not change this is the paper's table.
 
-- Lanes is the number of lanes that there really are. The map may be wrong by one (`map_wrong`).
+- Lanes is the number of lanes that there really are. The map may be wrong by one (`map_wrong`), and
+  so may be a number that it does not tell and that was guessed (`guess_wrong`).
 - Passed says whether a change of lanes, which the map puts at one place and which is somewhere
   around it, is behind the car.
 - Evidence of Lane is what is known otherwise: that the car took a branch, which some lanes serve.
@@ -64,6 +65,14 @@ PARAMETERS = (
         search=None,
     ),
     Parameter(
+        "guess_wrong",
+        "probability",
+        0.25,
+        "the same, where the map does not tell the number and it was guessed from the road around;"
+        " 0 for a guess that counts as the map does",
+        search=None,
+    ),
+    Parameter(
         "map_stays",
         "probability",
         0.9999,
@@ -119,7 +128,7 @@ build = builder(tables, OBSERVED)
 
 def most_lanes(on_map: int, parameters: Parameters) -> int:
     """The number of values of Lane; on_map: number of lanes on the map where the road is widest."""
-    return on_map + (number(parameters, "map_wrong") > 0)
+    return on_map + (number(parameters, "map_wrong") > 0 or "~" in str(parameters["steps"]))
 
 
 def _n_passed(steps: tuple[Step, ...]) -> int:
@@ -153,27 +162,35 @@ def _lanes(
     steps: tuple[Step, ...], n_lanes: int, parameters: Parameters
 ) -> tuple[FloatArray, FloatArray]:
     """Lanes in the first frame (U, n), and later (U, P, P, n, n)."""
-    wrong, stays = number(parameters, "map_wrong"), number(parameters, "map_stays")
-    away = np.subtract.outer(np.arange(1, n_lanes + 1), np.arange(n_lanes + 1)).T
-    # on_map[n]: P(number of lanes) where the map has n.
-    on_map = np.where(away == 0, 1 - wrong, np.where(abs(away) == 1, wrong / 2, 0.0))
-    on_map[0] = 1.0
-    # With one lane, the only other number is 0: the map is right, whatever `map_wrong` says.
-    empty = on_map.sum(axis=1) == 0
-    on_map[empty] = away[empty] == 0
-    on_map /= on_map.sum(axis=1, keepdims=True)
+    stays = number(parameters, "map_stays")
+    of_map, of_guess = (
+        _really(n_lanes, number(parameters, name)) for name in ("map_wrong", "guess_wrong")
+    )
+    first = np.stack([(of_guess if step.is_guess else of_map)[step.after] for step in steps])
     n_passed = _n_passed(steps)
-    first = np.stack([on_map[step.after] for step in steps])
     later = np.zeros((len(steps), n_passed, n_passed, n_lanes, n_lanes))
     for u, step in enumerate(steps):
         for before, now in np.ndindex(n_passed, n_passed):
             if not _happens(step, before, now):
                 later[u, before, now] = np.eye(n_lanes)
             elif step.before == step.after and step.shift == 0:
-                later[u, before, now] = _stays(on_map[step.after], stays)
+                later[u, before, now] = _stays(first[u], stays)
+            elif step.is_guess:
+                later[u, before, now] = first[u]
             else:
-                later[u, before, now] = _goes_on(step, on_map[step.after])
+                later[u, before, now] = _goes_on(step, first[u])
     return first, later
+
+
+def _really(n_lanes: int, wrong: float) -> FloatArray:
+    """(n + 1, n): P(number of lanes) where the map has 0 to n; wrong: P(one less or more)."""
+    away = np.subtract.outer(np.arange(1, n_lanes + 1), np.arange(n_lanes + 1)).T
+    table = np.where(away == 0, 1 - wrong, np.where(abs(away) == 1, wrong / 2, 0.0))
+    table[0] = 1.0
+    # With one lane, the only other number is 0: the map is right, whatever is said of it.
+    empty = table.sum(axis=1) == 0
+    table[empty] = away[empty] == 0
+    return np.asarray(table / table.sum(axis=1, keepdims=True))
 
 
 def _stays(on_map: FloatArray, stays: float) -> FloatArray:

@@ -9,6 +9,8 @@ of a frame is a step, and the steps of a drive are written as one text, with bla
     3>4?       it is not known at which side the new lane is
     3>4+0@7    the change may be here: at the seventh of the PLACES around the join of the map
     hold       between two of these places
+    3~         n is a guess, which may be wrong; 3>4+0~ is a change to a guess, 3>3?~ the begin of a
+               stretch with a guess of the same number, 3>3? its end
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ CHANGE_AT_RIGHT = Parameter(
 #: deviations of the map's error along the road.
 PLACES = tuple(np.arange(-2.0, 2.01, 0.5).tolist())
 
-_STEP = re.compile(r"(\d+)(?:>(\d+)(?:([+-]\d+)|\?)(?:@([1-9]))?)?")
+_STEP = re.compile(r"(\d+)(?:>(\d+)(?:([+-]\d+)|\?)(?:@([1-9]))?)?(~)?")
 
 
 @dataclass(frozen=True)
@@ -53,21 +55,24 @@ class Step:
     - shift: lane i goes on as lane i + shift; None unknown.
     - place: at which of PLACES (from 1) this is; None for a step that is known to happen in its
       frame.
+    - is_guess: whether `after` is one.
     """
 
     before: int
     after: int
     shift: int | None = 0
     place: int | None = None
+    is_guess: bool = False
 
     def __str__(self) -> str:
         if not self.before:
             return "hold"
-        if self == Step(self.before, self.before):
-            return str(self.before)
+        guess = "~" if self.is_guess else ""
+        if self == Step(self.before, self.before, is_guess=self.is_guess):
+            return f"{self.before}{guess}"
         shift = "?" if self.shift is None else f"{self.shift:+d}"
         place = "" if self.place is None else f"@{self.place}"
-        return f"{self.before}>{self.after}{shift}{place}"
+        return f"{self.before}>{self.after}{shift}{place}{guess}"
 
 
 HOLD = Step(0, 0)
@@ -87,9 +92,9 @@ def _read(word: str, n_lanes: int) -> Step:
     found = _STEP.fullmatch(word)
     if found is None:
         raise InputError(f"steps: '{word}' is no step such as 3, 3>4+0, 3>4? or 3>4+0@5")
-    before, after, shift, place = found.groups()
+    before, after, shift, place, guess = found.groups()
     if after is None:
-        step = Step(int(before), int(before))
+        step = Step(int(before), int(before), is_guess=bool(guess))
     else:
         # A change of unknown shift has a question mark in its place.
         step = Step(
@@ -97,6 +102,7 @@ def _read(word: str, n_lanes: int) -> Step:
             int(after),
             None if shift is None else int(shift),
             None if place is None else int(place),
+            bool(guess),
         )
     if not 1 <= min(step.before, step.after) <= max(step.before, step.after) <= n_lanes:
         raise InputError(f"steps: '{word}': lanes are outside 1..{n_lanes}")

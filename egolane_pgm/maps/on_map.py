@@ -56,14 +56,14 @@ def check_on_map(experiment: Experiment, graph: ModuleType) -> None:
 def with_lanes_of(table: RoadTable, experiment: Experiment, graph: ModuleType) -> Experiment:
     """The experiment with the lanes and the steps of a road. Raises InputError for a road table
     that cannot be used."""
-    found = road_changes(table)
-    on_map = max([int(found.n_lanes.max()), *(step.after for step in found.steps)])
+    on_map = int(table.n_lanes.max())
     named = {p.name for p in graph.PARAMETERS}
     known = {name: value for name, value in experiment.parameters.items() if name in named}
     where = f"{experiment.source}: parameters"
     parameters = resolve_parameters(graph.PARAMETERS, known, on_map, where)
+    found = road_changes(table, doubts_guesses=bool(parameters.get("guess_wrong")))
     steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
-    n_lanes = graph.most_lanes(on_map, parameters)
+    n_lanes = graph.most_lanes(on_map, {**parameters, "steps": steps})
     return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
 
 

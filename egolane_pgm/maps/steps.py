@@ -11,7 +11,7 @@ the frame before: SERVED for a lane that leads there, OPTIONAL for one that also
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -40,6 +40,7 @@ class RoadChanges:
     - optional (C,): the lanes before it that lead to another road too.
     - row_m (T,): metres driven at each row of the road table.
     - n_lanes (T,): lanes at each row; where the table does not know, those of the row before.
+    - is_guess (T,): whether that is a guess.
     """
 
     at_m: FloatArray
@@ -48,18 +49,20 @@ class RoadChanges:
     optional: tuple[tuple[int, ...], ...]
     row_m: FloatArray
     n_lanes: IntArray
+    is_guess: BoolArray
 
     def vocabulary(self, *, is_exact: bool = False) -> str:
         """The values of the input node for this road, as `lane_steps` writes them.
 
         - is_exact: whether each change is where the map has it, without places around it.
         """
-        here = sorted({*self.n_lanes.tolist(), *(s.after for s in self.steps)})
-        words = [str(n) for n in here]
+        here = {*zip(self.n_lanes.tolist(), self.is_guess.tolist(), strict=True)}
+        here |= {(step.after, step.is_guess) for step in self.steps}
+        words = [str(Step(n, n, is_guess=guess)) for n, guess in sorted(here)]
         for step in dict.fromkeys(self.steps):
             words.append(str(step))
             if _is_change(step) and not is_exact:
-                words += [str(_at(step, k + 1)) for k in range(len(PLACES))]
+                words += [str(replace(step, place=k + 1)) for k in range(len(PLACES))]
         return " ".join([*dict.fromkeys(words), *([] if is_exact else [str(HOLD)])])
 
 
@@ -90,19 +93,20 @@ class LanesAlong:
         return len(self.n_lanes)
 
 
-def _at(step: Step, place: int) -> Step:
-    return Step(step.before, step.after, step.shift, place)
-
-
 def _is_change(step: Step) -> bool:
-    return step.before != step.after or step.shift != 0
+    """Whether lanes begin, end or get other numbers; else its number may begin to be a guess."""
+    return step.before != step.after or bool(step.shift)
 
 
-def road_changes(table: RoadTable) -> RoadChanges:
+def road_changes(table: RoadTable, *, doubts_guesses: bool = False) -> RoadChanges:
     """The changes of lanes along a drive.
 
     Where the table does not know the lanes (off the map, or a segment without a number), they are
-    those of the row before. Raises InputError where no row knows them, and for more lanes than
+    those of the row before.
+
+    - doubts_guesses: whether a guess of an `untold` number is told from a number of the map.
+
+    Raises InputError where no row knows them, and for more lanes than
     MAX_LANES.
     """
     known = table.n_lanes > 0
@@ -116,27 +120,33 @@ def road_changes(table: RoadTable) -> RoadChanges:
         )
     last = np.maximum.accumulate(np.where(known, np.arange(len(table)), -1))
     n_lanes = np.where(last >= 0, table.n_lanes[np.maximum(last, 0)], table.n_lanes[known.argmax()])
+    # Off the map the number before goes on, and with it that it is a guess.
+    is_guess = doubts_guesses & ((table.untold > 0) | (table.untold[np.maximum(last, 0)] > 0))
     passes, driven = _passes(table)
     row_m = np.concatenate([[0.0], np.cumsum(driven)])
     at_m: list[float] = []
     steps: list[Step] = []
     is_branch: list[bool] = []
     optional: list[tuple[int, ...]] = []
-    for row in map(int, np.flatnonzero(passes | (np.diff(n_lanes) != 0))):
+    differs = (np.diff(n_lanes) != 0) | np.diff(is_guess)
+    for row in map(int, np.flatnonzero(passes | differs)):
         before, after = int(n_lanes[row]), int(n_lanes[row + 1])
         # The row's next join is this one if the lanes behind it are those that the row has.
         is_told = bool(passes[row]) and int(table.next_n_lanes[row]) == after
         shift = table.next_shift[row] if is_told else np.nan
-        step = Step(before, after, _shift(before, after, shift, table, row, is_told))
+        side = _shift(before, after, shift, table, row, is_told)
+        if before == after and side == 0 and is_guess[row] != is_guess[row + 1]:
+            side = None
+        step = Step(before, after, side, is_guess=bool(is_guess[row + 1]))
         branch = is_told and table.next_join[row] in ("exit", "fork") and step.shift is not None
         ahead = table.next_in_m[row] if passes[row] else driven[row] / 2
-        if _is_change(step) or branch:
+        if _is_change(step) or step.shift is None or branch:
             at_m.append(float(row_m[row] + min(ahead, driven[row])))
             steps.append(step)
             is_branch.append(bool(branch))
             optional.append(_optional(table, row) if branch else ())
     return RoadChanges(
-        np.array(at_m), tuple(steps), tuple(is_branch), tuple(optional), row_m, n_lanes
+        np.array(at_m), tuple(steps), tuple(is_branch), tuple(optional), row_m, n_lanes, is_guess
     )
 
 
@@ -212,7 +222,7 @@ def lanes_along(
     ranges, where the clocks do not overlap, and for lanes or steps that the graph does not have.
     """
     check_overlap(table, time_s, source)
-    found = road_changes(table)
+    found = road_changes(table, doubts_guesses="~" in steps)
     number = {word: k for k, word in enumerate(steps.split())}
     driven = np.interp(time_s, table.t_s, found.row_m)
 
@@ -229,17 +239,23 @@ def lanes_along(
             if frame < len(time_s):
                 frames[c] = frame
     behind = np.flatnonzero(found.at_m <= driven[0])
-    first_n = int(found.steps[behind[-1]].after if len(behind) else found.n_lanes[0])
+    first_n, first_is_guess = int(found.n_lanes[0]), bool(found.is_guess[0])
+    if len(behind):
+        first_n = found.steps[behind[-1]].after
+        first_is_guess = found.steps[behind[-1]].is_guess
     step_of = np.full(len(time_s), -1, dtype=np.int64)
     n_map = np.full(len(time_s), first_n, dtype=np.int64)
+    is_guess = np.full(len(time_s), first_is_guess)
     origin = np.zeros(len(time_s), dtype=np.int64)
     served = np.ones((len(time_s), n_lanes))
     is_renumbering = np.zeros(len(time_s), dtype=bool)
     for c, frame in frames.items():
         step = found.steps[c]
         n_map[frame:] = step.after
+        is_guess[frame:] = step.is_guess
         origin[frame:] += step.shift or 0
-    words = [str(int(n)) for n in n_map]
+    both = zip(n_map.tolist(), is_guess.tolist(), strict=True)
+    words = [str(Step(n, n, is_guess=guess)) for n, guess in both]
     taken = set(frames.values())
     for c, frame in frames.items():
         step = found.steps[c]
@@ -256,7 +272,7 @@ def lanes_along(
             and not (taken - {frame}).intersection(range(places[0], places[-1] + 1))
         )
         if not is_clear:
-            if _is_change(step):
+            if _is_change(step) or step.shift is None:
                 words[frame] = str(step)
             continue
         # Two changes that are near each other do not share their places.
@@ -264,7 +280,7 @@ def lanes_along(
         is_renumbering[places[0] : places[-1] + 1] = step.shift != 0
         words[places[0] : places[-1] + 1] = [str(HOLD)] * (places[-1] + 1 - places[0])
         for k, place in enumerate(places):
-            words[place] = str(_at(step, k + 1))
+            words[place] = str(replace(step, place=k + 1))
     try:
         step_of[:] = [number[word] for word in words]
     except KeyError as error:

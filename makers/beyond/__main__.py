@@ -4,7 +4,8 @@
 detectors might have written them (about ten minutes of one core; --only and --runs take less),
 `sensors` the same of sensors that give less, `failures` where it fails on run 5 and why, and draws
 it, `labels` how good the labels are that `egolane label` makes, `ramps` lane changes where a ramp
-joins (simulated, two minutes), `drawn` scores on drives with new seeds and donors. All but `ramps` need EGOLANE_DATA.
+joins (simulated, two minutes), `drawn` scores on drives with new seeds and donors. All but `ramps`
+need EGOLANE_DATA.
 """
 
 from __future__ import annotations

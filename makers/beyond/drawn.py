@@ -36,8 +36,8 @@ mean, at least 6 s apart. Means over drives of the share of frames whose lane is
 belief over .95. First causal, then smoothed; *MLD* are the two multi-lane donors. These drives were
 made after the constants were chosen, but their donors are the recordings that they were chosen on.
 
-| track | drives | right | first minute | sure | right where sure | right, MLD | smoothed: right | sure \
-| right where sure |
+| track | drives | right | first minute | sure | right where sure | right, MLD | smoothed: right \
+| sure | right where sure |
 |---|--:|--:|--:|--:|--:|--:|--:|--:|--:|"""
 
 

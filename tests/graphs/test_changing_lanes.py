@@ -95,6 +95,8 @@ CASES = {
     "an unknown side": ("3 3>2? 2", [0, 1, 2], 3),
     "an uncertain place": ("2 2>3+0@8 hold 2>3+0@9 3", [0, 1, 2, 3], 3),
     "a merge": ("1 1>3+2 3", [0, 1, 2], 3),
+    "a guess of the same number": ("2 2>2?~ 2~ 2>2?", [0, 1, 2, 3], 3),
+    "a change to a guess, and from it": ("2 2>3+1~ 3~ 3>2+0", [0, 1, 2, 3], 3),
 }
 
 
@@ -205,6 +207,18 @@ def test_a_map_that_is_wrong_by_a_lane_is_found_and_stays_wrong_behind_a_change(
     assert lanes[-1, 4] > 0.9
 
 
+def test_a_number_that_is_a_guess_is_doubted_until_the_map_tells_one() -> None:
+    steps = "3 3>3?~ 3~ 3>3?"
+    order = [0, 0, 1, 2, 2, 3, 0]
+    silent = evidence(4, np.ones((7, 4)), np.ones((7, 2)), order)
+    given = parameters(4, steps=steps, guess_wrong=0.2, map_stays=1.0)
+    lanes = filter_beliefs(compiled(4, given), silent, "exact").marginals["Lanes"]
+    right = [[0, 0, 1, 0]] * 2 + [[0, 0.1, 0.8, 0.1]] * 3 + [[0, 0, 1, 0]] * 2
+    np.testing.assert_allclose(lanes, right, atol=1e-12)
+    assert changing_lanes.most_lanes(3, given) == 4
+    assert changing_lanes.most_lanes(3, parameters(4, steps="3")) == 3
+
+
 def test_the_lanes_of_a_belief_are_mirrored_with_the_road() -> None:
     rng = np.random.default_rng(3)
     roads = {1: "3 3>4+0 4 4>2-1 2", -1: "3 3>4+1 4 4>2-1 2"}
@@ -236,7 +250,18 @@ def test_lanes_that_do_not_serve_the_branch_that_was_taken_are_left() -> None:
 
 
 @pytest.mark.parametrize(
-    "step", [Step(3, 3), Step(3, 4), Step(4, 3, -1), Step(2, 4, None), Step(2, 3, 1, 4), HOLD]
+    "step",
+    [
+        Step(3, 3),
+        Step(3, 4),
+        Step(4, 3, -1),
+        Step(2, 4, None),
+        Step(2, 3, 1, 4),
+        HOLD,
+        Step(3, 3, is_guess=True),
+        Step(3, 3, None, is_guess=True),
+        Step(2, 3, 1, 4, is_guess=True),
+    ],
 )
 def test_steps_are_written_as_they_are_read(step: Step) -> None:
     assert read_steps(str(step), 4) == (step,)

@@ -151,6 +151,21 @@ def test_lanes_that_the_map_does_not_know_are_those_before() -> None:
     assert set(told(replace(lost, n_lanes=np.where(lost.segment < 0, 0, 2)))[0]) == {"2"}
 
 
+def test_a_guess_begins_and_ends_with_a_step_of_its_own() -> None:
+    table = drive((260, 2, 0, "same"), (300, 2, 0, "same"), (300, 3, 0, "same"), (400, 3, 0, ""))
+    table = replace(table, untold=np.where(np.isin(table.segment, [1, 2]), 77, 0))
+    found = road_changes(table, doubts_guesses=True)
+    assert [str(step) for step in found.steps] == ["2>2?~", "2>3+0~", "3>3?"]
+    time_s = np.arange(0, 50, 0.1)
+    along = lanes_along(table, time_s, steps=found.vocabulary(is_exact=True), n_lanes=4)
+    words = [along.steps.split()[k] for k in along.step]
+    assert list(dict.fromkeys(words)) == ["2", "2>2?~", "2~", "2>3+0~", "3~", "3>3?", "3"]
+    assert words.index("2>2?~") == 104
+    # Where the road goes on with as many lanes, the map has no change.
+    assert along.changes.tolist() == [224]
+    assert [str(step) for step in road_changes(table).steps] == ["2>3+0"]
+
+
 def test_a_run_says_where_the_map_does_not_tell_the_lanes() -> None:
     table = drive((250, 2, 0, "same"), (250, 0, 0, "same"), (500, 2, 0, ""))
     nothing = np.zeros((200, 1))
