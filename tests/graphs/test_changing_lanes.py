@@ -207,6 +207,13 @@ def test_a_map_that_is_wrong_by_a_lane_is_found_and_stays_wrong_behind_a_change(
     assert lanes[-1, 4] > 0.9
 
 
+def test_a_drive_that_begins_on_a_ramp_knows_its_lane_behind_the_merge() -> None:
+    given = parameters(3, steps="1 1>3+2 3", sigma1=0.1, **EXACT)
+    silent = evidence(3, np.ones((3, 3)), np.ones((3, 2)), [0, 1, 2])
+    belief = filter_beliefs(compiled(3, given), silent, "exact")
+    np.testing.assert_allclose(belief.lane, [[1, 0, 0], [0, 0, 1], [0, 0, 1]], atol=1e-12)
+
+
 def test_a_number_that_is_a_guess_is_doubted_until_the_map_tells_one() -> None:
     steps = "3 3>3?~ 3~ 3>3?"
     order = [0, 0, 1, 2, 2, 3, 0]
