@@ -156,22 +156,20 @@ def split_range(first: int, last: int, max_columns: int = MAX_COLUMNS) -> list[t
     return [(a, b - 1) for a, b in pairwise(edge)]
 
 
-def draw_strips(
-    result: Result, path: str | Path, first: int | None = None, last: int | None = None
-) -> Path:
-    """Draws the lane-belief strips.
-
-    first, last: frame ids, both included; the whole recording by default. A range that is too long
-    for one row continues in the next. Beyond MAX_ROWS rows, columns are means over frames, and the
-    title says so. Without ground truth or tentative vector their strip is left out.
-
-    Raises InputError for a range without frames, with the recording's, and as `write_figure` does.
-    """
-    return write_figure(lambda: strips_figure(result, first, last), path)
+def draw_strips(result: Result, path: str | Path) -> Path:
+    """Draws the lane-belief strips of a whole recording. Raises InputError as `write_figure`."""
+    return write_figure(lambda: strips_figure(result), path)
 
 
 def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
-    """The figure of `draw_strips`."""
+    """The lane-belief strips.
+
+    - first, last: frame ids, both included; the whole recording by default. A range that is too
+      long for one row continues in the next. Beyond MAX_ROWS rows, columns are means over frames,
+      and the title says so. Without ground truth or tentative vector their strip is left out.
+
+    Raises InputError for a range without frames, with the recording's.
+    """
     low, high = frame_range(result, first, last)
     rows = [strip_columns(result, a, b) for a, b in split_range(low, high)]
     strip = max(_STRIP_MIN, _LANE * result.n_lanes)

@@ -149,10 +149,10 @@ def _score(trials: Trials) -> str:
     return trials.objective.replace("_", " ")
 
 
-def flatness_figure(trials: Trials, tolerance: float = TOLERANCE) -> Figure:
+def flatness_figure(trials: Trials) -> Figure:
     """Which values of each parameter do as well as the best, on the range that was searched; the
     best pinned down first. It is what the search has seen: the real range can only be wider."""
-    good = numbers.as_good(trials, tolerance)
+    good = numbers.as_good(trials)
     values = {key: sorted({point[key] for point in good}) for key in trials.space}
     bars = {key: _bars(space, values[key]) for key, space in trials.space.items()}
     share = {key: sum(width for _, width in each) for key, each in bars.items()}
@@ -160,7 +160,7 @@ def flatness_figure(trials: Trials, tolerance: float = TOLERANCE) -> Figure:
     figure = new_figure(8.8, 1.3 + step * n)
     put_title(
         figure,
-        f"{trials.name}: values within {tolerance:g} of the best {_score(trials)} (in-sample,"
+        f"{trials.name}: values within {TOLERANCE:g} of the best {_score(trials)} (in-sample,"
         f" {len(good):,} of {len(trials.gain):,} trials)",
     )
     ax = axes_at(figure, 1.75, 0.85, 4.3, step * n)
