@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, score_text, with_interval
+from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, causal_text, score_text, with_interval
 
 LEGEND = """\
 Held out: each block of the drive is scored with parameters fitted without it, or with fixed ones
@@ -92,12 +92,6 @@ def marks_text(document: Mapping[str, Any]) -> str:
         if "causal" in entry:
             names.setdefault(causal_text(entry), {})[entry["name"]] = None
     return "\n".join([*lines, *(f"{text}: {', '.join(names[text])}" for text in sorted(names))])
-
-
-def causal_text(entry: Mapping[str, Any]) -> str:
-    """Whether an experiment's beliefs know the frames so far only, or what looks ahead."""
-    ahead = [part for part, is_causal in entry["causal"].items() if not is_causal]
-    return f"not causal ({', '.join(ahead)})" if ahead else "causal"
 
 
 def lag_curves(document: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
