@@ -93,7 +93,8 @@ def result_text(result: Result, style: str, wide: bool) -> str:
         *said["why_not_causal"],
     ]
     if result.block is not None:
-        first.append(_held_out_words(result))
+        how = f"{result.run['blocks']} blocks: each is believed with {_FOUND[result.run['fit']]}"
+        first.append(f"held out, {how}")
     scores = scored(result)
     if not scores:
         first.append("no ground truth: beliefs only, no scores (ground_truth names a file)")
@@ -112,11 +113,6 @@ _FOUND = {
     "learn": "what was learned without it, neither its labels nor its lines looked at",
     "tune": "what was searched without it",
 }
-
-
-def _held_out_words(result: Result) -> str:
-    run = result.run
-    return f"held out, {run['blocks']} blocks: each is believed with {_FOUND[run['fit']]}"
 
 
 def _more_parts(result: Result) -> list[str | Table]:

@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -29,13 +29,12 @@ from egolane_pgm.views.answers import (
     CROSSING,
     FAINT,
     INK,
-    PROBABILITY_COLOURS,
     UNSEEN,
     answers,
     lane_names,
     title_of,
 )
-from egolane_pgm.views.style import axes_at, new_figure, put_title, write_figure
+from egolane_pgm.views.style import PROBABILITY_RAMP, axes_at, new_figure, put_title, write_figure
 
 #: The most columns in a row of strips: about one pixel each at 200 dpi.
 MAX_COLUMNS = 1300
@@ -313,15 +312,15 @@ def show_belief(ax: Axes, x: FloatArray, y: FloatArray, cells: FloatArray) -> No
 
     - x, y: the edges of the columns and of the rows; if all are alike, the first and the last do.
     """
-    ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
-    ax.pcolorfast(x, y, np.ma.masked_invalid(cells), cmap=ramp, vmin=0, vmax=1, zorder=1)
+    shown = np.ma.masked_invalid(cells)
+    ax.pcolorfast(x, y, shown, cmap=PROBABILITY_RAMP, vmin=0, vmax=1, zorder=1)
 
 
 def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float) -> None:
-    ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
     bar = axes_at(figure, _LEFT, top, 1.6, 0.13)
     bar.set_label("colour bar")
-    figure.colorbar(ScalarMappable(Normalize(0, 1), ramp), cax=bar, orientation="horizontal")
+    shades = ScalarMappable(Normalize(0, 1), PROBABILITY_RAMP)
+    figure.colorbar(shades, cax=bar, orientation="horizontal")
     bar.tick_params(labelsize=8, pad=1.5)
     bar.set_xlabel("probability of the lane", fontsize=8, labelpad=1)
     entries: list[Patch | Line2D] = []

@@ -18,10 +18,13 @@ from matplotlib.figure import Figure
 from egolane_pgm.tools.files import write_bytes
 from egolane_pgm.tools.progress import ipython
 from egolane_pgm.types import InputError
-from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
+from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR, PROBABILITY_COLOURS
 
 #: Extensions of the figures that can be written.
 FORMATS = (".png", ".svg", ".pdf")
+
+#: From the probability 0 to 1.
+PROBABILITY_RAMP = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
 
 #: Colour, marker and line style of detector and model.
 ANSWER_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
