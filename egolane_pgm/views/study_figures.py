@@ -27,12 +27,11 @@ from optuna.distributions import (
 )
 
 from egolane_pgm.scoring.confusion import is_maximised
-from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import InputError
 from egolane_pgm.views import study_trials as numbers
 from egolane_pgm.views.answers import DETECTOR_COLOUR, FAINT, INK, MODEL_COLOUR
 from egolane_pgm.views.study_trials import TOLERANCE, Trials
-from egolane_pgm.views.style import FORMATS, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.views.style import FORMATS, axes_at, new_figure, put_title, write_figures
 
 #: Parameters whose pairs are drawn.
 PAIRED = 3
@@ -57,10 +56,8 @@ def draw_study(
         raise InputError(f"{style}: a figure is {', '.join(f[1:] for f in FORMATS)}")
     trials = numbers.read_trials(directory)
     folder = Path(target) if target is not None else Path(directory) / "figures"
-    make_directory(folder)
-    drawn = figures_of(trials)
     with numbers.quiet():
-        return [write_figure(make, folder / f"{name}.{style}") for name, make in drawn.items()]
+        return write_figures(figures_of(trials), folder, style)
 
 
 def figures_of(trials: Trials) -> dict[str, Callable[[], Figure]]:
