@@ -702,10 +702,15 @@ def _read_run(file: Path) -> dict[str, Any]:
 # --- the directory -----------------------------------------------------------------------------
 
 
-def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> None:
+def is_result(directory: Path) -> bool:
+    """Whether the directory holds a whole result."""
+    return all((directory / name).is_file() for name in ("run.json", "scores.json"))
+
+
+def check_writable(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> None:
     """Raise InputError where a result could not be put there: before anything is computed.
 
-    - kinds: tell of a directory whether it may be replaced; by default `is_result`.
+    - is_ours: tells of a directory whether it may be replaced.
     """
     files.check_place(directory)
     if directory.is_symlink() and not directory.exists():
@@ -713,24 +718,18 @@ def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()
     if directory.exists():
         if not directory.is_dir():
             raise InputError(f"{directory}: is a file, not a directory")
-        is_ours = any(is_one(directory) for is_one in kinds or (is_result,))
-        if any(directory.iterdir()) and not is_ours:
+        if any(directory.iterdir()) and not is_ours(directory):
             raise InputError(f"{directory}: exists and is not a result directory; name another one")
 
 
-def is_result(directory: Path) -> bool:
-    """Whether the directory holds a whole result."""
-    return all((directory / name).is_file() for name in ("run.json", "scores.json"))
-
-
 @contextlib.contextmanager
-def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Iterator[Path]:
+def staged(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> Iterator[Path]:
     """A directory to fill, which takes the place of the result `directory` when the block ends
     well; what is not ours in there stays (see `OURS`).
 
     Raises InputError where that holds something else (see `check_writable`), or cannot be written.
     """
-    check_writable(directory, kinds)
+    check_writable(directory, is_ours)
     with files.atomic_directory(directory) as temporary:
         yield temporary
         if directory.is_dir():

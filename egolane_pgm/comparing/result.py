@@ -201,7 +201,7 @@ class Comparison:
         InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)
-        with staged(place, [is_comparison]) as folder:
+        with staged(place, is_comparison) as folder:
             for (title, name), result in self.results.items():
                 result.save(folder / folder_of(title) / name, figures=False)
             write_json(folder / DOCUMENT, self.document)
