@@ -55,7 +55,9 @@ def page_of(results: Sequence[Result]) -> tuple[str, list[str]]:
     panels = Panels(packs, changes, titles)
     films, lacking = films_of(results, titles)
     scripts, plot = embedded(*timeline(panels))
-    page = _template().render(
+    # Names that contain HTML are shown as text.
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    page = environment.from_string(text_of("page.html")).render(
         version=__version__,
         title=titles[0] if len(results) == 1 else f"{len(results)} results side by side",
         style=text_of("page.css"),
@@ -78,12 +80,6 @@ def page_of(results: Sequence[Result]) -> tuple[str, list[str]]:
         scripts=scripts,
     )
     return page, lacking
-
-
-def _template() -> Any:
-    # Names that contain HTML are shown as text.
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    return environment.from_string(text_of("page.html"))
 
 
 def _told_apart(results: Sequence[Result]) -> list[str]:
