@@ -468,9 +468,9 @@ class Column:
     values: Callable[[Result], Any] | None = None
 
 
-def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
-    """The values of annotated frames; null in others."""
-    return np.ma.masked_array(values, result.true_lane == UNASSIGNED)
+def _known(name: str) -> Callable[[Result], Any]:
+    """The values of an attribute in annotated frames; null in others."""
+    return lambda result: np.ma.masked_array(getattr(result, name), result.true_lane == UNASSIGNED)
 
 
 def _beliefs(result: Result) -> dict[str, FloatArray]:
@@ -513,19 +513,13 @@ COLUMNS = (
     Column("detector_lane", "int64", "sometimes", "its most probable lane; 0 for none"),
     Column("log_evidence", "float64", "always", "natural logarithm"),
     Column("is_impossible", "bool", "always", "the model does not allow the frame's evidence"),
-    Column(
-        "true_lane",
-        "int64",
-        "always",
-        "null where not annotated",
-        lambda result: _known(result, result.true_lane),
-    ),
+    Column("true_lane", "int64", "always", "null where not annotated", _known("true_lane")),
     Column(
         "is_crossing",
         "bool",
         "always",
         "the car is changing lanes; null where not annotated",
-        lambda result: _known(result, result.is_crossing),
+        _known("is_crossing"),
     ),
     Column("clip", "string", "sometimes", "name of the clip, where several"),
     Column("road_lanes", "int64", "sometimes", "lanes of the road, with n_lanes: map"),
