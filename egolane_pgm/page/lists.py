@@ -122,20 +122,11 @@ def changes_of(result: Result) -> Changes:
         true, is_right = _true_changes(result, truth)
         for e, is_known in enumerate(is_judged(events, truth)):
             outcome[e] = RIGHT if is_right[e] else FALSE if is_known else UNKNOWN
-    changes = [
-        Change(
-            float(since[e]),
-            float(told[e]),
-            int(events.from_lane[e]),
-            int(events.to_lane[e]),
-            float(events.probability[e]),
-            float(delay[e]),
-            outcome[e],
-            int(events.direction[e]),
-        )
-        for e in range(len(events))
-    ]
-    return Changes(tuple(changes), tuple(true))
+    columns = (since, told, events.from_lane, events.to_lane, events.probability, delay)
+    rows = zip(
+        *(column.tolist() for column in columns), outcome, events.direction.tolist(), strict=True
+    )
+    return Changes(tuple(Change(*row) for row in rows), tuple(true))
 
 
 def _true_changes(result: Result, truth: LaneTruth) -> tuple[list[Change], list[bool]]:
