@@ -195,9 +195,9 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         score_text(scores["coverage"]),
         score_text(scores["mean_log_evidence"]),
         score_text(entry["microseconds_per_frame"], 1),
-        _count(entry["free_parameters"]),
+        score_text(entry["free_parameters"], 0),
         *(_bounds_text(difference.get(key), "+.3f") for key in _COMPARED),
-        *(_count(entry[key]) for key in ("fixed_parameters", "trials")),
+        *(score_text(entry[key], 0) for key in ("fixed_parameters", "trials")),
         str(len(entry["seeds"]) or "-"),
         score_text(entry["spread"][subset]["accuracy"]),
         *(_auc(health.get(key)) for key in ("auc_doubt", "auc_bad")),
@@ -274,10 +274,6 @@ def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
             row += [_auc(models.get(name, {}).get(key)) for key in ("auc_doubt", "auc_bad")]
         rows.append(row)
     return header, rows
-
-
-def _count(number: int | None) -> str:
-    return "-" if number is None else str(number)
 
 
 def _auc(value: float | None) -> str:
