@@ -18,7 +18,7 @@ import sys
 import types
 import typing
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -102,7 +102,7 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
     params: list[click.Parameter] = []
     for parameter in inspect.signature(verb).parameters.values():
         params += _params(parameter, hints[parameter.name], said.get(parameter.name, ""))
-    results = _types_of(hints["return"])
+    results, _ = _parts_of(hints["return"])
     if any(hasattr(result, "to_text") for result in results):
         params += _tables()
     if any(_has_document(result) for result in results):
@@ -150,22 +150,16 @@ def _docstring(text: str) -> tuple[str, dict[str, str]]:
     return "\n\n".join(about), said
 
 
-def _types_of(hint: Any) -> tuple[Any, ...]:
-    """The types of a union, without None."""
+def _parts_of(hint: Any) -> tuple[list[Any], list[Any]]:
+    """The types of a hint, of a union each without None, and what they are annotated with, the
+    outermost first."""
     if typing.get_origin(hint) is typing.Annotated:
-        return _types_of(hint.__origin__)
+        kinds, extras = _parts_of(hint.__origin__)
+        return kinds, [*hint.__metadata__, *extras]
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        return tuple(t for part in hint.__args__ for t in _types_of(part) if t is not type(None))
-    return (hint,)
-
-
-def _extras_of(hint: Any) -> tuple[Any, ...]:
-    """What the parts of a hint are annotated with, the outermost first."""
-    if typing.get_origin(hint) is typing.Annotated:
-        return (*hint.__metadata__, *_extras_of(hint.__origin__))
-    if typing.get_origin(hint) in (types.UnionType, typing.Union):
-        return tuple(extra for part in hint.__args__ for extra in _extras_of(part))
-    return ()
+        parts = [_parts_of(part) for part in hint.__args__ if part is not types.NoneType]
+        return [k for kinds, _ in parts for k in kinds], [e for _, extras in parts for e in extras]
+    return [hint], []
 
 
 def _looks(extras: Sequence[Any]) -> Option:
@@ -179,12 +173,12 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
 
     - said: what the docstring says of it.
     """
-    name, default, extras = parameter.name, parameter.default, _extras_of(hint)
+    name, default, (kinds, extras) = parameter.name, parameter.default, _parts_of(hint)
     looks = _looks(extras)
     if looks.hidden:
         return []
     given = None if default in (inspect.Parameter.empty, ()) else default
-    settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(hint, extras)}
+    settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(kinds, extras)}
     if looks.plugins:
         settings["shell_complete"] = _plugins(looks.plugins)
     required = looks.required or default is inspect.Parameter.empty
@@ -197,7 +191,7 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
     help = looks.help or (f"Do not {said}" if default is True else said[:1].upper() + said[1:])
     if looks.said or not (value is None or isinstance(value, bool)):
         help += f"  [default: {looks.said or value}]"
-    if bool in _types_of(hint):
+    if bool in kinds:
         no = "no-" if default is True else ""
         names = looks.names or (f"--{no}{_dashed(name)}",)
         flag = default is not True
@@ -210,7 +204,7 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
     long = () if any(each.startswith("--") for each in looks.names) else (f"--{_dashed(name)}",)
     settings |= {"required": required, "envvar": looks.envvar}
     settings |= {} if value is None else {"default": value}
-    if looks.many or _is_mapping(hint):
+    if looks.many or _is_mapping(kinds):
         settings["multiple"] = True
     made = click.Option([*looks.names, *long, name], help=help, **settings)
     if name != "jobs":
@@ -223,15 +217,14 @@ def _dashed(name: str) -> str:
     return name.rstrip("_").replace("_", "-")
 
 
-def _is_mapping(hint: Any) -> bool:
+def _is_mapping(kinds: Sequence[Any]) -> bool:
     """Whether a parameter takes names and values, and nothing else."""
-    return [typing.get_origin(each) for each in _types_of(hint)] == [Mapping]
+    return [typing.get_origin(each) for each in kinds] == [Mapping]
 
 
-def _type_of(hint: Any, extras: Sequence[Any]) -> Any:
+def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
     """The type that click checks a value by."""
-    found = _types_of(hint)
-    first = found[0]
+    first = kinds[0]
     if typing.get_origin(first) is typing.Literal:
         return click.Choice([*first.__args__])
     if typing.get_origin(first) is tuple:
@@ -244,7 +237,7 @@ def _type_of(hint: Any, extras: Sequence[Any]) -> Any:
         if low is None and high is None:
             return first
         return (click.IntRange if first is int else click.FloatRange)(low, high)
-    is_path = any(typing.get_origin(each) is os.PathLike for each in found)
+    is_path = any(typing.get_origin(each) is os.PathLike for each in kinds)
     return click.Path() if is_path else str
 
 
@@ -290,6 +283,7 @@ def _invoke(
     - values: by the names of the parameters; also `table_style`, `wide`, `json_file` and `cluster`.
     """
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
+    from egolane_pgm.verbs.given import several_of
 
     style, wide = values.pop("table_style", "markdown"), values.pop("wide", False)
     json_file = values.pop("json_file", None)
@@ -299,7 +293,8 @@ def _invoke(
         given["jobs"] = cluster
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file is not None and json_file != "-":
-        paths = [Path(each) for each in _flat(given.values()) if isinstance(each, str) and each]
+        each_given = (v for value in given.values() for v in several_of(value))
+        paths = [Path(each) for each in each_given if isinstance(each, str) and each]
         check_not_read(Path(json_file), [file for path in paths for file in _files_of(path)])
         check_place(Path(json_file))
     with contextlib.redirect_stdout(prints):
@@ -347,17 +342,13 @@ def _given(hint: Any, name: str, value: Any) -> Any:
     from egolane_pgm.experiment import read_override
     from egolane_pgm.types import InputError
 
-    looks = _looks(_extras_of(hint))
+    kinds, extras = _parts_of(hint)
+    looks = _looks(extras)
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise InputError(f"{name}: is empty")
-    if _is_mapping(hint):
+    if _is_mapping(kinds):
         return dict(read_override(each, looks.example or "name=value", name) for each in value)
     return value[0] if looks.many and len(value) == 1 else value
-
-
-def _flat(values: Iterable[Any]) -> Iterator[Any]:
-    for value in values:
-        yield from value if isinstance(value, tuple) else (value,)
 
 
 def warn(text: str) -> None:

@@ -33,7 +33,7 @@ import shutil
 import subprocess
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatch
 from importlib import import_module, metadata
@@ -250,6 +250,16 @@ class Result:
             events = replace(events, delay_s=delay)
         return events if origin is None else numbered(events, self.frame_id, origin)
 
+    def take(self, frames: slice | IntArray | BoolArray) -> Result:
+        """The result of some frames, in order."""
+        parts = {field.name: getattr(self, field.name) for field in fields(self)}
+        taken: dict[str, Any] = {
+            name: part[frames] for name, part in parts.items() if isinstance(part, np.ndarray)
+        }
+        taken["marginals"] = {node: belief[frames] for node, belief in self.marginals.items()}
+        taken["lines"] = None if self.lines is None else self.lines.take(frames)
+        return replace(self, **taken)
+
     def columns(self) -> dict[str, NDArray[Any]]:
         """The columns of beliefs.parquet, (T,) each, in their order; masked arrays have nulls."""
         columns: dict[str, NDArray[Any]] = {}
@@ -340,19 +350,13 @@ class Result:
 
         Raises InputError where xarray is not installed.
         """
-        from egolane_pgm.views.shown import as_dataset, xarray
+        from egolane_pgm.views.shown import as_dataset
 
         frame = self.to_pandas()
         flat = as_dataset(frame[[name for name in frame if "=" not in name]])
-        lanes = list(range(1, self.n_lanes + 1))
         for node, values in self.values.items():
-            axis = lanes if node == "Lane" else list(values)
-            belief = xarray().DataArray(
-                self.marginals[node],
-                dims=("frame_id", node),
-                coords={"frame_id": self.frame_id, node: axis},
-            )
-            flat[f"belief_{node}"] = belief
+            flat[node] = range(1, self.n_lanes + 1) if node == "Lane" else list(values)
+            flat[f"belief_{node}"] = (("frame_id", node), self.marginals[node])
         if self.tentative is not None:
             flat["detector"] = (("frame_id", "Lane"), self.tentative)
         flat.attrs["name"] = self.name
@@ -464,9 +468,9 @@ class Column:
     values: Callable[[Result], Any] | None = None
 
 
-def _known(result: Result, values: NDArray[Any]) -> NDArray[Any]:
-    """The values of annotated frames; null in others."""
-    return np.ma.masked_array(values, result.true_lane == UNASSIGNED)
+def _known(name: str) -> Callable[[Result], Any]:
+    """The values of an attribute in annotated frames; null in others."""
+    return lambda result: np.ma.masked_array(getattr(result, name), result.true_lane == UNASSIGNED)
 
 
 def _beliefs(result: Result) -> dict[str, FloatArray]:
@@ -509,19 +513,13 @@ COLUMNS = (
     Column("detector_lane", "int64", "sometimes", "its most probable lane; 0 for none"),
     Column("log_evidence", "float64", "always", "natural logarithm"),
     Column("is_impossible", "bool", "always", "the model does not allow the frame's evidence"),
-    Column(
-        "true_lane",
-        "int64",
-        "always",
-        "null where not annotated",
-        lambda result: _known(result, result.true_lane),
-    ),
+    Column("true_lane", "int64", "always", "null where not annotated", _known("true_lane")),
     Column(
         "is_crossing",
         "bool",
         "always",
         "the car is changing lanes; null where not annotated",
-        lambda result: _known(result, result.is_crossing),
+        _known("is_crossing"),
     ),
     Column("clip", "string", "sometimes", "name of the clip, where several"),
     Column("road_lanes", "int64", "sometimes", "lanes of the road, with n_lanes: map"),
@@ -552,11 +550,11 @@ def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
 
     marginals = {node: stacked(node, names) for node, names in run["values"].items()}
     kept = [each for each in COLUMNS if each.name in table.column_names]
-    fields: dict[str, Any] = {each.name: column(each.name, each.kind) for each in kept}
-    has_detector = fields.pop("detector_lane", None) is not None
+    found: dict[str, Any] = {each.name: column(each.name, each.kind) for each in kept}
+    has_detector = found.pop("detector_lane", None) is not None
     lanes = range(1, run["n_lanes"] + 1)
     return {
-        **fields,
+        **found,
         "marginals": marginals,
         **across_lanes(marginals),
         "tentative": stacked("detector", lanes) if has_detector else None,
@@ -656,10 +654,10 @@ class RunScores(Summary):
     events: Events = Field(description="the lane changes")
 
 
-def parse_json(text: str | bytes, file: Path) -> dict[str, Any]:
+def read_json(file: Path) -> dict[str, Any]:
     """The content of a JSON file that this package wrote. Raises InputError for anything else."""
     try:
-        content = from_json(text, allow_inf_nan=False)
+        content = from_json(files.read_text(file), allow_inf_nan=False)
     except ValueError as error:
         raise InputError(f"{file}: is not JSON ({error})") from None
     if not isinstance(content, dict):
@@ -688,37 +686,14 @@ def refusing_damage(place: Path, again: str = _AGAIN) -> Iterator[None]:
         raise InputError(f"{place}: is damaged ({why[:200]}){again}") from error
 
 
-def _read_run(directory: Path) -> dict[str, Any]:
+def _read_run(file: Path) -> dict[str, Any]:
     """The content of run.json, checked as far as a `Result` needs it."""
-    file = directory / "run.json"
-    run = parse_json(files.read_text(file), file)
+    run = read_json(file)
     validated(Run, run, str(file))
     return run
 
 
-def _read_scores(directory: Path) -> dict[str, Any]:
-    """The content of scores.json."""
-    file = directory / "scores.json"
-    return parse_json(files.read_text(file), file)
-
-
 # --- the directory -----------------------------------------------------------------------------
-
-
-def check_writable(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> None:
-    """Raise InputError where a result could not be put there: before anything is computed.
-
-    - kinds: tell of a directory whether it may be replaced; by default `is_result`.
-    """
-    files.check_place(directory)
-    if directory.is_symlink() and not directory.exists():
-        raise InputError(f"{directory}: is a link to nothing; name another directory")
-    if directory.exists():
-        if not directory.is_dir():
-            raise InputError(f"{directory}: is a file, not a directory")
-        is_ours = any(is_one(directory) for is_one in kinds or (is_result,))
-        if any(directory.iterdir()) and not is_ours:
-            raise InputError(f"{directory}: exists and is not a result directory; name another one")
 
 
 def is_result(directory: Path) -> bool:
@@ -726,14 +701,29 @@ def is_result(directory: Path) -> bool:
     return all((directory / name).is_file() for name in ("run.json", "scores.json"))
 
 
+def check_writable(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> None:
+    """Raise InputError where a result could not be put there: before anything is computed.
+
+    - is_ours: tells of a directory whether it may be replaced.
+    """
+    files.check_place(directory)
+    if directory.is_symlink() and not directory.exists():
+        raise InputError(f"{directory}: is a link to nothing; name another directory")
+    if directory.exists():
+        if not directory.is_dir():
+            raise InputError(f"{directory}: is a file, not a directory")
+        if any(directory.iterdir()) and not is_ours(directory):
+            raise InputError(f"{directory}: exists and is not a result directory; name another one")
+
+
 @contextlib.contextmanager
-def staged(directory: Path, kinds: Sequence[Callable[[Path], bool]] = ()) -> Iterator[Path]:
+def staged(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> Iterator[Path]:
     """A directory to fill, which takes the place of the result `directory` when the block ends
     well; what is not ours in there stays (see `OURS`).
 
     Raises InputError where that holds something else (see `check_writable`), or cannot be written.
     """
-    check_writable(directory, kinds)
+    check_writable(directory, is_ours)
     with files.atomic_directory(directory) as temporary:
         yield temporary
         if directory.is_dir():
@@ -840,14 +830,14 @@ def read_result(directory: str | Path) -> Result:
     if not is_result(directory):
         raise InputError(f"{directory}: is not a result directory (no run.json and scores.json)")
     with refusing_damage(directory):
-        run, file = _read_run(directory), directory / "experiment.yaml"
+        run, file = _read_run(directory / "run.json"), directory / "experiment.yaml"
         config = files.read_yaml(file, "n_lanes: 4")
         result = Result(
             directory=directory,
             experiment=make_experiment(config, directory, str(file)),
             config=config,
             run=run,
-            scores=_read_scores(directory),
+            scores=read_json(directory / "scores.json"),
             values={node: tuple(names) for node, names in run["values"].items()},
             **_read_beliefs(directory / BELIEFS, run),
         )
@@ -860,7 +850,7 @@ def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     Raises InputError as `read_result`, and where beliefs.parquet has another number of frames.
     """
     with refusing_damage(directory):
-        run, scores = _read_run(directory), _read_scores(directory)
+        run, scores = _read_run(directory / "run.json"), read_json(directory / "scores.json")
         file = directory / BELIEFS
         n_frames = files.rows_of_parquet(file)
         if n_frames != run["frames"]:

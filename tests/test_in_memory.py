@@ -109,7 +109,7 @@ def test_a_network_in_memory_is_run_saved_and_loaded_as_the_graph_that_it_is(
 ) -> None:
     own = simulated(parameters={"sigma1": 0.4, "bonus_value": 5})
     network = prepare_model(own).network
-    experiment = with_graph(own, graph_named(network, own), own.parameters)
+    experiment = with_graph(own, graph_named(network, own))
     assert experiment.parameters == {"bonus_value": 5}
     run = run_experiment(experiment)
     np.testing.assert_array_equal(run.beliefs.lane, run_experiment(own).beliefs.lane)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,15 +130,7 @@ def annotated(result: Result) -> Result:
     rows = result.scored
     if not len(rows):
         raise InputError(f"{result.directory}: has no ground truth, there is nothing to compare")
-    if len(rows) == len(result):
-        return result
-    taken: dict[str, Any] = {
-        field.name: values[rows]
-        for field in fields(result)
-        if isinstance(values := getattr(result, field.name), np.ndarray)
-    }
-    marginals = {node: belief[rows] for node, belief in result.marginals.items()}
-    return replace(result, marginals=marginals, **taken)
+    return result if len(rows) == len(result) else result.take(rows)
 
 
 def truth_of(result: Result) -> LaneTruth:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from egolane_pgm.experiment import validated
-from egolane_pgm.results import Causal, parse_json, refusing_damage
+from egolane_pgm.results import Causal, read_json, refusing_damage
 from egolane_pgm.scoring.document import Count, Finite, Scores, Share, Stored
 
 #: The file of a comparison's directory that has the numbers.
@@ -102,10 +102,10 @@ class Comparison(Stored):
     failed: list[dict[str, Any]] = Field(description="title, run and error of the others")
 
 
-def parse_comparison(text: str | bytes, file: Path) -> Any:
+def read_document(file: Path) -> Any:
     """What comparison.json says. Raises InputError in one line,
     naming the file and a key that does not fit."""
     with refusing_damage(file, "; compare again"):
-        content = parse_json(text, file)
+        content = read_json(file)
         validated(Comparison, content, str(file))
     return content

@@ -5,9 +5,8 @@ from __future__ import annotations
 import itertools
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.model import fitting_rule
@@ -57,15 +56,14 @@ def with_graphs(
         for model, (name, graph) in itertools.product(models, named.items()):
             title = f"{model.name}_{name}" if is_shared else name
             with part():
-                made = with_graph(model, graph, model.parameters)
-                found.append(made.model_copy(update={"name": title}))
+                found.append(with_graph(model, graph).model_copy(update={"name": title}))
     return found
 
 
-def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]) -> Experiment:
+def with_graph(experiment: Experiment, graph: str) -> Experiment:
     """The experiment with another graph.
 
-    It keeps those of the parameters that the new plugins declare, and its evidence rule where that
+    It keeps those of its parameters that the new plugins declare, and its evidence rule where that
     gives what the graph observes; else it has the first rule that does.
     """
     folder, source = experiment.folder, experiment.source
@@ -73,6 +71,6 @@ def with_graph(experiment: Experiment, graph: str, parameters: Mapping[str, Any]
     evidence = fitting_rule(module, experiment.n_lanes, experiment.evidence, folder, source)
     rule = load_plugin("evidence", evidence, folder, f"{source}: evidence")
     known = {spec.name for spec in declared_parameters(rule, module)}
-    kept = {name: value for name, value in parameters.items() if name in known}
+    kept = {name: value for name, value in experiment.parameters.items() if name in known}
     changed = {"graph": graph, "evidence": evidence, "parameters": kept}
     return experiment.model_copy(update=changed)

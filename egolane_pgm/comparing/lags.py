@@ -49,7 +49,8 @@ def lagged_beliefs(result: Result, lags: Sequence[float]) -> list[FloatArray]:
     (`evidence_reading: jeffrey`).
     """
     drive = load_drive(result.experiment, needs_truth="a comparison scores against it")
-    experiment, frames = drive.experiment, [_frames(result, lag) for lag in lags]
+    experiment, rate = drive.experiment, result.run["frame_rate"]
+    frames = [whole_frames(lag, rate) for lag in lags]
     founds = result.run.get("parameters_per_block") or [{}]
     # Without a fit all blocks have the same parameters.
     founds = founds[:1] if experiment.fit == "none" else founds
@@ -65,10 +66,6 @@ def lagged_beliefs(result: Result, lags: Sequence[float]) -> list[FloatArray]:
         except InputError as error:
             raise InputError(f"{experiment.source}: lags: {error}") from error
     return [lanes[n] for n in frames]
-
-
-def _frames(result: Result, lag: float) -> int:
-    return whole_frames(lag, result.run["frame_rate"])
 
 
 def lag_notes(result: Result, lags: Sequence[float]) -> list[str]:
@@ -107,7 +104,7 @@ def lag_scores(
     ]
     return {
         "lag_s": list(lags),
-        "frames": [_frames(result, lag) for lag in lags],
+        "frames": [whole_frames(lag, rate) for lag in lags],
         **{name: [scores[name] for scores in found] for name in SCORES},
         "intervals": {
             name: [scores["intervals"][name] for scores in found] for name in ("accuracy", "f1")

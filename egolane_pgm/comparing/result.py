@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.comparing.document import DOCUMENT, folder_of, parse_comparison
+from egolane_pgm.comparing.document import DOCUMENT, folder_of, read_document
 from egolane_pgm.fleet import FleetDrive
 from egolane_pgm.results import Result, is_result, read_result, staged
 from egolane_pgm.tools.files import write_json
@@ -201,7 +201,7 @@ class Comparison:
         InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)
-        with staged(place, [is_comparison]) as folder:
+        with staged(place, is_comparison) as folder:
             for (title, name), result in self.results.items():
                 result.save(folder / folder_of(title) / name, figures=False)
             write_json(folder / DOCUMENT, self.document)
@@ -232,8 +232,7 @@ def is_comparison(directory: Path) -> bool:
 
 def read_comparison(directory: Path) -> Comparison:
     """Read the directory of a comparison. Raises InputError where it is damaged."""
-    file = directory / DOCUMENT
-    return Comparison(parse_comparison(file.read_bytes(), file), folder=directory)
+    return Comparison(read_document(directory / DOCUMENT), folder=directory)
 
 
 # --- what is printed ---------------------------------------------------------------------------

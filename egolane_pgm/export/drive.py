@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,11 +67,6 @@ class Drive:
 
     def __len__(self) -> int:
         return len(self.time_ns)
-
-    @property
-    def name(self) -> str:
-        """The name of the result."""
-        return str(self.result.run["name"])
 
     def beliefs(self) -> dict[str, tuple[tuple[str, ...], FloatArray]]:
         """Per hidden node the names of its values, and the belief in each, (T, k)."""
@@ -171,7 +165,7 @@ def open_drive(
                 f"{result.directory}: has no frame from {frames[0]} to before {frames[1]}; its"
                 f" frames are {first} to {last}"
             )
-        result = _take(result, chosen)
+        result = result.take(chosen)
     if result.lines is None:
         warnings.warn(
             f"{result.directory}: has no lines ({LINES}), shown without them; run the experiment"
@@ -181,17 +175,6 @@ def open_drive(
         )
     source = open_source(pictures) if pictures is not None else _pictures(result)
     return Drive(result, events, *_clock(result), source)
-
-
-def _take(result: Result, chosen: BoolArray) -> Result:
-    """The result of some frames."""
-    parts = {f.name: getattr(result, f.name) for f in fields(result)}
-    rows: dict[str, Any] = {
-        name: part[chosen] for name, part in parts.items() if isinstance(part, np.ndarray)
-    }
-    rows["marginals"] = {node: belief[chosen] for node, belief in result.marginals.items()}
-    rows["lines"] = None if result.lines is None else result.lines.take(chosen)
-    return replace(result, **rows)
 
 
 def _clock(result: Result) -> tuple[IntArray, bool]:

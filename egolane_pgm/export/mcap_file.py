@@ -62,7 +62,7 @@ def write_mcap(path: Path, drive: Drive) -> dict[str, int]:
         writer: Any = Writer(file)
         writer.start(profile="", library="egolane-pgm")
         writer.add_metadata(
-            "egolane", {"name": drive.name, "directory": str(drive.result.directory)}
+            "egolane", {"name": drive.result.name, "directory": str(drive.result.directory)}
         )
         texts = drive.event_texts()
         for t, now in enumerate(drive.time_ns.tolist()):

@@ -50,9 +50,9 @@ def write_rrd(path: Path, drive: Drive) -> dict[str, int]:
     """Write a drive; returns the number of rows per entity. Raises InputError where the
     file cannot be written or a picture cannot be read."""
     with atomic(path) as temporary:
-        recording = rr.RecordingStream("egolane", recording_id=drive.name)
+        recording = rr.RecordingStream("egolane", recording_id=drive.result.name)
         recording.save(temporary, default_blueprint=_blueprint(drive))
-        recording.send_recording_name(drive.name)
+        recording.send_recording_name(drive.result.name)
         counts: dict[str, int] = {}
         for entity, rows, columns in _entities(drive):
             recording.send_columns(entity, indexes=_times(drive, rows), columns=columns)

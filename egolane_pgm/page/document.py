@@ -14,7 +14,7 @@ from egolane_pgm import __version__
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.page import lists
 from egolane_pgm.page.films import films_of
-from egolane_pgm.page.packed import MAX_STEPS, Packed, packed
+from egolane_pgm.page.packed import Packed, packed
 from egolane_pgm.results import Result
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import write_text
@@ -32,33 +32,32 @@ with needed("a page of results", "page"):
     from egolane_pgm.page.timeline import Panels, embedded, text_of, timeline
 
 
-def write_page(
-    results: Sequence[Result], path: str | Path, *, max_steps: int = MAX_STEPS
-) -> list[str]:
+def write_page(results: Sequence[Result], path: str | Path) -> list[str]:
     """Write one HTML file that shows results on one time axis; it needs no network.
 
     - path: of the file; its folder is made.
-    - max_steps: a drive of more frames is thinned out to as many.
 
     Returns what the page lacks, a line each (pictures that are not there any more). Raises
     InputError for a result without frames, and where the file cannot be written.
     """
     if not results:
         raise InputError("report: names no result")
-    page, lacking = page_of(results, max_steps)
+    page, lacking = page_of(results)
     write_text(path, page, make_folder=True)
     return lacking
 
 
-def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str, list[str]]:
+def page_of(results: Sequence[Result]) -> tuple[str, list[str]]:
     """The page, and what it lacks."""
-    packs = [packed(result, max_steps) for result in results]
+    packs = [packed(result) for result in results]
     titles = _told_apart(results)
     changes = [lists.changes_of(result) for result in results]
     panels = Panels(packs, changes, titles)
     films, lacking = films_of(results, titles)
     scripts, plot = embedded(*timeline(panels))
-    page = _template().render(
+    # Names that contain HTML are shown as text.
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
+    page = environment.from_string(text_of("page.html")).render(
         version=__version__,
         title=titles[0] if len(results) == 1 else f"{len(results)} results side by side",
         style=text_of("page.css"),
@@ -81,12 +80,6 @@ def page_of(results: Sequence[Result], max_steps: int = MAX_STEPS) -> tuple[str,
         scripts=scripts,
     )
     return page, lacking
-
-
-def _template() -> Any:
-    # Names that contain HTML are shown as text.
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True)
-    return environment.from_string(text_of("page.html"))
 
 
 def _told_apart(results: Sequence[Result]) -> list[str]:

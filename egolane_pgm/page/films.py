@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,20 +15,9 @@ from egolane_pgm.types import InputError
 PICTURES, HEIGHT = 64, 120
 
 
-@dataclass(frozen=True)
-class Still:
-    """A picture of a film: when it was taken, seconds, and its address, which holds it whole."""
-
-    time_s: float
-    src: str
-
-
-@dataclass(frozen=True)
-class Film:
-    """Pictures of one recording in order, and whose it is where not all results have it."""
-
-    whose: tuple[str, ...]
-    pictures: tuple[Still, ...]
+#: Whose a recording is, where not all results have it; and its pictures in order: when each was
+#: taken, seconds, and its address, which holds it whole.
+Film = tuple[tuple[str, ...], list[tuple[float, str]]]
 
 
 def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Film], list[str]]:
@@ -40,7 +28,8 @@ def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Fil
         recording = result.config.get("recording") or {}
         if recording.get("detector") and recording.get("path"):
             found.setdefault(str(recording["path"]), []).append(k)
-    made, lacking = [], []
+    made: list[Film] = []
+    lacking = []
     for path, group in found.items():
         try:
             pictures = _stills(path, results[group[0]])
@@ -49,11 +38,11 @@ def films_of(results: Sequence[Result], titles: Sequence[str]) -> tuple[list[Fil
             continue
         if pictures:
             whose = () if len(group) == len(results) else tuple(titles[k] for k in group)
-            made.append(Film(whose, tuple(pictures)))
+            made.append((whose, pictures))
     return made, lacking
 
 
-def _stills(path: str, result: Result) -> list[Still]:
+def _stills(path: str, result: Result) -> list[tuple[float, str]]:
     from egolane_pgm.vision.camera.stills import small_pictures
 
     # Evenly over the time, not over the frames: a gap has no pictures.
@@ -68,5 +57,5 @@ def _stills(path: str, result: Result) -> list[Still]:
         content = taken.get(int(result.frame_id[k]))
         if content is not None:
             src = f"data:image/jpeg;base64,{base64.b64encode(content).decode()}"
-            pictures.append(Still(round(float(t[k]), 3), src))
+            pictures.append((round(float(t[k]), 3), src))
     return pictures

@@ -13,7 +13,7 @@ from egolane_pgm.page.packed import is_wrong
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.events import TOLERANCES_S, is_judged, match_events
 from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.types import SIDES, UNASSIGNED, IntArray, LaneEvents, LaneTruth, joined, pieces_of
+from egolane_pgm.types import SIDES, UNASSIGNED, IntArray, LaneTruth, joined, pieces_of
 from egolane_pgm.views.answers import is_known
 
 #: How many stretches are listed, and how many lane changes or clips.
@@ -122,20 +122,11 @@ def changes_of(result: Result) -> Changes:
         true, is_right = _true_changes(result, truth)
         for e, is_known in enumerate(is_judged(events, truth)):
             outcome[e] = RIGHT if is_right[e] else FALSE if is_known else UNKNOWN
-    changes = [
-        Change(
-            float(since[e]),
-            float(told[e]),
-            int(events.from_lane[e]),
-            int(events.to_lane[e]),
-            float(events.probability[e]),
-            float(delay[e]),
-            outcome[e],
-            int(events.direction[e]),
-        )
-        for e in range(len(events))
-    ]
-    return Changes(tuple(changes), tuple(true))
+    columns = (since, told, events.from_lane, events.to_lane, events.probability, delay)
+    rows = zip(
+        *(column.tolist() for column in columns), outcome, events.direction.tolist(), strict=True
+    )
+    return Changes(tuple(Change(*row) for row in rows), tuple(true))
 
 
 def _true_changes(result: Result, truth: LaneTruth) -> tuple[list[Change], list[bool]]:
@@ -144,7 +135,9 @@ def _true_changes(result: Result, truth: LaneTruth) -> tuple[list[Change], list[
     if result.origin is not None:
         # Lanes get other numbers where lanes begin and end at the left, and that is no change.
         added = tracks_of(result.origin)
-        events = _in_tracks(events, added[np.searchsorted(result.frame_id, events.told_frame_id)])
+        by = added[np.searchsorted(result.frame_id, events.told_frame_id)]
+        by[events.from_lane == UNASSIGNED] = 0
+        events = replace(events, from_lane=events.from_lane + by, to_lane=events.to_lane + by)
     rows = np.searchsorted(result.frame_id, truth.frame_id)
     lanes = replace(truth, lane=truth.lane + added[rows])
     matched = match_events(events, lanes, float(result.run["frame_rate"]), max(TOLERANCES_S))
@@ -158,11 +151,6 @@ def _true_changes(result: Result, truth: LaneTruth) -> tuple[list[Change], list[
         outcome = RIGHT if c in told else MISSED
         found.append(Change(*times, int(one), int(other), np.nan, np.nan, outcome))
     return found, [bool(each >= 0) for each in matched]
-
-
-def _in_tracks(events: LaneEvents, added: IntArray) -> LaneEvents:
-    added = np.where(events.from_lane == UNASSIGNED, 0, added)
-    return replace(events, from_lane=events.from_lane + added, to_lane=events.to_lane + added)
 
 
 def change_places(changes: Sequence[Change]) -> tuple[list[str], list[Place]]:

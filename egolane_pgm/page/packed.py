@@ -51,10 +51,11 @@ class Packed:
     curves: tuple[str, ...]
 
     def of(self, *names: str) -> bytes:
-        """The bytes of some columns, and when they are: two results that share them show the
-        same."""
-        shown = [self.columns[name] for name in ("t", *names) if name in self.columns]
-        return b"".join([*(array.tobytes() for array in shown), *map(str.encode, names)])
+        """The bytes of some columns, or of lines, and when they are: two results that share them
+        show the same."""
+        known = {**self.columns, **self.lines}
+        arrays = (known[name].tobytes() for name in ("t", *names))
+        return b"".join([*arrays, *map(str.encode, names)])
 
 
 def packed(result: Result, max_steps: int = MAX_STEPS) -> Packed:

@@ -93,11 +93,13 @@ class Panels:
         self.top = (np.cumsum(heights) - heights + _NAME).tolist()
         self.height = int(heights.sum())
 
-    def _shared(self, letters: Sequence[str]) -> Iterator[tuple[int, tuple[str, ...]]]:
-        """The results that show something different in columns that begin so, and whose it is."""
+    def _shared(self, *letters: str) -> Iterator[tuple[int, tuple[str, ...]]]:
+        """The results that show something different in columns, or lines, that begin so, and whose
+        it is."""
         found: dict[bytes, list[int]] = {}
         for k, pack in enumerate(self.packs):
-            names = [name for name in pack.columns if name.rstrip("0123456789") in letters]
+            known = (*pack.columns, *pack.lines)
+            names = [name for name in known if name.rstrip("0123456789") in letters]
             if names:
                 found.setdefault(pack.of(*names), []).append(k)
         for group in found.values():
@@ -109,14 +111,14 @@ class Panels:
         return tuple(self.names[k] for k in group)
 
     def _strips(self, letter: str, title: str) -> Iterator[Panel]:
-        for k, whose in self._shared([letter]):
+        for k, whose in self._shared(letter):
             n = _n_lanes(self.packs[k], letter)
             drawn = {"kind": "belief", "track": k, "letter": letter, "lanes": n}
             yield Panel(title, whose, (), _LANE * n, _lane_labels(n), drawn)
 
     def _truth(self) -> Iterator[Panel]:
         legend = ((MODEL_COLOUR, "annotated lane"), (CROSSING, "changing lanes"))
-        for k, whose in self._shared(["truth", "crossing"]):
+        for k, whose in self._shared("truth", "crossing"):
             if self.packs[k].columns["truth"].any():
                 n = _n_lanes(self.packs[k])
                 drawn = {"kind": "truth", "track": k, "lanes": n}
@@ -168,20 +170,14 @@ class Panels:
                 yield Panel(title, self._whose([k]), legend, _CURVES, labels, drawn)
 
     def _lines(self) -> Iterator[Panel]:
-        found: dict[bytes, list[int]] = {}
-        for k, pack in enumerate(self.packs):
-            if pack.lines:
-                key = pack.of("first") + pack.lines["cm"].tobytes() + pack.lines["kind"].tobytes()
-                found.setdefault(key, []).append(k)
         names = ("not valid", "valid", "valid, continuous")
         legend = tuple(zip(LINE_COLOURS.values(), names, strict=True))
-        for group in found.values():
-            most = _reach_m(self.packs[group[0]])
+        for k, whose in self._shared("first", "cm", "kind"):
+            most = _reach_m(self.packs[k])
             # Left of the car, where offsets are negative, is above, as lane 1 is in the strips.
             labels = tuple((_LINES * (0.5 + m / most / 2), f"{m:g}") for m in _ticks(most))
-            drawn = {"kind": "lines", "track": group[0], "most": most}
-            title = "Lines: offset from the car, m"
-            yield Panel(title, self._whose(group), legend, _LINES, labels, drawn)
+            drawn = {"kind": "lines", "track": k, "most": most}
+            yield Panel("Lines: offset from the car, m", whose, legend, _LINES, labels, drawn)
 
 
 def _lane_labels(n: int) -> tuple[tuple[float, str], ...]:

@@ -213,7 +213,7 @@ class Study:
 
         place = Path(directory)
         for each in self.studies:
-            with staged(place if len(self) == 1 else place / each.name, [is_study]) as folder:
+            with staged(place if len(self) == 1 else place / each.name, is_study) as folder:
                 write_json(folder / STUDY_FILE, each.study)
                 write_trials(folder, each.trials)
                 for file, content in each.experiments.items():

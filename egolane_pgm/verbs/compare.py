@@ -111,7 +111,7 @@ def compare(
     place = None if out is None else Path(path_of(out, "out"))
     drawn = None if figures is None else Path(path_of(figures, "figures"))
     if place is not None:
-        check_writable(place, [is_comparison])
+        check_writable(place, is_comparison)
     if drawn is not None:
         check_place(drawn)
     if any(isinstance(each, (str, os.PathLike)) and Path(each).is_dir() for each in given):

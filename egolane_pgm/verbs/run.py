@@ -367,7 +367,7 @@ def choose(
         from egolane_pgm.comparing.graphs import with_graph
         from egolane_pgm.learning.graph_file import graph_named
 
-        chosen = with_graph(chosen, graph_named(graph, chosen), chosen.parameters)
+        chosen = with_graph(chosen, graph_named(graph, chosen))
     if name is None:
         return chosen
     return chosen.model_copy(update={"name": name.replace("*", found.name)})

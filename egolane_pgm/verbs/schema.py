@@ -85,7 +85,7 @@ def schema(kind: Annotated[Kind, Option("[KIND]")] = "experiment") -> Mapping[st
             root["if"] = {"required": ["name"]}
             root["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
     _name_plugins(found["properties"] if kind == "experiment" else {})
-    _name_sources(definitions["Recording"]["properties"] if "Recording" in definitions else {})
+    _name_plugins(definitions["Recording"]["properties"] if "Recording" in definitions else {})
     title = f"egolane_pgm: {'an' if kind == 'experiment' else 'a'} {kind} file"
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
@@ -101,19 +101,16 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
 
 
 def _name_plugins(keys: dict[str, Any]) -> None:
-    for key, folder, endings in (
-        ("graph", "graphs", OWN_FILES),
-        ("evidence", "evidence", (".py",)),
+    """Let keys have the names of what the package has, or of files of one's own."""
+    for key, names, endings in (
+        ("graph", plugin_names("graphs"), OWN_FILES),
+        ("evidence", plugin_names("evidence"), (".py",)),
+        ("simulate", [*PRESETS, INTERCHANGE], ()),
+        ("format", [*FORMATS, *plugin_names("recordings")], (".py",)),
+        ("detector", plugin_names("detectors"), (".py",)),
     ):
         if key in keys:
-            _one_of(keys[key], plugin_names(folder), endings)
-
-
-def _name_sources(keys: dict[str, Any]) -> None:
-    if keys:
-        _one_of(keys["simulate"], [*PRESETS, INTERCHANGE])
-        _one_of(keys["format"], [*FORMATS, *plugin_names("recordings")], (".py",))
-        _one_of(keys["detector"], plugin_names("detectors"), (".py",))
+            _one_of(keys[key], names, endings)
 
 
 def _one_of(key: dict[str, Any], names: Iterable[str], endings: Iterable[str] = ()) -> None:

@@ -18,6 +18,9 @@ OnTracks = Mapping[str, Mapping[str, Sequence[Mapping[str, Any]]]]
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#222222")
 
+#: Bins of fewer frames are left out of a calibration curve.
+_FEW_FRAMES = 300
+
 
 def places_figure(
     places: Mapping[str, Mapping[str, Place | None]], on: OnTracks, titles: Sequence[str]
@@ -57,9 +60,8 @@ def places_figure(
     return figure
 
 
-def calibration_figure(on: OnTracks, titles: Sequence[str], few: int = 300) -> Figure:
-    """Draws of each track how often entries are right, by how probable they say it is.
-    Bins of fewer than `few` frames are left out."""
+def calibration_figure(on: OnTracks, titles: Sequence[str]) -> Figure:
+    """Draws of each track how often entries are right, by how probable they say it is."""
     across, side = 4, 2.3
     rows = -(-len(on) // across)
     figure = new_figure(across * (side + 0.45) + 0.3, rows * (side + 0.7) + 0.75)
@@ -69,7 +71,7 @@ def calibration_figure(on: OnTracks, titles: Sequence[str], few: int = 300) -> F
         ax.plot([0, 1], [0, 1], color=FAINT, linewidth=1)
         for colour, title in zip(_COLOURS, filter(entries.get, titles), strict=False):
             sums = np.sum([row["reliability"] for row in entries[title]], axis=0)
-            count, sure, right = sums[:, sums[0] >= few]
+            count, sure, right = sums[:, sums[0] >= _FEW_FRAMES]
             ax.plot(
                 sure / count, right / count, "o-",
                 color=colour, markersize=3, linewidth=1.2, label=title,

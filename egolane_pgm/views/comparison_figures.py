@@ -61,13 +61,9 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     out. The axis is logarithmic in the share of errors and ends at 0.9997; larger accuracies are
     drawn there. Filled markers are held out or not tuned, hollow ones in-sample; the small dots
     next to a mean over seeds are the seeds.
-
-    Raises InputError for a document without experiments.
     """
     recordings = document["recordings"]
     names = experiment_names(document)
-    if not names:
-        raise InputError("comparison: no experiment to draw")
     wide = max(3.2, len(recordings) * (len(names) + 1.5) * _COLUMN)
     columns = max(1, int(wide / 1.6))
     rows = -(-(len(names) + 1) // columns)
@@ -81,13 +77,10 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
     is_hollow = False
     for k, name in enumerate(names):
         colour, marker = _look(k)
-        mine = [
-            (r, entry)
-            for r, recording in enumerate(recordings)
-            for entry in recording["experiments"]
-            if entry["name"] == name
-        ]
-        for r, entry in mine:
+        for r, recording in enumerate(recordings):
+            entry = next((e for e in recording["experiments"] if e["name"] == name), None)
+            if entry is None:
+                continue
             scores = trusted_or_all(entry["scores"])
             hollow = entry["tuned_on"] in ("same_frames", "unknown")
             is_hollow |= hollow
@@ -288,7 +281,8 @@ def _name_accuracies(ax: Axes, low: float, high: float) -> None:
     """Ticks at accuracies within these heights."""
     seen = [[v for v in some if low <= _height(v) <= high] for some in (_TICKS, *_FINER)]
     named = next((some for some in seen if len(some) > 2), seen[0])
-    ax.set_yticks([_height(v) for v in named], [_tick(v) for v in named])
+    labels = [f"{v:g}" if v < _LARGEST else f"{v:g}+" for v in named]
+    ax.set_yticks([_height(v) for v in named], labels)
 
 
 def _look(k: int) -> tuple[str, str]:
@@ -301,10 +295,6 @@ def _height(accuracy: float) -> float:
     """The place of an accuracy on the axis: the logarithm of the share of errors, on which 0.99 and
     0.999 differ as much as 0.9 and 0.99."""
     return -math.log10(1 - min(accuracy, _LARGEST))
-
-
-def _tick(accuracy: float) -> str:
-    return f"{accuracy:g}" if accuracy < _LARGEST else f"{accuracy:g}+"
 
 
 def _short(title: str) -> str:

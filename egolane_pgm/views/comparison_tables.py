@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, score_text, with_interval
+from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, causal_text, score_text, with_interval
 
 LEGEND = """\
 Held out: each block of the drive is scored with parameters fitted without it, or with fixed ones
@@ -92,12 +92,6 @@ def marks_text(document: Mapping[str, Any]) -> str:
         if "causal" in entry:
             names.setdefault(causal_text(entry), {})[entry["name"]] = None
     return "\n".join([*lines, *(f"{text}: {', '.join(names[text])}" for text in sorted(names))])
-
-
-def causal_text(entry: Mapping[str, Any]) -> str:
-    """Whether an experiment's beliefs know the frames so far only, or what looks ahead."""
-    ahead = [part for part, is_causal in entry["causal"].items() if not is_causal]
-    return f"not causal ({', '.join(ahead)})" if ahead else "causal"
 
 
 def lag_curves(document: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
@@ -201,9 +195,9 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         score_text(scores["coverage"]),
         score_text(scores["mean_log_evidence"]),
         score_text(entry["microseconds_per_frame"], 1),
-        _count(entry["free_parameters"]),
+        score_text(entry["free_parameters"], 0),
         *(_bounds_text(difference.get(key), "+.3f") for key in _COMPARED),
-        *(_count(entry[key]) for key in ("fixed_parameters", "trials")),
+        *(score_text(entry[key], 0) for key in ("fixed_parameters", "trials")),
         str(len(entry["seeds"]) or "-"),
         score_text(entry["spread"][subset]["accuracy"]),
         *(_auc(health.get(key)) for key in ("auc_doubt", "auc_bad")),
@@ -280,10 +274,6 @@ def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
             row += [_auc(models.get(name, {}).get(key)) for key in ("auc_doubt", "auc_bad")]
         rows.append(row)
     return header, rows
-
-
-def _count(number: int | None) -> str:
-    return "-" if number is None else str(number)
 
 
 def _auc(value: float | None) -> str:

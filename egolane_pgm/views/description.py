@@ -194,7 +194,8 @@ def _numbers(table: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> li
     if values.size > MAX_PRINTED:
         return [f"    {values.size} numbers, which the JSON has"]
     *given, node = table["axes"]
-    labels = ["", *map(", ".join, itertools.product(*(names[_bare(axis)] for axis in given)))]
+    of_parents = (names[axis.removesuffix(_BEFORE)] for axis in given)
+    labels = ["", *map(", ".join, itertools.product(*of_parents))]
     margin = max(map(len, labels))
     per_line = max(1, (line_width() - margin - 4) // 10)
     rows = values.reshape(len(labels) - 1, -1)
@@ -207,10 +208,6 @@ def _numbers(table: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> li
         for k in range(0, len(row), per_line):
             lines.append(f"    {'' if k else label:{margin}}" + "".join(row[k : k + per_line]))
     return lines
-
-
-def _bare(axis: str) -> str:
-    return axis.removesuffix(_BEFORE)
 
 
 def _rule_lines(found: Mapping[str, Any]) -> list[str]:
@@ -237,16 +234,18 @@ def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
         kind = each["kind"] + (", or per lane" if each["per_lane"] else "")
         search = _short(each["range"]) if each["is_searched"] else "held fixed"
         rows.append([f"  {each['name']}", kind, _short(each["default"]), search])
-    widths = [max(len(row[k]) for row in rows) for k in range(4)]
-    lines = []
-    for row in rows:
-        lines.append("  ".join(f"{text:{w}}" for text, w in zip(row, widths, strict=True)).rstrip())
-    for k, each in reversed(list(enumerate(parameters, start=2))):
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    first, *others = (
+        "  ".join(f"{text:{w}}" for text, w in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    )
+    lines = [first]
+    for line, each in zip(others, parameters, strict=True):
         said = "; ".join(filter(None, (each["meaning"], each["source"])))
         if each["choices"]:
             number = "" if each["kind"] == "choice" else "a number or "
             said = f"{number}{' or '.join(each['choices'])}: {said}"
-        lines.insert(k, wrapped(f"      {said}"))
+        lines += [line, wrapped(f"      {said}")]
     return lines
 
 

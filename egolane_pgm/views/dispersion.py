@@ -71,10 +71,8 @@ def dispersions(result: Result) -> dict[str, IntArray]:
 def dispersion_figure(results: Sequence[Result]) -> Figure:
     """Draws the error dispersion of several results in one figure, detector and model side by side.
 
-    Raises InputError without results, and for a result without ground truth, naming it.
+    Raises InputError for a result without ground truth, naming it.
     """
-    if not results:
-        raise InputError("error dispersion: no result directory was given")
     groups = []
     for result in results:
         bars = dispersions(result)
@@ -139,14 +137,9 @@ def _bar_sheet(groups: Sequence[Group], title: str, n_lanes: int) -> Figure:
     for group, tall in zip(groups, group_height, strict=True):
         size = min(8.5, 8.5 * (left - _NAMES - _EDGE) / (0.068 * len(group.title)))
         ax.text(
-            outer,
-            at + tall / 2 - 0.015,
-            group.title,
-            va="bottom",
-            fontsize=size,
-            color=INK,
+            outer, at + tall / 2 - 0.015, group.title, va="bottom", fontsize=size, color=INK,
             parse_math=False,
-        )
+        )  # fmt: skip
         ax.text(outer, at + tall / 2 + 0.03, group.note, va="top", fontsize=7.5, color=INK)
         for k, (name, counts) in enumerate(group.bars.items()):
             top = at + k * (_BAR + _BAR_GAP)

@@ -27,13 +27,13 @@ change it begins, and how many warnings an hour have no crossing within 2 s. Fra
 labels (tuning.never_fit) are left out. More: in the JSON."""
 
 
-def event_rows(events: LaneEvents, at_most: int = LISTED) -> tuple[list[str], list[list[str]]]:
+def event_rows(events: LaneEvents) -> tuple[list[str], list[list[str]]]:
     """Header and rows of the first lane changes, one each."""
     header = ["time, s", "frame", "from", "to", "probability", "told, s", "late, s"]
     if events.delay_s is not None:
         header.append("delay, s")
     rows = []
-    for e in range(min(at_most, len(events))):
+    for e in range(min(LISTED, len(events))):
         row = [
             f"{events.time_s[e]:.1f}",
             str(events.frame_id[e]),

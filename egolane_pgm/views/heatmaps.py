@@ -5,21 +5,14 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Colormap, LinearSegmentedColormap, Normalize
+from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure
 
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy, confusion
 from egolane_pgm.types import FloatArray, IntArray
-from egolane_pgm.views.answers import (
-    FAINT,
-    INK,
-    PROBABILITY_COLOURS,
-    percent,
-    scored_answers,
-    title_with_frames,
-)
-from egolane_pgm.views.style import axes_at, new_figure, put_title, text_colour
+from egolane_pgm.views.answers import FAINT, INK, percent, scored_answers, title_with_frames
+from egolane_pgm.views.style import PROBABILITY_RAMP, axes_at, new_figure, put_title, text_colour
 
 # The layout, in inches.
 _CELL_WIDTH, _CELL_HEIGHT, _LEFT, _GAP, _HEAD, _FOOT = 0.82, 0.52, 1.25, 0.3, 0.62, 0.65
@@ -54,8 +47,7 @@ def confusion_figure(result: Result) -> Figure:
     across = _LEFT + len(matrices) * (width + _GAP) - _GAP + _RIGHT
     figure = new_figure(across, _HEAD + height + _FOOT)
     put_title(figure, title_with_frames(result))
-    colours = LinearSegmentedColormap.from_list("share", PROBABILITY_COLOURS)
-    ramp = colours.with_extremes(bad="#efefef")
+    ramp = PROBABILITY_RAMP.with_extremes(bad="#efefef")
     for k, (name, matrix) in enumerate(matrices.items()):
         ax = axes_at(figure, _LEFT + k * (width + _GAP), _HEAD, width, height)
         ax.set_title(f"{name}: {percent(float(accuracy(matrix)))} % right", fontsize=9.5)

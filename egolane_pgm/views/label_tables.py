@@ -114,12 +114,8 @@ def label_frame(labels: Labels, table: str) -> pd.DataFrame:
     }
     columns |= {f"Lane={k}": belief for k, belief in enumerate(run.beliefs.lane.T, start=1)}
     frame = pd.DataFrame(columns, index=pd.Index(labels.frame_id, name="frame_id"))
-    truth = run.truth
-    if truth is not None:
-        true = pd.array(np.zeros(len(labels), dtype=np.int64), dtype="Int64")
-        true[:] = pd.NA
-        true[run.scored] = truth.lane
-        frame["true_lane"] = true
+    if run.truth is not None:
+        frame["true_lane"] = pd.Series(run.truth.lane, run.truth.frame_id, dtype="Int64")
     return frame
 
 

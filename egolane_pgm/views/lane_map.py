@@ -395,13 +395,6 @@ def _bound(graph: LaneGraph, road: list[tuple[int, float]]) -> str:
     north, east = metres_per_degree(start[0])
     angle = np.degrees(np.arctan2((stop[0] - start[0]) * north, (stop[1] - start[1]) * east))
     names = [
-        "east",
-        "north-east",
-        "north",
-        "north-west",
-        "west",
-        "south-west",
-        "south",
-        "south-east",
-    ]
+        "east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east",
+    ]  # fmt: skip
     return f"to the {names[int(np.rint(angle / 45)) % 8]}"

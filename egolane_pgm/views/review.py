@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from egolane_pgm.labelling import Labels
-from egolane_pgm.types import InputError, IntArray, runs_of
+from egolane_pgm.types import InputError, IntArray, LineLog, runs_of
 from egolane_pgm.views.answers import (
     CROSSING,
     DETECTOR_COLOUR,
@@ -22,7 +22,6 @@ from egolane_pgm.views.answers import (
     PROBABILITY_COLOURS,
     lane_names,
 )
-from egolane_pgm.views.lines import draw_lines
 from egolane_pgm.views.strips import show_belief
 from egolane_pgm.views.style import axes_at, new_figure, put_title, write_figure
 
@@ -79,7 +78,7 @@ def review_figure(labels: Labels, first: int, last: int) -> Figure:
                     fontsize=8, va="top", color=INK)  # fmt: skip
     panels = [axes_at(figure, _LEFT, 0.6, _WIDTH, 2.2), axes_at(figure, _LEFT, 3.2, _WIDTH, strip)]
     panels.append(axes_at(figure, _LEFT, 3.4 + strip, _WIDTH, 0.9))
-    draw_lines(panels[0], labels.lines.take(rows))
+    _draw_lines(panels[0], labels.lines.take(rows))
     _draw_belief(panels[1], labels, rows)
     _draw_confidence(panels[2], labels, rows)
     for ax in panels:
@@ -92,6 +91,29 @@ def review_figure(labels: Labels, first: int, last: int) -> Figure:
         fontsize=9,
     )
     return figure
+
+
+def _draw_lines(ax: Axes, log: LineLog) -> None:
+    """Draw the offsets of the lines over time, in metres, left above."""
+    time = np.broadcast_to(log.time_s[:, np.newaxis], log.offset_m.shape)
+    for chosen, colour, label in (
+        (~log.is_valid, FAINT, "not valid"),
+        (log.is_valid & ~log.is_continuous, MODEL_COLOUR, "valid"),
+        (log.is_valid & log.is_continuous, "#d55e00", "valid, continuous"),
+    ):
+        seen = chosen & np.isfinite(log.offset_m)
+        if seen.any():
+            ax.plot(time[seen], log.offset_m[seen], ".", markersize=2.5, color=colour, label=label)
+    # Left of the vehicle is above, as lane 1 is in the strips.
+    ax.invert_yaxis()
+    ax.axhline(0, color=FAINT, linewidth=0.8, zorder=0)
+    ax.set_ylabel("offset [m], left above", fontsize=9)
+    ax.tick_params(labelsize=8)
+    if ax.lines[1:]:
+        ax.legend(
+            fontsize=8, loc="lower right", bbox_to_anchor=(1, 1), frameon=False, ncols=3,
+            markerscale=4, borderaxespad=0.2,
+        )  # fmt: skip
 
 
 def _draw_belief(ax: Axes, labels: Labels, rows: IntArray) -> None:

@@ -12,11 +12,12 @@ from egolane_pgm.views.clips import clip_parts
 from egolane_pgm.views.events import event_lines, event_rows, lane_words, sure_words
 from egolane_pgm.views.tables import (
     TUNED_ON,
+    TUNED_ON_SHORT,
     Table,
+    causal_text,
     confusion_table,
     page,
     score_rows,
-    tuned_on_text,
     with_interval,
 )
 
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 
 def how_tuned(found: Mapping[str, Any]) -> str:
     """On which frames the parameters were tuned, and whether a belief uses earlier frames only."""
-    return tuned_on_text(found) + (", causal" if all(found["causal"].values()) else "")
+    return f"{TUNED_ON_SHORT[found['tuned_on']]}, {causal_text(found)}"
 
 
 def html_table(
@@ -51,15 +52,9 @@ def html_table(
 
 def as_dataset(frame: pd.DataFrame) -> xr.Dataset:
     """A frame as a data set of xarray. Raises InputError where xarray is not installed."""
-    found: xr.Dataset = xarray().Dataset.from_dataframe(frame)
-    return found
-
-
-def xarray() -> Any:
-    """The package xarray. Raises InputError where it is not installed."""
     with needed("to_xarray", "notebook"):
         import xarray
-    return xarray
+    return xarray.Dataset.from_dataframe(frame)
 
 
 def scored(result: Result) -> dict[str, Any]:
@@ -98,15 +93,16 @@ def result_text(result: Result, style: str, wide: bool) -> str:
         *said["why_not_causal"],
     ]
     if result.block is not None:
-        first.append(_held_out_words(result))
-    scores = {who: said[who] for who in ("detector", "model") if who in said}
+        how = f"{result.run['blocks']} blocks: each is believed with {_FOUND[result.run['fit']]}"
+        first.append(f"held out, {how}")
+    scores = scored(result)
     if not scores:
         first.append("no ground truth: beliefs only, no scores (ground_truth names a file)")
         parts = ["\n".join(first), *more, *_lane_parts(result), *_event_parts(result)]
         return page(parts, style, wide)
     first.append(f"{said['frames_scored']} frames scored (crossing ones are not);")
     first.append(f"parameters: {TUNED_ON[said['tuned_on']]}")
-    matrices = [confusion_table(mine["confusion"], name) for name, mine in scores.items()]
+    matrices = [confusion_table(scores[who]["confusion"], who) for who in reversed(scores)]
     parts = ["\n".join(first), Table(*score_rows(scores)), *more, *matrices]
     return page([*parts, *_event_parts(result)], style, wide)
 
@@ -117,11 +113,6 @@ _FOUND = {
     "learn": "what was learned without it, neither its labels nor its lines looked at",
     "tune": "what was searched without it",
 }
-
-
-def _held_out_words(result: Result) -> str:
-    run = result.run
-    return f"held out, {run['blocks']} blocks: each is believed with {_FOUND[run['fit']]}"
 
 
 def _more_parts(result: Result) -> list[str | Table]:

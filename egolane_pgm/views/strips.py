@@ -17,7 +17,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -29,13 +29,12 @@ from egolane_pgm.views.answers import (
     CROSSING,
     FAINT,
     INK,
-    PROBABILITY_COLOURS,
     UNSEEN,
     answers,
     lane_names,
     title_of,
 )
-from egolane_pgm.views.style import axes_at, new_figure, put_title, write_figure
+from egolane_pgm.views.style import PROBABILITY_RAMP, axes_at, new_figure, put_title, write_figure
 
 #: The most columns in a row of strips: about one pixel each at 200 dpi.
 MAX_COLUMNS = 1300
@@ -156,22 +155,20 @@ def split_range(first: int, last: int, max_columns: int = MAX_COLUMNS) -> list[t
     return [(a, b - 1) for a, b in pairwise(edge)]
 
 
-def draw_strips(
-    result: Result, path: str | Path, first: int | None = None, last: int | None = None
-) -> Path:
-    """Draws the lane-belief strips.
-
-    first, last: frame ids, both included; the whole recording by default. A range that is too long
-    for one row continues in the next. Beyond MAX_ROWS rows, columns are means over frames, and the
-    title says so. Without ground truth or tentative vector their strip is left out.
-
-    Raises InputError for a range without frames, with the recording's, and as `write_figure` does.
-    """
-    return write_figure(lambda: strips_figure(result, first, last), path)
+def draw_strips(result: Result, path: str | Path) -> Path:
+    """Draws the lane-belief strips of a whole recording. Raises InputError as `write_figure`."""
+    return write_figure(lambda: strips_figure(result), path)
 
 
 def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
-    """The figure of `draw_strips`."""
+    """The lane-belief strips.
+
+    - first, last: frame ids, both included; the whole recording by default. A range that is too
+      long for one row continues in the next. Beyond MAX_ROWS rows, columns are means over frames,
+      and the title says so. Without ground truth or tentative vector their strip is left out.
+
+    Raises InputError for a range without frames, with the recording's.
+    """
     low, high = frame_range(result, first, last)
     rows = [strip_columns(result, a, b) for a, b in split_range(low, high)]
     strip = max(_STRIP_MIN, _LANE * result.n_lanes)
@@ -315,15 +312,15 @@ def show_belief(ax: Axes, x: FloatArray, y: FloatArray, cells: FloatArray) -> No
 
     - x, y: the edges of the columns and of the rows; if all are alike, the first and the last do.
     """
-    ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
-    ax.pcolorfast(x, y, np.ma.masked_invalid(cells), cmap=ramp, vmin=0, vmax=1, zorder=1)
+    shown = np.ma.masked_invalid(cells)
+    ax.pcolorfast(x, y, shown, cmap=PROBABILITY_RAMP, vmin=0, vmax=1, zorder=1)
 
 
 def _draw_legend(figure: Figure, result: Result, rows: list[Strips], top: float) -> None:
-    ramp = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
     bar = axes_at(figure, _LEFT, top, 1.6, 0.13)
     bar.set_label("colour bar")
-    figure.colorbar(ScalarMappable(Normalize(0, 1), ramp), cax=bar, orientation="horizontal")
+    shades = ScalarMappable(Normalize(0, 1), PROBABILITY_RAMP)
+    figure.colorbar(shades, cax=bar, orientation="horizontal")
     bar.tick_params(labelsize=8, pad=1.5)
     bar.set_xlabel("probability of the lane", fontsize=8, labelpad=1)
     entries: list[Patch | Line2D] = []

@@ -27,12 +27,11 @@ from optuna.distributions import (
 )
 
 from egolane_pgm.scoring.confusion import is_maximised
-from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import InputError
 from egolane_pgm.views import study_trials as numbers
 from egolane_pgm.views.answers import DETECTOR_COLOUR, FAINT, INK, MODEL_COLOUR
 from egolane_pgm.views.study_trials import TOLERANCE, Trials
-from egolane_pgm.views.style import FORMATS, axes_at, new_figure, put_title, write_figure
+from egolane_pgm.views.style import FORMATS, axes_at, new_figure, put_title, write_figures
 
 #: Parameters whose pairs are drawn.
 PAIRED = 3
@@ -57,10 +56,8 @@ def draw_study(
         raise InputError(f"{style}: a figure is {', '.join(f[1:] for f in FORMATS)}")
     trials = numbers.read_trials(directory)
     folder = Path(target) if target is not None else Path(directory) / "figures"
-    make_directory(folder)
-    drawn = figures_of(trials)
     with numbers.quiet():
-        return [write_figure(make, folder / f"{name}.{style}") for name, make in drawn.items()]
+        return write_figures(figures_of(trials), folder, style)
 
 
 def figures_of(trials: Trials) -> dict[str, Callable[[], Figure]]:
@@ -149,10 +146,10 @@ def _score(trials: Trials) -> str:
     return trials.objective.replace("_", " ")
 
 
-def flatness_figure(trials: Trials, tolerance: float = TOLERANCE) -> Figure:
+def flatness_figure(trials: Trials) -> Figure:
     """Which values of each parameter do as well as the best, on the range that was searched; the
     best pinned down first. It is what the search has seen: the real range can only be wider."""
-    good = numbers.as_good(trials, tolerance)
+    good = numbers.as_good(trials)
     values = {key: sorted({point[key] for point in good}) for key in trials.space}
     bars = {key: _bars(space, values[key]) for key, space in trials.space.items()}
     share = {key: sum(width for _, width in each) for key, each in bars.items()}
@@ -160,7 +157,7 @@ def flatness_figure(trials: Trials, tolerance: float = TOLERANCE) -> Figure:
     figure = new_figure(8.8, 1.3 + step * n)
     put_title(
         figure,
-        f"{trials.name}: values within {tolerance:g} of the best {_score(trials)} (in-sample,"
+        f"{trials.name}: values within {TOLERANCE:g} of the best {_score(trials)} (in-sample,"
         f" {len(good):,} of {len(trials.gain):,} trials)",
     )
     ax = axes_at(figure, 1.75, 0.85, 4.3, step * n)

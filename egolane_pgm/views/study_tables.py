@@ -50,7 +50,7 @@ def drive_rows(document: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def parameter_rows(
-    documents: Sequence[Mapping[str, Any]], score: str = "accuracy", subset: str = "all_frames"
+    documents: Sequence[Mapping[str, Any]], score: str = "accuracy"
 ) -> tuple[list[str], list[list[str]]]:
     """Header and rows: per study one row of ours and, for a run of the paper, one of theirs above.
 
@@ -63,16 +63,14 @@ def parameter_rows(
         if document["run"] is not None and score in SCORES:
             rows.append(_theirs(document, names, score))
         point = document["best"]["point"]
-        inside = _of(document["in_sample"], subset)
-        held, lost = _of(document["held_out"], subset), _of(document["difference"], subset)
         rows.append(
             [
                 document["name"],
                 "ours",
                 *(_value(point.get(name)) for name in names),
-                score_text(inside[score]) if inside else "-",
-                _with_interval(held, score),
-                _with_interval(lost, score, "+"),
+                score_text(document["in_sample"]["all_frames"][score]),
+                _cell(document["held_out"], score),
+                _cell(document["difference"], score, sign="+"),
             ]
         )
     return header, rows
@@ -104,27 +102,27 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
         for score in scores_of(document):
             row = [
                 f"{score}{suffix}",
-                _with_interval(_of(document["in_sample"], subset), score),
-                _with_interval(_of(document["held_out"], subset), score),
-                _with_interval(_of(document["difference"], subset), score, "+"),
+                _cell(document["in_sample"], score, subset),
+                _cell(document["held_out"], score, subset),
+                _cell(document["difference"], score, subset, "+"),
             ]
             if document["test"] is not None:
-                row.append(_with_interval(_of(document["test"], subset), score))
+                row.append(_cell(document["test"], score, subset))
             rows.append(row)
     return header, rows
 
 
-def importance_line(trials: Trials, most: int = 3) -> str | None:
+def importance_line(trials: Trials) -> str | None:
     """Which parameters matter most, in words; None for too few trials."""
     found = importances(trials)
     if not found:
         return None
-    first = ", ".join(f"{key} {share:.0%}" for key, share in list(found.items())[:most])
-    rest = sum(list(found.values())[most:])
-    others = f", the other {len(found) - most} {rest:.0%}" if len(found) > most else ""
+    first = ", ".join(f"{key} {share:.0%}" for key, share in list(found.items())[:3])
+    others = list(found.values())[3:]
+    rest = f", the other {len(others)} {sum(others):.0%}" if others else ""
     return (
         f"{trials.name}: what sets the best tenth of the trials apart (PED-ANOVA, in-sample):"
-        f" {first}{others}"
+        f" {first}{rest}"
     )
 
 
@@ -155,19 +153,16 @@ def _theirs(document: Mapping[str, Any], names: Sequence[str], score: str) -> li
     ]
 
 
-def _of(section: Mapping[str, Any] | None, subset: str) -> Mapping[str, Any] | None:
-    return None if section is None else section.get(subset)
-
-
 def _value(value: Any) -> str:
     if value is None:
         return "-"
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def _with_interval(scores: Mapping[str, Any] | None, score: str, sign: str = "") -> str:
-    if scores is None:
-        return "-"
-    return with_interval(
-        scores.get(score), (scores.get("intervals") or {}).get(score), f"{sign}.3f"
-    )
+def _cell(
+    section: Mapping[str, Any] | None, score: str, subset: str = "all_frames", sign: str = ""
+) -> str:
+    """A score with its interval, of a part of study.json; a dash where it is not there."""
+    scores = (section or {}).get(subset) or {}
+    interval = (scores.get("intervals") or {}).get(score)
+    return with_interval(scores.get(score), interval, f"{sign}.3f")

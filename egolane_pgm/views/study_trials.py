@@ -175,10 +175,10 @@ def _per_lane(parameters: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def as_good(trials: Trials, tolerance: float = TOLERANCE) -> list[Mapping[str, Any]]:
-    """The points of the trials whose score is within the tolerance of the best."""
+def as_good(trials: Trials) -> list[Mapping[str, Any]]:
+    """The points of the trials whose score is within `TOLERANCE` of the best."""
     # Scores are ratios of counts: the bound itself counts in, whatever its last bit says.
-    is_good = trials.gain >= trials.gain.max() - tolerance - 1e-12
+    is_good = trials.gain >= trials.gain.max() - TOLERANCE - 1e-12
     return [trials.study.trials[k].params for k in np.flatnonzero(is_good)]
 
 

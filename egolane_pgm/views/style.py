@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +15,16 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap, to_hex, to_rgb
 from matplotlib.figure import Figure
 
-from egolane_pgm.tools.files import write_bytes
+from egolane_pgm.tools.files import make_directory, write_bytes
 from egolane_pgm.tools.progress import ipython
 from egolane_pgm.types import InputError
-from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
+from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR, PROBABILITY_COLOURS
 
 #: Extensions of the figures that can be written.
 FORMATS = (".png", ".svg", ".pdf")
+
+#: From the probability 0 to 1.
+PROBABILITY_RAMP = LinearSegmentedColormap.from_list("probability", PROBABILITY_COLOURS)
 
 #: Colour, marker and line style of detector and model.
 ANSWER_STYLE = {"Detector only": (DETECTOR_COLOUR, "s", "--"), "Model": (MODEL_COLOUR, "o", "-")}
@@ -76,6 +79,17 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
     path = check_figure_path(path)
     write_bytes(path, figure_bytes(make, path.suffix.lower()), make_folder=True)
     return path
+
+
+def write_figures(
+    makes: Mapping[str, Callable[[], Figure]], folder: Path, style: str
+) -> list[Path]:
+    """Writes figures by their names into a folder, which is made. Returns the files.
+
+    - style: png, pdf or svg
+    """
+    make_directory(folder)
+    return [write_figure(make, folder / f"{name}.{style}") for name, make in makes.items()]
 
 
 def figure_bytes(make: Callable[[], Figure], extension: str) -> bytes:

@@ -268,11 +268,14 @@ def runs_table_rows(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], 
 
 def tuned_on_text(found: Mapping[str, Any]) -> str:
     """How a narrow column says on which frames the parameters were tuned, and which parts look at
-    later frames (`model.causality`)."""
+    later frames."""
+    return f"{TUNED_ON_SHORT[found['tuned_on']]}, {causal_text(found)}".removesuffix(", causal")
+
+
+def causal_text(found: Mapping[str, Any]) -> str:
+    """Whether beliefs know the frames so far only, or what looks ahead (`model.causality`)."""
     ahead = [part for part, is_causal in found["causal"].items() if not is_causal]
-    return TUNED_ON_SHORT[found["tuned_on"]] + (
-        f", not causal ({', '.join(ahead)})" if ahead else ""
-    )
+    return f"not causal ({', '.join(ahead)})" if ahead else "causal"
 
 
 def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> Table:
