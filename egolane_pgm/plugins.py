@@ -51,9 +51,9 @@ def plugin_names(folder: str) -> list[str]:
     """
     names = {entry.name for entry in _entry_points(folder)}
     for place in _places(folder):
-        names |= {file.stem for file in place.glob("*.py") if _is_plugin(folder, file.stem)}
+        names |= {file.stem for file in place.glob("*.py") if _module_of(folder, file.stem)}
         inside = {file.parent.name for file in place.glob("*/*.py")}
-        names |= {name for name in inside if _is_plugin(folder, name)}
+        names |= {name for name in inside if _module_of(folder, name)}
     return sorted(names)
 
 
@@ -64,10 +64,6 @@ def _places(folder: str) -> list[Path]:
 def _entry_points(folder: str) -> list[EntryPoint]:
     """The plugins of a kind that other installed packages offer."""
     return list(entry_points(group=f"egolane_pgm.{folder}"))
-
-
-def _is_plugin(folder: str, name: str) -> bool:
-    return _module_of(folder, name) is not None
 
 
 def _module_of(folder: str, name: str) -> str | None:

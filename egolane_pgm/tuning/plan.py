@@ -25,6 +25,7 @@ from egolane_pgm.drive import Drive, check_sources, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
+    Positive,
     Section,
     Tuning,
     experiment_path,
@@ -92,23 +93,14 @@ class Pictures(Section):
         description="first labelled picture, from 0, and the one after the last",
         examples=[[0, 100]],
     )
-    ahead_m: float = Field(
-        default=10.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="where lines and labels are compared, metres ahead of the camera",
+    ahead_m: Positive = Field(
+        default=10.0, description="where lines and labels are compared, metres ahead of the camera"
     )
-    side_m: float = Field(
-        default=6.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="how far to either side of the camera they count, metres",
+    side_m: Positive = Field(
+        default=6.0, description="how far to either side of the camera they count, metres"
     )
-    tolerance_m: float = Field(
-        default=0.35,
-        gt=0,
-        allow_inf_nan=False,
-        description="largest distance of a line from its label, metres",
+    tolerance_m: Positive = Field(
+        default=0.35, description="largest distance of a line from its label, metres"
     )
 
     @field_validator("frames")
