@@ -141,7 +141,11 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     elif (own := _module_of(folder, name)) is not None:
         module = importlib.import_module(own)
     elif offered := [entry for entry in _entry_points(folder) if entry.name == name]:
-        module = _load_offered(offered[0], where)
+        try:
+            module = offered[0].load()
+        except Exception as error:
+            said = f"{offered[0].value} cannot be imported: {_said(error)}"
+            raise InputError(f"{where}: {said}") from error
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
     for needed in CONTRACTS[folder]:
@@ -232,15 +236,6 @@ def _load_file(path: Path, where: str) -> ModuleType:
         del sys.modules[name]
         at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
         raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
-    return module
-
-
-def _load_offered(entry: EntryPoint, where: str) -> ModuleType:
-    """Import a plugin of another package. Raises InputError where that fails."""
-    try:
-        module: ModuleType = entry.load()
-    except Exception as error:
-        raise InputError(f"{where}: {entry.value} cannot be imported: {_said(error)}") from error
     return module
 
 
