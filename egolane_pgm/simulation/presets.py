@@ -154,10 +154,8 @@ def simulate(
     for key in overrides:
         if key not in known:
             raise InputError(f"simulation: unknown key '{key}'{suggestion(key, known)}")
-    changes: dict[str, Any] = dict(overrides)
-    for key, value in (("n_frames", frames), ("n_lanes", n_lanes)):
-        if value is not None:
-            changes[key] = value
+    given = {"n_frames": frames, "n_lanes": n_lanes}
+    changes: dict[str, Any] = {**overrides, **{k: v for k, v in given.items() if v is not None}}
     chosen = PRESETS[preset]
     world = replace(chosen.world, **{k: v for k, v in changes.items() if k in world_keys})
     detector = replace(chosen.detector, **{k: v for k, v in changes.items() if k not in world_keys})
