@@ -258,11 +258,9 @@ def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
       added to those of the plan one by one.
     """
     content = plan.tuning.model_dump()
-    for key, value in options.items():
-        if key == "parameters":
-            content["parameters"] = {**content["parameters"], **value}
-        elif value is not None:
-            content[key] = value
+    parameters = {**content["parameters"], **options.get("parameters", {})}
+    content |= {key: value for key, value in options.items() if value is not None}
+    content["parameters"] = parameters
     return replace(plan, tuning=validated(Tuning, content, plan.source))
 
 
