@@ -15,7 +15,7 @@ from egolane_pgm.recordings.fields import check_whole, typed
 from egolane_pgm.recordings.mapping import FRAME_RATE, lines_of_table
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read
-from egolane_pgm.recordings.table import check_names
+from egolane_pgm.recordings.table import check_columns
 from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
@@ -64,7 +64,7 @@ def lines_of(
         return given
     _check_frame(given, "recording", "lines")
     frame, path = _with_index(given), Path(IN_MEMORY)
-    check_names(path, list(frame.columns))
+    check_columns(path, list(frame.columns))
     return lines_of_table({name: frame[name] for name in frame}, lines, path, frame_rate)
 
 

@@ -125,7 +125,7 @@ def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
     if extension in _TEXT and len(table.column_names) == 1 and _separated(path):
         raise InputError(f"{path}: has one column, {table.column_names[0]}{_separated(path)}")
     names = [name.strip() for name in table.column_names]
-    check_names(path, names)
+    check_columns(path, names)
     return table.rename_columns(names)
 
 
@@ -143,7 +143,7 @@ def _separated(path: Path) -> str:
     return f'; {name}: `lines: {{separator: "{written}"}}`' if name else ""
 
 
-def check_names(path: Path, names: list[str]) -> None:
+def check_columns(path: Path, names: list[str]) -> None:
     """Raise InputError for a column that occurs more than once."""
     twice = [name for name in names if name and names.count(name) > 1]
     if twice:
