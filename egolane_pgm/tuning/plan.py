@@ -44,7 +44,6 @@ from egolane_pgm.tuning.objective import (
     check_objective,
     scores_of,
     searched_of_detector,
-    shared_specs,
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
@@ -287,7 +286,13 @@ def make_problem(plan: Plan) -> Problem:
             with part(), of_drive:
                 check_filter(experiment)
                 drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
-    shared_specs(drives)
+    specs = [declared_parameters(drive.model.rule, drive.model.graph) for drive in drives]
+    for drive, declared in zip(drives, specs, strict=True):
+        if declared != specs[0]:
+            raise InputError(
+                f"{drive.experiment.source}: declares other parameters than"
+                f" {drives[0].experiment.source}; one set for both needs the same plugins"
+            )
     return problem_of(plan, drives)
 
 
