@@ -99,6 +99,9 @@ def _or_from_frame(schema: dict[str, Any]) -> None:
     ]
 
 
+#: A number greater than 0.
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
 #: A section with keys of its own, such as parameters.
 _Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
 
@@ -226,9 +229,7 @@ class Recording(Section):
         description="first frame id and the one after the last",
         examples=[[238, 10190]],
     )
-    frame_rate: float = Field(
-        default=10.0, gt=0, le=1e6, allow_inf_nan=False, description="frames per second"
-    )
+    frame_rate: Positive = Field(default=10.0, le=1e6, description="frames per second")
     missing_frames: Literal["skip", "hold", "predict"] = Field(
         default="skip",
         description="what is put in for frame ids that the recording lacks: nothing (`skip`), the"
@@ -377,12 +378,8 @@ class Learning(Section):
     """The settings of learning the tables of a graph by EM."""
 
     labels: bool = Field(default=True, description="whether the annotated lanes are looked at")
-    strength: float = Field(
-        default=100.0,
-        gt=0,
-        le=1e9,
-        allow_inf_nan=False,
-        description="weight of the starting tables, in frames per row",
+    strength: Positive = Field(
+        default=100.0, le=1e9, description="weight of the starting tables, in frames per row"
     )
     tables: tuple[str, ...] | None = Field(
         default=None,
@@ -396,13 +393,9 @@ class Gnss(Section):
     """The noise of positions, which are evidence of the lane in addition to the lines. The defaults
     are as telephones' receivers and maps had it on recorded drives."""
 
-    lane_width_m: float = Field(
-        default=3.75, gt=0, allow_inf_nan=False, description="width of a lane, metres"
-    )
-    sigma_m: float = Field(
+    lane_width_m: Positive = Field(default=3.75, description="width of a lane, metres")
+    sigma_m: Positive = Field(
         default=0.5,
-        gt=0,
-        allow_inf_nan=False,
         description="standard deviation from one position to the next, metres, the car's wandering"
         " in its lane included",
     )
@@ -412,12 +405,7 @@ class Gnss(Section):
         allow_inf_nan=False,
         description="standard deviation of the drift, metres, the map's own errors included",
     )
-    drift_s: float = Field(
-        default=300.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="correlation time of the drift, seconds",
-    )
+    drift_s: Positive = Field(default=300.0, description="correlation time of the drift, seconds")
     off_share: float = Field(
         default=0.05, gt=0, lt=1, description="share of positions that say nothing of the lane"
     )
@@ -798,14 +786,12 @@ _FITTING = {"tuning", "fit", "learning"}
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """All keys with their values, defaults included, as plain types for YAML or JSON."""
     content = experiment.model_dump(mode="json", exclude=_FITTING)
-    for key in ("road", "gnss"):
-        if content[key] is None:
-            # A config without it is the same config as ever, and so is its hash.
-            del content[key]
-    if content["recording"]["definitions"] is None:
-        del content["recording"]["definitions"]
-    if content["recording"]["lines"] is None:
-        del content["recording"]["lines"]
+    # A config without one of these is the same config as ever, and so is its hash.
+    recording = content["recording"]
+    for section, keys in (content, ("road", "gnss")), (recording, ("definitions", "lines")):
+        for key in keys:
+            if section[key] is None:
+                del section[key]
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

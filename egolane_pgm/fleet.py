@@ -292,14 +292,8 @@ def write_summary(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     import pyarrow as pa
 
     columns = dict.fromkeys(column for row in rows for column in row)
-    arrays = {column: pa.array(_column([row.get(column) for row in rows])) for column in columns}
+    arrays = {column: pa.array([row.get(column) for row in rows]) for column in columns}
     write_parquet(path, pa.table(arrays))
-
-
-def _column(values: list[Any]) -> list[Any]:
-    """Whole and other numbers in one column are other numbers."""
-    kinds = {type(value) for value in values if value is not None}
-    return [None if v is None else float(v) for v in values] if kinds == {int, float} else values
 
 
 @dataclass(frozen=True)

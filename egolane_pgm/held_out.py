@@ -193,18 +193,12 @@ def _fit_of(drive: Drive, search: Search) -> tuple[Fit, dict[str, Any]]:
         }
     if experiment.fit == "learn":
         check_learnable(model, experiment)
-        return _learn, {"free_parameters": n_learned(model, experiment)}
+        return lambda drive, train, _: learn_from(drive, train), {
+            "free_parameters": n_learned(model, experiment)
+        }
     specs = declared_parameters(model.rule, model.graph)
     numbers = sum(np.size(model.parameters[spec.name]) for spec in specs if spec.is_searched)
-    return _nothing, {"free_parameters": 0 if experiment.tuned_on == "not_tuned" else numbers}
-
-
-def _nothing(drive: Drive, train: IntArray, block: int) -> Found:
-    return {}
-
-
-def _learn(drive: Drive, train: IntArray, block: int) -> Found:
-    return learn_from(drive, train)
+    return lambda *_: {}, {"free_parameters": 0 if experiment.tuned_on == "not_tuned" else numbers}
 
 
 def _searcher(problem: Problem) -> Fit:

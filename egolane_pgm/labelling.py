@@ -495,15 +495,11 @@ def _share(part: Any, whole: Any) -> float | None:
     return float(part / whole) if whole else None
 
 
-def doubted(labels: Labels, sure: float | None = None) -> BoolArray:
+def doubted(labels: Labels) -> BoolArray:
     """(T,): marks frames in which a sure label contradicts the annotation, and neither says that
-    the car is crossing a line.
-
-    - sure: the confidence that is needed, the labels' threshold by default.
-    """
+    the car is crossing a line. Sure is one that is not below the threshold of the review."""
     found = np.zeros(len(labels), dtype=bool)
     truth, rows = labels.run.truth, labels.run.scored
     if truth is not None:
         found[rows] = (labels.lane[rows] != truth.lane) & ~truth.is_crossing
-    is_sure = labels.confidence >= (labels.below if sure is None else sure)
-    return found & is_sure & ~labels.is_crossing
+    return found & (labels.confidence >= labels.below) & ~labels.is_crossing

@@ -51,9 +51,9 @@ def plugin_names(folder: str) -> list[str]:
     """
     names = {entry.name for entry in _entry_points(folder)}
     for place in _places(folder):
-        names |= {file.stem for file in place.glob("*.py") if _is_plugin(folder, file.stem)}
+        names |= {file.stem for file in place.glob("*.py") if _module_of(folder, file.stem)}
         inside = {file.parent.name for file in place.glob("*/*.py")}
-        names |= {name for name in inside if _is_plugin(folder, name)}
+        names |= {name for name in inside if _module_of(folder, name)}
     return sorted(names)
 
 
@@ -64,10 +64,6 @@ def _places(folder: str) -> list[Path]:
 def _entry_points(folder: str) -> list[EntryPoint]:
     """The plugins of a kind that other installed packages offer."""
     return list(entry_points(group=f"egolane_pgm.{folder}"))
-
-
-def _is_plugin(folder: str, name: str) -> bool:
-    return _module_of(folder, name) is not None
 
 
 def _module_of(folder: str, name: str) -> str | None:
@@ -145,7 +141,11 @@ def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
     elif (own := _module_of(folder, name)) is not None:
         module = importlib.import_module(own)
     elif offered := [entry for entry in _entry_points(folder) if entry.name == name]:
-        module = _load_offered(offered[0], where)
+        try:
+            module = offered[0].load()
+        except Exception as error:
+            said = f"{offered[0].value} cannot be imported: {_said(error)}"
+            raise InputError(f"{where}: {said}") from error
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
     for needed in CONTRACTS[folder]:
@@ -236,15 +236,6 @@ def _load_file(path: Path, where: str) -> ModuleType:
         del sys.modules[name]
         at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
         raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
-    return module
-
-
-def _load_offered(entry: EntryPoint, where: str) -> ModuleType:
-    """Import a plugin of another package. Raises InputError where that fails."""
-    try:
-        module: ModuleType = entry.load()
-    except Exception as error:
-        raise InputError(f"{where}: {entry.value} cannot be imported: {_said(error)}") from error
     return module
 
 

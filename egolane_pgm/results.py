@@ -852,7 +852,8 @@ def read_said(directory: Path) -> tuple[dict[str, Any], dict[str, Any]]:
     with refusing_damage(directory):
         run, scores = _read_run(directory / "run.json"), read_json(directory / "scores.json")
         file = directory / BELIEFS
-        n_frames = files.rows_of_parquet(file)
+        with files.open_parquet(file) as beliefs:
+            n_frames = beliefs.metadata.num_rows
         if n_frames != run["frames"]:
             raise InputError(f"{file}: has {n_frames} frames, run.json says {run['frames']}")
     return run, scores

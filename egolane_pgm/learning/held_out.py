@@ -8,7 +8,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from egolane_pgm.drive import Drive, Recorded, evidence_on, load_drive
+from egolane_pgm.drive import Drive, evidence_on, load_drive
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning.em import Training
@@ -111,22 +111,27 @@ def fit_data(
     learns and has no `fit_pooled`."""
     if not _has_fit(model):
         return fit_graph(model, experiment, cast(Sequence[Training], data))
-    parts = cast(Sequence[Labelled], data)
+    parts, rule = cast(Sequence[Labelled], data), model.rule
     # What is learned starts from its defaults.
-    given = {k: v for k, v in model.parameters.items() if k not in model.rule.LEARNED}
-    specs = declared_parameters(model.rule, model.graph)
+    given = {k: v for k, v in model.parameters.items() if k not in rule.LEARNED}
+    specs = declared_parameters(rule, model.graph)
     guess = resolve_parameters(specs, given, model.n_lanes, f"{experiment.source}: parameters")
-    with plugin_errors(model.rule, "evidence"):
-        if len(parts) == 1:
-            alone: dict[str, Value] = model.rule.fit(*parts[0], experiment.n_lanes, guess)
-            return _checked(model, alone, "fit()")
-        if not hasattr(model.rule, "fit_pooled"):
-            raise InputError(
-                f"{experiment.source}: the evidence rule {experiment.evidence} learns from one"
-                " recording, it has no fit_pooled"
-            )
-        found: dict[str, Value] = model.rule.fit_pooled(parts, experiment.n_lanes, guess)
-    return _checked(model, found, "fit_pooled()")
+    if len(parts) > 1 and not hasattr(rule, "fit_pooled"):
+        raise InputError(
+            f"{experiment.source}: the evidence rule {experiment.evidence} learns from one"
+            " recording, it has no fit_pooled"
+        )
+    found: dict[str, Value]
+    with plugin_errors(rule, "evidence"):
+        if len(parts) > 1:
+            found = rule.fit_pooled(parts, experiment.n_lanes, guess)
+        else:
+            found = rule.fit(*parts[0], experiment.n_lanes, guess)
+    for name in found:
+        if name not in rule.LEARNED:
+            what = "fit_pooled()" if len(parts) > 1 else "fit()"
+            raise InputError(f"{rule.__file__}: {what} gave {name}, not one of LEARNED")
+    return found
 
 
 def labelled(drive: Drive, train: IntArray) -> Labelled:
@@ -139,13 +144,6 @@ def labelled(drive: Drive, train: IntArray) -> Labelled:
     lane = np.zeros(len(drive.recorded.log), dtype=np.int64)
     lane[drive.rows[train]] = drive.truth.lane[train]
     return drive.recorded.log, lane, lane > 0
-
-
-def _checked(model: Model, found: dict[str, Value], what: str) -> dict[str, Value]:
-    for name in found:
-        if name not in model.rule.LEARNED:
-            raise InputError(f"{model.rule.__file__}: {what} gave {name}, not one of LEARNED")
-    return found
 
 
 def check_learnable(model: Model, experiment: Experiment) -> None:
@@ -172,7 +170,7 @@ def n_learned(model: Model, experiment: Experiment) -> int:
     return count
 
 
-def load_to_learn(experiment: Experiment, recorded: Recorded | None = None) -> Drive:
+def load_to_learn(experiment: Experiment) -> Drive:
     """The experiment's recording and model, as `load_drive` gives them.
 
     Raises InputError also where nothing can be learned as the experiment says.
@@ -184,7 +182,7 @@ def load_to_learn(experiment: Experiment, recorded: Recorded | None = None) -> D
         needs_truth = "learning needs it"
     elif learning_of(experiment).labels:
         needs_truth = "learning needs it, or learning.labels: false"
-    return load_drive(experiment, needs_truth=needs_truth, recorded=recorded)
+    return load_drive(experiment, needs_truth=needs_truth)
 
 
 def _has_fit(model: Model) -> bool:

@@ -82,7 +82,8 @@ def read_lines(
     """
     said = {"frame_rate": frame_rate, "lines": lines}
     given = {**options, **{key: value for key, value in said.items() if value is not None}}
-    if camera is not None and takes_camera(format or format_of(path)):
+    # Only a format whose lines are, or may be, in pixels has a reader that takes a camera.
+    if camera is not None and "camera" in reader_of(format or format_of(path)).__kwdefaults__:
         given["camera"] = camera
     return read_with(path, format, given)
 
@@ -158,11 +159,6 @@ def files_with(folder: Path, ending: str) -> list[Path]:
     if own or any(path.is_file() and path.suffix.lower() != ".txt" for path in folder.iterdir()):
         return own
     return sorted(folder.rglob(f"*{ending}"))
-
-
-def takes_camera(name: str) -> bool:
-    """Whether the lines of a format are, or may be, in pixels: its reader takes a camera."""
-    return "camera" in reader_of(name).__kwdefaults__
 
 
 def reader_of(name: str) -> Any:

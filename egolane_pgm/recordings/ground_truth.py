@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from array import array
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -29,7 +28,7 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     repeat or decrease, a file without rows, and an extra row of a frame that the file has.
     """
     path = Path(path)
-    cells, last = array("q"), None
+    rows: list[tuple[int, int, int]] = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         row = _row(line)
         if not line.strip() or (row is None and number == 1 and not re.search(r"\d", line)):
@@ -39,17 +38,14 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
                 f"{path}: line {number}: {line.strip()[:60]!r} is not"
                 " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
             )
-        if last is not None and row[0] <= last:
-            raise InputError(
-                f"{path}: line {number}: frame {row[0]} "
-                + ("occurs twice" if row[0] == last else f"comes after frame {last}")
-                + "; frames must increase"
-            )
-        last = row[0]
-        cells.extend(row)
-    if last is None:
+        if rows and row[0] <= rows[-1][0]:
+            last = rows[-1][0]
+            how = "occurs twice" if row[0] == last else f"comes after frame {last}"
+            raise InputError(f"{path}: line {number}: frame {row[0]} {how}; frames must increase")
+        rows.append(row)
+    if not rows:
         raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
-    table = np.array(cells).reshape(-1, 3)
+    table = np.array(rows)
     for extra in extra_rows:
         row = _row(";".join(map(str, extra)))
         if row is None:

@@ -12,10 +12,10 @@ import numpy as np
 
 from egolane_pgm.experiment import Experiment, LinesMapping
 from egolane_pgm.recordings.fields import check_whole, typed
-from egolane_pgm.recordings.mapping import FRAME_RATE
+from egolane_pgm.recordings.mapping import FRAME_RATE, lines_of_table
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read
-from egolane_pgm.recordings.table import read_frame, with_index
+from egolane_pgm.recordings.table import check_columns
 from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
@@ -63,7 +63,9 @@ def lines_of(
     if isinstance(given, LineLog):
         return given
     _check_frame(given, "recording", "lines")
-    return read_frame(given, frame_rate=frame_rate, lines=lines, source=IN_MEMORY)
+    frame, path = _with_index(given), Path(IN_MEMORY)
+    check_columns(path, list(frame.columns))
+    return lines_of_table({name: frame[name] for name in frame}, lines, path, frame_rate)
 
 
 def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
@@ -84,7 +86,7 @@ def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
         return given
     _check_frame(given, "ground_truth", "lanes")
     path = Path(f"ground truth {IN_MEMORY}")
-    frame = with_index(given).rename(columns={"crossing": "is_crossing"})
+    frame = _with_index(given).rename(columns={"crossing": "is_crossing"})
     cells = {}
     for name in ("frame_id", "lane", "is_crossing"):
         if name in frame:
@@ -98,6 +100,13 @@ def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
     crossing = kept.get("is_crossing", np.zeros(known.sum())) == 1
     ids, lane = kept["frame_id"].astype(np.int64), kept["lane"].astype(np.int64)
     return LaneTruth(ids, lane, crossing, source=str(path))
+
+
+def _with_index(frame: pd.DataFrame) -> pd.DataFrame:
+    """A DataFrame with its index among its columns, whose names are text."""
+    frame = frame.rename(columns=str)
+    names = [name for name in frame.index.names if name is not None and name not in frame]
+    return frame.reset_index(names)
 
 
 def _check_frame(given: Any, what: str, of: str) -> None:

@@ -17,7 +17,7 @@ from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
 
 
-def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPICS[0]) -> None:
+def write_rosbag(path: str | Path, log: LineLog) -> None:
     """Write a log as a ROS 1 bag of the published message type, or (.mcap) as an MCAP file of the
     same type in ROS 2, stamped with the log's times.
 
@@ -44,7 +44,7 @@ def write_rosbag(path: str | Path, log: LineLog, *, topic: str = TOPICS[0]) -> N
     if is_ros2:
         lines_type, serialised = rosbag.LINES_TYPE_2, store.serialize_cdr
     with atomic(path) as temporary, (_mcap if is_ros2 else Writer)(temporary) as bag:
-        connection = bag.add_connection(topic, lines_type, typestore=store)
+        connection = bag.add_connection(TOPICS[0], lines_type, typestore=store)
         for t in np.flatnonzero(~log.is_missing):
             # Nanoseconds since 1970 have more digits than a float.
             seconds = np.floor(max(0.0, log.time_s[t]))

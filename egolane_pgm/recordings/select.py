@@ -24,11 +24,8 @@ def select_frames(log: LineLog, first: int | None = None, stop: int | None = Non
 
     Raises InputError, with the range that the recording has, where no frame is left.
     """
-    keep = np.ones(len(log), dtype=bool)
-    if first is not None:
-        keep &= log.frame_id >= first
-    if stop is not None:
-        keep &= log.frame_id < stop
+    keep = log.frame_id >= (-np.inf if first is None else first)
+    keep &= log.frame_id < (np.inf if stop is None else stop)
     if not keep.any():
         low = "start" if first is None else first
         high = "end" if stop is None else stop

@@ -149,19 +149,16 @@ class LinesFile(Source):
     def read(self) -> Read:
         path, recording = self._path(), self.experiment.recording
         options: dict[str, Any] = {**recording.options, "frame_rate": recording.frame_rate}
+        given = {
+            key: getattr(recording, key) for key in ("camera", "definitions", "topic", "lines")
+        }
+        options |= {key: value for key, value in given.items() if value is not None}
         files = [path]
-        if recording.camera is not None:
-            options["camera"] = find_named(self.experiment, "recording.camera")
-            files.append(options["camera"])
-        if recording.topic is not None:
-            options["topic"] = recording.topic
-        if recording.definitions is not None:
-            options["definitions"] = find_named(
-                self.experiment, "recording.definitions", folders=True
-            )
-            files.append(options["definitions"])
-        if recording.lines is not None:
-            options["lines"] = recording.lines
+        for key in ("camera", "definitions"):
+            if given[key] is not None:
+                folders = key == "definitions"
+                options[key] = find_named(self.experiment, f"recording.{key}", folders=folders)
+                files.append(options[key])
         if not self._is_own_format():
             with warnings.catch_warnings(record=True) as caught:
                 warnings.simplefilter("always")

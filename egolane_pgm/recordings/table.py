@@ -11,7 +11,7 @@ which columns are what; without one they have our own names, `mapping.COLUMNS`, 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,9 +21,6 @@ from egolane_pgm.experiment import LinesMapping
 from egolane_pgm.recordings.mapping import FRAME_RATE, lines_of_table, whole_mapping
 from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
 from egolane_pgm.types import InputError, LineLog
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: The endings of tables.
 TABLES = (".csv", ".tsv", ".parquet", ".jsonl", ".json")
@@ -45,31 +42,6 @@ def read_table(
     table = read_columns(path, lines)
     columns = dict(zip(table.column_names, table.columns, strict=True))
     return lines_of_table(columns, lines, path, frame_rate)
-
-
-def read_frame(
-    frame: pd.DataFrame,
-    *,
-    frame_rate: float = FRAME_RATE,
-    lines: LinesMapping | None = None,
-    source: str = "in memory",
-) -> LineLog:
-    """Read the lines of a DataFrame as `read_table` does those of a file. frame_id, or frame_id and
-    line, may be its index.
-
-    - source: how messages call it.
-    """
-    frame, path = with_index(frame), Path(source)
-    _check_names(path, list(frame.columns))
-    columns = {name: frame[name] for name in frame.columns}
-    return lines_of_table(columns, lines, path, frame_rate)
-
-
-def with_index(frame: pd.DataFrame) -> pd.DataFrame:
-    """A DataFrame with its index among its columns, whose names are text."""
-    frame = frame.rename(columns=str)
-    names = [name for name in frame.index.names if name is not None and name not in frame]
-    return frame.reset_index(names)
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -153,7 +125,7 @@ def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
     if extension in _TEXT and len(table.column_names) == 1 and _separated(path):
         raise InputError(f"{path}: has one column, {table.column_names[0]}{_separated(path)}")
     names = [name.strip() for name in table.column_names]
-    _check_names(path, names)
+    check_columns(path, names)
     return table.rename_columns(names)
 
 
@@ -171,7 +143,7 @@ def _separated(path: Path) -> str:
     return f'; {name}: `lines: {{separator: "{written}"}}`' if name else ""
 
 
-def _check_names(path: Path, names: list[str]) -> None:
+def check_columns(path: Path, names: list[str]) -> None:
     """Raise InputError for a column that occurs more than once."""
     twice = [name for name in names if name and names.count(name) > 1]
     if twice:

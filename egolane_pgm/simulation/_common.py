@@ -18,24 +18,17 @@ Count = Annotated[int, "count"]
 Whole = Annotated[int, "integer"]
 
 
-def check_fields(
-    instance: object,
-    kinds: Mapping[str, str] | None = None,
-    most: Mapping[str, float] | None = None,
-) -> None:
-    """Checks the numbers of a frozen dataclass and converts them in place, in `__post_init__`.
+def check_fields(instance: object, most: Mapping[str, float] | None = None) -> None:
+    """Checks the numbers of a frozen dataclass by the kinds in its annotations and converts them in
+    place, in `__post_init__`.
 
-    - kinds: of each field; by default those that its annotation has
     - most: the largest value of some fields; it is a million for the others, which is a slip of
       the finger in any unit
 
     Raises InputError (`simulation.<field>: ...`) for a value that is not of its kind.
     """
-    if kinds is None:
-        hints = get_type_hints(type(instance), include_extras=True)
-        kinds = {name: hint.__metadata__[0] for name, hint in hints.items()}
-    for name, kind in kinds.items():
-        where = f"simulation.{name}"
+    for name, hint in get_type_hints(type(instance), include_extras=True).items():
+        where, kind = f"simulation.{name}", hint.__metadata__[0]
         highest = (most or {}).get(name, 1_000_000)
         spec = Parameter(name, "integer" if kind == "count" else kind, 0, "", highest=highest)
         value = spec.check(getattr(instance, name), 1, where)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING
 
 from egolane_pgm.experiment import INTERCHANGE, Experiment
+from egolane_pgm.parameters import check_names
 from egolane_pgm.recordings.source import Read, Source
 from egolane_pgm.types import InputError, problems_in, suggestion
 
@@ -69,11 +70,6 @@ class OverMap(Simulated):
         from egolane_pgm.maps.interchange import Journey, simulate_interchange
 
         recording = self.experiment.recording
-        known = {f.name for f in fields(Journey)}
-        for key in recording.options:
-            if key not in known:
-                raise InputError(
-                    f"{self.experiment.source}: recording.options: unknown key"
-                    f" '{key}'{suggestion(key, known)}"
-                )
+        known, where = [f.name for f in fields(Journey)], f"{self.experiment.source}: recording"
+        check_names(known, recording.options, f"{where}.options")
         return simulate_interchange(recording.seed, None, Journey(**recording.options))

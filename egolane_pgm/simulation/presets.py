@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from egolane_pgm.parameters import check_names
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
 from egolane_pgm.simulation.world import World, simulate_road
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth, LineLog, suggestion
@@ -150,14 +151,9 @@ def simulate(
     if preset not in PRESETS:
         raise InputError(f"simulation: unknown preset '{preset}'{suggestion(preset, PRESETS)}")
     world_keys = {f.name for f in fields(World)}
-    known = world_keys | {f.name for f in fields(DetectorModel)}
-    for key in overrides:
-        if key not in known:
-            raise InputError(f"simulation: unknown key '{key}'{suggestion(key, known)}")
-    changes: dict[str, Any] = dict(overrides)
-    for key, value in (("n_frames", frames), ("n_lanes", n_lanes)):
-        if value is not None:
-            changes[key] = value
+    check_names(world_keys | {f.name for f in fields(DetectorModel)}, overrides, "simulation")
+    given = {"n_frames": frames, "n_lanes": n_lanes}
+    changes: dict[str, Any] = {**overrides, **{k: v for k, v in given.items() if v is not None}}
     chosen = PRESETS[preset]
     world = replace(chosen.world, **{k: v for k, v in changes.items() if k in world_keys})
     detector = replace(chosen.detector, **{k: v for k, v in changes.items() if k not in world_keys})

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry.habits import is_placed
+from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth, LineLog, runs_of
 
@@ -51,12 +52,12 @@ class Path:
         """(T,): 1 to n."""
         return np.clip(np.floor(self.across).astype(np.int64) + 1, 1, self.n_lanes)
 
-    def truth(self, crossing_frames: int = 10) -> LaneTruth:
-        """Its lanes; crossing for so many frames before and after the car's middle is on a line."""
+    def truth(self) -> LaneTruth:
+        """Its lanes; crossing for 10 frames before and after the car's middle is on a line."""
         lane = self.lane()
         is_crossing = np.zeros(len(lane), dtype=bool)
         for k in np.flatnonzero(np.diff(lane)):
-            is_crossing[max(0, k + 1 - crossing_frames) : k + 1 + crossing_frames] = True
+            is_crossing[max(0, k - 9) : k + 11] = True
         return LaneTruth(np.arange(len(lane)), lane, is_crossing)
 
 
@@ -111,15 +112,8 @@ def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
     score = (each * use[:, :, None]).sum(axis=1)
     apart = np.abs(centre[:, None] - centre)
     move = -0.5 * (np.minimum(apart, 1 - apart) / _MOVES) ** 2
-    best, back = score[0], np.zeros((len(score), _PLACES), dtype=np.int64)
-    for t in range(1, len(score)):
-        reached = best[:, None] + move
-        back[t] = reached.argmax(axis=0)
-        best = reached.max(axis=0) + score[t]
-    places = np.empty(len(score), dtype=np.int64)
-    places[-1] = best.argmax()
-    for t in range(len(score) - 1, 0, -1):
-        places[t - 1] = back[t, places[t]]
+    index, places = np.zeros((2, len(score)), dtype=np.int64)
+    best_path(np.zeros((1, _PLACES)), move[None], score, index, places)
     steady = np.unwrap(centre[places], period=1.0)
     # Each stretch between two changes of the label gets the whole number that puts it in its lane;
     # a crossing goes with the stretch before it as far as the circle does.
@@ -137,9 +131,7 @@ def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
     return np.clip(across, 0.0, truth.lane.max() - 1e-6)
 
 
-def transplanted(
-    donor: Donor, path: Path, rng: np.random.Generator, source: str = "transplanted"
-) -> LineLog:
+def transplanted(donor: Donor, path: Path, rng: np.random.Generator) -> LineLog:
     """The lines that the donor's detector would have seen of a car on a path, T frames."""
     frames, shift = _chosen(donor, path, rng)
     log, width, n_lanes = donor.log, donor.width_m, path.n_lanes
@@ -163,7 +155,7 @@ def transplanted(
         is_valid,
         np.where(changed, anew, continuous) & ~is_gone,
         np.where(is_gone, np.nan, log.lri[frames]),
-        source=source,
+        source="transplanted",
     )
 
 
@@ -186,16 +178,18 @@ def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArra
     n_frames = len(lane)
     kinds, donor_kinds = _kind(lane, path.n_lanes), _kind(donor_lane, donor.path.n_lanes)
     frames, shift = np.zeros(n_frames, np.int64), np.zeros(n_frames, np.int64)
-    for start, stop in _same(lane):
+    changes = (np.flatnonzero(np.diff(lane)) + 1).tolist()
+    for start, stop in itertools.pairwise([0, *changes, n_frames]):
         alike = _runs_of_kind(donor_kinds, int(kinds[start]))
+        lengths = np.diff(alike).ravel()
         while start < stop:
-            first, last = alike[rng.choice(len(alike), p=_shares(alike))]
+            first, last = alike[rng.choice(len(alike), p=lengths / lengths.sum())]
             length = min(int(rng.integers(*_STRETCH)), stop - start, last - first)
             begin = int(rng.integers(first, last - length + 1))
             frames[start : start + length] = np.arange(begin, begin + length)
             shift[start : start + length] = lane[start] - donor_lane[begin]
             start += length
-    for at in (np.flatnonzero(np.diff(lane)) + 1).tolist():
+    for at in changes:
         before, after = lane[at - 1], lane[at]
         step = np.sign(after - before)
         k = donor.change_at
@@ -214,19 +208,8 @@ def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArra
     return frames, shift
 
 
-def _same(lane: IntArray) -> list[tuple[int, int]]:
-    """The stretches of one lane: first frame, and the one after the last."""
-    edges = [0, *(np.flatnonzero(np.diff(lane)) + 1).tolist(), len(lane)]
-    return list(itertools.pairwise(edges))
-
-
 def _runs_of_kind(kinds: IntArray, wanted: int) -> list[tuple[int, int]]:
     """The donor's runs in lanes of a kind; on a road without such a lane its nearest, the inner."""
     found = runs_of(np.asarray(kinds == wanted)) or runs_of(np.asarray(kinds == 1))
     long = [run for run in found if run[1] - run[0] >= _STRETCH[0]]
     return long or found
-
-
-def _shares(runs: list[tuple[int, int]]) -> FloatArray:
-    lengths = np.diff(runs).ravel()
-    return np.asarray(lengths / lengths.sum())

@@ -201,12 +201,6 @@ def read_parquet(path: Path) -> Any:
     return table
 
 
-def rows_of_parquet(path: Path) -> int:
-    """How many rows a Parquet file has, by its end. Raises InputError where it cannot be read."""
-    with open_parquet(path) as file:
-        return int(file.metadata.num_rows)
-
-
 def plain(value: Any) -> Any:
     """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
     return to_jsonable_python(value, inf_nan_mode="null", fallback=_of_numpy)

@@ -135,13 +135,8 @@ def objective(
     values = dict(drive.model.parameters)
     if any(d.parameter.startswith(DETECTOR) for d in problem.space.dimensions):
         values |= searched_of_detector(chosen)[1]
-    start = {d.key: _start(d, values[d.parameter]) for d in problem.space.dimensions}
+    start = {d.key: d.value_in(values) for d in problem.space.dimensions}
     return Objective(problem, start, scorer(problem, [is_used]))
-
-
-def _start(dimension: Dimension, value: Any) -> Any:
-    lane = dimension.lane
-    return value[lane - 1] if lane is not None and isinstance(value, tuple) else value
 
 
 def _checked(dimension: Dimension, value: Any) -> float | int | str:

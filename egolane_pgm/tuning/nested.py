@@ -57,7 +57,6 @@ def search_without(
     part: int,
     *,
     study: optuna.Study | None = None,
-    worker: int = 0,
     report: Report | None = None,
 ) -> Nested:
     """Run a study from scratch: values that were tuned on the frames held out, such as the
@@ -67,13 +66,13 @@ def search_without(
     - settings: those of the study on everything.
     - part: number of the part; each has a seed of its own.
     - study: the one to go on with; by default one in memory.
-    - worker, report: as `search` takes them.
+    - report: as `search` takes it.
     """
     settings = settings_of_part(settings, part)
     if study is None:
         study = search_in_memory(space, score, settings, report)
     else:
-        search(study, space, score, settings, worker=worker, report=report)
+        search(study, space, score, settings, report=report)
     best = best_trial(study)
     return Nested(part, dict(best.params), tuple(best.values), n_complete(study))
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from egolane_pgm.drive import Drive, belief_of, load_recording
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
 from egolane_pgm.scoring.assign import assigned_lane
@@ -197,15 +195,3 @@ def notes_of_silent(drives: Sequence[Drive], objectives: Sequence[str]) -> list[
 def all_used(drives: Sequence[Drive]) -> list[BoolArray]:
     """Per drive (K,): marks every frame."""
     return [np.ones(len(drive), dtype=bool) for drive in drives]
-
-
-def shared_specs(drives: Sequence[Drive]) -> list[Any]:
-    """The parameters that all drives' plugins declare. Raises InputError where they differ."""
-    first = declared_parameters(drives[0].model.rule, drives[0].model.graph)
-    for drive in drives[1:]:
-        if declared_parameters(drive.model.rule, drive.model.graph) != first:
-            raise InputError(
-                f"{drive.experiment.source}: declares other parameters than"
-                f" {drives[0].experiment.source}; one set for both needs the same plugins"
-            )
-    return first

@@ -25,6 +25,7 @@ from egolane_pgm.drive import Drive, check_sources, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
+    Positive,
     Section,
     Tuning,
     experiment_path,
@@ -43,7 +44,6 @@ from egolane_pgm.tuning.objective import (
     check_objective,
     scores_of,
     searched_of_detector,
-    shared_specs,
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
@@ -92,23 +92,14 @@ class Pictures(Section):
         description="first labelled picture, from 0, and the one after the last",
         examples=[[0, 100]],
     )
-    ahead_m: float = Field(
-        default=10.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="where lines and labels are compared, metres ahead of the camera",
+    ahead_m: Positive = Field(
+        default=10.0, description="where lines and labels are compared, metres ahead of the camera"
     )
-    side_m: float = Field(
-        default=6.0,
-        gt=0,
-        allow_inf_nan=False,
-        description="how far to either side of the camera they count, metres",
+    side_m: Positive = Field(
+        default=6.0, description="how far to either side of the camera they count, metres"
     )
-    tolerance_m: float = Field(
-        default=0.35,
-        gt=0,
-        allow_inf_nan=False,
-        description="largest distance of a line from its label, metres",
+    tolerance_m: Positive = Field(
+        default=0.35, description="largest distance of a line from its label, metres"
     )
 
     @field_validator("frames")
@@ -266,11 +257,9 @@ def with_options(plan: Plan, options: Mapping[str, Any]) -> Plan:
       added to those of the plan one by one.
     """
     content = plan.tuning.model_dump()
-    for key, value in options.items():
-        if key == "parameters":
-            content["parameters"] = {**content["parameters"], **value}
-        elif value is not None:
-            content[key] = value
+    parameters = {**content["parameters"], **options.get("parameters", {})}
+    content |= {key: value for key, value in options.items() if value is not None}
+    content["parameters"] = parameters
     return replace(plan, tuning=validated(Tuning, content, plan.source))
 
 
@@ -297,7 +286,13 @@ def make_problem(plan: Plan) -> Problem:
             with part(), of_drive:
                 check_filter(experiment)
                 drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
-    shared_specs(drives)
+    specs = [declared_parameters(drive.model.rule, drive.model.graph) for drive in drives]
+    for drive, declared in zip(drives, specs, strict=True):
+        if declared != specs[0]:
+            raise InputError(
+                f"{drive.experiment.source}: declares other parameters than"
+                f" {drives[0].experiment.source}; one set for both needs the same plugins"
+            )
     return problem_of(plan, drives)
 
 

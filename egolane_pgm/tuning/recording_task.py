@@ -34,7 +34,6 @@ from egolane_pgm.tuning.plan import (
     scorer,
     starting_points,
 )
-from egolane_pgm.tuning.search import Score
 from egolane_pgm.tuning.space import Point, to_parameters
 from egolane_pgm.tuning.task import Task, checksum, identity_of
 from egolane_pgm.types import BoolArray, FloatArray, InputError
@@ -87,19 +86,16 @@ def recording_task(plan: Plan, held_out: str) -> Task:
             "fleet": _fleet(plan),
             "experiments": [resolved(d.experiment, d.model.parameters) for d in drives],
         },
-        scorer=partial(scorer_without, problem, whole=whole),
+        scorer=lambda part: (
+            scorer(problem, all_used(drives))
+            if part is None
+            else scorer(*without_part(problem, part, whole))
+        ),
         answers=partial(beliefs_at, problem, whole=whole),
         assess=partial(assess_beliefs, problem),
         parameters=lambda point: dict(zip(names, parameters_at(problem, point), strict=True)),
         experiments=partial(best_experiments, problem),
     )
-
-
-def scorer_without(problem: Problem, part: int | None, *, whole: bool) -> Score:
-    """The score of a point on all frames, or without a part; see `without_part`."""
-    if part is None:
-        return scorer(problem, all_used(problem.drives))
-    return scorer(*without_part(problem, part, whole))
 
 
 def without_part(

@@ -45,6 +45,11 @@ class Dimension:
     choices: tuple[str, ...] = ()
     is_log: bool = False
 
+    def value_in(self, parameters: Mapping[str, Value]) -> Any:
+        """Its value in a parameter set."""
+        value = parameters[self.parameter]
+        return value[self.lane - 1] if self.lane is not None and isinstance(value, tuple) else value
+
 
 @dataclass(frozen=True)
 class SearchSpace:
@@ -199,9 +204,7 @@ def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, A
     parameters that are not searched are not looked at."""
     point: dict[str, Any] = {}
     for d in space.dimensions:
-        value: Any = parameters[d.parameter]
-        if isinstance(value, tuple) and d.lane is not None:
-            value = value[d.lane - 1]
+        value = d.value_in(parameters)
         if d.choices:
             if value not in d.choices:
                 return None

@@ -44,7 +44,6 @@ def open_storage(url: str | None, directory: Path) -> BaseStorage:
 
     Raises InputError, one line, where that fails.
     """
-    place = f"{directory / JOURNAL_NAME}: cannot be used as Optuna's journal"
     try:
         if url is None:
             make_directory(directory)
@@ -64,7 +63,8 @@ def open_storage(url: str | None, directory: Path) -> BaseStorage:
     # Whatever a database's driver raises (no such host, user or file), or Optuna where somebody
     # changed a journal.
     except Exception as error:
-        raise InputError(f"{place if url is None else _named(url)}: {_reason(error)}") from error
+        journal = f"{directory / JOURNAL_NAME}: cannot be used as Optuna's journal"
+        raise InputError(f"{journal if url is None else _named(url)}: {_reason(error)}") from error
 
 
 class _Journal(JournalFileBackend):

@@ -129,16 +129,9 @@ def _loaded(plan: bytes, held_out: str) -> Task:
     return task_of(pickle.loads(plan), held_out)
 
 
-def _given(searches: Sequence[Search], share: Share) -> tuple[Any, ...]:
-    """What a process of its own needs for a share."""
-    made = searches[share[0]]
-    plan = pickle.dumps(made.task.plan)
-    return share, plan, made.task.held_out, made.directory, made.storage
-
-
-def _elsewhere(given: tuple[Any, ...]) -> tuple[Share, Nested | float]:
-    """Do a share in a process of its own."""
-    share, plan, held_out, directory, storage = given
+def _elsewhere(given: Sequence[tuple[Any, ...]], share: Share) -> tuple[Share, Nested | float]:
+    """Do a share in a process of its own. given: what it needs of each search."""
+    plan, held_out, directory, storage = given[share[0]]
     made = Search(_loaded(plan, held_out), directory, storage)
     return share, run_share(made, *share[1:])
 
@@ -174,9 +167,12 @@ def tune(
     else:
         # Those on everything take longest, and are begun once before processes share them.
         shares.sort(key=lambda share: share[1] is not None)
+        given = []
         for made in searches:
             open_main(made)
-        results = in_order(_elsewhere, [_given(searches, s) for s in shares], jobs, ordered=False)
+            plan = pickle.dumps(made.task.plan)
+            given.append((plan, made.task.held_out, made.directory, made.storage))
+        results = in_order(partial(_elsewhere, given), shares, jobs, ordered=False)
     left, at_work = Counter(k for k, _, _ in shares), Counter(k for k, p, _ in shares if p is None)
     seconds = [0.0] * len(searches)
     documents: list[dict[str, Any]] = [{} for _ in searches]

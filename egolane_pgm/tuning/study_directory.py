@@ -19,6 +19,7 @@ from typing import Any
 import optuna
 import pyarrow as pa
 from pyarrow import csv
+from pydantic import TypeAdapter
 
 from egolane_pgm.results import provenance
 from egolane_pgm.tools.files import atomic, write_json, write_parquet
@@ -114,15 +115,7 @@ def read_nested(directory: Path, key: Mapping[str, Any]) -> dict[int, Nested]:
         content = json.loads((directory / NESTED_FILE).read_text(encoding="utf-8"))
         if content["key"] != key:
             return {}
-        return {
-            int(entry["part"]): Nested(
-                int(entry["part"]),
-                dict(entry["point"]),
-                tuple(map(float, entry["values"])),
-                int(entry["trials"]),
-            )
-            for entry in content["parts"]
-        }
+        return {n.part: n for n in TypeAdapter(list[Nested]).validate_python(content["parts"])}
     # A damaged file is none: what it says can be computed again.
     except (OSError, ValueError, LookupError, TypeError):
         return {}
@@ -130,8 +123,5 @@ def read_nested(directory: Path, key: Mapping[str, Any]) -> dict[int, Nested]:
 
 def write_nested(directory: Path, key: Mapping[str, Any], done: Mapping[int, Nested]) -> None:
     """Keep the nested studies that are done."""
-    parts = [
-        {"part": n.part, "point": n.point, "values": list(n.values), "trials": n.trials}
-        for _, n in sorted(done.items())
-    ]
+    parts = [n for _, n in sorted(done.items())]
     write_json(directory / NESTED_FILE, {"key": key, "parts": parts})

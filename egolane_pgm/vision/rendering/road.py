@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.simulation._common import check_fields
+from egolane_pgm.simulation._common import Positive, check_fields
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 Floats = NDArray[np.float32]
@@ -32,16 +32,13 @@ class Markings:
     Raises InputError, naming the key, for a value that is not positive.
     """
 
-    dash_m: float
-    gap_m: float
-    lane_line_m: float
-    edge_line_m: float
+    dash_m: Positive
+    gap_m: Positive
+    lane_line_m: Positive
+    edge_line_m: Positive
 
     def __post_init__(self) -> None:
-        check_fields(
-            self,
-            dict.fromkeys(("dash_m", "gap_m", "lane_line_m", "edge_line_m"), "positive"),
-        )
+        check_fields(self)
         if max(self.lane_line_m, self.edge_line_m) > 1:
             raise InputError("simulation.lane_line_m: a line is at most 1 m wide")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.simulation._common import check_fields, slow_noise
+from egolane_pgm.simulation._common import NotNegative, Positive, Share, check_fields, slow_noise
 from egolane_pgm.simulation.detector import DetectorModel, sensor_failures
 from egolane_pgm.simulation.presets import PRESETS
 from egolane_pgm.simulation.world import Road, World, simulate_road
@@ -36,19 +36,18 @@ class Failures:
     Raises InputError, naming the key, for a value out of range.
     """
 
-    occlusion: float = 0.8
-    wear: float = 0.8
-    shadow: float = 0.8
-    pitch: float = 0.7
-    noise: float = 0.7
-    glare: float = 0.7
-    calm: float = 0.3
-    ok_s: float = 20.0
-    bad_s: float = 4.0
+    occlusion: Share = 0.8
+    wear: Share = 0.8
+    shadow: Share = 0.8
+    pitch: Share = 0.7
+    noise: Share = 0.7
+    glare: Share = 0.7
+    calm: Share = 0.3
+    ok_s: Positive = 20.0
+    bad_s: NotNegative = 4.0
 
     def __post_init__(self) -> None:
-        kinds = dict.fromkeys((*FAILURES, "calm"), "probability")
-        check_fields(self, {**kinds, "ok_s": "positive", "bad_s": "non_negative"})
+        check_fields(self)
 
 
 #: The kinds of failure, in the order in which results list them.
@@ -81,11 +80,11 @@ class Motion:
     Raises InputError, naming the key, for a value that no motorway has.
     """
 
-    speed_mps: float = 29.0
-    curvature: float = 1 / 1500
+    speed_mps: Positive = 29.0
+    curvature: NotNegative = 1 / 1500
 
     def __post_init__(self) -> None:
-        check_fields(self, {"speed_mps": "positive", "curvature": "non_negative"})
+        check_fields(self)
         if self.speed_mps > 80:
             raise InputError(f"simulation.speed_mps: {self.speed_mps} is above 80 m/s")
         if self.curvature > 1 / 300:
