@@ -192,9 +192,9 @@ def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
     scores = event_scores(events, np.linspace(0, 1, len(truth)), truth, 10.0)
     json.dumps(scores, allow_nan=False)
     right = [found["right"] for found in scores["within"].values()]
-    false = [found["false"] for found in scores["within"].values()]
     assert right == sorted(right)
-    assert false == sorted(false, reverse=True)
+    # The number of false ones may rise: an event at a frame without a label can be right, never
+    # false, and with a wider tolerance it may take a change from one that can be both.
     assert scores["within"]["2"]["right"] == np.isfinite(event_delays(events, truth, 10.0)).sum()
 
 
