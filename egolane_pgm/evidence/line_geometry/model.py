@@ -3,7 +3,8 @@
 From lane l, counted from 0, a detector reports lines as a Poisson process over the lateral offset z
 from the lane's centre. For lines of class c its intensity is
 
-    lambda_lc(z) = sum_k rates[l, k] class_shares[k, c] N(z; place[l, k], sigma_m[k]^2) + clutter[c]
+    lambda_lc(z) = sum_k rates[l, k] class_shares[k, c] N(z; place[l, k], s[l, k]^2) + clutter[c]
+    s[l, k]^2 = sigma_m[k]^2 + (sigma_per_m place[l, k])^2
 
 The n + 1 lines of the road, k = 0 to n, lie at (k - l - 1/2) lane widths. Two more lie beside the
 road: `shoulders[0]` lane widths left of the leftmost line and `shoulders[1]` right of the rightmost
@@ -79,6 +80,7 @@ class LineModel:
     - sigma_m: (n + 3,) standard deviation of a line about its place, metres
     - shoulders: (2,) distances of the shoulders from the road's outer lines, lane widths
     - clutter: (4,) false lines per metre, of each class
+    - sigma_per_m: how much further a line is off its place with each metre between it and the car
     """
 
     rates: FloatArray
@@ -86,6 +88,7 @@ class LineModel:
     sigma_m: FloatArray
     shoulders: FloatArray
     clutter: FloatArray
+    sigma_per_m: float = 0.0
 
     @property
     def n_lanes(self) -> int:
@@ -118,7 +121,8 @@ def line_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
         fields[field] = (
             default if isinstance(value, str) else np.array(value).reshape(default.shape)
         )
-    return LineModel(**fields)
+    grows = generic.sigma_per_m if isinstance(parameters["sigmas_m"], str) else 0.0
+    return LineModel(**fields, sigma_per_m=grows)
 
 
 def generic_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
@@ -142,6 +146,7 @@ def generic_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
         np.full(n_lines, p["line_sigma_m"]),
         np.full(2, p["shoulder_distance"]),
         p["clutter_per_m"] * np.array(CLUTTER_SHARES),
+        p["line_sigma_per_m"],
     )
 
 
@@ -185,9 +190,10 @@ def line_tables(model: LineModel, width_m: float) -> LineTables:
     last = REACH_M + width_m
     n_steps = math.ceil(2 * last / TABLE_STEP_M) + 2
     z = -last + TABLE_STEP_M * np.arange(n_steps)
-    sigma = model.sigma_m[:, None]
+    place = places(model, width_m)[..., None]
+    sigma = np.hypot(model.sigma_m[:, None], model.sigma_per_m * place)
     with np.errstate(over="ignore"):
-        exponent = -0.5 * ((z - places(model, width_m)[..., None]) / sigma) ** 2
+        exponent = -0.5 * ((z - place) / sigma) ** 2
     density = np.exp(exponent) / (sigma * math.sqrt(2 * math.pi))
     weights = model.rates[:, :, None] * model.class_shares
     intensity = weights.transpose(0, 2, 1) @ density + model.clutter[:, None]

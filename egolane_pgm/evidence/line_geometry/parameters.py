@@ -35,6 +35,16 @@ PARAMETERS = (
         highest=_WIDEST_M,
     ),
     Parameter(
+        "width_wanders",
+        "non_negative",
+        0.0,
+        "share by which the lane width may differ now and then from that of the whole recording,"
+        " because pitch and hills change the scale; with `causal` the width follows the lines",
+        search=None,
+        smoothed=0.07,
+        highest=0.5,
+    ),
+    Parameter(
         "alpha",
         "non_negative",
         0.035,
@@ -141,6 +151,15 @@ PARAMETERS = (
     Parameter("inner_continuous", "probability", 0.05, "the same for all other lines", search=None),
     Parameter(
         "line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres", search=None
+    ),
+    Parameter(
+        "line_sigma_per_m",
+        "non_negative",
+        0.03,
+        "what is added to it, as an independent error, for each metre between line and car. Nothing"
+        " where the filter is `smoothed`, which has `width_wanders`",
+        search=None,
+        smoothed=0.0,
     ),
     Parameter(
         "clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre", search=None

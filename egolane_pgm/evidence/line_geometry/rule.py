@@ -109,6 +109,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
         tables = sight_tables(models, has_flags=bool(_has_flag(log).any()))
         weights, _ = reading.frame_weights(log)
         seen = reading.count_once(seen, last.lines)
+        widths = widths * (1 + number(parameters, "width_wanders") * np.array([-1, 0, 1]))
         given = _evidence(seen, widths, weights, log.is_missing, tables, sight, parameters)
     warn_of_own_lines(sight, last.lines[0] / max(len(log), 1), log.source)
     return given

@@ -398,12 +398,12 @@ def paper_drive(run: int) -> Recorded:
 @needs_compiler
 @pytest.mark.parametrize("run", [5])
 @pytest.mark.parametrize("how", STRANGERS)
-@pytest.mark.parametrize(("width", "lost"), [("auto", 0.06), ("causal", 0.12)])
+@pytest.mark.parametrize(("width", "lost"), [("auto", 0.08), ("causal", 0.13)])
 def test_a_strangers_recording_of_the_papers_drives(
     recordings: object, run: int, how: str, width: str, lost: float
 ) -> None:
-    """Without a label. Lines filled in another way cost less than six points, and twelve if what is
-    unusual has to be found out on the way; each of these once cost up to 65 on one of the
+    """Without a label. Lines filled in another way cost under eight points, and thirteen if what
+    is unusual has to be found out on the way; each of these once cost up to 65 on one of the
     drives."""
     recorded, model = paper_drive(run), zero_label(4, width)
     strange = STRANGERS[how](recorded.log)

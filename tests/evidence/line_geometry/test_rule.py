@@ -122,8 +122,9 @@ def by_the_formula(
                     intensity[m, lane] = model.clutter[c]
                     for k in range(n + 3):
                         z = offset * width / of_width + in_lane - place[lane, k]
-                        z /= model.sigma_m[k]
-                        normal = math.exp(-0.5 * z**2) / (model.sigma_m[k] * math.sqrt(2 * math.pi))
+                        sigma = math.hypot(model.sigma_m[k], model.sigma_per_m * place[lane, k])
+                        z /= sigma
+                        normal = math.exp(-0.5 * z**2) / (sigma * math.sqrt(2 * math.pi))
                         rate = model.rates[lane, k] * model.class_shares[k, c]
                         intensity[m, lane] += rate * normal
                 product *= intensity
