@@ -13,6 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from egolane_pgm.experiment import Section, validated
@@ -47,6 +48,15 @@ OUTPUTS = {
     "polynomials": {"curves": "1 k"},
     "beziers": {"scores": "1 n", "curves": "1 n 4 2"},
     "road_lines": {"places": "", "scores": "", "(deviations)": "", "(visible)": ""},
+}
+
+#: Rows of `row_anchors`, pixels of an input 288 high (data/constant.py of the first
+#: Ultra-Fast-Lane-Detection).
+ROWS = {
+    "tusimple": np.arange(64.0, 285.0, 4.0),
+    "culane": np.array(
+        [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277, 287]
+    ),
 }
 
 #: Numbers of each of the `polynomials`: its logit, lower and upper end, four coefficients.
