@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from egolane_pgm.parameters import Parameter
 
+#: How many of a shape's four values (offset, heading, curvature, its rate) each curve has.
+CURVES = {"line": 2, "parabola": 3, "clothoid": 4}
+
 _VIEW = (
     Parameter("x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead"),
     Parameter("x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead"),
@@ -83,7 +86,7 @@ _FIT = (
         "clothoid",
         "what is fitted: straight lines, parabolas (one curvature), or clothoids (a curvature that"
         " changes at a constant rate)",
-        choices=("line", "parabola", "clothoid"),
+        choices=tuple(CURVES),
     ),
     Parameter(
         "reach_m",
