@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.online import filter_logs
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
-from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import Camera, road_seen
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.pictures import Source
 from egolane_pgm.vision.detectors import FrameLines, as_log
@@ -121,7 +121,7 @@ def layout(camera: Camera) -> Layout:
     size = (size_x + size_x % 2, top + below + (top + below) % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
-    u, v = _seen(camera, x[:, None], y[None, :])
+    u, v = road_seen(camera, x[:, None], y[None, :])
     # Points behind the camera are far outside the picture.
     maps = (np.nan_to_num(u, nan=-1e6), np.nan_to_num(v, nan=-1e6))
     columns, rows = (np.clip(m, -1e6, 1e6).astype(np.float32) for m in maps)
@@ -272,23 +272,11 @@ def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
         yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)
 
 
-def _seen(camera: Camera, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels of points on the road, NaN for those that the distortion formula folds back into
-    the picture from far outside: these pixels do not lead back to the points."""
-    u, v = road_to_image(camera, x, y)
-    if any(camera.distortion):
-        back_x, back_y = image_to_road(camera, u, v)
-        with np.errstate(invalid="ignore"):
-            is_seen = np.hypot(back_x - x, back_y - y) < 0.1 * (1 + np.abs(x))
-        u, v = np.where(is_seen, u, np.nan), np.where(is_seen, v, np.nan)
-    return u, v
-
-
 def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None:
     for k in range(len(lines.is_valid)):
         colour, thickness, is_dashed = _style(lines, k)
         for x in _pieces(is_dashed, DRAWN_M):
-            u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+            u, v = road_seen(places.camera, x, _across(lines.shape[k], x))
             _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
 
 
@@ -296,7 +284,7 @@ def _foot(places: Layout, lines: FrameLines, k: int) -> float | None:
     """The column where line k enters the picture from below or from the side, or None where it is
     not in the picture."""
     x = np.linspace(0.5, 30, 200)
-    u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+    u, v = road_seen(places.camera, x, _across(lines.shape[k], x))
     width, height = places.picture
     u, v = u * places.scale, v * places.scale
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)

@@ -9,7 +9,7 @@ import numpy as np
 
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.calibration.straight_road import RoadView, from_level_to_image, to_level
-from egolane_pgm.vision.camera.model import image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import image_to_road, road_seen
 from egolane_pgm.vision.camera.picture import Image
 
 Colour = tuple[int, int, int]
@@ -37,9 +37,9 @@ def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Imag
     across = np.linspace(-_BESIDE, _BESIDE, 60)
     for x in range(10, int(_FAR) + 1, 10):
         _draw_road(canvas, view, np.full_like(across, x), across, _METRE, 1)
-        at = _to_picture(view, np.array([float(x)]), np.array([0.0]))
+        at = np.array(road_seen(view.camera, float(x), 0.0))
         if np.isfinite(at).all() and x <= 30:
-            _write(canvas, f"{x} m", at[0], _METRE)
+            _write(canvas, f"{x} m", at, _METRE)
     start = _left_line(view, lines)
     for k in range(-3, 4):
         y = start + k * view.lane_width_m
@@ -63,21 +63,10 @@ def _left_line(view: RoadView, lines: Sequence[FloatArray]) -> float:
     return max((y for y in offsets if y < 0), default=-view.lane_width_m / 2)
 
 
-def _to_picture(view: RoadView, x: FloatArray, y: FloatArray) -> FloatArray:
-    """The pixels (N, 2) of points on the road. They are NaN far outside the picture, where the
-    distortion formula would fold them back into it."""
-    camera = view.camera
-    u, v = road_to_image(camera, x, y, undistorted=True)
-    outside = (np.abs(u - camera.cx) > 0.75 * camera.width) | (v > 1.25 * camera.height)
-    u, v = road_to_image(camera, x, y)
-    pixels: FloatArray = np.where(outside[:, None], np.nan, np.stack([u, v], axis=-1))
-    return pixels
-
-
 def _draw_road(
     canvas: Image, view: RoadView, x: FloatArray, y: FloatArray, colour: Colour, thick: int
 ) -> None:
-    _draw_path(canvas, _to_picture(view, x, y), colour, thick)
+    _draw_path(canvas, np.stack(road_seen(view.camera, x, y), axis=-1), colour, thick)
 
 
 def _draw_path(canvas: Image, pixels: FloatArray, colour: Colour, thick: int) -> None:

@@ -22,6 +22,10 @@ from egolane_pgm.types import FloatArray, InputError, suggestion
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
 
+#: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
+#: larger, the distortion formula has folded over and would show the picture a second time.
+_FOLD_PX = 1.0
+
 #: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
 RANGES = {
     "width": (16, 20_000, "pixels"),
@@ -166,6 +170,19 @@ def road_to_image(
     if not undistorted:
         a, b = _distort(camera, a, b)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
+
+
+def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Pixels u, v of points x, y of the road, as `road_to_image`; NaN also for points far outside
+    the picture that the distortion formula folds back into it."""
+    u, v = road_to_image(camera, x, y)
+    if any(camera.distortion):
+        free_u, free_v = road_to_image(camera, x, y, undistorted=True)
+        back_u, back_v = undistorted(camera, u, v)
+        with np.errstate(invalid="ignore"):
+            is_folded = ~(np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX)
+        u, v = np.where(is_folded, np.nan, u), np.where(is_folded, np.nan, v)
+    return u, v
 
 
 def image_to_road(
