@@ -209,16 +209,23 @@ def vanishing_point(camera: Camera) -> tuple[float, float]:
     return camera.cx + camera.fx * right / forward, camera.cy + camera.fy * down / forward
 
 
+def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
+    """The rays (a, b, 1), a to the right and b down, of pixels u, v of the undistorted picture in
+    the camera without roll: a, b, (..., 2)."""
+    a, b = (np.asarray(u) - camera.cx) / camera.fx, (np.asarray(v) - camera.cy) / camera.fy
+    roll = math.radians(camera.roll_deg)
+    return np.stack(
+        [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
+    )
+
+
 def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
     """Turns the camera, without changing its roll, so that lines along the direction of travel
     meet at the pixel (u, v) of the undistorted picture."""
-    roll = math.radians(camera.roll_deg)
-    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     # In the camera without roll the ahead direction is (-tan yaw / cos pitch, tan pitch).
-    level_a = math.cos(roll) * a - math.sin(roll) * b
-    level_b = math.sin(roll) * a + math.cos(roll) * b
-    pitch = math.atan(level_b)
-    yaw = math.atan(-level_a * math.cos(pitch))
+    a, b = level_rays(camera, u, v)
+    pitch = math.atan(b)
+    yaw = math.atan(-a * math.cos(pitch))
     return replace(camera, pitch_deg=math.degrees(pitch), yaw_deg=math.degrees(yaw))
 
 
