@@ -132,8 +132,7 @@ def _votes(points: FloatArray, lines: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         sine = np.abs(to[..., 0] * along[:, 1] - to[..., 1] * along[:, 0]) / (reach * length)
     good = (sine < _NEAR) & (upper[None, :, 1] > points[:, None, 1])
-    votes: FloatArray = np.where(good, length * (1 - sine / _NEAR), 0.0).sum(axis=1)
-    return votes
+    return np.asarray(np.where(good, length * (1 - sine / _NEAR), 0.0).sum(axis=1))
 
 
 def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> FloatArray:
@@ -146,8 +145,7 @@ def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> Float
     far = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
     p, r, q, s, cross = p[far], r[far], q[far], s[far], cross[far]
     along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
-    crossings: FloatArray = p + along[:, None] * r
-    return crossings
+    return np.asarray(p + along[:, None] * r)
 
 
 def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
@@ -257,8 +255,7 @@ def _profile(found: Fan) -> FloatArray:
 
 def grey_of(image: Image) -> FloatArray:
     """The mean of green and red, (H, W), float32, in which white and yellow paint are bright."""
-    grey: FloatArray = image[..., 1:].mean(axis=-1, dtype=np.float32)
-    return grey
+    return np.asarray(image[..., 1:].mean(axis=-1, dtype=np.float32))
 
 
 def find_lines(

@@ -173,8 +173,7 @@ def meeting_point(lines: Sequence[FloatArray]) -> FloatArray | None:
     matrix = np.stack(normals)
     if np.linalg.svd(matrix, compute_uv=False)[-1] < 0.05:
         return None
-    meeting: FloatArray = np.linalg.lstsq(matrix, np.array(distances), rcond=None)[0]
-    return meeting
+    return np.asarray(np.linalg.lstsq(matrix, np.array(distances), rcond=None)[0])
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
@@ -257,8 +256,7 @@ def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
     order = np.argsort(gaps)
     common = gaps[order][np.argmax(_alike(gaps[order], weights[order]))]
     common = np.median(gaps[np.abs(gaps / common - 1) < _SAME_GAP])
-    chosen: BoolArray = np.abs(gaps / common - 1) < _SAME_GAP
-    return chosen
+    return np.asarray(np.abs(gaps / common - 1) < _SAME_GAP)
 
 
 def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
@@ -271,8 +269,7 @@ def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
     total, moment = (np.concatenate([[0.0], np.cumsum(a)]) for a in (weights, weights * gaps))
     below, above = total[middle] - total[low], total[high] - total[middle]
     tilt = (moment[middle] - moment[low]) - (moment[high] - moment[middle])
-    alike: FloatArray = below + above + (tilt / gaps - below + above) / _SAME_GAP
-    return alike
+    return np.asarray(below + above + (tilt / gaps - below + above) / _SAME_GAP)
 
 
 def view_of_road(

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.tools.files import read_yaml, write_yaml
-from egolane_pgm.types import FloatArray, InputError, suggestion
+from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
@@ -372,10 +372,8 @@ def camera_from(content: Mapping[str, Any], where: str) -> Camera:
             tuple(rectangle) if isinstance(rectangle, list) else rectangle
             for rectangle in values["ignore"]
         )
-    try:
+    with problems_in(where):
         return Camera(**values, name=where)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
 
 
 def read_camera(path: str | Path) -> Camera:

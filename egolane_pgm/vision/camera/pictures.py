@@ -21,7 +21,7 @@ import numpy as np
 
 from egolane_pgm.recordings import FORMATS, files_of
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
 from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
@@ -135,10 +135,8 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
         return camera  # `read_pictures` says what is wrong, in its order
     if size_of(first) == (camera.width, camera.height):
         return camera
-    try:
+    with problems_in(source.path):
         resized = scaled(camera, *size_of(first))
-    except InputError as error:
-        raise InputError(f"{source.path}: {error}") from None
     warnings.warn(
         f"{source.path}: its pictures have {_size(first)} pixels, {camera.name or 'the camera'} was"
         f" calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were cut"

@@ -76,16 +76,6 @@ class Frame:
     truth: FrameTruth
 
 
-def _frame_index(scene: Scene, k: int) -> int:
-    if not 0 <= k < len(scene):
-        raise InputError(f"simulation: frame {k} is outside 0..{len(scene) - 1}")
-    return int(k)
-
-
-def _camera_at(scene: Scene, k: int) -> Camera:
-    return replace(scene.camera, pitch_deg=float(scene.camera.pitch_deg + scene.pitch_deg[k]))
-
-
 def _side(scene: Scene, k: int) -> Callable[[FloatArray], FloatArray]:
     """A function from x, metres ahead of the car in frame k, to how far right the road bends."""
     s0, heading = float(scene.s_m[k]), float(scene.heading[k])
@@ -106,8 +96,10 @@ def _boxes(scene: Scene, k: int) -> list[traffics.Box]:
 
 def frame_truth(scene: Scene, k: int) -> FrameTruth:
     """The truth of frame k. Raises InputError if there is no such frame."""
-    k = _frame_index(scene, k)
-    camera, s0 = _camera_at(scene, k), float(scene.s_m[k])
+    if not 0 <= k < len(scene):
+        raise InputError(f"simulation: frame {k} is outside 0..{len(scene) - 1}")
+    camera, s0 = scene.camera, float(scene.s_m[k])
+    camera = replace(camera, pitch_deg=float(camera.pitch_deg + scene.pitch_deg[k]))
     _, _, bend, rate = scene.course.at(np.array(s0))
     n_lines = len(scene.lines)
     shape = np.empty((n_lines, 4))
@@ -139,7 +131,7 @@ def frame_truth(scene: Scene, k: int) -> FrameTruth:
             float(part[on].mean()) if on.any() else 0.0 for part in (good, gone, hidden, dark)
         ]
     return FrameTruth(
-        k,
+        int(k),
         int(scene.road.lane[k]),
         bool(scene.road.is_crossing[k]),
         bool(scene.is_failing[k]),

@@ -317,16 +317,13 @@ class NetworkFile(Parameter):
         return value
 
 
-def networks_of(parameters: Parameters) -> list[Path]:
-    """The YAML files of the networks that some parameters name."""
-    return [Path(v) for v in parameters.values() if isinstance(v, str) and v.endswith(YAML)]
-
-
 def network_files(parameters: Parameters) -> list[Path]:
     """The files of the networks that some parameters name: for each the YAML, the ONNX and the
     files of its weights. Raises InputError for a network that cannot be read."""
     files = []
-    for path in networks_of(parameters):
+    for path in parameters.values():
+        if not isinstance(path, str) or not path.endswith(YAML):
+            continue
         network = read_network(path)
         files += [network.file, network.onnx, *weight_files(network.onnx, f"{path}: model")]
     return files

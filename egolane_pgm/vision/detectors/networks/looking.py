@@ -77,8 +77,7 @@ def keep(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye, Picture]
     def kept(view: BirdsEye, picture: Picture) -> BoolArray:
         nonlocal last
         last = look(picture) or last
-        near: BoolArray = grown(view, from_above(view, last), margin) > 0
-        return near
+        return np.asarray(grown(view, from_above(view, last), margin) > 0)
 
     return kept
 

@@ -373,8 +373,7 @@ def _support(own: FloatArray, width: float, parameters: Parameters) -> FloatArra
     likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
     padded = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
     at = np.arange(len(own))[:, None] + lag[-1]
-    support: FloatArray = (np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1)
-    return support
+    return np.asarray((np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1))
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
@@ -384,8 +383,7 @@ def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     column = (s0 + x * (s1 + x * (s2 / 2 + x * s3 / 6)) - view.y_m[0]) / view.across_m + 0.5
     inside = (column >= 0) & (column < valid.shape[1])
     is_shown = inside & valid[np.arange(len(x)), np.where(inside, column, 0).astype(np.int64)]
-    visible: FloatArray = is_shown.sum(axis=1) * 4 * view.along_m
-    return visible
+    return np.asarray(is_shown.sum(axis=1) * 4 * view.along_m)
 
 
 def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:

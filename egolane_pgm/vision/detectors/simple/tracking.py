@@ -73,8 +73,7 @@ class Tracks:
     @property
     def lri(self) -> FloatArray:
         """The expected number of true detections in the last k frames, (L,)."""
-        detections: FloatArray = self.hits.sum(axis=1)
-        return detections
+        return np.asarray(self.hits.sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -240,8 +239,7 @@ def _is_hidden(tracks: Tracks, is_continuous: BoolArray, rule: Rules) -> BoolArr
 def continuous_share(tracks: Tracks) -> FloatArray:
     """The share of each line's votes that says continuous, (L,); 0 without a vote."""
     n_votes = np.isfinite(tracks.votes).sum(axis=1)
-    share: FloatArray = np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1)
-    return share
+    return np.asarray(np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1))
 
 
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
@@ -388,15 +386,13 @@ def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
     is_between &= tracks.number != some.number[:, None]
     is_close = _gaps(some.mean[:, None], tracks.mean, rule) < rule["least_lane_m"]
     is_good = tracks.is_valid | ((tracks.lri >= some.lri[:, None]) & (tracks.missed == 0))
-    beyond: BoolArray = (is_between & is_close & is_good).any(axis=1)
-    return beyond
+    return np.asarray((is_between & is_close & is_good).any(axis=1))
 
 
 def _gaps(means: FloatArray, others: FloatArray, rule: Rules) -> FloatArray:
     """The distance (...), metres, of lines (..., 4) from others (..., 4), over the nearer half of
     the distances ahead."""
-    gaps: FloatArray = np.abs((means - others) @ rule.at[: _PLACES // 2].T).mean(axis=-1)
-    return gaps
+    return np.asarray(np.abs((means - others) @ rule.at[: _PLACES // 2].T).mean(axis=-1))
 
 
 def _per_line(tracks: Tracks) -> dict[str, Any]:
