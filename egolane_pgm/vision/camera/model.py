@@ -343,13 +343,8 @@ def camera_content(camera: Camera) -> dict[str, Any]:
     """The camera as the keys of a YAML file."""
     content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)
-    for name in _OPTIONAL:
-        if content[name] is None:
-            del content[name]
-    content["ignore"] = [list(rectangle) for rectangle in camera.ignore]
-    if not camera.ignore:
-        del content["ignore"]
-    return content
+    content["ignore"] = [list(rectangle) for rectangle in camera.ignore] or None
+    return {key: value for key, value in content.items() if value is not None}
 
 
 def camera_from(content: Mapping[str, Any], where: str) -> Camera:

@@ -9,6 +9,7 @@ memory at a time.
 from __future__ import annotations
 
 import glob
+import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator
@@ -247,8 +248,8 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     """
     images: Iterator[tuple[int, str, Image]]
     if source.topic is not None:
-        in_bag = bag_images(Path(source.path), source.topic, frames)
-        images = ((frame_id, source.path, image) for frame_id, image in in_bag)
+        found = bag_images(Path(source.path), source.topic, frames)
+        images = ((frame_id, source.path, image) for frame_id, image in found)
     elif source.is_video:
         found = video_images(source.path, source.files[0], source.n_frames, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
@@ -260,13 +261,10 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
         yield each
     if is_empty:
         asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
-        raise InputError(f"{source.path}: no frame{asked}; {_described(source)}")
-
-
-def _described(source: Source) -> str:
-    if source.frame_id:
-        return f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
-    return f"it has {source.n_frames or 'no'} frames"
+        there = f"it has {source.n_frames or 'no'} frames"
+        if source.frame_id:
+            there = f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
+        raise InputError(f"{source.path}: no frame{asked}; {there}")
 
 
 # --- picture files -------------------------------------------------------------------------------
@@ -299,11 +297,10 @@ def _file_images(
     source: Source, frames: tuple[int, int] | None
 ) -> Iterator[tuple[int, str, Image]]:
     assert source.frame_id is not None
-    first, stop = frames or (None, None)
+    first, stop = frames or (-math.inf, math.inf)
     for frame_id, path in zip(source.frame_id, source.files, strict=True):
-        if (first is not None and frame_id < first) or (stop is not None and frame_id >= stop):
-            continue
-        yield frame_id, str(path), read_image(path)
+        if first <= frame_id < stop:
+            yield frame_id, str(path), read_image(path)
 
 
 def read_image(path: Path) -> Image:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, FiniteFloat, model_validator
 
 from egolane_pgm.experiment import Section, validated
 from egolane_pgm.parameters import Parameter, Parameters, Value
@@ -89,14 +89,7 @@ _NEEDED = ("rows", "first_x", "start", "length", "ahead")
 READY = Path(__file__).parent / "ready"
 
 
-def _finite(value: float) -> float:
-    if not abs(value) < float("inf"):
-        raise ValueError("is not a finite number")
-    return value
-
-
-_Number = Annotated[float, AfterValidator(_finite)]
-_Three = _Number | tuple[_Number, _Number, _Number]
+_Three = FiniteFloat | tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class Network(Section):
@@ -141,7 +134,7 @@ class Network(Section):
         " stretched to `size`",
         examples=[114],
     )
-    inputs: dict[str, _Number | tuple[_Number, ...] | str] = Field(
+    inputs: dict[str, FiniteFloat | tuple[FiniteFloat, ...] | str] = Field(
         default={},
         description="what each input but the picture gets: a number everywhere, a list of numbers,"
         " or by its name an output of the picture before",
@@ -178,7 +171,7 @@ class Network(Section):
         default="none", description="what makes probabilities of the output"
     )
     threshold: float = Field(default=0.5, gt=0, lt=1, description="the least probability")
-    rows: Literal["tusimple", "culane"] | tuple[_Number, ...] | None = Field(
+    rows: Literal["tusimple", "culane"] | tuple[FiniteFloat, ...] | None = Field(
         default=None,
         description="rows of anchors: a data set's, or pixels of the input",
         examples=["tusimple", [121, 131, 141]],
