@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
@@ -85,7 +85,8 @@ def make_traffic(
         plans += _hiding(rng, start, end, own, len(lane_middle_m))
     plans += _flow(rng, time_s, len(lane_middle_m), per_minute)
     whole = _built(rng, plans, lane_middle_m)
-    return _take(whole, _possible(whole, time_s, position_m))
+    kept = _possible(whole, time_s, position_m)
+    return Traffic(*(getattr(whole, field.name)[kept] for field in fields(whole)))
 
 
 def _hiding(
@@ -162,11 +163,6 @@ def _built(rng: np.random.Generator, plans: list[_Plan], lane_middle_m: FloatArr
         np.array(paint, dtype=np.float64).reshape(-1, 3),
         np.array([plan.is_lorry for plan in plans], dtype=bool),
     )
-
-
-def _take(traffic: Traffic, which: IntArray) -> Traffic:
-    parts = (getattr(traffic, name)[which] for name in Traffic.__dataclass_fields__)
-    return Traffic(*parts)
 
 
 def _possible(traffic: Traffic, time_s: FloatArray, position_m: FloatArray) -> IntArray:

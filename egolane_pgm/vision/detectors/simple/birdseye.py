@@ -26,7 +26,7 @@ _MOST_PIXELS = 8000
 _LEAST_SHARE = 0.1
 
 #: How many views for other pitches are kept.
-_VIEWS = 24
+VIEWS = 24
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
     few different pitches. It raises InputError as `make_view` does."""
     half_x, half_y = view.along_m / 2, view.across_m / 2
 
-    @lru_cache(maxsize=_VIEWS)
+    @lru_cache(maxsize=VIEWS)
     def turned(more_deg: float) -> BirdsEye:
         if not more_deg:
             return view

@@ -24,7 +24,7 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple import plane as planes
-from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
+from egolane_pgm.vision.detectors.simple.birdseye import VIEWS, BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
 from egolane_pgm.vision.detectors.simple.plane import Plane
 
@@ -80,9 +80,6 @@ _PLANE_PX, _OFF_PLANE_PX, _GROW_PX, _EDGE_PX = 0.5, 1.0, 2, 8
 #: The steps in which the pitch is corrected, degrees.
 _PITCH_STEP_DEG = 0.1
 
-#: How many views for other pitches are cached.
-_VIEWS = 24
-
 #: The number of first frames without a sure plane in which swapped pictures are tried.
 _SWAP_TRIALS = 5
 
@@ -136,7 +133,7 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
     def for_view(view: BirdsEye) -> OnRoad:
         turned = turned_up(view)
 
-        @lru_cache(maxsize=_VIEWS)
+        @lru_cache(maxsize=VIEWS)
         def pitched(steps: int) -> tuple[BirdsEye, NDArray[np.int64]]:
             seen = turned(steps * _PITCH_STEP_DEG)
             return seen, _pixels(pair, seen)
