@@ -16,7 +16,11 @@ from egolane_pgm.tools.files import check_not_read, check_place, temporary_folde
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath, several_of
-from egolane_pgm.vision.calibration.chessboard import calibrate_lens, camera_with, describe_lens
+from egolane_pgm.vision.calibration.chessboard import (
+    calibrate_lens,
+    check_road_size,
+    describe_lens,
+)
 from egolane_pgm.vision.calibration.drawing import draw_view
 from egolane_pgm.vision.calibration.labels import (
     check_size,
@@ -141,7 +145,8 @@ def calibrate(
             paths = shown("chessboards")(files_matching(chessboards))
             lens = calibrate_lens(paths, *_size(board, "board"))
             _warn_of(lens.skipped)
-            camera, said = camera_with(lens, known), describe_lens(lens, board)
+            check_road_size(lens, known)
+            camera, said = lens.camera, describe_lens(lens, board)
             each = zip(lens.boards, lens.rms_px, strict=True)
             said += [f"  {name}: {rms:.2f} px RMS" for name, rms in each]
         else:

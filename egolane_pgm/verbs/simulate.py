@@ -30,8 +30,7 @@ from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, suggestion
 from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath
 from egolane_pgm.vision.rendering.files import free_places, write_drive
-from egolane_pgm.vision.rendering.render import check_settings, make_scene
-from egolane_pgm.vision.rendering.scene import Scene
+from egolane_pgm.vision.rendering.scene import Scene, check_settings, make_scene
 
 EXAMPLES = (
     "egolane simulate a4 --out drive --frames 600",

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.online import filter_logs
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
-from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import Camera, road_seen
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.pictures import Source
-from egolane_pgm.vision.detectors import FrameLines, as_log
+from egolane_pgm.vision.detectors import FrameLines, as_log, powers
 from egolane_pgm.vision.detectors.runner import Detector, detect
 
 Colour = tuple[int, int, int]
@@ -121,19 +121,11 @@ def layout(camera: Camera) -> Layout:
     size = (size_x + size_x % 2, top + below + (top + below) % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
-    u, v = _seen(camera, x[:, None], y[None, :])
+    u, v = road_seen(camera, x[:, None], y[None, :])
     # Points behind the camera are far outside the picture.
-    maps = (np.nan_to_num(u, nan=-1e6), np.nan_to_num(v, nan=-1e6))
-    columns, rows = (np.clip(m, -1e6, 1e6).astype(np.float32) for m in maps)
-    return Layout(
-        camera,
-        scale,
-        (width, height),
-        (above, height),
-        (top, size[1] - top),
-        size,
-        (columns, rows),
-    )
+    columns, rows = (np.clip(np.nan_to_num(at, nan=-1e6), -1e6, 1e6) for at in (u, v))
+    panel, from_above = (top, size[1] - top), (columns.astype(np.float32), rows.astype(np.float32))
+    return Layout(camera, scale, (width, height), (above, height), panel, size, from_above)
 
 
 def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
@@ -260,11 +252,6 @@ def _edge(thickness: int) -> Colour:
     return PAPER if thickness > 1 else INK
 
 
-def _across(shape: FloatArray, x: FloatArray) -> FloatArray:
-    """The place y(x) of a line, metres to the right."""
-    return np.asarray(shape[0] + x * (shape[1] + x * (shape[2] / 2 + x * shape[3] / 6)))
-
-
 def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
     """The stretches ahead over which a line is drawn, metres."""
     step = DASH_M if is_dashed else last
@@ -272,23 +259,11 @@ def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
         yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)
 
 
-def _seen(camera: Camera, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels of points on the road, NaN for those that the distortion formula folds back into
-    the picture from far outside: these pixels do not lead back to the points."""
-    u, v = road_to_image(camera, x, y)
-    if any(camera.distortion):
-        back_x, back_y = image_to_road(camera, u, v)
-        with np.errstate(invalid="ignore"):
-            is_seen = np.hypot(back_x - x, back_y - y) < 0.1 * (1 + np.abs(x))
-        u, v = np.where(is_seen, u, np.nan), np.where(is_seen, v, np.nan)
-    return u, v
-
-
 def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None:
     for k in range(len(lines.is_valid)):
         colour, thickness, is_dashed = _style(lines, k)
         for x in _pieces(is_dashed, DRAWN_M):
-            u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+            u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
             _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
 
 
@@ -296,7 +271,7 @@ def _foot(places: Layout, lines: FrameLines, k: int) -> float | None:
     """The column where line k enters the picture from below or from the side, or None where it is
     not in the picture."""
     x = np.linspace(0.5, 30, 200)
-    u, v = _seen(places.camera, x, _across(lines.shape[k], x))
+    u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
     width, height = places.picture
     u, v = u * places.scale, v * places.scale
     inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
@@ -344,7 +319,7 @@ def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
     for k in range(len(lines.is_valid)):
         colour, thickness, is_dashed = _style(lines, k)
         for x in _pieces(is_dashed, AHEAD_M[1]):
-            u = (_across(lines.shape[k], x) + SIDE_M) * width / (2 * SIDE_M)
+            u = (powers(x) @ lines.shape[k] + SIDE_M) * width / (2 * SIDE_M)
             _stroke(view, u, (AHEAD_M[1] - x) * per_metre, colour, max(1, thickness - 1))
     middle = width // 2
     # The car is a small triangle whose tip is the camera.
@@ -405,7 +380,9 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
         name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
         _centred(canvas, name, (left + right) // 2, lower + 15, right - left, INK)
         if k < n_lanes:
-            _centred(canvas, _percent(share), (left + right) // 2, upper - 5, right - left, INK)
+            _centred(
+                canvas, f"{100 * share:.0f} %", (left + right) // 2, upper - 5, right - left, INK
+            )
             if scene.truth == k + 1:
                 cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
                 mark = "truth (crossing)" if scene.is_crossing else "truth"
@@ -445,10 +422,6 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
                 cv2.line(canvas, *ends, colour, thickness, cv2.LINE_AA)
         scale = min(0.45, 0.45 * (room - (start - left)) / max(1, _text_width(text, 0.45)))
         _write(canvas, text, (start, baseline), scale, INK)
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:.0f} %"
 
 
 def _text_width(text: str, scale: float) -> int:

@@ -23,7 +23,7 @@ from egolane_pgm.paper import load_published
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.views.answers import DETECTOR_COLOUR, INK, MODEL_COLOUR
 from egolane_pgm.views.tables import markdown
-from egolane_pgm.vision.rendering.render import make_scene
+from egolane_pgm.vision.rendering.scene import make_scene
 from makers.camera import rendered
 from makers.camera.rendered import Lines, Seen, score_lines
 

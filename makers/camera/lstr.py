@@ -70,7 +70,7 @@ def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
         seen = find(view, Picture(0, cv2.imread(str(label_picture(frame, labels)))), None, None)
         assert seen is not None
         places = label_places(camera, frame, tusimple.AHEAD_M)
-        stills.append(tusimple.Still(places, seen.shape @ tusimple.AHEAD, seen.likely))
+        stills.append(tusimple.Still(places, seen.shape @ tusimple.AHEAD, seen.score))
     return stills
 
 

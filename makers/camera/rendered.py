@@ -30,13 +30,8 @@ from egolane_pgm.views.tables import markdown
 from egolane_pgm.vision import video
 from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import find_detector, start
-from egolane_pgm.vision.rendering.render import (
-    FAILURES,
-    FrameTruth,
-    Scene,
-    make_scene,
-    render_frame,
-)
+from egolane_pgm.vision.rendering.render import FrameTruth, render_frame
+from egolane_pgm.vision.rendering.scene import FAILURES, Scene, make_scene
 
 FRAMES = 3000
 #: The first seeds whose drives spend 15 % of the time in every lane.

@@ -26,7 +26,8 @@ from egolane_pgm.vision.calibration.labels import label_picture, read_labels
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.runner import Detector, find_detector, start
-from egolane_pgm.vision.rendering.render import make_scene, render_frame
+from egolane_pgm.vision.rendering.render import render_frame
+from egolane_pgm.vision.rendering.scene import make_scene
 from makers.camera import tusimple
 
 HEADER = ("camera picture, 1280x720", "per frame", "frames per second")

@@ -16,7 +16,8 @@ from egolane_pgm.vision.detectors import sl
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
 from egolane_pgm.vision.detectors.simple.plane import Plane
 from egolane_pgm.vision.rendering import traffic as traffics
-from egolane_pgm.vision.rendering.render import FAILURES, Frame, Scene, make_scene, render_frame
+from egolane_pgm.vision.rendering.render import Frame, render_frame
+from egolane_pgm.vision.rendering.scene import FAILURES, Scene, make_scene
 
 PAIR = Camera(640, 300, 500.0, 520.0, 310.0, 120.0, 1.4, pitch_deg=-2.0, baseline_m=0.4)
 K = 20

@@ -20,14 +20,8 @@ from numpy.typing import NDArray
 
 from egolane_pgm.vision.camera.model import image_to_road
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.rendering.render import (
-    Failures,
-    FrameTruth,
-    Scene,
-    line_y,
-    make_scene,
-    render_frame,
-)
+from egolane_pgm.vision.rendering.render import FrameTruth, line_y, render_frame
+from egolane_pgm.vision.rendering.scene import Failures, Scene, make_scene
 
 #: Width and height of the network's input.
 SIZE = (656, 272)

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from egolane_pgm.vision.rendering.render import FAILURES, make_scene, true_lines
+from egolane_pgm.vision.rendering.render import true_lines
+from egolane_pgm.vision.rendering.scene import FAILURES, make_scene
 from makers.camera.rendered import Seen, follow, lane_belief, score_lines
 
 

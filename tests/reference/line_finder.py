@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -74,26 +73,3 @@ def line_equations(
     design[np.arange(len(near)), 4 + line] = 1 + squeeze * x
     weighted = (width * agreement)[near, None] * design
     return design.T @ weighted, weighted.T @ (y[near] + squeeze * found[line] * x)
-
-
-def paint_contrasts(
-    image: NDArray[np.uint8],
-    map_uv: NDArray[np.int16],
-    rows: IntArray,
-    columns: IntArray,
-    aside: int,
-    half: int,
-    near: int,
-    far: int,
-    dark: float,
-) -> tuple[FloatArray, FloatArray]:
-    """Contrast of a line and of what is beside it, as `kernels.paint_contrasts`."""
-    across = np.arange(-aside, aside + 1)
-    uv = map_uv[rows[:, None], columns[:, None] + across]
-    seen = image[uv[..., 1], uv[..., 0]].max(axis=2)
-    strip = np.ones((1, 2 * half + 1), dtype=np.uint8)
-    narrow = cv2.morphologyEx(seen, cv2.MORPH_TOPHAT, strip)
-    narrow = narrow / (seen.mean(axis=1, keepdims=True) + dark)
-    own = narrow[:, np.abs(across) <= near].max(axis=1)
-    beside = [narrow[:, is_side].max(axis=1) for is_side in (across <= -far, across >= far)]
-    return own, np.minimum(*beside)

@@ -18,7 +18,8 @@ from egolane_pgm.results import read_result
 from egolane_pgm.vision.camera.model import read_camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.rendering import files, render
-from egolane_pgm.vision.rendering.render import make_scene, render_frame
+from egolane_pgm.vision.rendering.render import render_frame
+from egolane_pgm.vision.rendering.scene import make_scene
 from tests.kits.drives import command, contents, done
 
 

@@ -15,18 +15,9 @@ from egolane_pgm.types import FloatArray, InputError, IntArray
 from egolane_pgm.vision.camera.model import Camera, axes, road_to_image
 from egolane_pgm.vision.rendering import road as roads
 from egolane_pgm.vision.rendering import traffic as traffics
-from egolane_pgm.vision.rendering.render import (
-    FAILURES,
-    ITALIAN,
-    SPANISH,
-    Markings,
-    Scene,
-    frame_truth,
-    line_y,
-    make_scene,
-    render_frame,
-    true_lines,
-)
+from egolane_pgm.vision.rendering.render import frame_truth, line_y, render_frame, true_lines
+from egolane_pgm.vision.rendering.road import ITALIAN, SPANISH, Markings
+from egolane_pgm.vision.rendering.scene import FAILURES, Scene, make_scene
 from egolane_pgm.vision.rendering.traffic import Traffic
 
 CLEAR: dict[str, float] = dict.fromkeys(FAILURES, 0.0)

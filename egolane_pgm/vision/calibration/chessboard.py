@@ -36,28 +36,21 @@ _SEARCH = cv2.CALIB_CB_NORMALIZE_IMAGE
 class Lens:
     """The lens of a camera.
 
-    - width, height, fx, fy, cx, cy: size of the picture and pinhole model, pixels
-    - distortion: OpenCV's k1, k2, p1, p2, k3
+    - camera: has this lens, and is 1 m above the road
     - boards: names of the B pictures that were used
     - rms_px: (B,) root mean square reprojection error of each board, pixels
     - skipped: one line for each picture that was not used, with the reason
     """
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    boards: tuple[str, ...] = ()
-    rms_px: tuple[float, ...] = ()
-    skipped: tuple[str, ...] = ()
+    camera: Camera
+    boards: tuple[str, ...]
+    rms_px: tuple[float, ...]
+    skipped: tuple[str, ...]
 
     @property
     def overall_rms_px(self) -> float:
-        """Root mean square error over all boards, pixels; NaN without boards."""
-        return float(np.sqrt(np.mean(np.square(self.rms_px)))) if self.rms_px else float("nan")
+        """Root mean square error over all boards, pixels."""
+        return float(np.sqrt(np.mean(np.square(self.rms_px))))
 
 
 def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
@@ -156,33 +149,24 @@ def _solve(
     if abs(bend.flat[4]) < K3_ERRORS * errors.flat[8]:
         pinhole, bend, errors, rms = solve(cv2.CALIB_FIX_K3)
     k1, k2, p1, p2, k3 = (float(value) for value in bend.flat[:5])
+    fx, fy, cx, cy = (float(pinhole[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return Lens(
-        *size,
-        fx=float(pinhole[0, 0]),
-        fy=float(pinhole[1, 1]),
-        cx=float(pinhole[0, 2]),
-        cy=float(pinhole[1, 2]),
-        distortion=(k1, k2, p1, p2, k3),
+        Camera(*size, fx, fy, cx, cy, height_m=1.0, distortion=(k1, k2, p1, p2, k3)),
         boards=tuple(path.name for path, _ in boards),
         rms_px=tuple(float(value) for value in rms.flat),
         skipped=tuple(skipped),
     )
 
 
-def camera_with(lens: Lens, size: tuple[int, int]) -> Camera:
-    """A camera with a measured lens, 1 m above the road.
-
-    - size: width and height of the road's pictures, pixels
-
-    Raises InputError if the chessboards' pictures have another size.
-    """
-    if (lens.width, lens.height) != size:
+def check_road_size(lens: Lens, size: tuple[int, int]) -> None:
+    """Raises InputError if the road's pictures have another size, width and height in pixels, than
+    those of the chessboards."""
+    seen = lens.camera
+    if (seen.width, seen.height) != size:
         raise InputError(
-            f"the chessboards are {lens.width}x{lens.height}, the road's pictures {size[0]}x"
+            f"the chessboards are {seen.width}x{seen.height}, the road's pictures {size[0]}x"
             f"{size[1]}; both must come from one camera, uncropped"
         )
-    pinhole = (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy)
-    return Camera(*pinhole, height_m=1.0, distortion=lens.distortion)
 
 
 def describe_lens(lens: Lens, board: str) -> list[str]:

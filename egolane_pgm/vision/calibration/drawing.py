@@ -8,8 +8,13 @@ import cv2
 import numpy as np
 
 from egolane_pgm.types import FloatArray
-from egolane_pgm.vision.calibration.straight_road import RoadView, from_level_to_image, to_level
-from egolane_pgm.vision.camera.model import image_to_road, road_to_image
+from egolane_pgm.vision.calibration.straight_road import (
+    RoadView,
+    from_level_to_image,
+    near_y,
+    to_level,
+)
+from egolane_pgm.vision.camera.model import road_seen
 from egolane_pgm.vision.camera.picture import Image
 
 Colour = tuple[int, int, int]
@@ -33,18 +38,18 @@ def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Imag
     canvas: Image = image.copy()
     ahead = np.geomspace(_NEAR, _FAR, 60)
     for metre in range(-_BESIDE, _BESIDE + 1):
-        _draw_road(canvas, view, ahead, np.full_like(ahead, metre), _METRE, 1)
+        _draw_path(canvas, *road_seen(view.camera, ahead, metre), _METRE, 1)
     across = np.linspace(-_BESIDE, _BESIDE, 60)
     for x in range(10, int(_FAR) + 1, 10):
-        _draw_road(canvas, view, np.full_like(across, x), across, _METRE, 1)
-        at = _to_picture(view, np.array([float(x)]), np.array([0.0]))
+        _draw_path(canvas, *road_seen(view.camera, x, across), _METRE, 1)
+        at = np.array(road_seen(view.camera, x, 0))
         if np.isfinite(at).all() and x <= 30:
-            _write(canvas, f"{x} m", at[0], _METRE)
+            _write(canvas, f"{x} m", at, _METRE)
     start = _left_line(view, lines)
     for k in range(-3, 4):
         y = start + k * view.lane_width_m
         if abs(y) <= _BESIDE:
-            _draw_road(canvas, view, ahead, np.full_like(ahead, y), _LANE, 2)
+            _draw_path(canvas, *road_seen(view.camera, ahead, y), _LANE, 2)
     for points in lines:
         for u, v in np.rint(points).astype(int):
             cv2.circle(canvas, (int(u), int(v)), 2, _FOUND, -1)
@@ -54,34 +59,13 @@ def draw_view(image: Image, view: RoadView, lines: Sequence[FloatArray]) -> Imag
 
 def _left_line(view: RoadView, lines: Sequence[FloatArray]) -> float:
     """Offset of the nearest line on the left, metres; without one, half a lane to the left."""
-    offsets = []
-    for points in lines:
-        x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
-        near = np.isfinite(y) & (x < 40)
-        if near.any():
-            offsets.append(float(np.median(y[near])))
+    offsets = [float(np.median(y)) for points in lines if len(y := near_y(view, points))]
     return max((y for y in offsets if y < 0), default=-view.lane_width_m / 2)
 
 
-def _to_picture(view: RoadView, x: FloatArray, y: FloatArray) -> FloatArray:
-    """The pixels (N, 2) of points on the road. They are NaN far outside the picture, where the
-    distortion formula would fold them back into it."""
-    camera = view.camera
-    u, v = road_to_image(camera, x, y, undistorted=True)
-    outside = (np.abs(u - camera.cx) > 0.75 * camera.width) | (v > 1.25 * camera.height)
-    u, v = road_to_image(camera, x, y)
-    pixels: FloatArray = np.where(outside[:, None], np.nan, np.stack([u, v], axis=-1))
-    return pixels
-
-
-def _draw_road(
-    canvas: Image, view: RoadView, x: FloatArray, y: FloatArray, colour: Colour, thick: int
-) -> None:
-    _draw_path(canvas, _to_picture(view, x, y), colour, thick)
-
-
-def _draw_path(canvas: Image, pixels: FloatArray, colour: Colour, thick: int) -> None:
-    whole = np.rint(pixels[np.isfinite(pixels).all(axis=1)]).astype(np.int32)
+def _draw_path(canvas: Image, u: FloatArray, v: FloatArray, colour: Colour, thick: int) -> None:
+    seen = np.isfinite(u) & np.isfinite(v)
+    whole = np.rint(np.stack([u[seen], v[seen]], axis=-1)).astype(np.int32)
     cv2.polylines(canvas, [whole.reshape(-1, 1, 2)], False, colour, thick, cv2.LINE_AA)
 
 
@@ -91,7 +75,7 @@ def _draw_horizon(canvas: Image, view: RoadView) -> None:
     middle = to_level(camera, np.array([camera.width / 2]), np.array([camera.height / 2]))[0, 0]
     a = np.linspace(middle - wide, middle + wide, 60)
     rays = np.stack([a, np.full_like(a, view.ahead[1])], axis=-1)
-    _draw_path(canvas, np.stack(from_level_to_image(camera, rays), axis=-1), _HORIZON, 1)
+    _draw_path(canvas, *from_level_to_image(camera, rays), _HORIZON, 1)
     at = np.stack(from_level_to_image(camera, view.ahead), axis=-1)
     place = tuple(int(value) for value in np.rint(at))
     cv2.drawMarker(canvas, place, _HORIZON, cv2.MARKER_CROSS, 25, 2)

@@ -113,30 +113,31 @@ def edges(camera: Camera, image: Image, mask: BoolArray) -> FloatArray:
     order = np.argsort(ends[..., 1], axis=1)
     ends = np.take_along_axis(ends, order[..., None], axis=1)
     along = ends[:, 1] - ends[:, 0]
-    length = np.hypot(along[:, 0], along[:, 1])
-    keep = (along[:, 1] > _FLATTEST * np.abs(along[:, 0])) & (
-        length > _SHORTEST * camera.width / camera.fx
-    )
+    is_long = np.hypot(along[:, 0], along[:, 1]) > _SHORTEST * camera.width / camera.fx
+    keep = is_long & (along[:, 1] > _FLATTEST * np.abs(along[:, 0]))
     return ends[keep].reshape(-1, 4)
+
+
+def _length(lines: FloatArray) -> FloatArray:
+    """The lengths (M,) of edges (M, 4)."""
+    return np.asarray(np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]))
 
 
 def _votes(points: FloatArray, lines: FloatArray) -> FloatArray:
     """The total length (P,) of the edges (M, 4) that point at each of the points (P, 2) from
     below."""
-    upper, along = lines[:, :2], lines[:, 2:] - lines[:, :2]
-    length = np.hypot(along[:, 0], along[:, 1])
+    upper, along, length = lines[:, :2], lines[:, 2:] - lines[:, :2], _length(lines)
     to = points[:, None, :] - (lines[:, :2] + lines[:, 2:])[None] / 2
     reach = np.hypot(to[..., 0], to[..., 1])
     with np.errstate(divide="ignore", invalid="ignore"):
         sine = np.abs(to[..., 0] * along[:, 1] - to[..., 1] * along[:, 0]) / (reach * length)
     good = (sine < _NEAR) & (upper[None, :, 1] > points[:, None, 1])
-    votes: FloatArray = np.where(good, length * (1 - sine / _NEAR), 0.0).sum(axis=1)
-    return votes
+    return np.asarray(np.where(good, length * (1 - sine / _NEAR), 0.0).sum(axis=1))
 
 
 def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> FloatArray:
     """The points (P, 2) where random pairs of edges (M, 4) meet; long edges come more often."""
-    weight = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1])
+    weight = _length(lines)
     first, second = rng.choice(len(lines), (2, tries), p=weight / weight.sum())
     p, r = lines[first, :2], lines[first, 2:] - lines[first, :2]
     q, s = lines[second, :2], lines[second, 2:] - lines[second, :2]
@@ -144,17 +145,15 @@ def _crossings(lines: FloatArray, tries: int, rng: np.random.Generator) -> Float
     far = np.abs(cross) > 0.1 * np.hypot(*r.T) * np.hypot(*s.T)
     p, r, q, s, cross = p[far], r[far], q[far], s[far], cross[far]
     along = ((q - p)[:, 0] * s[:, 1] - (q - p)[:, 1] * s[:, 0]) / cross
-    crossings: FloatArray = p + along[:, None] * r
-    return crossings
+    return np.asarray(p + along[:, None] * r)
 
 
 def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
-    best = candidates[np.argmax(votes)]
+    best: FloatArray = candidates[np.argmax(votes)]
     for _ in range(3):
         near = np.hypot(*(candidates - best).T) < 0.03
         best = np.average(candidates[near], axis=0, weights=votes[near] ** 2 + 1e-12)
-    result: FloatArray = best
-    return result
+    return best
 
 
 def meeting_of_stills(
@@ -177,8 +176,7 @@ def meeting_of_stills(
     if not len(candidates):
         raise InputError("stills: no straight edges that meet; are they of a road ahead?")
     votes = np.sum([_votes(candidates, lines) for lines in stills], axis=0)
-    lengths = [np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]) for lines in stills]
-    if votes.max() < _AGREE * np.concatenate(lengths).sum():
+    if votes.max() < _AGREE * np.concatenate([_length(lines) for lines in stills]).sum():
         raise InputError(
             "stills: their straight edges do not meet in one point; choose stills of a straight"
             " road, and leave out bonnet and mirror (ignore)"
@@ -200,8 +198,7 @@ def clearness(lines: FloatArray, seed: int = 0, tries: int = 200) -> float:
     if len(lines) < 2:
         return 0.0
     votes = _votes(_crossings(lines, tries, np.random.default_rng(seed)), lines)
-    length = np.hypot(lines[:, 2] - lines[:, 0], lines[:, 3] - lines[:, 1]).sum()
-    return float(votes.max(initial=0.0) ** 2 / length)
+    return float(votes.max(initial=0.0) ** 2 / _length(lines).sum())
 
 
 def fan(
@@ -258,8 +255,7 @@ def _profile(found: Fan) -> FloatArray:
 
 def grey_of(image: Image) -> FloatArray:
     """The mean of green and red, (H, W), float32, in which white and yellow paint are bright."""
-    grey: FloatArray = image[..., 1:].mean(axis=-1, dtype=np.float32)
-    return grey
+    return np.asarray(image[..., 1:].mean(axis=-1, dtype=np.float32))
 
 
 def find_lines(

@@ -24,18 +24,17 @@ import numpy as np
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import (
+    RANGES,
     Camera,
     distorted,
     image_to_road,
+    level_rays,
     undistorted,
     with_vanishing_point,
 )
 
 #: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
-
-#: The narrowest and the widest lane of real roads, metres.
-LANE_WIDTHS = (2.0, 6.0)
 
 #: The smallest b - b0 that is used: 38 m ahead for a camera 1.5 m above the road. Roads rise and
 #: fall beyond.
@@ -138,12 +137,7 @@ def assumed_camera(
 
 def to_level(camera: Camera, u: FloatArray, v: FloatArray) -> FloatArray:
     """The rays a, b, (..., 2), of pixels u, v, without lens distortion and roll."""
-    u, v = undistorted(camera, u, v)
-    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    roll = math.radians(camera.roll_deg)
-    return np.stack(
-        [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
-    )
+    return level_rays(camera, *undistorted(camera, u, v))
 
 
 def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,7 +155,7 @@ def from_level_to_image(camera: Camera, rays: FloatArray) -> tuple[FloatArray, F
 
 def check_lane_width(lane_width_m: float) -> None:
     """Raises InputError for a width that no lane has, for instance in other units."""
-    low, high = LANE_WIDTHS
+    low, high, _ = RANGES["lane_width_m"]
     if not low <= lane_width_m <= high:
         raise InputError(f"lane width {lane_width_m:g}: lanes are {low:g} to {high:g} m wide")
 
@@ -179,8 +173,7 @@ def meeting_point(lines: Sequence[FloatArray]) -> FloatArray | None:
     matrix = np.stack(normals)
     if np.linalg.svd(matrix, compute_uv=False)[-1] < 0.05:
         return None
-    meeting: FloatArray = np.linalg.lstsq(matrix, np.array(distances), rcond=None)[0]
-    return meeting
+    return np.asarray(np.linalg.lstsq(matrix, np.array(distances), rcond=None)[0])
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
@@ -263,8 +256,7 @@ def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
     order = np.argsort(gaps)
     common = gaps[order][np.argmax(_alike(gaps[order], weights[order]))]
     common = np.median(gaps[np.abs(gaps / common - 1) < _SAME_GAP])
-    chosen: BoolArray = np.abs(gaps / common - 1) < _SAME_GAP
-    return chosen
+    return np.asarray(np.abs(gaps / common - 1) < _SAME_GAP)
 
 
 def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
@@ -277,8 +269,7 @@ def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
     total, moment = (np.concatenate([[0.0], np.cumsum(a)]) for a in (weights, weights * gaps))
     below, above = total[middle] - total[low], total[high] - total[middle]
     tilt = (moment[middle] - moment[low]) - (moment[high] - moment[middle])
-    alike: FloatArray = below + above + (tilt / gaps - below + above) / _SAME_GAP
-    return alike
+    return np.asarray(below + above + (tilt / gaps - below + above) / _SAME_GAP)
 
 
 def view_of_road(
@@ -386,15 +377,20 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
 
 
+def near_y(view: RoadView, points: FloatArray) -> FloatArray:
+    """The places to the right, metres, of those points (N, 2), pixels, that are at most 40 m
+    ahead."""
+    x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
+    return y[np.isfinite(y) & (x < 40)]
+
+
 def deviation_m(view: RoadView, lines: Sequence[FloatArray]) -> float:
     """The distance by which the lines of a still leave the direction of travel: the median over its
     lines, metres; infinite with fewer than two lines."""
     strays = []
-    for points in lines:
-        x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
-        near = np.isfinite(y) & (x < 40)
-        if near.sum() >= 5:
-            strays.append(float(np.median(np.abs(y[near] - np.median(y[near])))))
+    for y in (near_y(view, points) for points in lines):
+        if len(y) >= 5:
+            strays.append(float(np.median(np.abs(y - np.median(y)))))
     return float(np.median(strays)) if len(strays) >= 2 else float("inf")
 
 

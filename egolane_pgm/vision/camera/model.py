@@ -17,10 +17,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.tools.files import read_yaml, write_yaml
-from egolane_pgm.types import FloatArray, InputError, suggestion
+from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
+
+#: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
+#: larger, the distortion formula has folded over and would show the picture a second time.
+_FOLD_PX = 1.0
 
 #: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
 RANGES = {
@@ -168,6 +172,19 @@ def road_to_image(
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
+def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Pixels u, v of points x, y of the road, as `road_to_image`; NaN also for points far outside
+    the picture that the distortion formula folds back into it."""
+    u, v = road_to_image(camera, x, y)
+    if any(camera.distortion):
+        free_u, free_v = road_to_image(camera, x, y, undistorted=True)
+        back_u, back_v = undistorted(camera, u, v)
+        with np.errstate(invalid="ignore"):
+            is_folded = ~(np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX)
+        u, v = np.where(is_folded, np.nan, u), np.where(is_folded, np.nan, v)
+    return u, v
+
+
 def image_to_road(
     camera: Camera, u: ArrayLike, v: ArrayLike, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:
@@ -192,16 +209,23 @@ def vanishing_point(camera: Camera) -> tuple[float, float]:
     return camera.cx + camera.fx * right / forward, camera.cy + camera.fy * down / forward
 
 
+def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
+    """The rays (a, b, 1), a to the right and b down, of pixels u, v of the undistorted picture in
+    the camera without roll: a, b, (..., 2)."""
+    a, b = (np.asarray(u) - camera.cx) / camera.fx, (np.asarray(v) - camera.cy) / camera.fy
+    roll = math.radians(camera.roll_deg)
+    return np.stack(
+        [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
+    )
+
+
 def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
     """Turns the camera, without changing its roll, so that lines along the direction of travel
     meet at the pixel (u, v) of the undistorted picture."""
-    roll = math.radians(camera.roll_deg)
-    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     # In the camera without roll the ahead direction is (-tan yaw / cos pitch, tan pitch).
-    level_a = math.cos(roll) * a - math.sin(roll) * b
-    level_b = math.sin(roll) * a + math.cos(roll) * b
-    pitch = math.atan(level_b)
-    yaw = math.atan(-level_a * math.cos(pitch))
+    a, b = level_rays(camera, u, v)
+    pitch = math.atan(b)
+    yaw = math.atan(-a * math.cos(pitch))
     return replace(camera, pitch_deg=math.degrees(pitch), yaw_deg=math.degrees(yaw))
 
 
@@ -319,13 +343,8 @@ def camera_content(camera: Camera) -> dict[str, Any]:
     """The camera as the keys of a YAML file."""
     content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)
-    for name in _OPTIONAL:
-        if content[name] is None:
-            del content[name]
-    content["ignore"] = [list(rectangle) for rectangle in camera.ignore]
-    if not camera.ignore:
-        del content["ignore"]
-    return content
+    content["ignore"] = [list(rectangle) for rectangle in camera.ignore] or None
+    return {key: value for key, value in content.items() if value is not None}
 
 
 def camera_from(content: Mapping[str, Any], where: str) -> Camera:
@@ -348,10 +367,8 @@ def camera_from(content: Mapping[str, Any], where: str) -> Camera:
             tuple(rectangle) if isinstance(rectangle, list) else rectangle
             for rectangle in values["ignore"]
         )
-    try:
+    with problems_in(where):
         return Camera(**values, name=where)
-    except InputError as error:
-        raise InputError(f"{where}: {error}") from None
 
 
 def read_camera(path: str | Path) -> Camera:

@@ -9,6 +9,7 @@ memory at a time.
 from __future__ import annotations
 
 import glob
+import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator
@@ -21,7 +22,7 @@ import numpy as np
 
 from egolane_pgm.recordings import FORMATS, files_of
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
 from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
@@ -135,10 +136,8 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
         return camera  # `read_pictures` says what is wrong, in its order
     if size_of(first) == (camera.width, camera.height):
         return camera
-    try:
+    with problems_in(source.path):
         resized = scaled(camera, *size_of(first))
-    except InputError as error:
-        raise InputError(f"{source.path}: {error}") from None
     warnings.warn(
         f"{source.path}: its pictures have {_size(first)} pixels, {camera.name or 'the camera'} was"
         f" calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were cut"
@@ -249,8 +248,8 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     """
     images: Iterator[tuple[int, str, Image]]
     if source.topic is not None:
-        in_bag = bag_images(Path(source.path), source.topic, frames)
-        images = ((frame_id, source.path, image) for frame_id, image in in_bag)
+        found = bag_images(Path(source.path), source.topic, frames)
+        images = ((frame_id, source.path, image) for frame_id, image in found)
     elif source.is_video:
         found = video_images(source.path, source.files[0], source.n_frames, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
@@ -262,13 +261,10 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
         yield each
     if is_empty:
         asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
-        raise InputError(f"{source.path}: no frame{asked}; {_described(source)}")
-
-
-def _described(source: Source) -> str:
-    if source.frame_id:
-        return f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
-    return f"it has {source.n_frames or 'no'} frames"
+        there = f"it has {source.n_frames or 'no'} frames"
+        if source.frame_id:
+            there = f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
+        raise InputError(f"{source.path}: no frame{asked}; {there}")
 
 
 # --- picture files -------------------------------------------------------------------------------
@@ -301,11 +297,10 @@ def _file_images(
     source: Source, frames: tuple[int, int] | None
 ) -> Iterator[tuple[int, str, Image]]:
     assert source.frame_id is not None
-    first, stop = frames or (None, None)
+    first, stop = frames or (-math.inf, math.inf)
     for frame_id, path in zip(source.frame_id, source.files, strict=True):
-        if (first is not None and frame_id < first) or (stop is not None and frame_id >= stop):
-            continue
-        yield frame_id, str(path), read_image(path)
+        if first <= frame_id < stop:
+            yield frame_id, str(path), read_image(path)
 
 
 def read_image(path: Path) -> Image:

@@ -12,7 +12,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.recordings import FORMATS, files_of, format_of
 from egolane_pgm.recordings.source import VIDEOS, Read, find_named, whole_path
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, problems_in
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.detectors.runner import (
     Detector,
@@ -42,11 +42,8 @@ class Pictures:
 
     def _parts(self) -> tuple[Detector, Camera, PictureFiles, PictureFiles | None]:
         """The detector, its camera and its pictures (left, and right or None)."""
-        experiment, recording, source = (
-            self.experiment,
-            self.experiment.recording,
-            self.experiment.source,
-        )
+        experiment = self.experiment
+        recording, source = experiment.recording, experiment.source
         assert recording.detector is not None
         if recording.path is None or recording.format is not None:
             wrong = "simulate" if recording.path is None else "format"
@@ -144,10 +141,8 @@ def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
     if not is_pattern(path):
         place = find_named(experiment, f"recording.{key}", folders=True)
         return open_source(place, experiment.recording.topic if is_bag(place) else None)
-    try:
+    with problems_in(f"{experiment.source}: recording.{key}"):
         return open_source(str(experiment.folder / Path(path).expanduser()))
-    except InputError as error:
-        raise InputError(f"{experiment.source}: recording.{key}: {error}") from error
 
 
 def _are_pictures(recording: str, old: str | None, detector: str | None) -> bool:

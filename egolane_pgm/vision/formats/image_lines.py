@@ -106,7 +106,6 @@ class ImageFrame:
 
 def line_log(
     frames: Sequence[ImageFrame],
-    *,
     camera: Camera | None,
     frame_rate: float,
     valid: str | None,
@@ -135,9 +134,9 @@ def line_log(
     for frame in ordered:
         offset = np.array([offset_of(line, camera, ahead_m) for line in frame.lines])
         continuous = np.array([line.is_continuous for line in frame.lines], dtype=bool)
-        order = np.argsort(offset[np.isfinite(offset)], kind="stable")
-        offsets.append(offset[np.isfinite(offset)][order])
-        flags.append(continuous[np.isfinite(offset)][order])
+        order = np.argsort(offset, kind="stable")[: np.isfinite(offset).sum()]
+        offsets.append(offset[order])
+        flags.append(continuous[order])
     if not any(map(len, offsets)) and any(len(frame.lines) for frame in ordered):
         raise InputError(
             f"{source}: no line has two points on the road within {NEAREST_M:.0f} m ahead of this"

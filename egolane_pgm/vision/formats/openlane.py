@@ -30,7 +30,7 @@ import numpy as np
 
 from egolane_pgm.recordings import files_with
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import FloatArray, InputError, LineLog
+from egolane_pgm.types import FloatArray, InputError, LineLog, problems_in
 from egolane_pgm.vision.camera.model import Camera, camera_from_matrices, image_to_road
 from egolane_pgm.vision.formats.image_lines import (
     ImageFrame,
@@ -76,21 +76,12 @@ def read_openlane(
     for file in files:
         entry = _entry(file)
         picture = PurePosixPath(entry.get("file_path") or file)
-        lines = _lines(
-            entry, str(file), None if camera is not None else own_camera(entry, str(file))
-        )
+        own = None if camera is not None else own_camera(entry, str(file))
+        lines = _lines(entry, str(file), own)
         frames.append(ImageFrame(picture.stem, lines, str(file), str(picture.parent)))
     is_in_pixels = any(isinstance(line, ImageLine) for frame in frames for line in frame.lines)
     seen_by = camera_of(camera, path) if is_in_pixels or camera is not None else None
-    return line_log(
-        frames,
-        camera=seen_by,
-        frame_rate=frame_rate,
-        valid=valid,
-        frame_step=frame_step,
-        ahead_m=ahead_m,
-        source=str(path),
-    )
+    return line_log(frames, seen_by, frame_rate, valid, frame_step, ahead_m, str(path))
 
 
 def _entry(file: Path) -> dict[str, Any]:
@@ -138,10 +129,8 @@ def own_camera(
     lens = _matrix(entry["intrinsic"], 3)
     if lens is None:
         raise InputError(f"{source}: intrinsic is no 3 x 3 matrix of numbers")
-    try:
+    with problems_in(f"{source}: intrinsic and extrinsic"):
         return camera_from_matrices(lens, turn, *size)
-    except InputError as error:
-        raise InputError(f"{source}: intrinsic and extrinsic: {error}") from None
 
 
 def _lines(entry: dict[str, Any], source: str, camera: Camera | None) -> list[ImageLine | RoadLine]:

@@ -23,38 +23,8 @@ from egolane_pgm.vision.rendering import road as roads
 from egolane_pgm.vision.rendering import roadside
 from egolane_pgm.vision.rendering import surface as surfaces
 from egolane_pgm.vision.rendering import traffic as traffics
-from egolane_pgm.vision.rendering.road import ITALIAN, SPANISH, Markings
-from egolane_pgm.vision.rendering.scene import (
-    FAILURES,
-    SETTINGS,
-    Failures,
-    Motion,
-    Scene,
-    check_settings,
-    make_scene,
-)
-
-__all__ = [
-    "FAILURES",
-    "ITALIAN",
-    "SETTINGS",
-    "SPANISH",
-    "Failures",
-    "Frame",
-    "FrameTruth",
-    "Markings",
-    "Motion",
-    "Scene",
-    "check_settings",
-    "frame_truth",
-    "line_y",
-    "make_scene",
-    "render_frame",
-    "true_lines",
-]
-
-#: The colour of the horizon, blue green red.
-_HAZE = (222.0, 214.0, 205.0)
+from egolane_pgm.vision.rendering.scene import Scene
+from egolane_pgm.vision.rendering.strokes import HAZE, Project, View
 
 #: The farthest road that is drawn, metres ahead; haze begins there.
 _FAR_M = 350.0
@@ -106,16 +76,6 @@ class Frame:
     truth: FrameTruth
 
 
-def _frame_index(scene: Scene, k: int) -> int:
-    if not 0 <= k < len(scene):
-        raise InputError(f"simulation: frame {k} is outside 0..{len(scene) - 1}")
-    return int(k)
-
-
-def _camera_at(scene: Scene, k: int) -> Camera:
-    return replace(scene.camera, pitch_deg=float(scene.camera.pitch_deg + scene.pitch_deg[k]))
-
-
 def _side(scene: Scene, k: int) -> Callable[[FloatArray], FloatArray]:
     """A function from x, metres ahead of the car in frame k, to how far right the road bends."""
     s0, heading = float(scene.s_m[k]), float(scene.heading[k])
@@ -136,8 +96,10 @@ def _boxes(scene: Scene, k: int) -> list[traffics.Box]:
 
 def frame_truth(scene: Scene, k: int) -> FrameTruth:
     """The truth of frame k. Raises InputError if there is no such frame."""
-    k = _frame_index(scene, k)
-    camera, s0 = _camera_at(scene, k), float(scene.s_m[k])
+    if not 0 <= k < len(scene):
+        raise InputError(f"simulation: frame {k} is outside 0..{len(scene) - 1}")
+    camera, s0 = scene.camera, float(scene.s_m[k])
+    camera = replace(camera, pitch_deg=float(camera.pitch_deg + scene.pitch_deg[k]))
     _, _, bend, rate = scene.course.at(np.array(s0))
     n_lines = len(scene.lines)
     shape = np.empty((n_lines, 4))
@@ -169,7 +131,7 @@ def frame_truth(scene: Scene, k: int) -> FrameTruth:
             float(part[on].mean()) if on.any() else 0.0 for part in (good, gone, hidden, dark)
         ]
     return FrameTruth(
-        k,
+        int(k),
         int(scene.road.lane[k]),
         bool(scene.road.is_crossing[k]),
         bool(scene.is_failing[k]),
@@ -223,29 +185,30 @@ def _render(scene: Scene, truth: FrameTruth, shift_m: float, which: int) -> Imag
     surfaces.shade(image, scene.surface, first, s, d)
     haze = (1 - np.exp(-np.clip(x.mean(axis=1), 0, None) / 500.0))[:, None, None]
     far = int(np.searchsorted(-x.mean(axis=1), -40.0))
-    mixed = image[first : first + far] * (1 - haze[:far]) + np.array(_HAZE) * haze[:far]
+    mixed = image[first : first + far] * (1 - haze[:far]) + np.array(HAZE) * haze[:far]
     image[first : first + far] = mixed.astype(np.uint8)
 
+    view = View(image, project, side, s0)
     turn = camera.fx * float(scene.heading[k] - scene.course.at(np.array(s0))[1])
     roadside.draw_hills(image, horizon, turn, first)
     for start in scene.surface.bridge_m[::-1] - s0:
         if 3.0 < start < 300.0:
-            roadside.draw_bridge(image, project, side, float(start), _HAZE)
+            roadside.draw_bridge(view, float(start))
     rail = scene.rail_m - position
-    roadside.draw_trees(image, project, side, rail, s0, scene.tree_s_m, _HAZE)
-    roadside.draw_barrier(image, project, side, scene.surface.barrier_m - position, s0, _HAZE)
-    roadside.draw_rail(image, project, side, rail, s0, _HAZE)
+    roadside.draw_trees(view, rail, scene.tree_s_m)
+    roadside.draw_barrier(view, scene.surface.barrier_m - position)
+    roadside.draw_rail(view, rail)
     for box in _boxes(scene, k):
         middle = (
             np.array([[s0 + box.x[0] + 1.0]]),
             np.array([[position + box.y[0] - side(box.x[:1])[0]]]),
         )
         light = 1 - 0.45 * float(scene.surface.shadow(*middle)[0, 0])
-        traffics.draw_box(image, box, project, light, _HAZE)
+        traffics.draw_box(view, box, light)
     return _finish(image, scene, k, which)
 
 
-def _projector(camera: Camera, shift: FloatArray) -> traffics.Project:
+def _projector(camera: Camera, shift: FloatArray) -> Project:
     """A fast `road_to_image` for many small calls; the camera is moved by `shift` (x, y, z), m."""
     to_camera = axes(camera)
     position = shift + np.array([0.0, camera.lateral_m, camera.height_m])
@@ -260,7 +223,7 @@ def _projector(camera: Camera, shift: FloatArray) -> traffics.Project:
 
 
 def _edges(
-    scene: Scene, k: int, project: traffics.Project, first: int, camera: Camera
+    scene: Scene, k: int, project: Project, first: int, camera: Camera
 ) -> list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]]:
     """The `edges` of `draw_lines`: where the edges of each line cross the rows of the picture."""
     s0 = float(scene.s_m[k])
@@ -286,7 +249,7 @@ def _sky(image: Image, scene: Scene, horizon: float) -> int:
     first = min(max(first, 0), camera.height)
     up = np.clip((horizon - np.arange(first)) / camera.height, 0, 1)[:, None]
     top = np.array([214.0, 178.0, 140.0])
-    image[:first] = (np.array(_HAZE) + (top - np.array(_HAZE)) * up * 1.6)[:, None].clip(0, 255)
+    image[:first] = (np.array(HAZE) + (top - np.array(HAZE)) * up * 1.6)[:, None].clip(0, 255)
     return first
 
 

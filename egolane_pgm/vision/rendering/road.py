@@ -164,7 +164,6 @@ def make_lines(
     for weight, along, across in ((0.8, 0.08, 0.0), (1.0, 0.35, 1.0), (1.0, 2.5, 4.0)):
         noise = rng.standard_normal(tile.shape)
         tile += weight * blurred(noise, along / _WEAR_STEP_M, across)
-    ranks = np.argsort(np.argsort(tile.ravel())) / tile.size
     return Lines(
         d_m=np.arange(n_lines, dtype=np.float64) * lane_width_m,
         width_m=np.where(is_edge, markings.edge_line_m, markings.lane_line_m),
@@ -173,7 +172,7 @@ def make_lines(
         dash_m=markings.dash_m,
         period_m=period,
         wear_offset_m=rng.uniform(0, rows * _WEAR_STEP_M, n_lines),
-        wear_tile=ranks.reshape(tile.shape).astype(np.float32),
+        wear_tile=ranked(tile),
     )
 
 
@@ -191,6 +190,12 @@ def blurred(noise: FloatArray, along: float, across: float) -> Floats:
         wide = cv2.GaussianBlur(wide, (2 * pad[1][0] + 1, 1), sigmaX=across, sigmaY=0.1)
     tile = wide[pad[0][0] : pad[0][0] + height, pad[1][0] : pad[1][0] + width]
     return np.asarray((tile - tile.mean()) / tile.std(), dtype=np.float32)
+
+
+def ranked(tile: Floats) -> Floats:
+    """The ranks of a tile's values, as shares: uniformly distributed in [0, 1)."""
+    ranks = np.argsort(np.argsort(tile.ravel())) / tile.size
+    return ranks.reshape(tile.shape).astype(np.float32)
 
 
 def draw_lines(

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.rendering.road import Floats, blurred
+from egolane_pgm.vision.rendering.road import Floats, blurred, ranked
 
 #: The tile of the road's surface: metres per pixel along and across, its length, its left edge.
 ALONG_M, ACROSS_M = 0.0625, 0.03
@@ -75,19 +77,16 @@ class Surface:
         return np.asarray(np.broadcast_to(deep, np.broadcast_shapes(s.shape, d.shape)))
 
     def _leaf(self, s: FloatArray, d: FloatArray) -> Floats:
-        along, across = np.broadcast_arrays(
-            (s / _LEAF_M).astype(np.float64) % _LEAVES, (d / _LEAF_M) % _LEAVES
-        )
-        shape = along.shape
-        flat = (across.reshape(shape[0], -1), along.reshape(shape[0], -1))
-        found = cv2.remap(
-            self.leaf_tile,
-            flat[0].astype(np.float32),
-            flat[1].astype(np.float32),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_WRAP,
-        )
-        return np.asarray(found.reshape(shape), dtype=np.float32)
+        along, across = (s / _LEAF_M).astype(np.float64) % _LEAVES, (d / _LEAF_M) % _LEAVES
+        return np.asarray(_sampled(self.leaf_tile, across, along, cv2.BORDER_WRAP))
+
+
+def _sampled(tile: NDArray[Any], across: FloatArray, along: FloatArray, border: int) -> Any:
+    """A tile at columns `across` and rows `along`, which broadcast; border: of `cv2.remap`."""
+    columns, rows = map(np.ascontiguousarray, np.broadcast_arrays(across, along))
+    maps = columns.astype(np.float32), rows.astype(np.float32)
+    found = cv2.remap(tile, *maps, cv2.INTER_LINEAR, borderMode=border)
+    return found.reshape(columns.shape + tile.shape[2:])
 
 
 def make_tiles(
@@ -120,11 +119,8 @@ def make_tiles(
     tint = np.array([1.02, 1.0, 0.97])
     ground = grey[..., None] * tint
     grass = np.array([52.0, 96.0, 84.0]) + 2.2 * grain[..., None] + 6.0 * coarse[..., None]
-    ground = np.where(
-        (((d > rail_m + 0.4) | (d < LEFT_M + 0.5)) & np.ones_like(grey, dtype=bool))[..., None],
-        grass,
-        ground,
-    )
+    is_grass = (d > rail_m + 0.4) | (d < LEFT_M + 0.5)
+    ground = np.where(is_grass[:, None], grass, ground)
     sharp = np.clip(ground, 0, 255).astype(np.uint8)
     footprint = np.array([ALONG_M * 3.0**k for k in range(5)])
     tiles: list[Image] = []
@@ -187,7 +183,6 @@ def make_surface(
     tile = blurred(rng.standard_normal((_LEAVES, _LEAVES)), 9.0, 9.0)
     tile = tile + 0.8 * blurred(rng.standard_normal((_LEAVES, _LEAVES)), 2.5, 2.5)
     tile = tile + 0.6 * blurred(rng.standard_normal((_LEAVES, _LEAVES)), 0.9, 0.9)
-    ranks = np.argsort(np.argsort(tile.ravel())) / tile.size
     grain = 9.0 * rng.standard_normal((_GRAINS, _GRAINS, 1)) * np.ones(3)
     return Surface(
         tiles,
@@ -199,7 +194,7 @@ def make_surface(
         grid_m[bridges],
         reach,
         leaves,
-        ranks.reshape(tile.shape).astype(np.float32),
+        ranked(tile),
         barrier_m,
         float(line_d_m[-1]),
         rail_m,
@@ -214,23 +209,15 @@ def draw_ground(
     s, d: road coordinates of each pixel, (rows, columns); s may be (rows, 1).
     """
     rows = slice(first_row, None)
-    shape = np.broadcast_shapes(s.shape, d.shape)
-    along = np.broadcast_to(((s % TILE_M) / ALONG_M).astype(np.float32), shape)
-    across = np.broadcast_to(((d - LEFT_M) / ACROSS_M).astype(np.float32), shape)
+    along, across = (s % TILE_M) / ALONG_M, (d - LEFT_M) / ACROSS_M
     footprint = np.abs(np.gradient(s[:, 0]))
     tile = np.searchsorted(surface.footprint_m * 1.7, footprint).clip(0, len(surface.tiles) - 1)
     into = image[rows]
     for k in np.unique(tile):
         band = np.flatnonzero(tile == k)
         part = slice(int(band[0]), int(band[-1]) + 1)
-        cv2.remap(
-            surface.tiles[k],
-            np.ascontiguousarray(across[part]),
-            np.ascontiguousarray(along[part]),
-            cv2.INTER_LINEAR,
-            dst=into[part],
-            borderMode=cv2.BORDER_REPLICATE,
-        )
+        tile_k = surface.tiles[k]
+        into[part] = _sampled(tile_k, across[part], along[part], cv2.BORDER_REPLICATE)
     _draw_grain(into, surface, s, d, footprint)
     concrete = np.interp(s[:, 0], surface.grid_m, surface.concrete)
     if concrete.max() > 0:
@@ -238,7 +225,7 @@ def draw_ground(
         part = slice(int(some[0]), int(some[-1]) + 1)
         joint = np.clip(1 - np.abs((s[part, 0] + 2.5) % 5.0 - 2.5) / 0.06, 0, 1)
         more = (concrete[part] * (0.55 - 0.35 * joint)).astype(np.float32)
-        gain = 1 + more[:, None] * (np.broadcast_to(d, shape)[part] < surface.rail_m)
+        gain = 1 + more[:, None] * (d[part] < surface.rail_m)
         into[part] = cv2.multiply(into[part], cv2.merge([gain, gain, gain]), dtype=cv2.CV_8U)
 
 
@@ -252,16 +239,9 @@ def _draw_grain(
         if not band.size:
             continue
         part = slice(int(band[0]), int(band[-1]) + 1)
-        shape = np.broadcast_shapes(s[part].shape, d[part].shape)
-        along = ((s[part] / _GRAIN_ALONG_M) % _GRAINS).astype(np.float32)
-        across = ((d[part] / _GRAIN_ACROSS_M) % _GRAINS).astype(np.float32)
-        seen = cv2.remap(
-            surface.grain_tile,
-            np.ascontiguousarray(np.broadcast_to(across, shape)),
-            np.ascontiguousarray(np.broadcast_to(along, shape)),
-            cv2.INTER_LINEAR,
-            borderMode=cv2.BORDER_WRAP,
-        )
+        along = (s[part] / _GRAIN_ALONG_M) % _GRAINS
+        across = (d[part] / _GRAIN_ACROSS_M) % _GRAINS
+        seen = _sampled(surface.grain_tile, across, along, cv2.BORDER_WRAP)
         into[part] = cv2.addWeighted(into[part], 1.0, seen, gain, -128.0 * gain)
 
 

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import cv2
 import numpy as np
 
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
-from egolane_pgm.vision.camera.picture import Image
-
-Colour = tuple[float, float, float]
-
-#: Takes x, y, z in vehicle coordinates (metres) to the pixels u, v.
-Project = Callable[[FloatArray, FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+from egolane_pgm.vision.rendering.strokes import Colour, Project, View, band, fill, hazed
 
 #: The nearest distance at which a vehicle is drawn, metres.
 NEAR_M = 0.8
@@ -90,7 +85,8 @@ def make_traffic(
         plans += _hiding(rng, start, end, own, len(lane_middle_m))
     plans += _flow(rng, time_s, len(lane_middle_m), per_minute)
     whole = _built(rng, plans, lane_middle_m)
-    return _take(whole, _possible(whole, time_s, position_m))
+    kept = _possible(whole, time_s, position_m)
+    return Traffic(*(getattr(whole, field.name)[kept] for field in fields(whole)))
 
 
 def _hiding(
@@ -169,11 +165,6 @@ def _built(rng: np.random.Generator, plans: list[_Plan], lane_middle_m: FloatArr
     )
 
 
-def _take(traffic: Traffic, which: IntArray) -> Traffic:
-    parts = (getattr(traffic, name)[which] for name in Traffic.__dataclass_fields__)
-    return Traffic(*parts)
-
-
 def _possible(traffic: Traffic, time_s: FloatArray, position_m: FloatArray) -> IntArray:
     """The indices of vehicles that keep clear of the car and of those before them in the list."""
     steps = np.arange(0, len(time_s), 3)
@@ -247,14 +238,6 @@ def boxes(
     return found
 
 
-def fill(image: Image, u: FloatArray, v: FloatArray, colour: Colour) -> None:
-    """Fills a polygon with smooth edges; u, v are pixels. A corner that is not finite skips it."""
-    if not (np.isfinite(u).all() and np.isfinite(v).all()):
-        return
-    points = np.stack([np.clip(u, -9000, 9000), np.clip(v, -9000, 9000)], axis=-1)
-    cv2.fillPoly(image, [np.round(points * 16).astype(np.int32)], colour, cv2.LINE_AA, 4)
-
-
 def hull(box: Box, project: Project) -> tuple[FloatArray, FloatArray]:
     """The convex outline of a vehicle in the picture: u, v of its corners."""
     u, v = project(np.tile(box.x, 2), np.tile(box.y, 2), np.repeat([0.0, box.height_m], 4))
@@ -278,24 +261,18 @@ def _inner(
     return x[near] + (x[far] - x[near]) * ends, y[near] + (y[far] - y[near]) * ends
 
 
-def draw_box(image: Image, box: Box, project: Project, light: float, haze: Colour) -> None:
+def draw_box(view: View, box: Box, light: float) -> None:
     """Draws a vehicle: the shadow below it, its side, its rear. light: 1 in the sun."""
     x, y, top = box.x, box.y, box.height_m
-    far = float(np.clip(1 - np.exp(-x[0] / 500.0), 0, 1))
 
     def shaded(colour: FloatArray | Colour, gain: float) -> Colour:
         lit = np.clip(np.asarray(colour, dtype=np.float64) * gain * light, 0, 235)
-        mixed = (1 - far) * lit + far * np.array(haze)
-        return float(mixed[0]), float(mixed[1]), float(mixed[2])
-
-    def quad(fx: FloatArray, fy: FloatArray, z0: float, z1: float, colour: Colour) -> None:
-        u, v = project(fx[[0, 1, 1, 0]], fy[[0, 1, 1, 0]], np.array([z0, z0, z1, z1]))
-        fill(image, u, v, colour)
+        return hazed(lit, float(x[0]))
 
     middle = y.mean()
     wide = middle + (y - middle) * 1.12
-    u, v = project(x + np.array([-0.25, -0.25, 0.2, 0.2]), wide, np.zeros(4))
-    fill(image, u, v, shaded((34, 34, 34), 1.0))
+    u, v = view.project(x + np.array([-0.25, -0.25, 0.2, 0.2]), wide, np.zeros(4))
+    fill(view.image, u, v, shaded((34, 34, 34), 1.0))
     # A car's cabin is shorter and narrower than its body.
     cabin_x, cabin_y = _inner(x, y, (0.04, 0.72) if not box.is_lorry else (0.0, 1.0))
     cabin_y = middle + (cabin_y - middle) * (1.0 if box.is_lorry else 0.88)
@@ -305,22 +282,18 @@ def draw_box(image: Image, box: Box, project: Project, light: float, haze: Colou
             continue
         fx, fy = x[[a, b]], y[[a, b]]
         body = (42.0, 42.0, 44.0) if box.is_lorry else shaded(box.paint, 0.72)
-        quad(fx, fy, floor, waist, body)
+        band(view, fx, fy, floor, waist, body)
         ux, uy = cabin_x[[a, b]], cabin_y[[a, b]]
-        quad(ux, uy, waist, top, shaded(box.paint, 0.68))
+        band(view, ux, uy, waist, top, shaded(box.paint, 0.68))
         if box.is_lorry:
-            quad(ux, uy, 0.55 * top, 0.58 * top, shaded(box.paint, 0.6))
+            band(view, ux, uy, 0.55 * top, 0.58 * top, shaded(box.paint, 0.6))
         else:
-            quad(*_inner(ux, uy, (0.06, 0.94)), waist, 0.93 * top, shaded((48, 44, 40), 1.0))
+            band(view, *_inner(ux, uy, (0.06, 0.94)), waist, 0.93 * top, shaded((48, 44, 40), 1.0))
         for place in (0.16, 0.82) if not box.is_lorry else (0.12, 0.2, 0.8):
             share = 0.35 / max(float(np.ptp(fx)), 0.5)
             place = 1 - place if fx[0] > fx[1] else place
-            quad(
-                *_inner(fx, fy, (place - share, place + share)),
-                0.0,
-                0.62,
-                shaded((22, 22, 24), 1.0),
-            )
+            wheel = _inner(fx, fy, (place - share, place + share))
+            band(view, *wheel, 0.0, 0.62, shaded((22, 22, 24), 1.0))
     if not box.has_rear:
         return
 
@@ -328,7 +301,7 @@ def draw_box(image: Image, box: Box, project: Project, light: float, haze: Colou
         left: float, right: float, z0: float, z1: float, colour: Colour, cabin: bool = False
     ) -> None:
         fx, fy = (cabin_x[:2], cabin_y[:2]) if cabin else (x[:2], y[:2])
-        quad(fx, fy[0] + (fy[1] - fy[0]) * np.array([left, right]), z0, z1, colour)
+        band(view, fx, fy[0] + (fy[1] - fy[0]) * np.array([left, right]), z0, z1, colour)
 
     for left in (0.04, 0.8):
         part(left, left + 0.16, 0.0, 0.45, shaded((20, 20, 22), 1.0))

@@ -251,23 +251,23 @@ def seen_boards(
 def test_the_lens_of_exact_corners_is_found_coefficient_by_coefficient() -> None:
     true = (-0.25, 0.08, -0.004, 0.002, -0.03)
     lens = _solve(seen_boards(true, 0.0), (1280, 720), 9, 6, ["left out"])
-    assert (lens.fx, lens.fy) == pytest.approx((900, 880), abs=1)
-    assert (lens.cx, lens.cy) == pytest.approx((650, 350), abs=1)
-    np.testing.assert_allclose(lens.distortion[:2], true[:2], atol=0.01)
-    np.testing.assert_allclose(lens.distortion[2:4], true[2:4], atol=3e-4)
-    assert lens.distortion[4] == pytest.approx(true[4], abs=0.02)
+    assert (lens.camera.fx, lens.camera.fy) == pytest.approx((900, 880), abs=1)
+    assert (lens.camera.cx, lens.camera.cy) == pytest.approx((650, 350), abs=1)
+    np.testing.assert_allclose(lens.camera.distortion[:2], true[:2], atol=0.01)
+    np.testing.assert_allclose(lens.camera.distortion[2:4], true[2:4], atol=3e-4)
+    assert lens.camera.distortion[4] == pytest.approx(true[4], abs=0.02)
     assert lens.boards == tuple(f"{k}.png" for k in range(14))
     assert lens.skipped == ("left out",)
 
 
 def test_a_third_coefficient_that_noise_hides_is_none() -> None:
     lens = _solve(seen_boards((-0.25, 0.08, 0.0, 0.0, 0.0), 0.3), (1280, 720), 9, 6, [])
-    assert lens.distortion[4] == 0
-    assert lens.distortion[0] == pytest.approx(-0.25, abs=0.02)
+    assert lens.camera.distortion[4] == 0
+    assert lens.camera.distortion[0] == pytest.approx(-0.25, abs=0.02)
     # Five standard errors of it are kept; it would be two of the first coefficient.
     little = _solve(seen_boards((-0.25, 0.08, 0.0, 0.0, 1e-3), 0.3), (1280, 720), 9, 6, [])
-    assert little.distortion[4] == pytest.approx(1e-3, abs=6e-4)
-    assert little.distortion[4] != 0
+    assert little.camera.distortion[4] == pytest.approx(1e-3, abs=6e-4)
+    assert little.camera.distortion[4] != 0
     # Root mean square of both axes' noise.
     assert lens.overall_rms_px == pytest.approx(0.3 * math.sqrt(2), rel=0.1)
 

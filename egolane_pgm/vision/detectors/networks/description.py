@@ -13,7 +13,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+import numpy as np
+from pydantic import Field, FiniteFloat, model_validator
 
 from egolane_pgm.experiment import Section, validated
 from egolane_pgm.parameters import Parameter, Parameters, Value
@@ -49,6 +50,15 @@ OUTPUTS = {
     "road_lines": {"places": "", "scores": "", "(deviations)": "", "(visible)": ""},
 }
 
+#: Rows of `row_anchors`, pixels of an input 288 high (data/constant.py of the first
+#: Ultra-Fast-Lane-Detection).
+ROWS = {
+    "tusimple": np.arange(64.0, 285.0, 4.0),
+    "culane": np.array(
+        [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277, 287]
+    ),
+}
+
 #: Numbers of each of the `polynomials`: its logit, lower and upper end, four coefficients.
 POLYNOMIAL = 7
 
@@ -79,14 +89,7 @@ _NEEDED = ("rows", "first_x", "start", "length", "ahead")
 READY = Path(__file__).parent / "ready"
 
 
-def _finite(value: float) -> float:
-    if not abs(value) < float("inf"):
-        raise ValueError("is not a finite number")
-    return value
-
-
-_Number = Annotated[float, AfterValidator(_finite)]
-_Three = _Number | tuple[_Number, _Number, _Number]
+_Three = FiniteFloat | tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 
 
 class Network(Section):
@@ -131,7 +134,7 @@ class Network(Section):
         " stretched to `size`",
         examples=[114],
     )
-    inputs: dict[str, _Number | tuple[_Number, ...] | str] = Field(
+    inputs: dict[str, FiniteFloat | tuple[FiniteFloat, ...] | str] = Field(
         default={},
         description="what each input but the picture gets: a number everywhere, a list of numbers,"
         " or by its name an output of the picture before",
@@ -168,7 +171,7 @@ class Network(Section):
         default="none", description="what makes probabilities of the output"
     )
     threshold: float = Field(default=0.5, gt=0, lt=1, description="the least probability")
-    rows: Literal["tusimple", "culane"] | tuple[_Number, ...] | None = Field(
+    rows: Literal["tusimple", "culane"] | tuple[FiniteFloat, ...] | None = Field(
         default=None,
         description="rows of anchors: a data set's, or pixels of the input",
         examples=["tusimple", [121, 131, 141]],
@@ -307,16 +310,13 @@ class NetworkFile(Parameter):
         return value
 
 
-def networks_of(parameters: Parameters) -> list[Path]:
-    """The YAML files of the networks that some parameters name."""
-    return [Path(v) for v in parameters.values() if isinstance(v, str) and v.endswith(YAML)]
-
-
 def network_files(parameters: Parameters) -> list[Path]:
     """The files of the networks that some parameters name: for each the YAML, the ONNX and the
     files of its weights. Raises InputError for a network that cannot be read."""
     files = []
-    for path in networks_of(parameters):
+    for path in parameters.values():
+        if not isinstance(path, str) or not path.endswith(YAML):
+            continue
         network = read_network(path)
         files += [network.file, network.onnx, *weight_files(network.onnx, f"{path}: model")]
     return files

@@ -4,7 +4,6 @@ those that are found in its mask."""
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,12 +12,12 @@ from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import powers
-from egolane_pgm.vision.detectors.networks.answers import Answer, Line
 from egolane_pgm.vision.detectors.networks.description import Network
-from egolane_pgm.vision.detectors.networks.layouts import from_above, on_road
+from egolane_pgm.vision.detectors.networks.layouts import Answer, Line, from_above, on_road
 from egolane_pgm.vision.detectors.networks.looking import looker
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.fit import find_lines
+from egolane_pgm.vision.detectors.simple.fit import Found, find_lines
+from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
 #: The shortest line that is fitted, metres ahead, and the distance of its places.
 _LEAST_M, _STEP_M = 3.0, 1.0
@@ -30,26 +29,13 @@ _COMPARED_M = 10.0
 #: of what is usual.
 _USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
 
-#: The curves, by how many of these they have less two.
-_CURVES = ("line", "parabola", "clothoid")
-
 #: Standard deviation of a place, metres, and how much more for each metre ahead.
 _NEAR_SD_M, _SD_PER_M = 0.05, 0.01
 
 
-@dataclass(frozen=True)
-class Seen:
-    """The M lines that a network sees in a frame, left to right: shape (M, 4) as in FrameLines, how
-    likely each is, (M,), and how much of it is continuous, (M,), NaN where nobody says."""
-
-    shape: FloatArray
-    likely: FloatArray
-    solid: FloatArray
-
-
 #: Takes a bird's-eye view, a picture, the lines expected in it (P, 4) or None, and which pixels of
 #: the view count, (R, C) or None; gives None for a picture that is not looked at.
-Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Seen | None]
+Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Found | None]
 
 
 def network_finder(camera: Camera, network: Network, parameters: Parameters) -> Finder:
@@ -58,18 +44,16 @@ def network_finder(camera: Camera, network: Network, parameters: Parameters) -> 
 
     def find(
         view: BirdsEye, picture: Picture, prior: FloatArray | None, counts: BoolArray | None
-    ) -> Seen | None:
+    ) -> Found | None:
         seen = look(picture)
         if seen is None:
             return None
         if seen.mask is None:
             return fitted(view, network, seen, parameters, counts)
         mask = from_above(view, seen)
-        found = find_lines(
+        return find_lines(
             view, picture.image, parameters, prior_shape=prior, on_road=counts, mask=mask
         )
-        n_found = len(found.shape)
-        return Seen(found.shape, np.ones(n_found), np.full(n_found, np.nan))
 
     return find
 
@@ -80,7 +64,7 @@ def fitted(
     seen: Answer,
     parameters: Parameters,
     counts: BoolArray | None = None,
-) -> Seen:
+) -> Found:
     """Fits each line of an answer by least squares over its places in the view. Of lines nearer to
     each other than `apart_m`, the most probable is kept.
 
@@ -101,7 +85,8 @@ def fitted(
     order = np.argsort(found[:, 0], kind="stable")
     told = [network.continuous.get(-1 if line.kind is None else line.kind) for line in kept]
     solid = np.array([np.nan if each is None else each for each in told], dtype=np.float64)
-    return Seen(found[order], np.array([line.probability for line in kept])[order], solid[order])
+    likely = np.array([line.probability for line in kept])[order]
+    return Found(found[order], likely, likely=likely, solid=solid[order])
 
 
 def _fitted(
@@ -118,7 +103,7 @@ def _fitted(
     inside &= valid[row, np.where(inside, column, 0)]
     if inside.sum() * _STEP_M < _LEAST_M:
         return None
-    n = _CURVES.index(curve) + 2
+    n = CURVES[curve]
     weight = (_NEAR_SD_M + _SD_PER_M * at[inside]) ** -2
     design = powers(at[inside])[:, :n]
     normal = design.T @ (design * weight[:, None]) + np.diag(_USUAL[:n])

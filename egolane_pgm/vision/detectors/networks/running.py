@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from egolane_pgm.types import FloatArray, InputError, suggestion
 from egolane_pgm.vision.camera.picture import Image, check_size
 from egolane_pgm.vision.camera.writing import silent
-from egolane_pgm.vision.detectors.networks.anchors import ROWS
-from egolane_pgm.vision.detectors.networks.answers import Outputs
-from egolane_pgm.vision.detectors.networks.description import OUTPUTS, POLYNOMIAL, Network
+from egolane_pgm.vision.detectors.networks.description import OUTPUTS, POLYNOMIAL, ROWS, Network
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, Shape, read_onnx
+
+#: What a network gives for one picture, without the first axis, by what it is.
+Outputs = dict[str, FloatArray]
 
 #: Takes the next picture (H, W, 3) of a drive and gives the outputs that are looked at.
 Run = Callable[[Image], Outputs]

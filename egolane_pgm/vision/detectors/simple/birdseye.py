@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
-from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, vanishing_point
+from egolane_pgm.vision.camera.model import Camera, road_seen, vanishing_point
 from egolane_pgm.vision.camera.picture import Image, check_size
 
 #: The largest side of a view, pixels. A larger one has a wrong unit, and OpenCV cannot make it.
@@ -26,11 +26,7 @@ _MOST_PIXELS = 8000
 _LEAST_SHARE = 0.1
 
 #: How many views for other pitches are kept.
-_VIEWS = 24
-
-#: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
-#: larger, the distortion formula has folded over and would show the picture a second time.
-_FOLD_PX = 1.0
+VIEWS = 24
 
 
 @dataclass(frozen=True)
@@ -85,10 +81,9 @@ def make_view(
         )
     x_m = x_max - (np.arange(n_rows, dtype=np.float64) + 0.5) * along_m
     y_m = y_min + (np.arange(n_columns, dtype=np.float64) + 0.5) * across_m
-    u, v = road_to_image(camera, x_m[:, None], y_m)
+    u, v = road_seen(camera, x_m[:, None], y_m)
     with np.errstate(invalid="ignore"):
         valid = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
-    valid &= _unfolded(camera, x_m, y_m, u, v)
     for left, top, right, bottom in camera.ignore:
         valid &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
     _check_sees_road(camera, valid, x_min, x_max)
@@ -108,7 +103,7 @@ def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
     few different pitches. It raises InputError as `make_view` does."""
     half_x, half_y = view.along_m / 2, view.across_m / 2
 
-    @lru_cache(maxsize=_VIEWS)
+    @lru_cache(maxsize=VIEWS)
     def turned(more_deg: float) -> BirdsEye:
         if not more_deg:
             return view
@@ -123,19 +118,6 @@ def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
         )
 
     return turned
-
-
-def _unfolded(
-    camera: Camera, x_m: FloatArray, y_m: FloatArray, u: FloatArray, v: FloatArray
-) -> BoolArray:
-    """Where, (R, C), removing the distortion leads back to the point that was distorted."""
-    if not any(camera.distortion):
-        return np.ones(u.shape, dtype=bool)
-    back_u, back_v = road_to_image(camera, *image_to_road(camera, u, v), undistorted=True)
-    free_u, free_v = road_to_image(camera, x_m[:, None], y_m, undistorted=True)
-    with np.errstate(invalid="ignore"):
-        unfolded: BoolArray = np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX
-    return unfolded
 
 
 def _check_sees_road(camera: Camera, valid: BoolArray, x_min: float, x_max: float) -> None:

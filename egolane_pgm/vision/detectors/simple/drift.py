@@ -140,8 +140,7 @@ def no_drift() -> Drift:
 
 def _normalised(log_weight: FloatArray) -> FloatArray:
     weight = np.exp(log_weight - log_weight.max())
-    scaled: FloatArray = weight / weight.sum()
-    return scaled
+    return np.asarray(weight / weight.sum())
 
 
 def looked(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: float) -> Drift:

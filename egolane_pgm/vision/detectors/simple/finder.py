@@ -120,16 +120,13 @@ def follower(
             is_road = kept if is_road is None else is_road & kept
         prior = expected(tracks)
         prior_shape = prior if len(prior) else None
-        if finder is not None:
-            told = finder(seen, picture, prior_shape, is_road)
-            if told is None:
-                return predicted(tracks, rule)
-            painted = painted_share(seen, picture.image, told.shape, parameters)
-            painted = np.where(np.isnan(told.solid), painted, told.solid)
-            return advance(tracks, rule, told.shape, painted, told.likely)
-        found = find_lines(
-            seen, picture.image, parameters, prior_shape=prior_shape, on_road=is_road
+        found = (
+            find_lines(seen, picture.image, parameters, prior_shape=prior_shape, on_road=is_road)
+            if finder is None
+            else finder(seen, picture, prior_shape, is_road)
         )
+        if found is None:
+            return predicted(tracks, rule)
         n_hidden = n_hidden + 1 if found.hidden > _MOSTLY else 0
         if n_hidden == _LONG:
             warnings.warn(
@@ -140,7 +137,9 @@ def follower(
                 stacklevel=2,
             )
         painted = painted_share(seen, picture.image, found.shape, parameters)
-        return advance(tracks, rule, found.shape, painted)
+        if found.solid is not None:
+            painted = np.where(np.isnan(found.solid), painted, found.solid)
+        return advance(tracks, rule, found.shape, painted, found.likely)
 
     return follow, rule
 

@@ -29,6 +29,7 @@ from egolane_pgm.vision.detectors.simple.kernels import (
     line_equations,
 )
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
+from egolane_pgm.vision.detectors.simple.parameters import CURVES
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
@@ -58,13 +59,6 @@ _NOISY = {"least_rise": 3.4, "smooth_along_m": 1.5, "least_score": 0.22}
 #: A picture that was smeared up and down shows lines farther ahead than this as bands, metres, and
 #: the others with less contrast. Chosen on the first 55 stills with a blur of 15 rows.
 _SMEARED_TO_M, _SMEARED_RISE = 20.0, 3.0
-
-#: Which of them each curve has.
-_HAS = {
-    "line": np.array([True, False, True, False]),
-    "parabola": np.array([True, True, True, False]),
-    "clothoid": np.array([True, True, True, True]),
-}
 
 #: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
 #: the best point.
@@ -107,13 +101,18 @@ class Found:
     """The M lines found in one frame, left to right.
 
     - shape: (M, 4) as in FrameLines
-    - score: (M,) share of the visible length that contours cover, plus support from neighbours
+    - score: (M,) share of the visible length that contours cover, plus support from neighbours; of
+      a network's own lines how likely each is
     - hidden: the share of the road in view that vehicles seem to hide
+    - likely, solid: (M,) how likely each is, and how much of it is continuous, NaN where nobody
+      says; both None but for a network's own lines
     """
 
     shape: FloatArray
     score: FloatArray
     hidden: float = 0.0
+    likely: FloatArray | None = None
+    solid: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -134,6 +133,12 @@ class _Common:
         out[:, 2] = self.curvature
         out[:, 3] = self.rate
         return out
+
+
+def shared_by(curve: str) -> BoolArray:
+    """Which of the four shared values a curve has, (4,)."""
+    n_values = CURVES[curve]
+    return np.array([True, n_values > 2, True, n_values > 3])
 
 
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
@@ -271,7 +276,7 @@ def _find_common(
 ) -> _Common:
     """Searches for the values that the lines share, on a coarse grid, then on a fine one around the
     best point. The rate is the expected one."""
-    has = _HAS[str(parameters["curve"])]
+    has = shared_by(str(parameters["curve"]))
     rate = float(prior[0][3]) if has[3] else 0.0
     x, y, area, contour = _pieces(view, strips)
     y = y - rate * x**3 / 6
@@ -368,8 +373,7 @@ def _support(own: FloatArray, width: float, parameters: Parameters) -> FloatArra
     likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
     padded = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
     at = np.arange(len(own))[:, None] + lag[-1]
-    support: FloatArray = (np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1)
-    return support
+    return np.asarray((np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1))
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
@@ -379,8 +383,7 @@ def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     column = (s0 + x * (s1 + x * (s2 / 2 + x * s3 / 6)) - view.y_m[0]) / view.across_m + 0.5
     inside = (column >= 0) & (column < valid.shape[1])
     is_shown = inside & valid[np.arange(len(x)), np.where(inside, column, 0).astype(np.int64)]
-    visible: FloatArray = is_shown.sum(axis=1) * 4 * view.along_m
-    return visible
+    return np.asarray(is_shown.sum(axis=1) * 4 * view.along_m)
 
 
 def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:
@@ -407,7 +410,7 @@ def _refine(
     """Refines the shared values and the offsets (M,) by least squares over the runs near the
     lines."""
     reach = number(parameters, "reach_m")
-    has = _HAS[str(parameters["curve"])]
+    has = shared_by(str(parameters["curve"]))
     for times in _REFINE:
         if not len(found):
             break

@@ -1,4 +1,4 @@
-"""The numba kernels of the line finder and of stereo."""
+"""The numba kernels of the line finder."""
 
 from __future__ import annotations
 
@@ -187,59 +187,6 @@ def line_equations(
         for b in range(a):
             normal[b, a] = normal[a, b]
     return normal, right
-
-
-@kernel()
-def paint_contrasts(
-    image: NDArray[np.uint8],
-    map_uv: NDArray[np.int16],
-    rows: IntArray,
-    columns: IntArray,
-    aside: int,
-    half: int,
-    near: int,
-    far: int,
-    dark: float,
-) -> tuple[FloatArray, FloatArray]:
-    """How much brighter than the road around it the paint of a line is, and what seems to be paint
-    beside the line (on the side with less), (N,) each, as shares of the local brightness.
-
-    - image: (H, W, 3) the brightest of the three counts
-    - map_uv: (R, C, 2) pixel of the picture that each pixel of the view shows
-    - rows, columns: (N,) where the line is in the view
-    - aside: number of columns examined on either side
-    - half: strips of up to 2 half + 1 columns are paint (a top-hat)
-    - near: paint up to this many columns from the line belongs to the line
-    - far: paint from this many columns on (at most aside) is beside the line
-    - dark: added to the local brightness
-    """
-    n_across = 2 * aside + 1
-    own = np.empty(len(rows))
-    other = np.empty(len(rows))
-    # What lies beyond the ends neither erodes nor dilates.
-    seen = np.full(n_across + 2 * half, 255, dtype=np.uint8)
-    eroded = np.zeros(n_across + 2 * half, dtype=np.uint8)
-    opened = np.empty(n_across, dtype=np.uint8)
-    for i in range(len(rows)):
-        total = 0.0
-        for j in range(n_across):
-            u, v = map_uv[rows[i], columns[i] - aside + j]
-            seen[half + j] = max(image[v, u, 0], image[v, u, 1], image[v, u, 2])
-            total += seen[half + j]
-        eroded[half : half + n_across] = 255
-        opened[:] = 0
-        for k in range(2 * half + 1):
-            for j in range(n_across):
-                eroded[half + j] = min(eroded[half + j], seen[k + j])
-        for k in range(2 * half + 1):
-            for j in range(n_across):
-                opened[j] = max(opened[j], eroded[k + j])
-        paint = seen[half : half + n_across] - opened
-        local = total / n_across + dark
-        own[i] = paint[aside - near : aside + near + 1].max() / local
-        beside = min(paint[: aside - far + 1].max(), paint[aside + far :].max())
-        other[i] = beside / local
-    return own, other
 
 
 @kernel()

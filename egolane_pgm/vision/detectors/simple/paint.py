@@ -8,13 +8,14 @@ is as bright as white.
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.kernels import paint_contrasts
 
 PARAMETERS = (
     Parameter("least_length_m", "positive", 3.0, "shortest piece in view that is judged, metres"),
@@ -60,7 +61,7 @@ def painted_share(
     """
     width_m, least_m = (number(parameters, name) for name in ("paint_width_m", "least_length_m"))
     aside = round((_REACH_M + width_m) / view.across_m) + 1
-    half = max(round(width_m / view.across_m / 2), 1)
+    strip = np.ones((1, 2 * max(round(width_m / view.across_m / 2), 1) + 1), dtype=np.uint8)
     away_m = np.arange(aside + 1) * view.across_m
     near = int((away_m <= _REACH_M + 1e-9).sum()) - 1
     far = min(int((away_m <= _REACH_M + view.across_m).sum()), aside)
@@ -69,9 +70,8 @@ def painted_share(
         rows, columns = _rows_in_view(view, line, aside, _LENGTH_M)
         if len(rows) * view.along_m < least_m:
             continue
-        own, other = paint_contrasts(
-            image, view.map_uv[0], rows, columns, aside, half, near, far, _DARK
-        )
+        pixels = view.map_uv[0][rows[:, None], columns[:, None] + np.arange(-aside, aside + 1)]
+        own, other = _contrasts(image, pixels, strip, near, far)
         least = max(
             _LEAST,
             number(parameters, "paint_share") * _quantile(own, 0.9),
@@ -102,6 +102,25 @@ def _rows_in_view(
     rows = rows[both][::-1]
     rows = rows[x[rows] <= x[rows[:1]] + length_m]
     return rows, columns[rows]
+
+
+def _contrasts(
+    image: Image, pixels: NDArray[np.int16], strip: Image, near: int, far: int
+) -> tuple[FloatArray, FloatArray]:
+    """How much brighter than the road around it the paint of a line is, and what seems to be paint
+    beside the line (on the side with less), (N,) each, as shares of the local brightness.
+
+    - pixels: (N, 2 A + 1, 2) column and row of each pixel across the line, A to either side
+    - strip: wider ones are no paint (a top-hat)
+    - near, far: paint up to `near` pixels from the line is its own, from `far` on it is beside it
+    """
+    nearest = cv2.remap(image, pixels, np.zeros(0), cv2.INTER_NEAREST)
+    seen = np.maximum.reduce(cv2.split(nearest))
+    paint = cv2.morphologyEx(seen, cv2.MORPH_TOPHAT, strip)
+    local, middle = seen.mean(axis=1) + _DARK, pixels.shape[1] // 2
+    own = paint[:, middle - near : middle + near + 1].max(axis=1)
+    left, right = paint[:, : middle - far + 1].max(axis=1), paint[:, middle + far :].max(axis=1)
+    return own / local, np.minimum(left, right) / local
 
 
 def _quantile(values: FloatArray, share: float) -> float:

@@ -8,16 +8,27 @@ from __future__ import annotations
 
 from egolane_pgm.parameters import Parameter
 
-_VIEW = (
+#: How many of a shape's four values (offset, heading, curvature, its rate) each curve has.
+CURVES = {"line": 2, "parabola": 3, "clothoid": 4}
+
+#: The parameters of the line finder, which sees one picture.
+FINDING = (
+    # The bird's-eye view.
     Parameter("x_min_m", "positive", 4.5, "near edge of the bird's-eye view, metres ahead"),
     Parameter("x_max_m", "positive", 35.0, "far edge of the bird's-eye view, metres ahead"),
     Parameter("straight_to_m", "positive", 25.0, "the same for straight lines, as roads bend"),
     Parameter("side_m", "positive", 9.0, "half-width of the bird's-eye view, metres"),
     Parameter("along_m", "positive", 0.1, "metres per pixel of the bird's-eye view, along"),
     Parameter("across_m", "positive", 0.05, "metres per pixel of the bird's-eye view, across"),
-)
-
-_MARKINGS = (
+    # What stands on the road.
+    Parameter(
+        "shadow_share",
+        "probability",
+        0.4,
+        "brightness under a vehicle, at most, over that of the road before it; nothing is looked"
+        " for behind a shadow as dark and as wide as a vehicle's (0: vehicles are not looked for)",
+    ),
+    # Marking.
     Parameter(
         "streak_width",
         "probability",
@@ -56,26 +67,12 @@ _MARKINGS = (
         "the same where the whole picture has little contrast, as when it is blurred or dim",
     ),
     Parameter("least_rise", "non_negative", 4.0, "the same over the mean contrast around"),
-)
-
-_UPRIGHT = (
-    Parameter(
-        "shadow_share",
-        "probability",
-        0.4,
-        "brightness under a vehicle, at most, over that of the road before it; nothing is looked"
-        " for behind a shadow as dark and as wide as a vehicle's (0: vehicles are not looked for)",
-    ),
-)
-
-_CONTOURS = (
+    # Its contours.
     Parameter(
         "least_area_m2", "non_negative", 0.04, "area of the smallest contour kept, square metres"
     ),
     Parameter("most_slope", "positive", 0.35, "steepest contour across the road that is kept, m/m"),
-)
-
-_FIT = (
+    # The lines through them.
     Parameter("lines", "integer", 8, "most lines per frame", lowest=1),
     Parameter(
         "curve",
@@ -83,7 +80,7 @@ _FIT = (
         "clothoid",
         "what is fitted: straight lines, parabolas (one curvature), or clothoids (a curvature that"
         " changes at a constant rate)",
-        choices=("line", "parabola", "clothoid"),
+        choices=tuple(CURVES),
     ),
     Parameter(
         "reach_m",
@@ -106,9 +103,6 @@ _FIT = (
     Parameter("neighbour_bonus", "non_negative", 0.5, "score that a line lends to its neighbours"),
     Parameter("least_score", "non_negative", 0.12, "least score of a line that is kept"),
 )
-
-#: The parameters of the line finder, which sees one picture.
-FINDING = _VIEW + _UPRIGHT + _MARKINGS + _CONTOURS + _FIT
 
 #: The parameters of the tracking.
 TRACKING = (

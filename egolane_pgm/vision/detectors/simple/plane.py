@@ -73,8 +73,7 @@ def pose(camera: Camera, planes: FloatArray) -> FloatArray:
 
 def disparity_at(plane: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
     """The disparity of the plane (3,) at pixels u, v."""
-    at: FloatArray = plane[0] * u + plane[1] * v + plane[2]
-    return at
+    return np.asarray(plane[0] * u + plane[1] * v + plane[2])
 
 
 def fit_plane(
@@ -107,8 +106,7 @@ def fit_plane(
         in centred and scaled points."""
         slope = tilt[..., :2] / scale
         shift = tilt[..., 2] - slope @ centre
-        planes: FloatArray = calibrated + np.concatenate([slope, shift[..., None]], axis=-1)
-        return planes
+        return np.asarray(calibrated + np.concatenate([slope, shift[..., None]], axis=-1))
 
     tilts = _candidates(points.T, off)
     is_possible = _possible(camera, whole(tilts))

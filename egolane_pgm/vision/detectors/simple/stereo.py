@@ -20,11 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameter, Parameters, number
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import BoolArray, FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple import plane as planes
-from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
+from egolane_pgm.vision.detectors.simple.birdseye import VIEWS, BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
 from egolane_pgm.vision.detectors.simple.plane import Plane
 
@@ -80,9 +80,6 @@ _PLANE_PX, _OFF_PLANE_PX, _GROW_PX, _EDGE_PX = 0.5, 1.0, 2, 8
 #: The steps in which the pitch is corrected, degrees.
 _PITCH_STEP_DEG = 0.1
 
-#: How many views for other pitches are cached.
-_VIEWS = 24
-
 #: The number of first frames without a sure plane in which swapped pictures are tried.
 _SWAP_TRIALS = 5
 
@@ -136,7 +133,7 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
     def for_view(view: BirdsEye) -> OnRoad:
         turned = turned_up(view)
 
-        @lru_cache(maxsize=_VIEWS)
+        @lru_cache(maxsize=VIEWS)
         def pitched(steps: int) -> tuple[BirdsEye, NDArray[np.int64]]:
             seen = turned(steps * _PITCH_STEP_DEG)
             return seen, _pixels(pair, seen)
@@ -238,10 +235,8 @@ def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
     if picture.right is None:
         raise InputError("the picture of the second camera is missing")
     for name, image in (("left", picture.image), ("right", picture.right)):
-        try:
+        with problems_in(name):
             check_size(image, pair.camera.width, pair.camera.height)
-        except InputError as error:
-            raise InputError(f"{name}: {error}") from None
     return _small(pair, picture.image), _small(pair, picture.right)
 
 
@@ -315,8 +310,7 @@ def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Param
     away = np.abs(disparity - planes.disparity_at(plane.abc, pair.u, pair.v))
     off = (away > least_px) & (away > least_share * np.abs(disparity))
     grow = 2 * _GROW_PX + 1
-    is_off: BoolArray = cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0
-    return is_off
+    return np.asarray(cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0)
 
 
 def _watch(pair: Pair, parameters: Parameters) -> Callable[[int, Plane, Image, Image], None]:
@@ -353,5 +347,4 @@ def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
     height, width = pair.u.shape
     column = np.clip(view.map_uv[0][..., 0] // pair.scale, 0, width - 1).astype(np.int64)
     row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.rows, 0, height - 1)
-    flat: NDArray[np.int64] = row.astype(np.int64) * width + column
-    return flat
+    return np.asarray(row.astype(np.int64) * width + column)

@@ -17,9 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.detectors import FrameLines, powers
+from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
 #: The distances ahead at which a line is compared (four parameters need four), and the standard
 #: deviations of a found line there, metres; that of the rate of a clothoid's curvature, 1/m^2.
@@ -33,9 +34,6 @@ _WALK = (0.004, 2e-4, 4e-6)
 #: The share of the matched lines' common change of curvature that counts as common motion (the
 #: road's).
 _CURVATURE_GAIN = 0.3
-
-#: How many of a shape's four values each curve has.
-_VALUES = {"line": 2, "parabola": 3, "clothoid": 4}
 
 #: Limit on a new line's standard deviations, in steps of the walk.
 _OPEN_STEPS = 50
@@ -75,8 +73,7 @@ class Tracks:
     @property
     def lri(self) -> FloatArray:
         """The expected number of true detections in the last k frames, (L,)."""
-        detections: FloatArray = self.hits.sum(axis=1)
-        return detections
+        return np.asarray(self.hits.sum(axis=1))
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class Rules:
     to_curvature: FloatArray
 
     def __getitem__(self, name: str) -> float:
-        return float(self.values[name])  # type: ignore[arg-type]
+        return number(self.values, name)
 
 
 def rules(parameters: Parameters, *, curve: str) -> Rules:
@@ -113,23 +110,18 @@ def rules(parameters: Parameters, *, curve: str) -> Rules:
 
     curve: "line", "parabola" or "clothoid".
     """
-    n_values = _VALUES[curve]
-
-    def value(name: str) -> float:
-        return float(parameters[name])  # type: ignore[arg-type]
-
-    x = _AHEAD_M
-    at = powers(x)
+    n_values = CURVES[curve]
+    at = powers(_AHEAD_M)
     noise = np.diag(_SIGMA_M**2)
     if n_values == 4:
         noise = _noise_of_clothoids(at, _SIGMA_M, _SIGMA_RATE)
-    walk = np.array([value("offset_walk_m"), *_WALK])
+    walk = np.array([number(parameters, "offset_walk_m"), *_WALK])
     walk[n_values:] = 0.0
     inverse = np.linalg.pinv(at)
     first = inverse @ noise @ inverse.T
     narrower = np.minimum(1.0, _OPEN_STEPS * walk / np.sqrt(np.diag(first)))
     first *= narrower[:, None] * narrower
-    share = 1.0 if parameters["valid_when"] == "paper" else value("valid_share")
+    share = 1.0 if parameters["valid_when"] == "paper" else number(parameters, "valid_share")
     miss_cost = share / (1 - share) if share < 1 else np.inf
     weight = 1 / np.sqrt(np.diag(noise))
     design = at * weight[:, None]
@@ -247,8 +239,7 @@ def _is_hidden(tracks: Tracks, is_continuous: BoolArray, rule: Rules) -> BoolArr
 def continuous_share(tracks: Tracks) -> FloatArray:
     """The share of each line's votes that says continuous, (L,); 0 without a vote."""
     n_votes = np.isfinite(tracks.votes).sum(axis=1)
-    share: FloatArray = np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1)
-    return share
+    return np.asarray(np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1))
 
 
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
@@ -395,15 +386,13 @@ def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
     is_between &= tracks.number != some.number[:, None]
     is_close = _gaps(some.mean[:, None], tracks.mean, rule) < rule["least_lane_m"]
     is_good = tracks.is_valid | ((tracks.lri >= some.lri[:, None]) & (tracks.missed == 0))
-    beyond: BoolArray = (is_between & is_close & is_good).any(axis=1)
-    return beyond
+    return np.asarray((is_between & is_close & is_good).any(axis=1))
 
 
 def _gaps(means: FloatArray, others: FloatArray, rule: Rules) -> FloatArray:
     """The distance (...), metres, of lines (..., 4) from others (..., 4), over the nearer half of
     the distances ahead."""
-    gaps: FloatArray = np.abs((means - others) @ rule.at[: _PLACES // 2].T).mean(axis=-1)
-    return gaps
+    return np.asarray(np.abs((means - others) @ rule.at[: _PLACES // 2].T).mean(axis=-1))
 
 
 def _per_line(tracks: Tracks) -> dict[str, Any]:

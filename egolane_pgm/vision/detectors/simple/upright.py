@@ -75,9 +75,12 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
     y = view.y_m - view.camera.lateral_m
     geometry = (float(view.x_m[0]), float(y[0]), view.along_m, view.across_m)
     feet = feet_on_rays(above, view.valid, *geometry, rays, x, share, _DARK, _EDGE, _ROAD)
-    _, _, boxes, _ = cv2.connectedComponentsWithStats(feet, connectivity=8)
     ends = np.full(len(rays), np.inf)
-    for first, top, width, _, _ in boxes[1:]:
+    outlines, tree = cv2.findContours(feet, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    for k, outline in enumerate(outlines):
+        if tree[0, k, 3] >= 0:
+            continue  # It is that of a hole.
+        first, top, width, _ = cv2.boundingRect(outline)
         at = x[top]
         if _NARROWEST_M <= width * _RAY_STEP * at <= _WIDEST_M:
             behind = ends[first : first + width]

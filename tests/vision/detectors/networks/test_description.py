@@ -48,7 +48,7 @@ def folder(tmp_path: Path) -> Path:
         ({"layout": "instances", "classes": {"double": [1]}}, "classes"),
         ({"inputs": {"state": None}}, "inputs.state"),
         ({"scale": [1, 2]}, "scale"),
-        ({"mean": float("nan")}, "is not a finite number"),
+        ({"mean": float("nan")}, "input should be a finite number"),
         ({"cut_top": 1}, "cut_top: input should be less than 1"),
         ({"every": 0}, "every: input should be greater than or equal to 1"),
         ({"size": [640]}, "size"),

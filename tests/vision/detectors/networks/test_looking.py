@@ -24,7 +24,8 @@ from egolane_pgm.vision.detectors.networks.looking import grown, keep
 from egolane_pgm.vision.detectors.runner import detect, find_detector, own_files, start
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
-from egolane_pgm.vision.rendering.render import make_scene, render_frame
+from egolane_pgm.vision.rendering.render import render_frame
+from egolane_pgm.vision.rendering.scene import make_scene
 from tests.kits.drives import command, refused
 from tests.kits.synthetic_road import CAMERA, drive
 from tests.kits.tiny_network import (

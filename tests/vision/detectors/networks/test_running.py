@@ -16,7 +16,7 @@ from onnx import helper
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
-from egolane_pgm.vision.detectors.networks.masks import probabilities
+from egolane_pgm.vision.detectors.networks.layouts import probabilities
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.vision.detectors.networks.running import Run, as_input, fit_of, load
 from egolane_pgm.vision.rendering.render import render_frame
@@ -191,20 +191,12 @@ def test_a_point_of_the_input_is_found_where_it_is_in_the_picture() -> None:
         assert abs(v - 130) < 0.6
 
 
-def test_a_picture_of_another_size_is_refused(tmp_path: Path) -> None:
-    run = started(write_answer(tmp_path, np.zeros((1, 2, 4, 8)), layout="lanes", classes=2))
-    with pytest.raises(InputError, match="a picture of 90x120 pixels, but the camera"):
-        run(noise(90, 120))
-
-
 # --- bad input --------------------------------------------------------------------------------
 
 
 def test_a_file_that_is_no_onnx_is_named(tmp_path: Path) -> None:
     keys = {"model": "x.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
     path = write_network(tmp_path / "net.yaml", **keys)
-    with pytest.raises(InputError, match=r"net\.yaml: model: no file .*x\.onnx$"):
-        read_network(path)
     with pytest.raises(InputError, match=r"absent\.yaml: no such file; it describes a network"):
         read_network(tmp_path / "absent.yaml")
     whole = tmp_path / "known.onnx"

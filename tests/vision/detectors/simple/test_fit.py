@@ -244,7 +244,7 @@ def test_equations_of_lines_near_runs_are_the_same_as_in_numpy(seed, n_lines, cu
     x, y, offset = rng.uniform(4, 35, n), rng.uniform(-9, 9, n), rng.uniform(-9, 9, n)
     agreement = np.maximum(rng.uniform(-0.3, 1, n), 0)
     found = np.sort(rng.uniform(-9, 9, n_lines))
-    near = rng.uniform(0.1, 0.3, n), offset, agreement, found, -0.004, _fit._HAS[curve], 1.5
+    near = rng.uniform(0.1, 0.3, n), offset, agreement, found, -0.004, _fit.shared_by(curve), 1.5
     for ours, twin in zip(
         _kernels.line_equations(x, y, *near), line_finder.line_equations(x, y, *near), strict=True
     ):

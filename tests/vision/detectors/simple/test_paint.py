@@ -12,12 +12,10 @@ from hypothesis import strategies as st
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.simple import kernels as _kernels
 from egolane_pgm.vision.detectors.simple import paint as _paint
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS, painted_share
 from tests.kits.synthetic_road import CAMERA, Paint, road
-from tests.reference import line_finder
 
 VIEW = make_view(CAMERA, 4.5, 35.0, -9.0, 9.0, 0.1, 0.05)
 
@@ -134,20 +132,6 @@ def test_paint_in_deep_shade_is_paint() -> None:
     image = road([line], noise=0)
     image[190:] = (image[190:] * 0.12).astype(np.uint8)
     assert share(image, line)[0] > 0.95
-
-
-@given(st.integers(0, 2**31), st.integers(1, 12), st.integers(1, 5), st.data())
-def test_the_contrast_of_paint_is_the_same_as_in_numpy(seed, aside, half, data):
-    rng = np.random.default_rng(seed)
-    near = data.draw(st.integers(0, aside))
-    far = data.draw(st.integers(1, aside))
-    image = rng.integers(0, rng.integers(2, 257), (40, 60, 3), dtype=np.uint8)
-    map_uv = np.stack([rng.integers(0, 60, (20, 50)), rng.integers(0, 40, (20, 50))], axis=-1)
-    rows, columns = rng.integers(0, 20, 9), rng.integers(aside, 50 - aside, 9)
-    where = (image, map_uv.astype(np.int16), rows, columns, aside, half, near, far, 10.0)
-    ours = _kernels.paint_contrasts(*where)
-    twin = line_finder.paint_contrasts(*where)
-    np.testing.assert_allclose(ours, twin, rtol=1e-12)
 
 
 @given(st.lists(st.floats(0, 3), min_size=1, max_size=40), st.sampled_from([0.5, 0.9]))

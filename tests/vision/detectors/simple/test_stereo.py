@@ -23,7 +23,8 @@ from egolane_pgm.vision.detectors.simple import fit as _fit
 from egolane_pgm.vision.detectors.simple import plane as _plane
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
 from egolane_pgm.vision.rendering import traffic as traffics
-from egolane_pgm.vision.rendering.render import Frame, Scene, make_scene, render_frame
+from egolane_pgm.vision.rendering.render import Frame, render_frame
+from egolane_pgm.vision.rendering.scene import Scene, make_scene
 from tests.kits.stereo_pairs import (
     CLEAR,
     PAIR,
