@@ -9,9 +9,9 @@ with the lines, on a road with the lanes that there are now. On a road that does
 The map is taken for right about the number of lanes that it tells and the place of a change. Where
 the number is a guess, Step has values for a lane less and more too (`guess_wrong`), and the lines
 beside the car say which of them a frame takes (`maps.on_map`): with the number as a hidden node
-there would be three times as many states. Lanes begin or end then at a side that nothing tells, as
-in `changing_lanes`. In the frame of a change the motion of the lines is rounded to one of COASTING,
-and frames that are missing before it are not counted: each value of Step takes its own transition.
+there would be three times as many states. In the frame of a change the motion of the lines is
+rounded to one of COASTING, and frames that are missing before it are not counted: each value of
+Step takes its own transition.
 """
 
 from __future__ import annotations
@@ -137,11 +137,13 @@ def _steps(n_lanes: int, parameters: Parameters) -> tuple[tuple[Step, ...], IntA
         goes_on = word == Step(word.after, word.after, is_guess=word.is_guess)
         # A stretch begins with the number that was guessed.
         offs = (0, 1, -1) if word.before in guessed and goes_on <= word.is_guess else (0,)
+        # Within it lanes begin or end at a side that nothing tells, as in `changing_lanes`; where
+        # the map tells a number again the doubt ends, and no lane does.
+        side = word.shift if word.before != word.after or word.shift else None if goes_on else 0
         for off, now in product(offs, offs if goes_on else (0,)):
             before, after = word.before + off, word.after + now
-            # Lanes that begin or end where the map has no change do so at an unknown side.
-            shift = word.shift if off == now else None
-            step = Step(before, after, shift) if before != after or shift else Step(after, after)
+            is_change = before != after or side
+            step = Step(before, after, side) if is_change else Step(after, after)
             if 1 <= min(before, after) <= max(before, after) <= n_lanes:
                 which[k, off, now] = found.setdefault(step, len(found))
     return tuple(found), which
