@@ -16,7 +16,7 @@ from egolane_pgm.maps.road_table import save
 from egolane_pgm.online import filter_stream
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.types import Beliefs, InputError, LaneEvents
+from egolane_pgm.types import Beliefs, FloatArray, InputError, LaneEvents
 from egolane_pgm.views.strips import strip_columns
 from tests.kits.lane_maps import without_lines
 
@@ -155,6 +155,39 @@ def hidden_lines(drive: Any, folder: Path, begin_s: float, stop_s: float) -> dic
         "graph": "changing_lanes",
         "filter": "exact",
     }
+
+
+def test_position_in_lane_doubts_a_guess_where_it_is_one_and_lines_beside_the_car_tell(
+    tmp_path: Path,
+) -> None:
+    drive = simulate_interchange(3, None, Journey(n_frames=900))
+    content = hidden_lines(drive, tmp_path, 0.0, 0.0)
+    content |= {"graph": "position_in_changing_lanes", "evidence": "line_geometry"}
+    # In the first minute the map tells no number, and a lane less is guessed.
+    road, begin = drive.road, drive.road.t_s < 60
+    fewer = (road.n_lanes - begin, road.next_n_lanes - begin)
+    guessed = replace(road, n_lanes=fewer[0], next_n_lanes=fewer[1], untold=begin)
+    save(guessed, tmp_path / "road.parquet")
+
+    def lanes(guess_wrong: float) -> FloatArray:
+        found = ego.run({**content, "parameters": {"guess_wrong": guess_wrong}}).beliefs.lane
+        np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-9)
+        return found
+
+    believed, doubted = lanes(0.0), lanes(0.25)
+    right = [(each.argmax(axis=1) + 1 == drive.truth.lane).mean() for each in (believed, doubted)]
+    assert right[1] > right[0] + 0.05
+    told = (drive.log.time_s > 61) & (drive.on_map == 4)
+    assert told.any()
+    assert doubted[told, 4:].max() < 1e-12
+    save(replace(guessed, untold=0 * begin), tmp_path / "road.parquet")
+    np.testing.assert_array_equal(lanes(0.25), believed)
+    # Who sees the lines of its own lane only has nothing to doubt a guess with.
+    save(guessed, tmp_path / "road.parquet")
+    log, near = drive.log, np.abs(drive.log.offset_m) < 3.5
+    own = replace(log, offset_m=np.where(near, log.offset_m, np.nan), is_valid=log.is_valid & near)
+    write_table(tmp_path / "lines.csv", own)
+    np.testing.assert_allclose(lanes(0.25)[:, : believed.shape[1]], lanes(0.0), rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -4,13 +4,15 @@ Counting votes for lanes of a road whose number of lanes is given; it says nothi
 Here the lines are counted from the car to both sides. In lane i of a road of n lanes there are i
 lines to the left and n + 1 - i to the right, the outermost ones are mostly continuous, and beyond
 them there are none. A number of lanes fits as well as the best of its lanes.
+
+Where the number is a guess, `off_by` follows by such fits whether there is a lane less or more.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.types import FloatArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: P(the line is seen) for the first, second and third line to either side of the car, if it is
 #: there; and if it is not (clutter, a shoulder's edge).
@@ -69,3 +71,24 @@ def fit_of_counts(log: LineLog, most: int, lane_width_m: float) -> FloatArray:
             fit[:, n - 1] = np.maximum(fit[:, n - 1], score)
     fit -= fit.max(axis=1, keepdims=True)
     return np.asarray(np.exp(WEIGHT * fit))
+
+
+def off_by(fit: FloatArray, goes_on: BoolArray, wrong: float, stays: float) -> IntArray:
+    """Whether there seem to be as many lanes as a guess says (0), or one less (-1) or more (1):
+    what is most probable given the lines so far, (T,); 0 where there is no guess and where one
+    begins.
+
+    - fit: (T, 3) of a lane less, the guess and a lane more; 0 for a road that cannot be
+    - goes_on: (T,) whether the number is a guess, as in the frame before
+    - wrong, stays: P(one less or more), and P(that stays) from frame to frame
+    """
+    off = np.zeros(len(fit), dtype=np.int64)
+    belief = prior = np.array([wrong / 2, 1 - wrong, wrong / 2])
+    for t in range(len(fit)):
+        if not goes_on[t]:
+            belief = prior
+            continue
+        belief = (stays * belief + (1 - stays) * prior) * fit[t]
+        belief /= belief.sum()
+        off[t] = belief.argmax() - 1 if belief.max() > belief[1] else 0
+    return off

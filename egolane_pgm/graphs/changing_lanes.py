@@ -29,6 +29,8 @@ from egolane_pgm.graphs.cpds import (
 )
 from egolane_pgm.graphs.lane_steps import (
     CHANGE_AT_RIGHT,
+    GUESS_WRONG,
+    MAP_STAYS,
     TOLD_STEPS,
     Step,
     passing,
@@ -64,21 +66,8 @@ PARAMETERS = (
         " believed, 0.1 for one that is not",
         search=None,
     ),
-    Parameter(
-        "guess_wrong",
-        "probability",
-        0.25,
-        "the same, where the map does not tell the number and it was guessed from the road around;"
-        " 0 for a guess that counts as the map does",
-        search=None,
-    ),
-    Parameter(
-        "map_stays",
-        "probability",
-        0.9999,
-        "P(the map stays as right or wrong as it is) from frame to frame",
-        search=None,
-    ),
+    GUESS_WRONG,
+    MAP_STAYS,
     CHANGE_AT_RIGHT,
     Parameter(
         "place_sigma_m",

@@ -40,6 +40,22 @@ CHANGE_AT_RIGHT = Parameter(
     search=None,
 )
 
+GUESS_WRONG = Parameter(
+    "guess_wrong",
+    "probability",
+    0.25,
+    "P(there is a lane less or more than was guessed from the road around, where the map does not"
+    " tell the number), both equally likely; 0 for a guess that counts as the map does",
+    search=None,
+)
+MAP_STAYS = Parameter(
+    "map_stays",
+    "probability",
+    0.9999,
+    "P(the map, or a guess, stays as right or wrong as it is) from frame to frame",
+    search=None,
+)
+
 #: How far before (negative) or behind the join of the map a change of lanes may be, in standard
 #: deviations of the map's error along the road.
 PLACES = tuple(np.arange(-2.0, 2.01, 0.5).tolist())

@@ -6,12 +6,17 @@ RoadPosition moves in two parts: first to where its lane goes on, at the same pl
 with the lines, on a road with the lanes that there are now. On a road that does not change this is
 `position_in_lane`.
 
-The map is taken for right about the number of lanes and the place of a change. In the frame of a
-change the motion of the lines is rounded to one of COASTING, and frames that are missing before it
-are not counted: each value of Step takes its own transition.
+The map is taken for right about the number of lanes that it tells and the place of a change. Where
+the number is a guess, Step has values for a lane less and more too (`guess_wrong`), and the lines
+beside the car say which of them a frame takes (`maps.on_map`): with the number as a hidden node
+there would be three times as many states. In the frame of a change the motion of the lines is
+rounded to one of COASTING, and frames that are missing before it are not counted: each value of
+Step takes its own transition.
 """
 
 from __future__ import annotations
+
+from itertools import product
 
 import numpy as np
 
@@ -26,7 +31,15 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.graphs.lane_steps import CHANGE_AT_RIGHT, TOLD_STEPS, Step, read_steps, survivors
+from egolane_pgm.graphs.lane_steps import (
+    CHANGE_AT_RIGHT,
+    GUESS_WRONG,
+    MAP_STAYS,
+    TOLD_STEPS,
+    Step,
+    read_steps,
+    survivors,
+)
 from egolane_pgm.graphs.position_in_lane import COASTING
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, InputError, IntArray
@@ -35,12 +48,12 @@ HIDDEN = fixed.HIDDEN
 OBSERVED = fixed.OBSERVED
 INPUTS = ("Step",)
 VALUES = fixed.VALUES
-PARAMETERS = (*fixed.PARAMETERS, TOLD_STEPS, CHANGE_AT_RIGHT)
+PARAMETERS = (*fixed.PARAMETERS, TOLD_STEPS, GUESS_WRONG, MAP_STAYS, CHANGE_AT_RIGHT)
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """The tables of `position_in_lane`, with those of RoadPosition for each value of Step."""
-    steps = _steps(n_lanes, parameters)
+    steps, _ = _steps(n_lanes, parameters)
     cells = int(number(parameters, "cells"))
     sensor = binary(number(parameters, "p1"), number(parameters, "p2"))
     first: list[FloatArray] = []
@@ -79,16 +92,25 @@ build = builder(tables, OBSERVED)
 
 def most_lanes(on_map: int, parameters: Parameters) -> int:
     """The number of values of Lane; on_map: number of lanes on the map where the road is widest."""
-    return on_map
+    steps = read_steps(str(parameters["steps"]), on_map)
+    return max(on_map, *(step.after + step.is_guess for step in steps))
 
 
-def step_index(word: IntArray, motion: IntArray, n_lanes: int, parameters: Parameters) -> IntArray:
+def step_index(
+    word: IntArray,
+    motion: IntArray,
+    n_lanes: int,
+    parameters: Parameters,
+    off: IntArray | None = None,
+) -> IntArray:
     """The value of Step in each frame, (T,).
 
     - word: (T,) index of the frame's step among the words of the parameter `steps`
     - motion: (T,) the value of LineMotion, as the evidence rule gives it
+    - off: (T,) -1 or 1 where there is a lane less or more than a guess, else 0; default 0
     """
-    is_change = np.array([_is_change(step) for step in _steps(n_lanes, parameters)])
+    steps, which = _steps(n_lanes, parameters)
+    is_change = np.array([_is_change(step) for step in steps])
     sizes = np.where(is_change, len(COASTING), fixed.motion_values(parameters))
     begins = np.cumsum(sizes) - sizes
     known = fixed.known_displacements(parameters)
@@ -96,15 +118,35 @@ def step_index(word: IntArray, motion: IntArray, n_lanes: int, parameters: Param
     coasting = np.rint(np.clip(known / most, -1, 1) * middle).astype(np.int64) + middle
     after_gap = np.arange(fixed.motion_values(parameters) - len(known)) % len(COASTING)
     velocity = np.concatenate([coasting, after_gap])
-    return np.asarray(begins[word] + np.where(is_change[word], velocity[motion], motion))
+    now = np.zeros_like(word) if off is None else off
+    taken = which[word, np.concatenate([[0], now[:-1]]), now]
+    return np.asarray(begins[taken] + np.where(is_change[taken], velocity[motion], motion))
 
 
-def _steps(n_lanes: int, parameters: Parameters) -> tuple[Step, ...]:
-    steps = read_steps(str(parameters["steps"]), n_lanes)
-    for step in steps:
-        if step.place is not None or not step.before:
-            raise InputError(f"steps: '{step}': this graph takes the map's places for exact")
-    return steps
+def _steps(n_lanes: int, parameters: Parameters) -> tuple[tuple[Step, ...], IntArray]:
+    """The steps of roads whose numbers of lanes are exact, and which of them each word of the
+    parameter `steps` is: (W, 3, 3), by how many lanes more (0, 1, -1) there are before and now than
+    a guess has."""
+    words = read_steps(str(parameters["steps"]), n_lanes)
+    guessed = {word.after for word in words if word.is_guess}
+    found: dict[Step, int] = {}
+    which = np.zeros((len(words), 3, 3), dtype=np.int64)
+    for k, word in enumerate(words):
+        if word.place is not None or not word.before:
+            raise InputError(f"steps: '{word}': this graph takes the map's places for exact")
+        goes_on = word == Step(word.after, word.after, is_guess=word.is_guess)
+        # A stretch begins with the number that was guessed.
+        offs = (0, 1, -1) if word.before in guessed and goes_on <= word.is_guess else (0,)
+        # Within it lanes begin or end at a side that nothing tells, as in `changing_lanes`; where
+        # the map tells a number again the doubt ends, and no lane does.
+        side = word.shift if word.before != word.after or word.shift else None if goes_on else 0
+        for off, now in product(offs, offs if goes_on else (0,)):
+            before, after = word.before + off, word.after + now
+            is_change = before != after or side
+            step = Step(before, after, side) if is_change else Step(after, after)
+            if 1 <= min(before, after) <= max(before, after) <= n_lanes:
+                which[k, off, now] = found.setdefault(step, len(found))
+    return tuple(found), which
 
 
 def _is_change(step: Step) -> bool:

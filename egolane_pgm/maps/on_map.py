@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.evidence.lines_beside import fit_of_counts
+from egolane_pgm.evidence.line_geometry.model import LANE_M
+from egolane_pgm.evidence.lines_beside import fit_of_counts, off_by
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.maps.lane_graph import ways_named
@@ -28,7 +29,7 @@ from egolane_pgm.maps.steps import (
     road_changes,
 )
 from egolane_pgm.parameters import Parameters, number, resolve_parameters
-from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
+from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, LineLog
 
 #: The nodes that a graph of positions inside the lane observes.
 POSITIONS = ("RoadPosition", "SensorState")
@@ -166,18 +167,44 @@ def _positions_along(
     road: LanesAlong,
 ) -> Evidence:
     """The evidence of positions on a road with the lanes of the map: in each frame what the rule
-    makes of the lines on a road of that many lanes."""
+    makes of the lines on a road of that many lanes, or of those that there seem to be where the map
+    does not tell them."""
     cells = int(number(parameters, "cells"))
     joint = np.zeros((len(log), n_lanes * cells, 2))
     motion = np.zeros(len(log), dtype=np.int64)
-    for n in np.unique(road.n_lanes).tolist():
+    off = _off_the_guess(n_lanes, parameters, log, road)
+    lanes = road.n_lanes + off
+    for n in np.unique(lanes).tolist():
         given = rule.evidence(log, n, parameters)
-        here = road.n_lanes == n
+        here = lanes == n
         joint[here, : n * cells] = given.likelihoods[POSITIONS][here]
         motion = given.inputs["LineMotion"]
     joint *= np.repeat(road.served, cells, axis=1)[:, :, None]
-    step = graph.step_index(road.step, motion, n_lanes, parameters)
+    step = graph.step_index(road.step, motion, n_lanes, parameters, off)
     return Evidence({POSITIONS: joint}, {"Step": step})
+
+
+def _off_the_guess(
+    n_lanes: int, parameters: Parameters, log: LineLog, road: LanesAlong
+) -> IntArray:
+    """How many lanes more (-1, 0 or 1) there seem to be in each frame than a guess says, (T,)."""
+    goes_on = np.array(["~" in word and ">" not in word for word in road.steps.split()])[road.step]
+    goes_on[:1] = False
+    if not goes_on.any():
+        return np.zeros(len(log), dtype=np.int64)
+    name = "lane_width_m"
+    if isinstance(parameters.get(name, ""), str):
+        name = "fallback_width_m"
+    width_m = number({name: LANE_M, **parameters}, name)
+    fit = fit_of_counts(log, n_lanes, width_m)
+    # Where no line beyond those of the car's lane is seen, the lines do not tell.
+    is_wide = log.is_valid & (np.abs(log.offset_m) > width_m)
+    fit[log.is_missing | ~is_wide.any(axis=1)] = 1.0
+    near = road.n_lanes[:, None] + (-1, 0, 1)
+    # Column n is that of n lanes: none is not among them.
+    fit = np.take_along_axis(np.pad(fit, ((0, 0), (1, 1))), near, axis=1)
+    wrong, stays = number(parameters, "guess_wrong"), number(parameters, "map_stays")
+    return off_by(fit, goes_on, wrong, stays)
 
 
 def with_positions(

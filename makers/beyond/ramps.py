@@ -8,21 +8,18 @@ The rule of events was made with seeds 0 to 11 in sight.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from egolane_pgm.drive import Recorded
-from egolane_pgm.experiment import make_experiment
-from egolane_pgm.running import run_experiment
 from egolane_pgm.simulation import PRESETS, Road, detect_lines, sensor_failures
 from egolane_pgm.simulation._common import slow_noise
 from egolane_pgm.simulation.world import ease
 from egolane_pgm.types import LaneEvents, LineLog
+from makers._running import run_of
 
 WIDTH_M = 3.6
 WITHIN_S = 2.5
@@ -34,7 +31,7 @@ STARTS = {"changes away from the ramp": (1, 2), "stays beside it": (1, 1), "stay
 #: Frames a second, and seconds before the ramp joins.
 TIMES = ((10.0, 15.0), (10.0, 4.0), (10.0, 0.0), (10 / 3, 4.0), (10 / 3, 0.0))
 
-GRAPHS = {
+GRAPHS: dict[str, dict[str, Any]] = {
     "the paper's graph": {},
     "zero labels": {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"},
 }
@@ -106,16 +103,7 @@ def ramp_drive(
 
 def events_of(drive: RampDrive, rate: float, graph: str) -> LaneEvents:
     """The lane changes that a run tells of a road of two lanes."""
-    content = {
-        "name": "ramp",
-        "recording": {"path": "ramp", "frame_rate": rate},
-        "n_lanes": 2,
-        **GRAPHS[graph],
-    }
-    recorded = Recorded(drive.log, None, np.zeros(0, dtype=np.int64), (), ())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        return run_experiment(make_experiment(content, Path(), "ramp"), recorded=recorded).events
+    return run_of(drive.log, 2, rate, **GRAPHS[graph]).events
 
 
 def is_right(drive: RampDrive, events: LaneEvents) -> bool:

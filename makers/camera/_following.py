@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass, replace
@@ -13,14 +12,8 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from egolane_pgm.command import egolane
-from egolane_pgm.drive import Recorded
-from egolane_pgm.experiment import make_experiment
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.results import Result
-from egolane_pgm.running import run_experiment
 from egolane_pgm.types import IntArray, LineLog
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.camera.picture import Picture
@@ -70,22 +63,6 @@ def follow(
         lines.append(lines_of(tracks, rule))
         history.append(tracks)
     return Followed(tuple(ids), tuple(lines), tuple(history))
-
-
-def run_of(log: LineLog, n_lanes: int, frame_rate: float, **keys: Any) -> Result:
-    """The run over a recording; default: the paper's evidence, graph and filter with the parameters
-    they have if nothing is said."""
-    content = {
-        "name": "pictures",
-        "recording": {"path": "pictures", "frame_rate": frame_rate},
-        "n_lanes": n_lanes,
-        **keys,
-    }
-    experiment = make_experiment(content, Path(), "pictures")
-    recorded = Recorded(log, None, np.zeros(0, dtype=np.int64), (), ())
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        return run_experiment(experiment, recorded=recorded)
 
 
 #: Position in lane with generic constants: the graph for a drive without labels.

@@ -19,6 +19,7 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
+from makers._running import run_of
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,
@@ -26,7 +27,6 @@ from makers.camera._following import (
     data_path,
     follow,
     mirrored,
-    run_of,
     runs,
 )
 

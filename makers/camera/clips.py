@@ -28,13 +28,13 @@ from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.detectors.runner import find_detector, start
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
+from makers._running import run_of
 from makers.camera import tusimple
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,
     data_path,
     follow,
-    run_of,
     runs,
     wilson,
 )

@@ -18,9 +18,9 @@ What was chosen with these labels in sight:
 
 LANE_CHANGES are the last labelled pictures before each change, as somebody read them from the
 labels: the line then passes under a point about 10 m ahead of the camera before the next picture,
-and under the camera itself 1.8 to 4.6 s later. `found` compares the last picture before the
-belief's change with them, `found_first` the first picture of the new lane: with offsets at the
-camera the former finds all nine and the latter three.
+and under the camera itself 1.8 to 4.6 s later. `found` compares the last picture before a change
+that is told with them, `found_first` the first picture of the new lane: with offsets at the camera
+the former finds all nine and the latter three.
 """
 
 from __future__ import annotations
@@ -74,16 +74,16 @@ WITHIN_S = 3.0
 
 @dataclass(frozen=True)
 class Change:
-    """The belief's lane changes by `step` (-1 to the left) between two labelled pictures."""
+    """A lane change that is told, -1 to the left, between two labelled pictures."""
 
     last: int
     first: int
-    step: int
+    side: int
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """changes: of the assigned lane. yellow: assigned lane in the frames with a solid yellow line
+    """changes: those that are told. yellow: assigned lane in the frames with a solid yellow line
     directly left, the turn lane left out."""
 
     changes: tuple[Change, ...]
@@ -91,32 +91,32 @@ class Outcome:
 
     @property
     def late_s(self) -> dict[int, float]:
-        """By picture of LANE_CHANGES, how much later the belief changes, seconds, where a change
-        in its direction is near enough."""
+        """By picture of LANE_CHANGES, how much later the change is told, seconds, where one in its
+        direction is near enough."""
         late = {}
         for picture, side in LANE_CHANGES:
             for change in self.changes:
                 difference = (change.last - picture) / RATE
-                if change.step == side and abs(difference) <= WITHIN_S:
+                if change.side == side and abs(difference) <= WITHIN_S:
                     late[picture] = difference
         return late
 
     @property
     def found(self) -> int:
-        """How many of LANE_CHANGES the belief has."""
+        """How many of LANE_CHANGES are told."""
         return len(self.late_s)
 
     @property
     def found_first(self) -> int:
         """The same by the first picture of the new lane."""
         return sum(
-            any(abs(c.first - p) <= WITHIN_S * RATE and c.step == side for c in self.changes)
+            any(abs(c.first - p) <= WITHIN_S * RATE and c.side == side for c in self.changes)
             for p, side in LANE_CHANGES
         )
 
     @property
     def others(self) -> int:
-        """How many changes of the belief are none of LANE_CHANGES."""
+        """How many changes that are told are none of LANE_CHANGES."""
         return len(self.changes) - self.found
 
     @property
@@ -181,9 +181,9 @@ def run_stretches(
             run = run_experiment(make_experiment(content, labels.parent, "labels"))
         log = run.lines
         picture, lane = log.frame_id * STEP, run.beliefs.lane.argmax(axis=1) + 1
-        for k in np.flatnonzero(np.diff(lane)):
-            step = int(lane[k + 1] - lane[k])
-            changes.append(Change(int(picture[k]), int(picture[k + 1]), step))
+        first = np.searchsorted(log.frame_id, run.events.frame_id)
+        for k, side in zip(first.tolist(), run.events.direction.tolist(), strict=True):
+            changes.append(Change(int(picture[k - 1]), int(picture[k]), side))
         offset = np.where(log.offset_m < 0, log.offset_m, -np.inf)
         nearest = offset.argmax(axis=1)
         rows = np.arange(len(log))
@@ -231,7 +231,7 @@ def measure() -> list[str]:
         )
     lines += [
         "",
-        "Found: the last frame before the change in the belief is within 3 s of the one in the"
+        "Found: the last frame before a lane change that is told is within 3 s of the one in the"
         f" labels (here {min(late):.0f} to {max(late):.0f} s from it; labels are 1 or 3 s apart)."
         " By the first frame: the first frame of the new lane is.",
     ]

@@ -21,13 +21,13 @@ import numpy as np
 from egolane_pgm.types import LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
+from makers._running import run_of
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,
     calibrate,
     data_path,
     follow,
-    run_of,
     runs,
 )
 

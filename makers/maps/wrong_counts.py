@@ -24,7 +24,7 @@ from egolane_pgm.model import make_evidence
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.road import BEHIND_S
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
-from makers.maps._experiments import COUNTING, prepared, simulated
+from makers.maps._experiments import COUNTING, POSITIONS, prepared, simulated
 
 N_DRIVES = 50
 
@@ -39,12 +39,19 @@ _SEEN_S = 1.0
 _RIGHT_PARTS, _PIECE_S = 3, 30.0
 
 #: What is believed: how probable a wrong number is on the whole map, and where it is a guess.
+_GUESSED = {"road": "guessed.parquet"}
+_CERTAIN = {"parameters.guess_wrong": 0.0}
 _DOUBTS = {
-    "map_wrong 0.1": {"parameters.map_wrong": 0.1},
-    "map_wrong 0": {"parameters.map_wrong": 0.0},
-    "guess_wrong 0.25": {"road": "guessed.parquet"},
-    "guess_wrong 0": {"road": "guessed.parquet", "parameters.guess_wrong": 0.0},
+    "map_wrong 0.1": {**COUNTING, "parameters.map_wrong": 0.1},
+    "map_wrong 0": {**COUNTING, "parameters.map_wrong": 0.0},
+    "guess_wrong 0.25": {**COUNTING, **_GUESSED},
+    "guess_wrong 0": {**COUNTING, **_GUESSED, **_CERTAIN},
+    "position, guess_wrong 0.25": {**POSITIONS, **_GUESSED},
+    "position, guess_wrong 0": {**POSITIONS, **_GUESSED, **_CERTAIN},
 }
+
+#: A belief of so much is sure.
+_SURE = 0.95
 
 
 def measure() -> Iterator[str]:
@@ -62,20 +69,23 @@ def measure() -> Iterator[str]:
             stretches = _stretches(real - on_map, round(_LEAST_S * rate))
             is_guess = _mark_guesses(folder, stretches, len(real), rate, seed)
             for doubt, keys in _DOUBTS.items():
-                model, recorded, road = prepared(load_experiment(experiment, {**COUNTING, **keys}))
+                model, recorded, road = prepared(load_experiment(experiment, keys))
                 evidence = make_evidence(model, recorded.log, "soft", road).filtered
                 beliefs = filter_beliefs(model.compiled, evidence, "exact")
                 assert recorded.truth is not None
                 lane = recorded.truth.lane
                 is_right = assigned_lane(beliefs.lane) == lane
                 scored = ~recorded.truth.is_crossing
+                is_sure = beliefs.lane.max(axis=1) >= _SURE
                 inside = np.zeros(len(real), dtype=bool)
                 for a, b in stretches:
                     inside[a:b] = True
                 places = {"there": inside, "where a guess is right": is_guess & ~inside}
                 for where, among in {**places, "elsewhere": ~inside & ~is_guess}.items():
-                    counts = [(is_right & among & scored).sum(), (among & scored).sum()]
-                    right[doubt, where].append(np.array(counts))
+                    frames = scored & among
+                    sure = frames & is_sure
+                    told = (is_right & frames, frames, is_right & sure, sure)
+                    right[doubt, where].append(np.array([each.sum() for each in told]))
                 if doubt != "map_wrong 0.1":
                     continue
                 believed = beliefs.marginals["Lanes"].argmax(axis=1) + 1
@@ -97,8 +107,11 @@ def measure() -> Iterator[str]:
     yield f"found among the others: {share[0][~share[2]].mean():.2f}"
     for (doubt, where), each in right.items():
         both = np.sum(each, axis=0)
-        accuracy = both[0] / both[1]
-        yield f"{doubt}: right lane {where} in {accuracy:.3f} of {both[1]} frames"
+        accuracy, is_sure, of_sure = both[0] / both[1], both[3] / both[1], both[2] / both[3]
+        yield (
+            f"{doubt}: right lane {where} in {accuracy:.3f} of {both[1]} frames; beliefs of"
+            f" {_SURE:g} and more in {is_sure:.3f}, {of_sure:.3f} of them right"
+        )
 
 
 def _mark_guesses(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from egolane_pgm.evidence.lines_beside import fit_of_counts
+from egolane_pgm.evidence.lines_beside import fit_of_counts, off_by
 from egolane_pgm.types import LineLog
 
 WIDTH = 3.75
@@ -45,3 +45,16 @@ def test_frames_without_lines_and_a_road_of_one_lane_are_taken() -> None:
     )
     assert np.isfinite(fit_of_counts(none, 4, WIDTH)).all()
     assert (fit_of_counts(seen_from(1, 1), 1, WIDTH) == 1).all()
+
+
+def test_a_guess_is_left_once_the_lines_have_told_and_taken_anew_where_another_begins() -> None:
+    fit = np.ones((40, 3))
+    fit[5:15, 2] = 1.5  # a lane more, ten frames long: 1.5^n > 6 in the fifth of them
+    fit[25:, 0] = 2.0
+    goes_on = np.ones(40, dtype=bool)
+    goes_on[[0, 20]] = False
+    off = off_by(fit, goes_on, 0.25, 1.0)
+    np.testing.assert_array_equal(off, [0] * 9 + [1] * 11 + [0] * 7 + [-1] * 13)
+    fit[:, 0] = 0.0  # a road without lanes
+    assert off_by(fit, goes_on, 1.0, 1.0).min() == 0
+    assert not off_by(fit, goes_on, 0.0, 1.0).any()

@@ -13,7 +13,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.kernels.banded import find_band
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.types import Evidence, InputError
+from egolane_pgm.types import Evidence, FloatArray, InputError
 from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
@@ -67,7 +67,11 @@ CASES = {
     "a lane ends at the left": ("2 2>1-1 1", [0, 1, 2], 2),
     "an unknown side": ("3 3>2? 2", [0, 1, 2], 3),
     "a merge": ("1 1>3+2 3", [0, 1, 2], 3),
+    "a guess with a lane less, and more": ("2 2>2?~ 2~ 2>2?", [1, 2, 2, 3], 3),
 }
+
+#: How many lanes more there are than a guess says.
+OFF = {"a guess with a lane less, and more": [0, -1, 1, 0]}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -78,7 +82,8 @@ def test_both_filters_agree_with_pgmpy_unrolled(case: str) -> None:
     network = compiled(n_lanes, given)
     seen = draw_evidence(network, len(told), rng, zeros=0.0)
     motion = rng.integers(N_MOTIONS, size=len(told))
-    seen.inputs["Step"][:] = graph.step_index(np.array(told), motion, n_lanes, given)
+    off = np.array(OFF.get(case, [0] * len(told)))
+    seen.inputs["Step"][:] = graph.step_index(np.array(told), motion, n_lanes, given, off)
     roles = (graph.HIDDEN, graph.OBSERVED, seen, graph.INPUTS)
     declared = graph.build(n_lanes, given)
     right = {
@@ -172,6 +177,46 @@ def test_each_frame_has_the_value_of_its_step_and_motion() -> None:
     np.testing.assert_array_equal(
         graph.step_index(told, motion, 3, given), [0, stays + 7 + 4, *changes]
     )
+
+
+def test_a_guess_has_the_steps_of_a_lane_less_and_more_and_a_told_number_its_own() -> None:
+    steps = "3 3>3?~ 3~ 3>3? 3>2-1 2"
+    given = resolved(4, steps=steps, change_at_right=0.9, jump=0.0, **SMALL)
+    tables = graph.tables(4, given)
+    table = next(t for t in tables if t.node == ("RoadPosition", 1)).values
+    np.testing.assert_allclose(table.sum(axis=-1), 1, atol=1e-12)
+    as_told = {n: resolved(4, steps=str(n), jump=0.0, **SMALL) for n in (2, 3, 4)}
+    plain = {
+        n: next(t for t in graph.tables(4, p) if t.node == ("RoadPosition", 1)).values[:, 1]
+        for n, p in as_told.items()
+    }
+
+    def moves(word: int, before: int, now: int) -> FloatArray:
+        told, off = np.array([2, word]), np.array([before, now])
+        return table[:, graph.step_index(told, np.array([1, 1]), 4, given, off)[1]]
+
+    # The begin of a stretch, the guess, a lane less and more.
+    for n, found in ((3, moves(1, 0, 0)), (3, moves(2, 0, 0)), (2, moves(2, -1, -1))):
+        np.testing.assert_array_equal(found, plain[n])
+    np.testing.assert_array_equal(moves(2, 1, 1), plain[4])
+    # A lane that was not there is empty until it is entered; one that is not there any more is
+    # the last one.
+    wider = 0.9 * plain[4][:6] + 0.1 * plain[4][2:]
+    np.testing.assert_allclose(moves(2, 0, 1)[:6], wider, atol=1e-12)
+    np.testing.assert_allclose(moves(3, 1, 0)[6:], plain[3][4:6], atol=1e-12)
+    # The map's side holds whatever the number.
+    np.testing.assert_allclose(moves(4, 0, 0)[2:6], plain[2][:4], atol=1e-12)
+    np.testing.assert_allclose(moves(4, 1, 0)[2:8], plain[2][[0, 1, 2, 3, 2, 3], :], atol=1e-12)
+    np.testing.assert_allclose(moves(4, -1, 0)[:4], plain[2][[0, 1, 0, 1]], atol=1e-12)
+    assert graph.most_lanes(3, given) == 4
+    assert graph.most_lanes(4, given) == 4
+    assert graph.most_lanes(3, resolved(3, steps="3")) == 3
+    exact = resolved(3, steps="3 3>2-1 2", **SMALL)
+    assert len(_motion(exact)) == 2 * N_MOTIONS + len(fixed.COASTING)
+
+
+def _motion(given: Parameters) -> FloatArray:
+    return next(t for t in graph.tables(3, given) if t.node == ("Step", 0)).values
 
 
 @pytest.mark.parametrize("word", ["2>3+0@4", "hold"])
