@@ -502,8 +502,8 @@ COLUMNS = (
         "place_in_lane",
         "float64",
         "sometimes",
-        "mean place in the lane, whichever it is, by the belief or, without RoadPosition, the lines:"
-        " lane widths right of its middle; NaN if unknown",
+        "mean place in the lane, whichever it is: lane widths right of its middle; NaN if unknown;"
+        " without RoadPosition that of the lines",
     ),
     Column("assigned_lane", "int64", "always", "the answer; 0 for none (a tie, unassigned_below)"),
     Column(
