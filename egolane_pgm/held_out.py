@@ -21,7 +21,7 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.learning import Found, check_learnable, n_learned, with_found
 from egolane_pgm.learning import fit as learn_from
 from egolane_pgm.learning.tables import learning_of
-from egolane_pgm.model import causality
+from egolane_pgm.model import causality, place_by_lines
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import Result
@@ -130,12 +130,13 @@ def held_out_result(
         warnings.simplefilter("always", UserWarning)
         found = held_out(drive, fitted, beliefs_with, n_blocks)
     notes += [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+    places = place_by_lines(drive.model)(drive.recorded.log)
     own = [each[found.block == b] for b, each in enumerate(tentative) if each is not None]
     of_beliefs = Believed(
         found.beliefs,
         assigned_lane(found.beliefs.lane, experiment.unassigned_below),
         np.concatenate(own) if own else None,
-        **across_lanes(found.beliefs.marginals),
+        **across_lanes(found.beliefs.marginals, None if places is None else places[drive.rows]),
         notes=tuple(dict.fromkeys(notes)),
     )
     run = {

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from egolane_pgm.evidence.line_geometry.place import place_finder
 from egolane_pgm.experiment import FROM_MAP, Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import (
@@ -393,6 +394,14 @@ def online_output(model: Model, reading: str = "soft") -> Callable[[LineLog], Ru
         return RuleOutput(filtered, _tentative(model.rule, given, model.n_lanes))
 
     return output_of
+
+
+def place_by_lines(model: Model) -> Callable[[LineLog], FloatArray | None]:
+    """A function that gives the place in the lane of frames as they come, (T,), as
+    `line_geometry.place` finds it; None where the graph has a RoadPosition, which tells better."""
+    if "RoadPosition" in model.compiled.values:
+        return lambda log: None
+    return place_finder(model.parameters)
 
 
 def _online_rule(model: Model) -> Callable[[LineLog], Evidence]:

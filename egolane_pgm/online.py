@@ -17,7 +17,7 @@ from egolane_pgm.inference.events import NO_EVENTS, across_lanes, next_events
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
-from egolane_pgm.model import online_output, prepare_model, value_names
+from egolane_pgm.model import online_output, place_by_lines, prepare_model, value_names
 from egolane_pgm.recordings.mapping import columns_of, lines_of_table
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
@@ -105,21 +105,26 @@ def filter_logs(
     state: FilterState | None = None
     late: LagState | None = None
     so_far = NO_EVENTS
-    # Frames that wait for their answer; None stands for one that the recording lacks.
-    waiting: deque[LineLog | None] = deque()
+    place_of = place_by_lines(model)
+    # Frames that wait for their answer: the k-th of a log, and the places in it by its lines. The
+    # recording lacks all but a log's last frame: what they tell is said in the next answer.
+    waiting: deque[tuple[LineLog, int, FloatArray | None]] = deque()
+    untold: list[LaneEvents] = []
     last: LineLog | None = None
 
     def answers(beliefs: Beliefs) -> Iterator[dict[str, Any]]:
         """Answers to the first frames that wait, one for each belief."""
         nonlocal so_far
         for t in range(len(beliefs)):
-            log = waiting.popleft()
-            if log is not None:
-                frame = beliefs.take(slice(t, t + 1))
-                across = across_lanes(frame.marginals)
-                place = across["place_in_lane"]
-                so_far, _, events = next_events(so_far, frame.lane, log.frame_id, log.time_s, place)
-                named = {node: names[node] for node in nodes}
+            log, k, places = waiting.popleft()
+            here, frame = slice(k, k + 1), beliefs.take(slice(t, t + 1))
+            across = across_lanes(frame.marginals, None if places is None else places[here])
+            frame_id, time_s, place = log.frame_id[here], log.time_s[here], across["place_in_lane"]
+            so_far, _, events = next_events(so_far, frame.lane, frame_id, time_s, place)
+            untold.append(events)
+            if k == len(log) - 1:
+                named, events = {node: names[node] for node in nodes}, LaneEvents.joined(untold)
+                untold.clear()
                 yield _answer(log, frame, across["crossing"], events, below, named)
 
     for log in logs:
@@ -127,8 +132,8 @@ def filter_logs(
             log = clip_lri(log, max_lri)
         due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
         evidence = output_of(due).filtered
-        last = log
-        waiting.extend([*[None] * (len(due) - 1), log])
+        last, places = log, place_of(due)
+        waiting.extend((due, k, places) for k in range(len(due)))
         if experiment.lag is None:
             state, beliefs = step(model.compiled, state, evidence, experiment.filter)
             yield from answers(beliefs)
@@ -149,14 +154,14 @@ def _answer(
     below: float,
     nodes: Mapping[str, Sequence[str]],
 ) -> dict[str, Any]:
-    """The answer to a frame. nodes: the names of the values of each node in the answer."""
+    """The answer to the last frame of a log. nodes: the names of the values of each node in it."""
     lane = beliefs.lane[0]
     assigned = int(assigned_lane(beliefs.lane, below)[0])
     names = ("from_lane", "to_lane", "direction", "time_s", "probability")
     columns = [getattr(events, name) for name in names]
     return {
-        "frame_id": int(log.frame_id[0]),
-        "time_s": float(log.time_s[0]),
+        "frame_id": int(log.frame_id[-1]),
+        "time_s": float(log.time_s[-1]),
         "lane": assigned,
         "probability": float(lane[assigned - 1] if assigned else lane.max()),
         "crossing": None if crossing is None else float(crossing[0]),

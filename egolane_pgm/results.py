@@ -47,7 +47,6 @@ from pydantic_core import from_json
 
 from egolane_pgm.experiment import Experiment, config_hash, make_experiment, validated
 from egolane_pgm.inference.events import (
-    across_lanes,
     in_tracks,
     lane_events,
     numbered,
@@ -112,7 +111,8 @@ class Result:
     - crossing (T,): the probability that the car is on a line between two lanes; None for a graph
       without RoadPosition.
     - place_in_lane (T,): lane widths right of the middle of the lane, whichever it is, -.5 to .5;
-      NaN where that is not known, None for a graph without RoadPosition.
+      NaN where that is not known. Of a graph without RoadPosition it is that of the lines
+      (`line_geometry.place`).
     - block (T,): the held-out block of each frame; None of a result that held out none.
     - clip (T,): the name of each frame's clip, where there are several, as in `LineLog`.
     - road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
@@ -132,8 +132,6 @@ class Result:
        time_s  from_lane  to_lane  delay_s
     0     3.7          4        3     -0.4
     1    10.5          3        2     -0.6
-    2    18.5          2        1      NaN
-    3    20.7          1        2      NaN
     >>> run.to_pandas()[["time_s", "Lane=1", "SensorState=OK", "true_lane"]].shape
     (300, 4)
     """
@@ -504,7 +502,8 @@ COLUMNS = (
         "place_in_lane",
         "float64",
         "sometimes",
-        "mean place in the lane, whichever it is: lane widths right of its middle; NaN if unknown",
+        "mean place in the lane, whichever it is: lane widths right of its middle; NaN if unknown;"
+        " without RoadPosition that of the lines",
     ),
     Column("assigned_lane", "int64", "always", "the answer; 0 for none (a tie, unassigned_below)"),
     Column(
@@ -556,7 +555,6 @@ def _read_beliefs(file: Path, run: Mapping[str, Any]) -> dict[str, Any]:
     return {
         **found,
         "marginals": marginals,
-        **across_lanes(marginals),
         "tentative": stacked("detector", lanes) if has_detector else None,
     }
 

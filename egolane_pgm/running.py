@@ -40,7 +40,15 @@ from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi
 from egolane_pgm.lane_count import doubt_of_lanes
-from egolane_pgm.model import Model, causality, online_output, prepare_model, value_names, with_map
+from egolane_pgm.model import (
+    Model,
+    causality,
+    online_output,
+    place_by_lines,
+    prepare_model,
+    value_names,
+    with_map,
+)
 from egolane_pgm.plugins import source_files
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import (
@@ -179,7 +187,7 @@ def believe(drive: Drive) -> Believed:
         beliefs,
         assigned,
         output.tentative,
-        **across_lanes(beliefs.marginals),
+        **across_lanes(beliefs.marginals, place_by_lines(model)(log)),
         evidence=filtered,
         notes=tuple(notes),
     )
@@ -407,6 +415,7 @@ def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
     last = max(1, -((piece // 2 - len(recorded.log)) // size))
     borders = [*range(0, last * size, size), len(recorded.log)]
     output_of = online_output(model, experiment.evidence_reading)
+    place_of = place_by_lines(model)
     state: FilterState | None = None
     for start, stop in pairwise(borders):
         part = recorded.take(slice(start, stop))
@@ -414,7 +423,7 @@ def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
         state, beliefs = step(model.compiled, state, output.filtered, experiment.filter)
         beliefs = replace(beliefs, frame_id=part.log.frame_id)
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-        across = across_lanes(beliefs.marginals)
+        across = across_lanes(beliefs.marginals, place_of(part.log))
         yield part, Believed(beliefs, assigned, output.tentative, **across)
 
 

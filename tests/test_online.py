@@ -57,9 +57,8 @@ def test_online_beliefs_equal_those_of_a_run_frame_by_frame(
     np.testing.assert_array_equal([a["lane"] for a in answers], assigned_lane(run.beliefs.lane)[at])
     np.testing.assert_array_equal([a["time_s"] for a in answers], run.lines.time_s[at])
     told = [event for answer in answers for event in answer["events"]]
-    if policy == "skip":
-        assert [event["to_lane"] for event in told] == run.told.to_lane.tolist()
-        assert [event["time_s"] for event in told] == run.told.time_s.tolist()
+    assert [event["to_lane"] for event in told] == run.told.to_lane.tolist()
+    assert [event["time_s"] for event in told] == run.told.time_s.tolist()
 
 
 @pytest.mark.parametrize("policy", ["skip", "hold", "predict"])

@@ -202,7 +202,7 @@ def test_a_run_gives_its_network_and_the_frames_with_their_evidence(saved: Path)
 def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
     lagged = run_experiment(simulated(filter="fixed_lag", lag=7, evidence_reading="soft"))
     saved = lagged.save(tmp_path / "result", figures=False)
-    at_once = lane_events(lagged.beliefs, 10.0)
+    at_once = lane_events(lagged.beliefs, 10.0, places=lagged.place_in_lane)
     assert len(at_once)
     found = read_result(saved).events
     np.testing.assert_allclose(found.late_s, at_once.late_s + 0.7)

@@ -10,8 +10,9 @@ So events of causal beliefs are causal, too. The definition:
   that lane's probability reaches SURELY_BACK. Otherwise the change stands; if the old lane is still
   believed when the time is over, the change back is reported then.
 
-With a node RoadPosition, the place inside the lane shows whether the car goes over a line,
-whichever lane it is in, and an event is one crossing of one line:
+The place inside the lane, of a node RoadPosition or by the lines alone (`model.place_by_lines`),
+shows whether the car goes over a line, whichever lane it is in, and an event is one crossing of one
+line:
 
 - A lane that is believed while the car stays inside its lane (it is further than BEYOND from the
   line on that side) is another number for the same lane, as where a ramp joins; it is no change.
@@ -100,15 +101,16 @@ def lane_events(
     - frame_rate: frames per second.
     - lag: number of frames by which each belief is later than its frame (filter `fixed_lag`).
     - time_s: (T,) when the frames were, seconds; by default frame id over frame rate.
-    - places: (T,) as `place_in_lane` gives them, which it does by default.
+    - places: (T,) where in its lane the car is, as a `Result` has it; by default as `place_in_lane`
+      gives it, so that without a RoadPosition what is believed counts alone.
 
     Raises InputError for a frame rate that is not positive.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
     >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> ego.lane_events(run.beliefs, frame_rate=10).to_lane
-    array([3, 2, 1, 2])
+    >>> ego.lane_events(run.beliefs, frame_rate=10, places=run.place_in_lane).to_lane
+    array([3, 2])
     """
     if not frame_rate > 0:
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")
@@ -333,24 +335,29 @@ def lane_stretches(
 
 
 class AcrossLanes(TypedDict):
-    """What beliefs say of the car's place across its lane, (T,) each, as a `Result` has it; None
-    without a RoadPosition."""
+    """Where the car is across its lane, (T,) each, as a `Result` has it; None where nothing says
+    so."""
 
     crossing: FloatArray | None
     place_in_lane: FloatArray | None
 
 
-def across_lanes(marginals: Mapping[str, FloatArray]) -> AcrossLanes:
-    """`crossing_probability` and `place_in_lane` of beliefs by node."""
+def across_lanes(
+    marginals: Mapping[str, FloatArray], of_lines: FloatArray | None = None
+) -> AcrossLanes:
+    """`crossing_probability` and `place_in_lane` of beliefs by node.
+
+    - of_lines (T,): the place in the lane of a graph without RoadPosition (`model.place_by_lines`).
+    """
     lane, position = np.ascontiguousarray(marginals["Lane"]), marginals.get("RoadPosition")
     (n_frames, n_lanes), place = lane.shape, np.empty(len(lane))
     if position is None or position.shape[1] % n_lanes:
-        return {"crossing": None, "place_in_lane": None}
+        return {"crossing": None, "place_in_lane": of_lines}
     cells = np.ascontiguousarray(position).reshape(n_frames, n_lanes, -1)
     crossing = np.empty(n_frames)
     angles, near = _angles(cells.shape[2]), _near_lines(n_lanes, cells.shape[2])
     if not _read_cells(cells, lane, angles, near, crossing, place):
-        return {"crossing": None, "place_in_lane": None}
+        return {"crossing": None, "place_in_lane": of_lines}
     return {"crossing": crossing, "place_in_lane": place}
 
 

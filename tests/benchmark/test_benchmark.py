@@ -24,6 +24,7 @@ from egolane_pgm.benchmark.entries import (
 )
 from egolane_pgm.benchmark.scored import Entry, resamples, score_entry, score_recording
 from egolane_pgm.benchmark.tracks import Recording, read_tracks, write_recording
+from egolane_pgm.simulation import simulate
 from egolane_pgm.types import LaneTruth
 from egolane_pgm.verbs.benchmark import board, score
 from tests.kits.drives import done, short_drive
@@ -164,7 +165,9 @@ def test_a_change_that_is_reported_too_early_is_found() -> None:
         )
         return replace(whole, told=told)
 
-    found = check_causality(answering, [recording()], cuts=150)
+    # Four lane changes are told of this drive.
+    drive = replace(recording(), log=simulate("quickstart", seed=9, frames=200).log)
+    found = check_causality(answering, [drive], cuts=150)
     assert found.changed
     assert not found.is_causal
 

@@ -36,7 +36,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The result of a drive with true time stamps, in a folder beside its recording and its
     pictures."""
     folder = tmp_path_factory.mktemp("export")
-    drive = simulate("quickstart", frames=80)
+    drive = simulate("quickstart", frames=200)
     log = drive.log
     object.__setattr__(log, "time_s", START_S + log.frame_id / 10)
     write_lines(folder / "lines.mcap", log)
@@ -199,7 +199,9 @@ def test_some_frames_alone_are_shown_as_in_the_whole_drive(result: Path, drive: 
     assert some.bars_at(3) == drive.bars_at(23)
     whole = [(row - 20, text) for row, text in drive.event_texts() if 20 <= row < 30]
     assert some.event_texts() == whole
-    with pytest.raises(InputError, match="no frame from 500 to before 600; its frames are 0 to 79"):
+    with pytest.raises(
+        InputError, match="no frame from 500 to before 600; its frames are 0 to 199"
+    ):
         open_drive(result, frames=(500, 600))
 
 
@@ -213,7 +215,7 @@ def test_a_rerun_file_is_whole_and_has_what_was_believed(drive: Drive, tmp_path:
     file = tmp_path / "out.rrd"
     counts = write_rrd(file, drive)
     assert counts["picture"] == 3
-    assert counts["lanes/truth"] == 79
+    assert counts["lanes/truth"] == 199
     program = Path(sys.executable).with_name("rerun")
     told = subprocess.run(
         [program, "rrd", "verify", file], capture_output=True, text=True, timeout=120

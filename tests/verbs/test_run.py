@@ -139,7 +139,8 @@ def test_a_recording_of_ones_own_runs_without_any_ground_truth(drive: Path, tmp_
     shown = done("run", drive, "--recording", recording, "--no-figures", "--out", tmp_path / "o2")
     assert "no ground truth: beliefs only" in shown.stdout
     scores = json.loads((tmp_path / "o2" / "scores.json").read_text())
-    assert len(scores["lanes"]) == scores["events"]["told"] + 1
+    # A lane that is believed while the car crosses no line is no change.
+    assert len(scores["lanes"]) > scores["events"]["told"]
     lane, start, end = scores["lanes"][0]
     assert f"\nlane {lane} from {clock(start, 1)} to {clock(end, 1)}" in shown.stdout
     belief = read_result(tmp_path / "o2").marginals["Lane"]
@@ -533,7 +534,7 @@ def test_one_lane_is_allowed(tmp_path: Path) -> None:
 
 
 def test_run_prints_the_lane_changes_and_their_scores(tmp_path: Path) -> None:
-    path, out = write_drive(tmp_path, 900), tmp_path / "out"
+    path, out = write_drive(tmp_path, 2400), tmp_path / "out"
     shown = done("run", path, "--no-figures", "--out", out).stdout
     events = (out / "events.csv").read_text().splitlines()[1:]
     assert len(events) > 10

@@ -180,7 +180,8 @@ def translated(log: LineLog, detector: Habits) -> LineLog:
         changes["lri"] = np.full(log.lri.shape, np.nan)
     elif detector.full_lri != FULL_LRI:
         # After rounding, six tenths of a scale are exactly 6.
-        changes["lri"] = np.round(log.lri * (FULL_LRI / detector.full_lri), 9)
+        with np.errstate(over="ignore"):
+            changes["lri"] = np.round(log.lri * (FULL_LRI / detector.full_lri), 9)
     if not detector.says_valid:
         changes["is_valid"] = is_placed(log.offset_m)
     if not detector.says_continuous and log.is_continuous.any():
