@@ -60,8 +60,8 @@ def test_each_lag_is_scored_as_a_run_with_that_lag(make: Any) -> None:
 
 def test_lag_zero_is_the_exact_filter_and_a_lag_as_long_as_the_drive_its_smoother() -> None:
     result = ego.run(geometry(tuned_on="not_tuned"), held_out=True)
-    # The smoother's own weight of the lane is another one, and its lane width that of the drive.
-    same = {"alpha": 0.035, "lane_width_m": "causal"}
+    # The smoother has defaults of its own.
+    same = {"alpha": 0.035, "lane_width_m": "causal", "line_sigma_per_m": 0.03}
     alike = {"parameters": {"cells": 4, "motion_bins": 9, **same}}
     runs = [run_experiment(geometry(filter=name, **alike)) for name in ("exact", "smoothed")]
     right = [run.beliefs.lane for run in runs]

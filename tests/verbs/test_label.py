@@ -87,8 +87,9 @@ def test_with_ground_truth_it_says_how_good_the_labels_are(lines: Path, tmp_path
     for name, file in (("mine", mine), ("other", tmp_path / "other.txt")):
         words = ("--n-lanes", 3, "--below", 0.9, "--no-figures", "--out", tmp_path / name)
         words = (*words, "--ground-truth", file, "--json", tmp_path / f"{name}.json")
-        # In 15 s no label gets sure with the smoother's own weight of the lane.
-        words = (*words, "--set", "parameters.alpha=0.035")
+        # In 15 s no label gets sure with the smoother's own constants.
+        for constant in ("alpha=0.035", "width_wanders=0"):
+            words = (*words, "--set", f"parameters.{constant}")
         said[name] = done("label", lines, *words).stdout
         out[name] = json.loads((tmp_path / f"{name}.json").read_text())
     scores = {name: found["scores"] for name, found in out.items()}
