@@ -12,8 +12,9 @@ from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import powers
+from egolane_pgm.vision.detectors.networks.answers import Answer, Line
 from egolane_pgm.vision.detectors.networks.description import Network
-from egolane_pgm.vision.detectors.networks.layouts import Answer, Line, from_above, on_road
+from egolane_pgm.vision.detectors.networks.layouts import from_above, on_road
 from egolane_pgm.vision.detectors.networks.looking import looker
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.vision.detectors.simple.fit import Found, find_lines

@@ -13,13 +13,14 @@ from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Answer
 from egolane_pgm.vision.detectors.networks.description import (
     NO_NETWORK,
     Network,
     NetworkFile,
     read_network,
 )
-from egolane_pgm.vision.detectors.networks.layouts import Answer, answer, from_above
+from egolane_pgm.vision.detectors.networks.layouts import answer, from_above
 from egolane_pgm.vision.detectors.networks.running import fit_of, load
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 

@@ -11,8 +11,9 @@ import pytest
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Answer, Line
 from egolane_pgm.vision.detectors.networks.description import read_network
-from egolane_pgm.vision.detectors.networks.layouts import Answer, Line, from_above
+from egolane_pgm.vision.detectors.networks.layouts import from_above
 from egolane_pgm.vision.detectors.networks.looking import looker
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from tests.kits.synthetic_road import CAMERA, road

@@ -12,8 +12,8 @@ import pytest
 
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.detectors.networks.answers import Line
 from egolane_pgm.vision.detectors.networks.description import read_network
-from egolane_pgm.vision.detectors.networks.layouts import Line
 from egolane_pgm.vision.detectors.networks.looking import looker
 from tests.kits.synthetic_road import CAMERA, road
 from tests.kits.tiny_network import write_answers

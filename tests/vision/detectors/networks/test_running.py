@@ -16,7 +16,7 @@ from onnx import helper
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
-from egolane_pgm.vision.detectors.networks.layouts import probabilities
+from egolane_pgm.vision.detectors.networks.masks import probabilities
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.vision.detectors.networks.running import Run, as_input, fit_of, load
 from egolane_pgm.vision.rendering.render import render_frame
