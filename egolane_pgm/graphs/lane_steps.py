@@ -80,11 +80,16 @@ class Step:
     place: int | None = None
     is_guess: bool = False
 
+    @property
+    def is_change(self) -> bool:
+        """Whether the road is another one after it."""
+        return self != Step(self.before, self.before, is_guess=self.is_guess)
+
     def __str__(self) -> str:
         if not self.before:
             return "hold"
         guess = "~" if self.is_guess else ""
-        if self == Step(self.before, self.before, is_guess=self.is_guess):
+        if not self.is_change:
             return f"{self.before}{guess}"
         shift = "?" if self.shift is None else f"{self.shift:+d}"
         place = "" if self.place is None else f"@{self.place}"

@@ -62,7 +62,7 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     on_road: dict[int, list[FloatArray]] = {}
     for step in steps:
         n = step.after
-        if _is_change(step):
+        if step.is_change:
             moves = [_carried(step, velocity, n_lanes, cells, parameters) for velocity in COASTING]
             positions += moves
             sensors += [sensor] * len(moves)
@@ -110,7 +110,7 @@ def step_index(
     - off: (T,) -1 or 1 where there is a lane less or more than a guess, else 0; default 0
     """
     steps, which = _steps(n_lanes, parameters)
-    is_change = np.array([_is_change(step) for step in steps])
+    is_change = np.array([step.is_change for step in steps])
     sizes = np.where(is_change, len(COASTING), fixed.motion_values(parameters))
     begins = np.cumsum(sizes) - sizes
     known = fixed.known_displacements(parameters)
@@ -134,12 +134,16 @@ def _steps(n_lanes: int, parameters: Parameters) -> tuple[tuple[Step, ...], IntA
     for k, word in enumerate(words):
         if word.place is not None or not word.before:
             raise InputError(f"steps: '{word}': this graph takes the map's places for exact")
-        goes_on = word == Step(word.after, word.after, is_guess=word.is_guess)
+        goes_on = not word.is_change
         # A stretch begins with the number that was guessed.
         offs = (0, 1, -1) if word.before in guessed and goes_on <= word.is_guess else (0,)
         # Within it lanes begin or end at a side that nothing tells, as in `changing_lanes`; where
         # the map tells a number again the doubt ends, and no lane does.
-        side = word.shift if word.before != word.after or word.shift else None if goes_on else 0
+        side: int | None = 0
+        if word.before != word.after or word.shift:
+            side = word.shift
+        elif goes_on:
+            side = None
         for off, now in product(offs, offs if goes_on else (0,)):
             before, after = word.before + off, word.after + now
             is_change = before != after or side
@@ -147,10 +151,6 @@ def _steps(n_lanes: int, parameters: Parameters) -> tuple[tuple[Step, ...], IntA
             if 1 <= min(before, after) <= max(before, after) <= n_lanes:
                 which[k, off, now] = found.setdefault(step, len(found))
     return tuple(found), which
-
-
-def _is_change(step: Step) -> bool:
-    return step != Step(step.after, step.after)
 
 
 def _widened(move: FloatArray, n_positions: int, parameters: Parameters) -> FloatArray:

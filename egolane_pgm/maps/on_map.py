@@ -17,6 +17,7 @@ import numpy as np
 from egolane_pgm.evidence.line_geometry.model import LANE_M
 from egolane_pgm.evidence.lines_beside import fit_of_counts, off_by
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
+from egolane_pgm.graphs.lane_steps import read_steps
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.maps.lane_graph import ways_named
 from egolane_pgm.maps.lanes_from_gnss import Across, across, beside_lines
@@ -188,14 +189,13 @@ def _off_the_guess(
     n_lanes: int, parameters: Parameters, log: LineLog, road: LanesAlong
 ) -> IntArray:
     """How many lanes more (-1, 0 or 1) there seem to be in each frame than a guess says, (T,)."""
-    goes_on = np.array(["~" in word and ">" not in word for word in road.steps.split()])[road.step]
+    steps = read_steps(road.steps, n_lanes)
+    goes_on = np.array([step.is_guess and not step.is_change for step in steps])[road.step]
     goes_on[:1] = False
     if not goes_on.any():
         return np.zeros(len(log), dtype=np.int64)
-    name = "lane_width_m"
-    if isinstance(parameters.get(name, ""), str):
-        name = "fallback_width_m"
-    width_m = number({name: LANE_M, **parameters}, name)
+    said = (parameters.get(name) for name in ("lane_width_m", "fallback_width_m"))
+    width_m = next((width for width in said if isinstance(width, int | float)), LANE_M)
     fit = fit_of_counts(log, n_lanes, width_m)
     # Where no line beyond those of the car's lane is seen, the lines do not tell.
     is_wide = log.is_valid & (np.abs(log.offset_m) > width_m)

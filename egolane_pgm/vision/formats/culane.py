@@ -60,7 +60,15 @@ def read_culane(
         )
         for file in files
     ]
-    return line_log(frames, seen_by, frame_rate, valid, frame_step, ahead_m, str(path))
+    return line_log(
+        frames,
+        camera=seen_by,
+        frame_rate=frame_rate,
+        valid=valid,
+        frame_step=frame_step,
+        ahead_m=ahead_m,
+        source=str(path),
+    )
 
 
 def _lines(file: Path) -> list[ImageLine]:

@@ -106,6 +106,7 @@ class ImageFrame:
 
 def line_log(
     frames: Sequence[ImageFrame],
+    *,
     camera: Camera | None,
     frame_rate: float,
     valid: str | None,

@@ -81,7 +81,15 @@ def read_openlane(
         frames.append(ImageFrame(picture.stem, lines, str(file), str(picture.parent)))
     is_in_pixels = any(isinstance(line, ImageLine) for frame in frames for line in frame.lines)
     seen_by = camera_of(camera, path) if is_in_pixels or camera is not None else None
-    return line_log(frames, seen_by, frame_rate, valid, frame_step, ahead_m, str(path))
+    return line_log(
+        frames,
+        camera=seen_by,
+        frame_rate=frame_rate,
+        valid=valid,
+        frame_step=frame_step,
+        ahead_m=ahead_m,
+        source=str(path),
+    )
 
 
 def _entry(file: Path) -> dict[str, Any]:

@@ -83,7 +83,15 @@ def read_tusimple(
         ImageFrame(name, entry_lines(entry, where, solid), where, drive)
         for (drive, name), (where, entry) in zip(drives, entries, strict=True)
     ]
-    return line_log(frames, seen_by, frame_rate, valid, frame_step, ahead_m, str(path))
+    return line_log(
+        frames,
+        camera=seen_by,
+        frame_rate=frame_rate,
+        valid=valid,
+        frame_step=frame_step,
+        ahead_m=ahead_m,
+        source=str(path),
+    )
 
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
