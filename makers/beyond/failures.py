@@ -19,7 +19,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.model import make_evidence
+from egolane_pgm.model import Model, make_evidence
 from egolane_pgm.parameters import number
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
@@ -50,6 +50,9 @@ NEAR = 0.3
 #: Wrong frames with fewer right ones between them are one stretch.
 JOINED = 15
 
+#: Evidence as it would be if something else were known.
+Told = Callable[[Drive, Evidence], Evidence]
+
 #: The stretches that are drawn, first and last frame.
 DRAWN = {"failures_run5.png": (1860, 2480), "failures_run5_start.png": (239, 860)}
 
@@ -75,20 +78,26 @@ def on_road(drive: Drive) -> tuple[FloatArray, IntArray, BoolArray]:
         return place, line, np.abs(place - line) < NEAR
 
 
-def believed(drive: Drive, evidence: Evidence | None = None) -> dict[str, FloatArray]:
-    """The belief over lanes, (T, n), from the frames so far and smoothed."""
-    model = zero_label(drive.n_lanes)
-    given = evidence or evidence_of(drive)
-    return {
-        name: infer_beliefs(model.compiled, given, filter).lane
-        for name, filter in (("causal", "exact"), ("smoothed", "smoothed"))
-    }
+def believed(drive: Drive, told: Told | None = None) -> dict[str, FloatArray]:
+    """The belief over lanes, (T, n), from the frames so far and smoothed, each as its own defaults
+    read the lines; `told` may change the evidence."""
+    found = {}
+    for name, filter in (("causal", "exact"), ("smoothed", "smoothed")):
+        evidence = evidence_of(drive, filter)
+        evidence = told(drive, evidence) if told else evidence
+        found[name] = infer_beliefs(_model(drive, filter).compiled, evidence, filter).lane
+    return found
 
 
-def evidence_of(drive: Drive) -> Evidence:
+def evidence_of(drive: Drive, filter: str = "exact") -> Evidence:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return make_evidence(zero_label(drive.n_lanes), drive.log).filtered
+        return make_evidence(_model(drive, filter), drive.log).filtered
+
+
+def _model(drive: Drive, filter: str) -> Model:
+    looks_back = ("filter=smoothed", "parameters.lane_width_m=auto")
+    return zero_label(drive.n_lanes, looks_back if filter == "smoothed" else ())
 
 
 # Where --------------------------------------------------------------------------------------------
@@ -236,19 +245,17 @@ def _failures_told(drive: Drive, evidence: Evidence) -> Evidence:
 def _table_of_oracles(drive: Drive) -> Iterator[str]:
     yield "| set right | from the frames so far | smoothed |"
     yield "|---|---|---|"
-    for name, made in oracles(drive).items():
-        with_it = made()
-        yield _row(name, with_it, evidence_of(with_it))
-    evidence = evidence_of(drive)
-    yield _row("lane told in the first frame", drive, _first_told(drive, evidence))
-    yield _row("sensor known to fail where it does", drive, _failures_told(drive, evidence))
-    inside = oracles(drive)["no lines beyond the edges of the road"]()
-    told = _first_told(inside, evidence_of(inside))
-    yield _row("no lines beyond the edges, lane told in the first frame", inside, told)
+    changed = {name: made() for name, made in oracles(drive).items()}
+    for name, with_it in changed.items():
+        yield _row(name, with_it)
+    yield _row("lane told in the first frame", drive, _first_told)
+    yield _row("sensor known to fail where it does", drive, _failures_told)
+    inside = changed["no lines beyond the edges of the road"]
+    yield _row("no lines beyond the edges, lane told in the first frame", inside, _first_told)
 
 
-def _row(name: str, drive: Drive, evidence: Evidence) -> str:
-    found = believed(drive, evidence).values()
+def _row(name: str, drive: Drive, told: Told | None = None) -> str:
+    found = believed(drive, told).values()
     is_scored = drive.lane > 0
     cells = [f"{np.mean((assigned_lane(b) == drive.lane)[is_scored]):.3f}" for b in found]
     return f"| {name} | {' | '.join(cells)} |"
