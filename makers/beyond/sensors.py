@@ -49,10 +49,11 @@ STARTS_TEXT = """
 ## Where one starts to read
 
 The same model on each recording as it is, read from frame 0, 100, ..., 600 on: lowest, mean and
-highest share of right frames. It is the first minute that differs.
+highest share of right frames. It is the first minute that differs. *Sure* and *right where sure*
+are of the whole recording, read from frame 0.
 
-| run | lowest | mean | highest |
-|---|--:|--:|--:|"""
+| run | lowest | mean | highest | sure | right where sure |
+|---|--:|--:|--:|--:|--:|"""
 
 
 def own_lines(log: LineLog) -> LineLog:
@@ -143,7 +144,9 @@ def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterato
         found = []
         for start in STARTS:
             later = replace(drive, log=drive.log.take(slice(start, None)), lane=drive.lane[start:])
-            n, right = scores(later, None, tuple(overrides))[:2]
-            found.append(right / n)
-        cells = [f"{value:.4f}" for value in (min(found), np.mean(found), max(found))]
+            found.append(scores(later, None, tuple(overrides))[:4])
+        n, right, sure, both = np.array(found).T
+        share = right / n
+        values = (share.min(), share.mean(), share.max(), sure[0] / n[0], both[0] / sure[0])
+        cells = [f"{value:.4f}" for value in values]
         yield f"| {run} | {' | '.join(cells)} |"
