@@ -93,6 +93,7 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
 	$(BIN)/python -m makers.beyond drawn > results/beyond/drawn.md
+	$(BIN)/python -m makers.beyond calibration --out results/beyond > results/beyond/calibration.md
 
 # results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
 DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
