@@ -139,6 +139,7 @@ def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterato
         ]
         yield f"| {name} | {' | '.join(cells)} |"
     yield STARTS_TEXT
+    shares = []
     for run in runs:
         drive = paper_drive(run)
         found = []
@@ -147,6 +148,10 @@ def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterato
             found.append(scores(later, None, tuple(overrides))[:4])
         n, right, sure, both = np.array(found).T
         share = right / n
+        shares.append(share)
         values = (share.min(), share.mean(), share.max(), sure[0] / n[0], both[0] / sure[0])
         cells = [f"{value:.4f}" for value in values]
         yield f"| {run} | {' | '.join(cells)} |"
+    mean = np.mean(shares, axis=0)
+    cells = [f"{value:.4f}" for value in (mean.min(), mean.mean(), mean.max())]
+    yield f"| mean of these | {' | '.join(cells)} | | |"
