@@ -84,6 +84,19 @@ def test_evidence_that_is_not_soft_is_refused() -> None:
         run(evidence_reading="hard")
 
 
+@pytest.mark.parametrize("place", ["interchange.yaml", "position.yaml"])
+def test_the_lane_at_the_start_is_told_of_the_road_that_is_there(place: str) -> None:
+    """The drive begins on four lanes of a road that has five later and three in the end."""
+    told = ego.run(PLACE.parent / place, overrides={**SHORT, "start_lane": [0, 1, 0, 3]})
+    assert told.road_lanes[0] == 4 < told.n_lanes
+    assert told.beliefs.lane[0, [0, 2, 4]].max() == 0
+    assert np.isfinite(told.beliefs.lane).all()
+    with pytest.raises(InputError, match="start_lane: where the drive begins the road has 4 lanes"):
+        ego.run(PLACE.parent / place, overrides={**SHORT, "start_lane": 5})
+    with pytest.raises(InputError, match="needs a lane, or a number for each of the 5 lanes"):
+        ego.run(PLACE.parent / place, overrides={**SHORT, "start_lane": [0, 1, 0, 0, 0, 0]})
+
+
 def test_n_lanes_map_needs_a_road(tmp_path: Path) -> None:
     content = {"name": "x", "recording": {"path": "lines.csv"}, "n_lanes": "map"}
     with pytest.raises(InputError, match="n_lanes: map needs a road table"):

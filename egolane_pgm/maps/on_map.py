@@ -66,7 +66,11 @@ def with_lanes_of(table: RoadTable, experiment: Experiment, graph: ModuleType) -
     found = road_changes(table, doubts_guesses=bool(parameters.get("guess_wrong")))
     steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
     n_lanes = graph.most_lanes(on_map, {**parameters, "steps": steps})
-    return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
+    changes: dict[str, Any] = {"n_lanes": n_lanes, "parameters": {"steps": steps}}
+    if isinstance(told := experiment.start_lane, tuple):
+        # It is told of the road where the drive begins, which is not always the widest.
+        changes["start_lane"] = told + (0.0,) * (n_lanes - len(told))
+    return load_experiment(experiment, changes)
 
 
 def road_along(
