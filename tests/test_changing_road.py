@@ -203,6 +203,18 @@ def test_position_in_lane_doubts_a_guess_where_it_is_one_and_lines_beside_the_ca
     np.testing.assert_allclose(lanes(0.25)[:, : believed.shape[1]], lanes(0.0), rtol=0, atol=1e-12)
 
 
+def test_the_lines_of_the_own_lane_alone_do_not_tell_the_number_of_lanes(tmp_path: Path) -> None:
+    drive = simulate_interchange(3, None, Journey(n_frames=900))
+    content = hidden_lines(drive, tmp_path, 0.0, 0.0)
+    log, road = drive.log, drive.road
+    near = log.is_valid & (np.abs(log.offset_m) < 3.5)
+    write_table(tmp_path / "lines.csv", replace(log, is_valid=near))
+    save(replace(road, untold=np.ones_like(road.untold)), tmp_path / "road.parquet")
+    result = ego.run(content)
+    of_the_map = result.marginals["Lanes"][np.arange(len(log)), result.road_lanes - 1]
+    assert of_the_map.min() > 0.2
+
+
 @pytest.mark.parametrize(
     ("graph", "rule"),
     [("changing_lanes", "counting"), ("position_in_changing_lanes", "line_geometry")],
