@@ -35,7 +35,7 @@ class Declared:
 
 def read_onnx(path: Path, where: str) -> Declared:
     """Reads a network with its weights. Raises InputError, starting with `where`, for a file that
-    is no ONNX, and where weights are missing."""
+    cannot be read or is no ONNX, and where weights are missing."""
     model = _model(path, where)
     import onnx
 
@@ -70,6 +70,8 @@ def _model(path: Path, where: str) -> ModelProto:
     try:
         # Without a format onnx would take a file that ends in .json or .txt for text.
         model = onnx.load(str(path), format="protobuf", load_external_data=False)
+    except OSError as error:
+        raise InputError(f"{where}: {path}: {error.strerror or error}") from None
     except DecodeError:
         model = onnx.ModelProto()
     if not model.graph.output:

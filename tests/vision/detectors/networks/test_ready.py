@@ -347,6 +347,9 @@ def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
     )
     file.write_bytes(b"nothing")
     assert refused("network-check", file) == f"network: {file} is no ONNX file"
+    absent, folder = tmp_path / "absent.onnx", tmp_path
+    assert refused("network-check", absent) == f"network: {absent}: No such file or directory"
+    assert refused("network-check", folder) == f"network: {folder}: Is a directory"
 
 
 def test_the_page_has_each_layout_each_key_and_each_network() -> None:
