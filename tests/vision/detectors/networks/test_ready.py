@@ -352,6 +352,42 @@ def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
     assert refused("network-check", folder) == f"network: {folder}: Is a directory"
 
 
+CURVE_LANES = {
+    "loc_row": (1, 200, 72, 10),
+    "loc_col": (1, 100, 41, 10),
+    "exist_row": (1, 2, 72, 10),
+    "exist_col": (1, 2, 41, 10),
+}
+
+
+@pytest.mark.parametrize(
+    ("shapes", "layout"),
+    [
+        ({"binary": (1, 2, 40, 80), "embedding": (1, 4, 40, 80)}, "lanes"),
+        ({"a": (1, 1, 40, 80)}, "instances"),
+        ({"a": (1, 7, 40, 80)}, "instances"),
+        ({"seg_pred": (1, 1, 40, 80)}, "instances"),
+        ({"boxes": (1, 999, 4), "kinds": (1, 999, 1), "masks": (1, 3, 40, 80)}, "instances"),
+        ({"boxes": (1, 39, 99), "masks": (1, 32, 20, 20)}, "prototypes"),
+        ({"a": (1, 101, 56, 4)}, "row_anchors"),
+        (CURVE_LANES, None),
+    ],
+)
+def test_the_layout_of_another_file_is_the_one_that_its_numbers_are_of(
+    tmp_path: Path, shapes: dict[str, tuple[int, ...]], layout: str | None
+) -> None:
+    """The YAML to start from can be run as it is."""
+    outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
+    said = check_onnx(write_known(tmp_path / "mine.onnx", outputs, (80, 40)))
+    keys = yaml.safe_load(said)
+    if layout is None:
+        assert keys is None
+        return
+    assert keys["layout"] == layout
+    (tmp_path / "mine.yaml").write_text(said)
+    load(read_network(tmp_path / "mine.yaml"), Fit(80, 40, 0, 0, 0, 80, 40))
+
+
 def test_the_page_has_each_layout_each_key_and_each_network() -> None:
     assert set(ready_networks()) == set(GIVES)
     for word in (*OUTPUTS, *Network.model_fields, *GIVES):
