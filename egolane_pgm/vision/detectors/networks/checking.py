@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import math
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -64,6 +66,13 @@ def check_onnx(onnx: Path) -> str:
         keys.pop("channels", None)
         if n_classes == 1:
             keys.pop("activation", None)
+    if keys["layout"] in ("prototypes", "queries"):
+        kinds = _class_names(declared.notes)
+        lines += [f"# class {k}: {kind}" for k, kind in kinds.items()]
+        if kinds:
+            keys["classes"] = _lines_by_name(kinds)
+        if not kinds or not keys["classes"]:
+            lines.append("# which classes are solid and which dashed lines is for you to say")
     lines.append(
         f"# as {name}, which comes along: are size, mean, scale, colours and activation yours?"
     )
@@ -72,6 +81,22 @@ def check_onnx(onnx: Path) -> str:
 
 def _ready(name: str) -> dict[str, Any]:
     return read_yaml(READY / f"{name}.yaml", "model: lanes.onnx")
+
+
+def _class_names(notes: Mapping[str, str]) -> dict[int, str]:
+    """The names of classes, as Ultralytics writes them into a file; empty where it has none."""
+    with suppress(ValueError, SyntaxError):
+        names = ast.literal_eval(notes.get("names", ""))
+        if isinstance(names, dict):
+            return names
+    return {}
+
+
+def _lines_by_name(names: Mapping[int, str]) -> dict[str, list[int]]:
+    """The key `classes` where names of classes tell: solid yellow, dashed."""
+    told = {"solid": "solid", "dashed": "dash"}
+    found = {key: [k for k in names if word in str(names[k]).lower()] for key, word in told.items()}
+    return {key: kinds for key, kinds in found.items() if kinds}
 
 
 def _fitting(declared: Mapping[str, Shape]) -> Iterator[_Fit]:

@@ -26,11 +26,13 @@ class Declared:
 
     - inputs, outputs: their names and shapes, in their order
     - content: the file, with the weights that it keeps in others
+    - notes: what its author wrote into it, such as the `names` of classes
     """
 
     inputs: dict[str, Shape]
     outputs: dict[str, Shape]
     content: bytes
+    notes: dict[str, str]
 
 
 def read_onnx(path: Path, where: str) -> Declared:
@@ -50,6 +52,7 @@ def read_onnx(path: Path, where: str) -> Declared:
         {port.name: _shape(port) for port in model.graph.input if port.name not in weights},
         {port.name: _shape(port) for port in model.graph.output},
         model.SerializeToString(),
+        {note.key: note.value for note in model.metadata_props},
     )
 
 
