@@ -59,6 +59,8 @@ def check_onnx(onnx: Path) -> str:
     shape = declared.inputs[picture] or ()
     if len(shape) == 4 and shape[2] and shape[3]:
         keys["size"] = [shape[3], shape[2]]
+    if picture in declared.whole:
+        keys |= {"mean": 0, "scale": 1}
     if others:
         keys["inputs"] = {each: given.get(each, 0) for each in others}
     if n_classes and isinstance(keys.get("classes"), int) and n_classes != keys["classes"]:

@@ -105,7 +105,8 @@ def load(network: Network, fit: Fit) -> Run:
         values = as_input(network, fit, image)
         with _opencv_errors(f"{where}: OpenCV {cv2.__version__} cannot run {onnx}"):
             for port, value in (*given.items(), (picture, values)):
-                net.setInput(value, port)
+                whole = declared.whole.get(port)
+                net.setInput(value if whole is None else value.round().astype(whole), port)
             # OpenCV 5 gives all outputs or one.
             found = dict(zip(names, map(np.asarray, net.forward(names)), strict=True))
         outputs = {role: _part(found, part) for role, part in parts.items()}
@@ -193,6 +194,8 @@ def _picture_input(network: Network, declared: Declared) -> str:
             f"{where} takes {said(shape)} ({name}), but size {list(network.size)} makes"
             f" {said(needed)} (pictures, colours, height, width)"
         )
+    if name in declared.whole and np.min(network.scale) < 1:
+        raise InputError(f"{where} takes whole numbers ({declared.whole[name]}); say scale: 1")
     return name
 
 
