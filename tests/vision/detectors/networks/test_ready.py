@@ -98,6 +98,28 @@ def yolop(network: Network, fit: Fit) -> dict[str, FloatArray]:
     }
 
 
+def yolopv2(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """`driving_area_mask` takes the larger of two channels, `lane_line_mask` rounds the only one;
+    the others are of vehicles. The road has its paint."""
+    x, u = place(network, fit), np.arange(network.size[0])
+    is_road = (u > x[0][:, None]) & (u < x[-1][:, None])
+    return {
+        "seg": two_classes(np.where(is_road, 0.9, 0.1)),
+        "ll": strips(network, fit).max(axis=0)[None, None],
+        **{f"pred{k}": np.zeros((1, 255, 384 // n, 640 // n)) for k, n in enumerate((8, 16, 32))},
+    }
+
+
+def hybridnets(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """Logits of background, road and lane; the first outputs are those of vehicles."""
+    road, lane = area(network, fit), strips(network, fit).max(axis=0)
+    return {
+        "regression": np.zeros((1, 46035, 4)),
+        "classification": np.zeros((1, 46035, 1)),
+        "segmentation": np.log([[np.maximum(1 - road - lane, 0.01), road, lane]]),
+    }
+
+
 def ultra_fast(network: Network, fit: Fit) -> dict[str, FloatArray]:
     """`_grid_pts` of data/dataset.py: x // (799 / 199) is a line's class, 200 where there is none.
     The fourth line is nowhere."""
@@ -262,6 +284,10 @@ GIVES: dict[str, Callable[[Network, Fit], dict[str, FloatArray]]] = {
     "twinlitenet_road": twinlitenet,
     "yolop_lanes": yolop,
     "yolop_road": yolop,
+    "yolopv2_lanes": yolopv2,
+    "yolopv2_road": yolopv2,
+    "hybridnets_lanes": hybridnets,
+    "hybridnets_road": hybridnets,
     "ufld_culane": ultra_fast,
     "ufld_tusimple": ultra_fast,
     "ufldv2_culane": ultra_fast_2,
@@ -365,10 +391,10 @@ CURVE_LANES = {
     ("shapes", "layout"),
     [
         ({"binary": (1, 2, 40, 80), "embedding": (1, 4, 40, 80)}, "lanes"),
-        ({"a": (1, 1, 40, 80)}, "instances"),
+        ({"a": (1, 1, 40, 80)}, "lanes"),
         ({"a": (1, 7, 40, 80)}, "instances"),
         ({"seg_pred": (1, 1, 40, 80)}, "instances"),
-        ({"boxes": (1, 999, 4), "kinds": (1, 999, 1), "masks": (1, 3, 40, 80)}, "instances"),
+        ({"boxes": (1, 999, 4), "kinds": (1, 999, 1), "masks": (1, 3, 40, 80)}, "lanes"),
         ({"boxes": (1, 39, 99), "masks": (1, 32, 20, 20)}, "prototypes"),
         ({"a": (1, 101, 56, 4)}, "row_anchors"),
         (CURVE_LANES, None),
