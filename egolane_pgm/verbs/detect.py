@@ -103,8 +103,7 @@ def detect(
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
         lines = detect_lines(found, of_camera, shows)
-        time_s = None if frame_rate else left.time_s
-        done = collect(lines, rate, pictures, time_s, of_camera)
+        done = collect(lines, rate, pictures, None if frame_rate else left.time_s, of_camera)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
     if done.stopped is None and frame_rate is None and left.frame_rate is None:

@@ -46,9 +46,6 @@ NEAREST_TO_HORIZON = 0.04
 #: height is not between neighbouring lines.
 _HEIGHTS = (0.5, 4.0)
 
-#: The narrowest and the widest of usual lanes, metres.
-_USUAL_LANES = (2.5, 4.5)
-
 #: A gap that differs from the most common one by less than this share is one lane.
 _SAME_GAP = 0.15
 
@@ -413,13 +410,8 @@ def doubts_of(view: RoadView) -> list[str]:
     n_lanes = int(view.is_lane.sum())
     n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
     if low <= high <= most and (high / 2 < low or n_double <= n_lanes):
-        narrow, wide = _USUAL_LANES
-        if narrow <= one <= wide:
-            return []
-        return [
-            f"doubtful: lanes are {narrow:g} to {wide:g} m wide almost everywhere, not {one:g} m;"
-            " the height follows from this width"
-        ]
+        said = f"doubtful: lanes are 2.5 to 4.5 m wide almost everywhere, not {one:g} m; the"
+        return [] if 2.5 <= one <= 4.5 else [f"{said} height follows from this width"]
     taken, other = ("two lanes were", 2 * high) if high < low else ("half a lane was", high / 2)
     return [
         f"doubtful: with lanes of {one:g} m {said_height(view.camera)} ({n_lanes} gaps between"

@@ -136,11 +136,8 @@ def _check_rectangle(rectangle: object) -> None:
 
 def said_height(camera: Camera) -> str:
     """How high the camera is, beside those of cars."""
-    low, most = USUAL_HEIGHTS
-    return (
-        f"the camera is {camera.height_m:.2f} m above the road, where those of cars are at {low:g}"
-        f" to {most:g} m"
-    )
+    usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
+    return f"the camera is {high:.2f} m above the road, where those of cars are at {usual}"
 
 
 def axes(camera: Camera) -> FloatArray:

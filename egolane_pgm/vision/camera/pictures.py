@@ -131,8 +131,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
-    low, most = USUAL_HEIGHTS
-    if not low <= camera.height_m <= most:
+    if not USUAL_HEIGHTS[0] <= camera.height_m <= USUAL_HEIGHTS[1]:
         warnings.warn(
             f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; if this is a car,"
             " calibrate it again",

@@ -122,9 +122,8 @@ def _check(lines: FrameLines, where: str) -> None:
         raise InputError(f"{where}: the lines are not sorted left to right")
 
 
-def doubt_of_lane(log: LineLog, camera: Camera) -> str | None:
-    """Says that the valid lines beside the car are two lanes apart in most frames that have both:
-    where clutter between them looks like lines, single pictures do not tell."""
+def _warn_of_own_lane(log: LineLog, camera: Camera) -> None:
+    """Warns if the valid lines beside the car are two lanes apart in most frames that have both."""
     offset = np.where(log.is_valid, log.offset_m, np.nan)
     left = np.where(offset < 0, offset, -np.inf).max(axis=1, initial=-np.inf)
     right = np.where(offset > 0, offset, np.inf).min(axis=1, initial=np.inf)
@@ -132,12 +131,14 @@ def doubt_of_lane(log: LineLog, camera: Camera) -> str | None:
     one = camera.lane_width_m or USUAL_LANE_M
     is_double = (width > _TWO_LANES[0] * one) & (width < _TWO_LANES[1] * one)
     if len(width) < _LEAST_PAIRS or is_double.mean() <= 0.5:
-        return None
-    return (
+        return
+    warnings.warn(
         f"{camera.name or 'the camera'}: doubtful: the lines left and right of the car are"
         f" {np.median(width[is_double]):.1f} m apart in {is_double.sum()} of {len(width)} frames,"
         f" two lanes of {one:g} m; if no line is between them, the camera is at half its height_m"
-        f" of {camera.height_m:.2f}: calibrate it again"
+        f" of {camera.height_m:.2f}: calibrate it again",
+        UserWarning,
+        stacklevel=3,
     )
 
 
@@ -178,6 +179,6 @@ def collect(
     if not found:
         return Collected(None, stopped)
     log = as_log(found, frame_rate, source)
-    if camera is not None and (doubt := doubt_of_lane(log, camera)):
-        warnings.warn(doubt, UserWarning, stacklevel=2)
+    if camera is not None:
+        _warn_of_own_lane(log, camera)
     return Collected(log if time_s is None else replace(log, time_s=time_s[log.frame_id]), stopped)
