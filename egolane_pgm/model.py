@@ -23,7 +23,7 @@ from egolane_pgm.inference.compile import (
     with_tables,
 )
 from egolane_pgm.inference.filtering import read_evidence
-from egolane_pgm.inference.layout import check_keys
+from egolane_pgm.inference.layout import check_keys, joint_input
 from egolane_pgm.maps.on_map import (
     check_on_map,
     evidence_along,
@@ -141,17 +141,10 @@ def prepare_model(experiment: Experiment) -> Model:
 
 
 def _start_of(experiment: Experiment) -> FloatArray:
-    """How probable each of the n lanes is before the first frame. Raises InputError for lanes that
-    the road of a map does not have."""
-    given, n_lanes = experiment.start_lane, experiment.n_lanes
-    lanes = np.arange(1, n_lanes + 1)
-    start = np.where(lanes == given, 1.0, 0.0) if isinstance(given, int) else np.array(given)
-    if start.shape != (n_lanes,) or not start.any():
-        raise InputError(
-            f"{experiment.source}: start_lane: the road has {n_lanes} lanes: give one of them, or a"
-            " number for each"
-        )
-    return start
+    """How probable each of the n lanes is before the first frame."""
+    given = experiment.start_lane
+    lanes = np.arange(1, experiment.n_lanes + 1)
+    return np.where(lanes == given, 1.0, 0.0) if isinstance(given, int) else np.array(given)
 
 
 def _compiled(
@@ -452,6 +445,11 @@ def make_evidence(
         else:
             given = rule.evidence(log, model.n_lanes, model.parameters)
     filtered = _filtered(model, log, given, reading)
+    first = joint_input(model.compiled, filtered)[:1]
+    if road is not None and not model.compiled.prior[first].any(axis=1).all():
+        raise InputError(
+            f"{log.source}: start_lane: where the drive begins the road has {road.n_lanes[0]} lanes"
+        )
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     if tentative is None:
         tentative = _tentative(rule, given, model.n_lanes)

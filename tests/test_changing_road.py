@@ -84,6 +84,19 @@ def test_evidence_that_is_not_soft_is_refused() -> None:
         run(evidence_reading="hard")
 
 
+@pytest.mark.parametrize("place", ["interchange.yaml", "position.yaml"])
+def test_the_lane_at_the_start_is_told_of_the_road_that_is_there(place: str) -> None:
+    """The drive begins on four lanes of a road that has five later and three in the end."""
+    told = ego.run(PLACE.parent / place, overrides={**SHORT, "start_lane": [0, 1, 0, 3]})
+    assert told.road_lanes[0] == 4 < told.n_lanes
+    assert told.beliefs.lane[0, [0, 2, 4]].max() == 0
+    assert np.isfinite(told.beliefs.lane).all()
+    with pytest.raises(InputError, match="start_lane: where the drive begins the road has 4 lanes"):
+        ego.run(PLACE.parent / place, overrides={**SHORT, "start_lane": 5})
+    with pytest.raises(InputError, match="needs a lane, or a number for each of the 5 lanes"):
+        ego.run(PLACE.parent / place, overrides={**SHORT, "start_lane": [0, 1, 0, 0, 0, 0]})
+
+
 def test_n_lanes_map_needs_a_road(tmp_path: Path) -> None:
     content = {"name": "x", "recording": {"path": "lines.csv"}, "n_lanes": "map"}
     with pytest.raises(InputError, match="n_lanes: map needs a road table"):
@@ -188,6 +201,18 @@ def test_position_in_lane_doubts_a_guess_where_it_is_one_and_lines_beside_the_ca
     own = replace(log, offset_m=np.where(near, log.offset_m, np.nan), is_valid=log.is_valid & near)
     write_table(tmp_path / "lines.csv", own)
     np.testing.assert_allclose(lanes(0.25)[:, : believed.shape[1]], lanes(0.0), rtol=0, atol=1e-12)
+
+
+def test_the_lines_of_the_own_lane_alone_do_not_tell_the_number_of_lanes(tmp_path: Path) -> None:
+    drive = simulate_interchange(3, None, Journey(n_frames=900))
+    content = hidden_lines(drive, tmp_path, 0.0, 0.0)
+    log, road = drive.log, drive.road
+    near = log.is_valid & (np.abs(log.offset_m) < 3.5)
+    write_table(tmp_path / "lines.csv", replace(log, is_valid=near))
+    save(replace(road, untold=np.ones_like(road.untold)), tmp_path / "road.parquet")
+    result = ego.run(content)
+    of_the_map = result.marginals["Lanes"][np.arange(len(log)), result.road_lanes - 1]
+    assert of_the_map.min() > 0.2
 
 
 @pytest.mark.parametrize(

@@ -30,7 +30,7 @@ WEIGHT = 0.1
 
 def fit_of_counts(log: LineLog, most: int, lane_width_m: float) -> FloatArray:
     """How well each number of lanes fits each frame: (T, most), column n - 1 that of n lanes; the
-    best of a frame is 1.
+    best of a frame is 1. Where `tells_the_number` is False, all are 1.
 
     - lane_width_m: in the detector's metres.
     """
@@ -70,7 +70,14 @@ def fit_of_counts(log: LineLog, most: int, lane_width_m: float) -> FloatArray:
                 )
             fit[:, n - 1] = np.maximum(fit[:, n - 1], score)
     fit -= fit.max(axis=1, keepdims=True)
+    fit[~tells_the_number(log, lane_width_m)] = 0.0
     return np.asarray(np.exp(WEIGHT * fit))
+
+
+def tells_the_number(log: LineLog, lane_width_m: float) -> BoolArray:
+    """(T,): whether a line is seen beyond those of the car's own lane."""
+    is_beyond = log.is_valid & (np.abs(log.offset_m) > lane_width_m)
+    return np.asarray(is_beyond.any(axis=1) & ~log.is_missing)
 
 
 def off_by(fit: FloatArray, goes_on: BoolArray, wrong: float, stays: float) -> IntArray:

@@ -273,10 +273,12 @@ def starting_in(compiled: Compiled, start: FloatArray) -> Compiled:
     """The network of a drive of whose first lane something is known: virtual evidence of Lane
     before the first frame.
 
-    - start (n,): the likelihood of each lane, not all 0.
+    - start (n,): the likelihood of each lane, not all 0. The prior of an input under which no such
+      lane exists is 0.
     """
     prior = compiled.prior * start[compiled.node_value["Lane"]]
-    return replace(compiled, prior=prior / prior.sum(axis=1, keepdims=True), start=start)
+    total = prior.sum(axis=1, keepdims=True)
+    return replace(compiled, prior=prior / np.where(total > 0, total, 1), start=start)
 
 
 def _filled(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> Compiled:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry.model import LANE_M
-from egolane_pgm.evidence.lines_beside import fit_of_counts, off_by
+from egolane_pgm.evidence.lines_beside import fit_of_counts, off_by, tells_the_number
 from egolane_pgm.experiment import Experiment, Gnss, load_experiment
 from egolane_pgm.graphs.lane_steps import read_steps
 from egolane_pgm.inference.compile import Compiled
@@ -66,7 +66,11 @@ def with_lanes_of(table: RoadTable, experiment: Experiment, graph: ModuleType) -
     found = road_changes(table, doubts_guesses=bool(parameters.get("guess_wrong")))
     steps = found.vocabulary(is_exact=not parameters.get("place_sigma_m"))
     n_lanes = graph.most_lanes(on_map, {**parameters, "steps": steps})
-    return load_experiment(experiment, {"n_lanes": n_lanes, "parameters": {"steps": steps}})
+    changes: dict[str, Any] = {"n_lanes": n_lanes, "parameters": {"steps": steps}}
+    if isinstance(told := experiment.start_lane, tuple):
+        # It is told of the road where the drive begins, which is not always the widest.
+        changes["start_lane"] = told + (0.0,) * (n_lanes - len(told))
+    return load_experiment(experiment, changes)
 
 
 def road_along(
@@ -139,7 +143,8 @@ def evidence_along(
     asked = {n + k for n in np.unique(road.n_lanes).tolist() for k in (-1, 0, 1)}
     joint = np.zeros((len(log), n_lanes, n_lanes))
     # On a road whose number of lanes is certain, this scales a frame's evidence and no more.
-    fit = fit_of_counts(log, n_lanes, number(parameters, "lane_width_m"))
+    width_m = number(parameters, "lane_width_m")
+    fit, tells = fit_of_counts(log, n_lanes, width_m), tells_the_number(log, width_m)
     wor = np.ones((len(log), 2))
     tentative = np.zeros((len(log), n_lanes))
     for n in sorted(asked.intersection(range(1, n_lanes + 1))):
@@ -153,6 +158,11 @@ def evidence_along(
             raise InputError(f"evidence for WOR: shape {seen.shape}, the graph needs {wor.shape}")
         wor[here] = seen[here]
         tentative[here, :n] = output[here]
+    # Counting votes for fewer lanes where only the lines of its own lane are seen.
+    alike = tentative / tentative.max(axis=1, keepdims=True)
+    rightmost = np.take_along_axis(alike, road.n_lanes[:, None] - 1, axis=1)
+    alike = np.where(np.arange(n_lanes) < road.n_lanes[:, None], alike, rightmost)
+    joint[~tells] = np.where(joint[~tells] > 0, alike[~tells, :, None], 0.0)
     found = Evidence(
         {("DetectorOutput", "Lanes"): joint, "WOR": wor, "Lane": road.served}, {"Step": road.step}
     )
@@ -197,9 +207,6 @@ def _off_the_guess(
     said = (parameters.get(name) for name in ("lane_width_m", "fallback_width_m"))
     width_m = next((width for width in said if isinstance(width, int | float)), LANE_M)
     fit = fit_of_counts(log, n_lanes, width_m)
-    # Where no line beyond those of the car's lane is seen, the lines do not tell.
-    is_wide = log.is_valid & (np.abs(log.offset_m) > width_m)
-    fit[log.is_missing | ~is_wide.any(axis=1)] = 1.0
     near = road.n_lanes[:, None] + (-1, 0, 1)
     # Column n is that of n lanes: none is not among them.
     fit = np.take_along_axis(np.pad(fit, ((0, 0), (1, 1))), near, axis=1)

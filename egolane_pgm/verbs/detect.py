@@ -11,12 +11,13 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+from annotated_types import Ge, Le
 
 from egolane_pgm.recordings import write_lines, writer_of
 from egolane_pgm.recordings.mapping import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import NOTE, InputError, LineLog
 from egolane_pgm.verbs.given import (
     CameraFile,
     Frames,
@@ -51,6 +52,7 @@ def detect(
     right: Annotated[StrPath | None, Option("PICTURES")] = None,
     topic: str | None = None,
     frames: Frames = None,
+    frame_rate: Annotated[float | None, Ge(0.1), Le(1000), Option(said="the video's")] = None,
     parameters: Annotated[
         Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="lri_frames=5")
     ] = None,
@@ -67,6 +69,7 @@ def detect(
     - right: those of the second camera.
     - topic: topic of the pictures in a bag.
     - frames: frame ids, STOP left out.
+    - frame_rate: pictures per second; of files, 10 where nothing is said.
     - parameters: a parameter of the detector, e.g. lri_frames=5; `egolane show NAME` lists them.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
@@ -95,13 +98,21 @@ def detect(
     left = open_source(pictures, topic)
     of_camera = camera_of_pictures(of_camera, left)
     second = open_source(path_of(right, "right")) if right is not None else None
+    rate = frame_rate or left.frame_rate or FRAME_RATE
     began, total = time.perf_counter(), None if frames else left.n_frames
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
         lines = detect_lines(found, of_camera, shows)
-        done = collect(lines, left.frame_rate or FRAME_RATE, pictures, left.time_s)
+        done = collect(lines, rate, pictures, None if frame_rate else left.time_s, of_camera)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
+    if done.stopped is None and frame_rate is None and left.frame_rate is None:
+        warnings.warn(
+            f"{NOTE}{pictures}: does not say its pictures per second: {rate:g} are assumed"
+            " (frame_rate says another)",
+            UserWarning,
+            stacklevel=2,
+        )
     if target is None:
         if done.stopped is not None:
             raise done.stopped
@@ -109,10 +120,10 @@ def detect(
     # A bag's LRIs are whole numbers; those of a network with probabilities need not be.
     is_bag = target.suffix.lower() == ".bag"
     write_lines(target, replace(done.log, lri=np.rint(done.log.lri)) if is_bag else done.log)
-    if is_bag and left.frame_rate not in (None, FRAME_RATE):
+    if is_bag and rate != FRAME_RATE:
         warnings.warn(
             f"{target}: a ROS 1 bag is read with {FRAME_RATE:g} frames per second if nothing else"
-            f" is said; here recording.frame_rate={left.frame_rate:g}",
+            f" is said; here recording.frame_rate={rate:g}",
             UserWarning,
             stacklevel=2,
         )

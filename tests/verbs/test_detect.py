@@ -290,6 +290,30 @@ def test_pictures_of_the_same_aspect_ratio_scale_the_camera_and_it_is_said_once(
     assert seen[:3] == pytest.approx(calibrated[:3], abs=0.08)
 
 
+def test_a_camera_too_high_for_a_car_is_doubted_and_used(place: Path, tmp_path: Path) -> None:
+    target = tmp_path / "l.csv"
+    for height_m, is_doubted in ((1.3, False), (2.6, True)):
+        write_camera(tmp_path / "cam.yaml", replace(CAMERA, height_m=height_m))
+        said = done(
+            *("detect", place / "drive.avi", "--camera", tmp_path / "cam.yaml", "-o", target)
+        ).stderr
+        assert is_doubted == ("cam.yaml: doubtful: the camera is 2.60 m above the road" in said)
+        assert len(read_lines(target)) == N_FRAMES
+
+
+def test_pictures_without_a_rate_get_the_one_that_is_said(place: Path, tmp_path: Path) -> None:
+    folder, target = write_pictures(tmp_path / "pictures", images(4)), tmp_path / "l.csv"
+    words = ("detect", folder, "--camera", place / "cam.yaml", "-o", target)
+    assert "does not say its pictures per second: 10 are assumed" in done(*words).stderr
+    assert read_lines(target).time_s == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert "are assumed" not in done(*words, "--frame-rate", 25).stderr
+    assert read_lines(target).time_s == pytest.approx([0.0, 0.04, 0.08, 0.12])
+    # It is said of a bag, too, how to read it.
+    bag = (*words[:-1], tmp_path / "l.bag", "--frame-rate", 25)
+    assert "here recording.frame_rate=25" in done(*bag).stderr
+    assert read_lines(tmp_path / "l.bag", frame_rate=25).time_s[-1] == pytest.approx(0.12)
+
+
 def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
     place: Path, tmp_path: Path
 ) -> None:

@@ -25,10 +25,12 @@ import numpy as np
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import (
     RANGES,
+    USUAL_HEIGHTS,
     Camera,
     distorted,
     image_to_road,
     level_rays,
+    said_height,
     undistorted,
     with_vanishing_point,
 )
@@ -43,9 +45,6 @@ NEAREST_TO_HORIZON = 0.04
 #: The lowest and the highest camera on cars and lorries, metres. A gap that would need another
 #: height is not between neighbouring lines.
 _HEIGHTS = (0.5, 4.0)
-
-#: The lowest and the highest camera on usual cars and vans, metres.
-_USUAL_HEIGHTS = (0.9, 2.2)
 
 #: A gap that differs from the most common one by less than this share is one lane.
 _SAME_GAP = 0.15
@@ -405,18 +404,20 @@ def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
 
 def doubts_of(view: RoadView) -> list[str]:
     """What speaks against a view, in one line, or nothing: a height that cars' cameras do not have,
-    or gaps of twice a lane's width that outnumber the lanes, where half the height is usual."""
-    high, (low, most), one = view.camera.height_m, _USUAL_HEIGHTS, view.lane_width_m
+    or gaps of twice a lane's width that outnumber the lanes, where half the height is usual; else a
+    width that lanes do not have."""
+    high, (low, most), one = view.camera.height_m, USUAL_HEIGHTS, view.lane_width_m
     n_lanes = int(view.is_lane.sum())
     n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
     if low <= high <= most and (high / 2 < low or n_double <= n_lanes):
-        return []
+        said = f"doubtful: lanes are 2.5 to 4.5 m wide almost everywhere, not {one:g} m; the"
+        return [] if 2.5 <= one <= 4.5 else [f"{said} height follows from this width"]
     taken, other = ("two lanes were", 2 * high) if high < low else ("half a lane was", high / 2)
     return [
-        f"doubtful: with lanes of {one:g} m the camera is {high:.2f} m above the road, where those"
-        f" of cars are at {low:g} to {most:g} m ({n_lanes} gaps between lines are lanes, {n_double}"
-        f" twice as wide). If {taken} taken for a lane, it is at {other:.2f} m: look at the picture"
-        " of it, leave out what is no line of a lane (ignore), or give other stills"
+        f"doubtful: with lanes of {one:g} m {said_height(view.camera)} ({n_lanes} gaps between"
+        f" lines are lanes, {n_double} twice as wide). If {taken} taken for a lane, it is at"
+        f" {other:.2f} m: look at the picture of it, leave out what is no line of a lane (ignore),"
+        " or give other stills"
     ]
 
 

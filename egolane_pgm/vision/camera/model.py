@@ -43,6 +43,9 @@ RANGES = {
     "lane_width_m": (2, 6, "metres"),
 }
 
+#: The lowest and the highest camera on usual cars and vans, and the usual width of lanes, metres.
+USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 2.2), 3.66
+
 #: Those that may be missing.
 _OPTIONAL = ("baseline_m", "lane_width_m")
 
@@ -129,6 +132,12 @@ def _check_rectangle(rectangle: object) -> None:
             f"ignore: {list(rectangle)} is empty; needs left, top, right, bottom with left < right"
             " and top < bottom"
         )
+
+
+def said_height(camera: Camera) -> str:
+    """How high the camera is, beside those of cars."""
+    usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
+    return f"the camera is {high:.2f} m above the road, where those of cars are at {usual}"
 
 
 def axes(camera: Camera) -> FloatArray:

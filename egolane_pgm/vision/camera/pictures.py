@@ -24,7 +24,7 @@ from egolane_pgm.recordings import FORMATS, files_of
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.types import FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
-from egolane_pgm.vision.camera.model import Camera, scaled
+from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.camera.video import open_video, video_images
 from egolane_pgm.vision.camera.writing import silent
@@ -126,10 +126,18 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     """The camera as it takes the pictures of a source. If these have another size than it was
-    calibrated for, and the same aspect ratio, it is scaled, and a warning says so.
+    calibrated for, and the same aspect ratio, it is scaled, and a warning says so. Another warns of
+    a height that cars' cameras do not have.
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
+    if not USUAL_HEIGHTS[0] <= camera.height_m <= USUAL_HEIGHTS[1]:
+        warnings.warn(
+            f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; if this is a car,"
+            " calibrate it again",
+            UserWarning,
+            stacklevel=2,
+        )
     try:
         _, _, first = next(images_of(source, None))
     except InputError:

@@ -296,9 +296,18 @@ def test_the_camera_of_the_real_labels(real_pictures):
 
 
 @pytest.mark.parametrize(
-    ("width", "said"), [(3.6, ""), (2.1, "two lanes were taken"), (5.9, "half a lane was taken")]
+    ("width", "said"),
+    [
+        (3.6, ""),
+        (2.1, "two lanes were taken"),
+        (5.9, "half a lane was taken"),
+        # The height, 1.75 to 2.1 m, is possible: only the width is strange.
+        (4.6, "2.5 to 4.5 m wide almost everywhere, not 4.6 m"),
+        (5.4, "2.5 to 4.5 m wide almost everywhere, not 5.4 m"),
+        (2.4, "2.5 to 4.5 m wide almost everywhere, not 2.4 m"),
+    ],
 )
-def test_a_height_that_no_car_has_is_doubted(width: float, said: str) -> None:
+def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(width: float, said: str) -> None:
     """The lanes are 3.6 m wide, the camera is 1.4 m above the road."""
     view = view_of_road(
         PLAIN,

@@ -27,8 +27,13 @@ def row_anchors(network: Network, outputs: Outputs) -> list[Line]:
     column = np.tensordot(np.arange(n_columns), share, axes=1)
     u = (column + 0.5) * (network.size[0] - 1) / (n_columns - 1)
     is_there = output.argmax(axis=0) < n_columns
+    likely = 1 - scipy.special.softmax(output, axis=0)[-1]
     rows = ROWS[network.rows] if isinstance(network.rows, str) else np.asarray(network.rows)
-    return [Line(points(u[there, k], rows[there])) for k, there in enumerate(is_there.T)]
+    return [
+        Line(points(u[there, k], rows[there]), float(likely[there, k].mean()))
+        for k, there in enumerate(is_there.T)
+        if there.any()
+    ]
 
 
 def hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:

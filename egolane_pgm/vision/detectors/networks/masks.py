@@ -30,12 +30,15 @@ def mask(network: Network, fit: Fit, outputs: Outputs) -> Answer:
 
 
 def instances(network: Network, outputs: Outputs) -> list[Line]:
-    """The lines of a network with a mask for each."""
+    """The lines of a network with a mask for each, which are as probable as their pixels on
+    average."""
     shares = probabilities(network, outputs["mask"])
     kinds = network.looked_at if network.continuous else (None,) * len(shares)
+    seen = shares >= network.threshold
     return [
-        Line(middle(network, share, network.threshold), kind=kind)
-        for share, kind in zip(shares, kinds, strict=True)
+        Line(middle(network, share, network.threshold), float(share[there].mean()), kind)
+        for share, there, kind in zip(shares, seen, kinds, strict=True)
+        if there.any()
     ]
 
 

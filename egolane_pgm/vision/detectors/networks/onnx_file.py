@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError
@@ -25,17 +27,21 @@ class Declared:
     """A network as its file has it.
 
     - inputs, outputs: their names and shapes, in their order
+    - whole: the types of the inputs that are whole numbers
     - content: the file, with the weights that it keeps in others
+    - notes: what its author wrote into it, such as the `names` of classes
     """
 
     inputs: dict[str, Shape]
     outputs: dict[str, Shape]
+    whole: dict[str, np.dtype[np.integer[Any]]]
     content: bytes
+    notes: dict[str, str]
 
 
 def read_onnx(path: Path, where: str) -> Declared:
     """Reads a network with its weights. Raises InputError, starting with `where`, for a file that
-    is no ONNX, and where weights are missing."""
+    cannot be read or is no ONNX, and where weights are missing."""
     model = _model(path, where)
     import onnx
 
@@ -46,10 +52,15 @@ def read_onnx(path: Path, where: str) -> Declared:
         raise InputError(f"{where}: the weights of {path} cannot be read: {said[:240]}") from None
     # Older files list the weights among the inputs.
     weights = {tensor.name for tensor in model.graph.initializer}
+    inputs = [port for port in model.graph.input if port.name not in weights]
+    types = {port.name: port.type.tensor_type.elem_type for port in inputs}
+    types = {name: onnx.helper.tensor_dtype_to_np_dtype(kind) for name, kind in types.items()}
     return Declared(
-        {port.name: _shape(port) for port in model.graph.input if port.name not in weights},
+        {port.name: _shape(port) for port in inputs},
         {port.name: _shape(port) for port in model.graph.output},
+        {name: kind for name, kind in types.items() if kind.kind in "iu"},
         model.SerializeToString(),
+        {note.key: note.value for note in model.metadata_props},
     )
 
 
@@ -70,6 +81,8 @@ def _model(path: Path, where: str) -> ModelProto:
     try:
         # Without a format onnx would take a file that ends in .json or .txt for text.
         model = onnx.load(str(path), format="protobuf", load_external_data=False)
+    except OSError as error:
+        raise InputError(f"{where}: {path}: {error.strerror or error}") from None
     except DecodeError:
         model = onnx.ModelProto()
     if not model.graph.output:

@@ -105,7 +105,8 @@ def load(network: Network, fit: Fit) -> Run:
         values = as_input(network, fit, image)
         with _opencv_errors(f"{where}: OpenCV {cv2.__version__} cannot run {onnx}"):
             for port, value in (*given.items(), (picture, values)):
-                net.setInput(value, port)
+                whole = declared.whole.get(port)
+                net.setInput(value if whole is None else value.round().astype(whole), port)
             # OpenCV 5 gives all outputs or one.
             found = dict(zip(names, map(np.asarray, net.forward(names)), strict=True))
         outputs = {role: _part(found, part) for role, part in parts.items()}
@@ -193,6 +194,8 @@ def _picture_input(network: Network, declared: Declared) -> str:
             f"{where} takes {said(shape)} ({name}), but size {list(network.size)} makes"
             f" {said(needed)} (pictures, colours, height, width)"
         )
+    if name in declared.whole and np.min(network.scale) < 1:
+        raise InputError(f"{where} takes whole numbers ({declared.whole[name]}); say scale: 1")
     return name
 
 
@@ -255,11 +258,26 @@ def _check_outputs(
             raise InputError(f"{where}: {bad} of {output.size} numbers are not finite (NaN)")
     assert isinstance(sizes, dict)
     counts = {role: output.size for role, output in outputs.items()}
-    if problem := _wrong_length(network, sizes) or _wrong_count(network, counts):
+    if problem := wrong_length(network, sizes) or _wrong_count(network, counts):
         raise InputError(f"{network.file}: output: {problem}")
 
 
-def _wrong_length(network: Network, sizes: dict[str, int]) -> str | None:
+def impossible(layout: str, sizes: dict[str, int]) -> str | None:
+    """What no network of a layout gives, None where one may. A size that is not known fits."""
+    if layout == "polynomials" and sizes.get("k", 0) % POLYNOMIAL:
+        return f"has {sizes['k']} numbers; each polynomial needs {POLYNOMIAL}"
+    if layout == "prototypes" and {"a", "b", "m"} <= set(sizes):
+        a, b, m = sizes["a"], sizes["b"], sizes["m"]
+        # Boxes that are not suppressed yet are more than the numbers of each.
+        if b != 6 + m and not 5 + m <= a < b:
+            return (
+                f"has boxes {a} x {b}; with {m} prototypes these are 4 + classes + {m} numbers x"
+                f" boxes, or boxes x {6 + m} (docs/networks.md)"
+            )
+    return None
+
+
+def wrong_length(network: Network, sizes: dict[str, int]) -> str | None:
     """What differs from the numbers that the YAML says, None where nothing does."""
     last = max(network.first_x or 0, network.start or 0, network.length or 0)
     if isinstance(network.classes, int) and sizes.get("k", network.classes) != network.classes:
@@ -269,15 +287,11 @@ def _wrong_length(network: Network, sizes: dict[str, int]) -> str | None:
     rows = network.rows
     if isinstance(rows, str):
         rows = tuple(ROWS[rows]) if network.layout == "row_anchors" else None
-    if rows is not None and sizes["r"] != len(rows):
+    if rows is not None and sizes.get("r", len(rows)) != len(rows):
         return f"has {sizes['r']} rows, but the YAML has {len(rows)}"
-    if network.layout == "prototypes" and sizes["b"] - 6 != sizes["m"] > sizes["a"] - 5:
-        return f"has boxes of {sizes['a']} numbers, too few for {sizes['m']} prototypes"
-    if network.layout == "polynomials" and sizes["k"] % POLYNOMIAL:
-        return f"has {sizes['k']} numbers; each polynomial needs {POLYNOMIAL}"
-    if network.layout == "polylines" and sizes["k"] <= last + 1:
+    if network.layout == "polylines" and sizes.get("k", math.inf) <= last + 1:
         return f"has {sizes['k']} numbers per line; first_x, start and length must be among them"
-    return None
+    return impossible(network.layout, sizes)
 
 
 def _wrong_count(network: Network, counts: dict[str, int]) -> str | None:

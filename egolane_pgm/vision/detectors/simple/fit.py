@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
-from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.vision.detectors.simple.blur import is_nothing_but_noise, sharpened
@@ -89,9 +89,6 @@ _WEAK = 1e-3
 #: little.
 _LEAST_VISIBLE_M = 5.0
 
-#: The width of lanes where neither the user nor the camera's calibration names one, metres.
-_LANE_M = 3.66
-
 #: The largest share of a neighbour's own score that counts as support.
 _MOST_SUPPORT = 0.5
 
@@ -160,7 +157,7 @@ def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
 def lane_width_m(camera: Camera, parameters: Parameters) -> float:
     """The usual width of lanes, metres: as the parameter says, or as the camera does."""
     if parameters["lane_width_m"] == "auto":
-        return _LANE_M if camera.lane_width_m is None else camera.lane_width_m
+        return USUAL_LANE_M if camera.lane_width_m is None else camera.lane_width_m
     return number(parameters, "lane_width_m")
 
 

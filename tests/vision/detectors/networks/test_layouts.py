@@ -120,6 +120,8 @@ def test_instances_are_lines_through_the_middle_of_their_channels(tmp_path: Path
     assert found.mask is None
     assert len(found.lines) == 3
     check_offsets(found)
+    for line, share in zip(found.lines, output[0, 1:], strict=True):
+        assert line.probability == pytest.approx(share[share >= 0.3].mean(), abs=1e-6)
     two = seen(write_answer(tmp_path, output, channels=[1, 3], **keys))
     check_offsets(two, (OFFSETS[0], OFFSETS[2]))
 
@@ -132,11 +134,16 @@ def test_row_anchors_are_read_as_ultra_fast_lane_detection_writes_them(tmp_path:
         cell = line * (cells - 1) / 79 - 0.5
         away = np.abs(np.arange(cells) - cell[:, None])
         output[0, :cells, :, k] = 12 - away.T**2
+    output[0, cells, :, :3] = 11
     output[0, cells, :, 3] = 20
     output[0, cells, :5, 1] = 20
     keys: dict[str, Any] = {"layout": "row_anchors", "classes": cells + 1, "rows": ROWS.tolist()}
     found = seen(write_answer(tmp_path, output, **keys))
     assert [len(line.points) for line in found.lines] == [11, 6, 11]
+    share = np.exp(output[0]) / np.exp(output[0]).sum(axis=0)
+    likely = [share[:cells, first:, k].sum(axis=0).mean() for k, first in enumerate((0, 5, 0))]
+    np.testing.assert_allclose([line.probability for line in found.lines], likely, rtol=1e-5)
+    assert min(likely) < 0.99
     check_offsets(Answer(None, found.lines[::2]), (OFFSETS[0], OFFSETS[2]))
     # Each point where it was put, in pixels of the picture.
     wanted = (columns()[1, 5:] + 0.5) * 6 - 0.5

@@ -230,9 +230,6 @@ def test_a_mask_grows_to_the_side_only() -> None:
     assert np.array_equal(grown(view, mask, 0.0), mask)
 
 
-# --- slower than the frames come --------------------------------------------------------------
-
-
 # --- commands ---------------------------------------------------------------------------------
 
 

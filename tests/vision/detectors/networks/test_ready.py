@@ -8,6 +8,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import onnx
 import pytest
 import yaml
 
@@ -94,6 +95,28 @@ def yolop(network: Network, fit: Fit) -> dict[str, FloatArray]:
         "det_out": np.zeros((1, 25200, 6)),
         "drive_area_seg": two_classes(area(network, fit)),
         "lane_line_seg": two_classes(strips(network, fit).max(axis=0)),
+    }
+
+
+def yolopv2(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """`driving_area_mask` takes the larger of two channels, `lane_line_mask` rounds the only one;
+    the others are of vehicles. The road has its paint."""
+    x, u = place(network, fit), np.arange(network.size[0])
+    is_road = (u > x[0][:, None]) & (u < x[-1][:, None])
+    return {
+        "seg": two_classes(np.where(is_road, 0.9, 0.1)),
+        "ll": strips(network, fit).max(axis=0)[None, None],
+        **{f"pred{k}": np.zeros((1, 255, 384 // n, 640 // n)) for k, n in enumerate((8, 16, 32))},
+    }
+
+
+def hybridnets(network: Network, fit: Fit) -> dict[str, FloatArray]:
+    """Logits of background, road and lane; the first outputs are those of vehicles."""
+    road, lane = area(network, fit), strips(network, fit).max(axis=0)
+    return {
+        "regression": np.zeros((1, 46035, 4)),
+        "classification": np.zeros((1, 46035, 1)),
+        "segmentation": np.log([[np.maximum(1 - road - lane, 0.01), road, lane]]),
     }
 
 
@@ -261,6 +284,10 @@ GIVES: dict[str, Callable[[Network, Fit], dict[str, FloatArray]]] = {
     "twinlitenet_road": twinlitenet,
     "yolop_lanes": yolop,
     "yolop_road": yolop,
+    "yolopv2_lanes": yolopv2,
+    "yolopv2_road": yolopv2,
+    "hybridnets_lanes": hybridnets,
+    "hybridnets_road": hybridnets,
     "ufld_culane": ultra_fast,
     "ufld_tusimple": ultra_fast,
     "ufldv2_culane": ultra_fast_2,
@@ -347,6 +374,73 @@ def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
     )
     file.write_bytes(b"nothing")
     assert refused("network-check", file) == f"network: {file} is no ONNX file"
+    absent, folder = tmp_path / "absent.onnx", tmp_path
+    assert refused("network-check", absent) == f"network: {absent}: No such file or directory"
+    assert refused("network-check", folder) == f"network: {folder}: Is a directory"
+
+
+CURVE_LANES = {
+    "loc_row": (1, 200, 72, 10),
+    "loc_col": (1, 100, 41, 10),
+    "exist_row": (1, 2, 72, 10),
+    "exist_col": (1, 2, 41, 10),
+}
+
+
+@pytest.mark.parametrize(
+    ("shapes", "layout"),
+    [
+        ({"binary": (1, 2, 40, 80), "embedding": (1, 4, 40, 80)}, "lanes"),
+        ({"a": (1, 1, 40, 80)}, "lanes"),
+        ({"a": (1, 7, 40, 80)}, "instances"),
+        ({"seg_pred": (1, 1, 40, 80)}, "instances"),
+        ({"boxes": (1, 999, 4), "kinds": (1, 999, 1), "masks": (1, 3, 40, 80)}, "lanes"),
+        ({"boxes": (1, 39, 99), "masks": (1, 32, 20, 20)}, "prototypes"),
+        ({"a": (1, 101, 56, 4)}, "row_anchors"),
+        (CURVE_LANES, None),
+    ],
+)
+def test_the_layout_of_another_file_is_the_one_that_its_numbers_are_of(
+    tmp_path: Path, shapes: dict[str, tuple[int, ...]], layout: str | None
+) -> None:
+    """The YAML to start from can be run as it is."""
+    outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
+    said = check_onnx(write_known(tmp_path / "mine.onnx", outputs, (80, 40)))
+    keys = yaml.safe_load(said)
+    if layout is None:
+        assert keys is None
+        return
+    assert keys["layout"] == layout
+    (tmp_path / "mine.yaml").write_text(said)
+    load(read_network(tmp_path / "mine.yaml"), Fit(80, 40, 0, 0, 0, 80, 40))
+
+
+@pytest.mark.parametrize(
+    ("names", "classes"),
+    [
+        (
+            "{0: 'car', 1: 'Solid', 2: 'dashed', 3: 'solid yellow'}",
+            {"solid": [1, 3], "dashed": [2]},
+        ),
+        ("{0: 'car', 1: 'line'}", {}),
+        (None, {"solid": [0], "dashed": [1]}),
+        ("car, line", {"solid": [0], "dashed": [1]}),
+    ],
+)
+def test_names_of_classes_in_the_file_say_which_are_lines(
+    tmp_path: Path, names: str | None, classes: dict[str, list[int]]
+) -> None:
+    """Where they do not, a comment says that the user must."""
+    file = read_network(written(tmp_path, "yolo_seg")).onnx
+    model = onnx.load(file)
+    if names:
+        onnx.helper.set_model_props(model, {"task": "segment", "names": names})
+        onnx.save(model, file)
+    said = check_onnx(file)
+    assert yaml.safe_load(said)["classes"] == classes
+    told = "solid" in (names or "")
+    assert ("# class 3: solid yellow\n" in said) == told
+    assert ("# which classes are solid and which dashed lines is for you to say" in said) != told
 
 
 def test_the_page_has_each_layout_each_key_and_each_network() -> None:

@@ -11,10 +11,12 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
+import yaml
 from onnx import helper
 
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.networks.checking import check_onnx
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
 from egolane_pgm.vision.detectors.networks.masks import probabilities
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
@@ -263,6 +265,26 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
     assert said.endswith("inputs: {before: 0}")
 
 
+@pytest.mark.parametrize("kind", ["uint8", "int32", "float16"])
+def test_a_picture_goes_in_as_the_numbers_that_the_network_takes(tmp_path: Path, kind: str) -> None:
+    """Shares of 255 would all be 0 as whole numbers."""
+    shape = (1, 3, 40, 80)
+    wanted = started(conv(tmp_path, shape, scale=1))(noise(160, 120))["mask"]
+    model = onnx.load(str(tmp_path / "x.onnx"))
+    port = model.graph.input[0].type.tensor_type
+    port.elem_type = helper.np_dtype_to_tensor_dtype(np.dtype(kind))
+    model.graph.node[0].input[0] = "floats"
+    model.graph.node.insert(0, helper.make_node("Cast", ["picture"], ["floats"], to=1))
+    onnx.save(model, str(tmp_path / "x.onnx"))
+    found = started(tmp_path / "net.yaml")(noise(160, 120))["mask"]
+    assert np.abs(found - wanted).max() <= 1.5
+    if kind != "float16":
+        assert yaml.safe_load(check_onnx(tmp_path / "x.onnx"))["scale"] == 1
+        keys = {"model": "x.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
+        said = refused(write_network(tmp_path / "net.yaml", output="area", **keys))
+        assert said.endswith(f"model: x.onnx takes whole numbers ({kind}); say scale: 1")
+
+
 def sums(tmp_path: Path, **keys: Any) -> Path:
     """A network that adds a constant input and the mean of its state to the picture's mean, and
     gives the sum, three times: `out`."""
@@ -368,7 +390,9 @@ def test_an_output_of_another_shape_than_the_yaml_says_is_refused(
           "exist_col": (1, 2, 6, 4)}, {"layout": "hybrid_anchors", "rows": "culane"},
          "output exist_row is 1 x 2 x 6 x 4; layout hybrid_anchors needs 1 x 2 x r x 4"),
         ({"boxes": (1, 8, 99), "prototypes": (1, 8, 5, 5)}, {"layout": "prototypes"},
-         "has boxes of 8 numbers, too few for 8 prototypes"),
+         "has boxes 8 x 99; with 8 prototypes these are 4 + classes + 8 numbers x boxes, or boxes"),
+        ({"boxes": (1, 999, 4), "prototypes": (1, 3, 5, 5)}, {"layout": "prototypes"},
+         "has boxes 999 x 4; with 3 prototypes these are 4 + classes + 3 numbers x boxes, or"),
         ({"scores": (1, 9, 2)}, {"layout": "lstr_curves"},
          "output: is missing; known.onnx gives scores"),
         ({"places": (1, 3, 5), "scores": (1, 3)}, {"layout": "road_lines", "ahead": [1, 2]},
