@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry.sight import UNTOLD
 from egolane_pgm.experiment import INTERCHANGE, Experiment, Overrides, make_experiment, overridden
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import infer_beliefs
@@ -532,8 +531,6 @@ def evidence_on(drive: Drive, model: Model) -> RuleOutput:
     positions where they count."""
     recorded, experiment = drive.recorded, drive.experiment
     output = make_evidence(model, recorded.log, experiment.evidence_reading, recorded.road)
-    if experiment.start_lane is not None:
-        output = replace(output, notes=tuple(note.replace(UNTOLD, "") for note in output.notes))
     if recorded.across is None or experiment.gnss is None:
         return output
     joint = with_positions(

@@ -109,17 +109,14 @@ def test_an_answer_is_short_unless_nodes_are_asked_for(tmp_path: Path) -> None:
         next(filter_stream(experiment, sent, ["Lanes"]))
 
 
-@pytest.mark.parametrize("start", [None, 2])
-def test_a_camera_of_its_own_lane_s_lines_is_noted_once(start: int | None) -> None:
+def test_a_camera_of_its_own_lane_s_lines_is_noted_once() -> None:
     sent = "".join(messages(line_log([-1.75, 1.75] * np.ones((900, 1)))))
-    given = () if start is None else ("--set", f"start_lane={start}")
-    ran = command("online", ZERO_LABEL, *given, given=sent)
+    ran = command("online", ZERO_LABEL, given=sent)
     assert ran.exit_code == 0
     assert len(ran.stdout.splitlines()) == 900
     [said] = ran.stderr.splitlines()
     assert said.startswith("note: message 601: shows the lines of its own lane only:")
     assert said.endswith("lane changes are followed")
-    assert ("start_lane" in said) == (start is None)
 
 
 def test_a_time_stamp_says_when_a_frame_was_and_stands_for_its_id(experiment: Experiment) -> None:

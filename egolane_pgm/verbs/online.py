@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-import warnings
 from collections.abc import Sequence
 from typing import Annotated
 
-from egolane_pgm.evidence.line_geometry.sight import UNTOLD
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.online import filter_stream
 from egolane_pgm.recordings.mapping import mapping_keys
@@ -44,11 +42,5 @@ def online(
     chosen = load_experiment(experiment, overrides)
     if lines is not None:
         chosen = load_experiment(chosen, {"recording": {"lines": mapping_keys(lines)}})
-    untold = UNTOLD if chosen.start_lane is not None else ""
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", UserWarning)
-        warnings.showwarning = lambda said, *_: print(
-            f"{said}".replace(untold, ""), file=sys.stderr
-        )
-        for answer in filter_stream(chosen, messages, wanted):
-            print(json.dumps(answer), flush=True)
+    for answer in filter_stream(chosen, messages, wanted):
+        print(json.dumps(answer), flush=True)

@@ -67,12 +67,6 @@ KINDS: tuple[Mapping[str, float], ...] = (
 #: The probability from which a note says that only the own lines are seen.
 SURE = 0.8
 
-#: What that note says unless `start_lane` is given.
-UNTOLD = (
-    " the lane is known up to where the drive began (`start_lane`) until a lane change leaves only"
-    " one answer;"
-)
-
 #: The probability in a tenth of a second that the car goes to the lane on either side, as far as
 #: the belief over kinds is concerned, and that the detector or the road becomes of another kind.
 LANE_CHANGES, KIND_CHANGES = 0.002, 0.003
@@ -128,8 +122,9 @@ def warn_of_own_lines(sight: FloatArray, lines_per_frame: float, source: str) ->
     is_own = sight.shape[1] == len(KINDS) and sight[:, -1].sum() > SURE
     if is_own and lines_per_frame > 1:
         warnings.warn(
-            f"{NOTE}{source}: shows the lines of its own lane only:{UNTOLD} lane changes are"
-            " followed",
+            f"{NOTE}{source}: shows the lines of its own lane only: until a lane change leaves one"
+            " answer, the lane is known as far as that in which the drive begins is (`start_lane`);"
+            " lane changes are followed",
             UserWarning,
             stacklevel=2,
         )

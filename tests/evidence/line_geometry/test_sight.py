@@ -7,7 +7,6 @@ import warnings
 import numpy as np
 import pytest
 
-import egolane_pgm as ego
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import LANE_M, TABLE_STEP_M
@@ -61,15 +60,6 @@ def test_own_lines_alone_are_noted() -> None:
     with pytest.warns(UserWarning, match="lane width") as said:
         line_geometry.evidence(line_log(FOUR * np.ones((3000, 1))), 3, parameters)
     assert not any("own lane only" in str(each.message) for each in said)
-
-
-@pytest.mark.parametrize("start", [None, 2])
-def test_who_tells_the_start_lane_is_not_asked_for_it(start: int | None) -> None:
-    lines = line_log(OWN * np.ones((1500, 1))).to_pandas()
-    given = {} if start is None else {"start_lane": start}
-    notes = ego.run(lines, n_lanes=3, overrides=given).notes
-    [said] = [note for note in notes if "its own lane only" in note]
-    assert ("start_lane" in said) == (start is None)
 
 
 def test_what_is_given_or_learned_leaves_one_kind() -> None:
