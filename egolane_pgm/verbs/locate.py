@@ -72,10 +72,12 @@ def says(done: RoadTable, given: Mapping[str, Any]) -> str:
     on = done.segment >= 0
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
     n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
+    guessed = (on & (done.untold > 0)).mean()
     return (
         f"{given['out']}: {len(done)} rows, {done.t_s[0]:g} to {done.t_s[-1]:g} s,"
         f" {on.mean():.1%} on the map\n"
         f"half of the positions lie within {np.median(off_by):.1f} m of the way's line;"
-        f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'};"
+        f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'}"
+        f"{f' (a guess in {guessed:.1%} of the rows)' if guessed else ''};"
         f" mean probability of the segment {done.sure[on].mean():.3f}"
     )

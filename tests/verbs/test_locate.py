@@ -46,12 +46,13 @@ def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, .
     assert set(table.n_lanes) == {2, 3}
 
 
-def test_a_map_says_on_which_ways_it_has_no_number_of_lanes(tmp_path: Path) -> None:
+def test_a_number_of_lanes_that_the_map_does_not_tell_is_said(files: tuple[str, str, str]) -> None:
     graph = interchange()
     untold = replace(graph, n_lanes=graph.n_lanes * (graph.way != 101))
-    lane_graph.save(untold, tmp_path / "x.parquet")
-    done = CliRunner().invoke(egolane, ["map", str(tmp_path / "x.parquet")])
+    lane_graph.save(untold, files[0])
+    done = CliRunner().invoke(egolane, ["map", files[0]])
     assert "1.0 km with an unknown number (way 101)" in done.output
+    assert "lanes: 2 (a guess in " in run(*files[:2], "-o", files[2], *NAMED).output
 
 
 @pytest.mark.parametrize(
