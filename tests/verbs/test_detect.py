@@ -183,12 +183,15 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
     rewritten(place / "run.yaml", tmp_path / "run.yaml", recording=recording)
     first = run_experiment(tmp_path / "run.yaml")
     assert first.lines.frame_id.tolist() == [1, 2]
+    assert any("per second: 10 are assumed (recording.frame_rate" in note for note in first.notes)
     first.save(tmp_path / "out", figures=False)
     data = json.loads((tmp_path / "out/run.json").read_text())["data"]
     assert [Path(e["path"]).name for e in data] == ["pictures", "cam.yaml", "my_detector.py"]
     assert data[0]["files"] == 3
     cv2.imwrite(str(folder / "0.png"), images(2)[1])
-    run_experiment(tmp_path / "run.yaml").save(tmp_path / "out", figures=False)
+    told = run_experiment(load_experiment(tmp_path / "run.yaml", ["recording.frame_rate=25"]))
+    assert not any("are assumed" in note for note in told.notes)
+    told.save(tmp_path / "out", figures=False)
     changed = json.loads((tmp_path / "out/run.json").read_text())["data"]
     assert changed[0]["sha256"] != data[0]["sha256"]
     run_experiment(tmp_path / "out/experiment.yaml")

@@ -12,7 +12,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.recordings import FORMATS, files_of, format_of
 from egolane_pgm.recordings.source import VIDEOS, Read, find_named, whole_path
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError, problems_in
+from egolane_pgm.types import NOTE, InputError, problems_in
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.detectors.runner import (
     Detector,
@@ -96,6 +96,13 @@ class Pictures:
                 f"{left.path}: has {left.frame_rate:g} frames per second,"
                 f" recording.frame_rate is {recording.frame_rate:g}; times and delays are counted"
                 " with the latter",
+                UserWarning,
+                stacklevel=2,
+            )
+        if left.frame_rate is None and "frame_rate" not in recording.model_fields_set:
+            warnings.warn(
+                f"{NOTE}{left.path}: does not say its pictures per second:"
+                f" {recording.frame_rate:g} are assumed (recording.frame_rate says another)",
                 UserWarning,
                 stacklevel=2,
             )
