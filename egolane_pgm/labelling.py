@@ -28,6 +28,7 @@ from egolane_pgm.drive import ONE_DRIVE, Recorded, may_fit
 from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.evidence.line_geometry.model import LANE_M
+from egolane_pgm.evidence.lines_beside import own_lane_m
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
@@ -385,10 +386,8 @@ def note_of_holes(log: LineLog) -> str | None:
     """A note on a detector that misses lines of the own lane in HOLED of the frames: three valid
     lines or more are seen, and the nearest ones on the left and on the right are more than a lane
     and a half apart, or one of them is not there. None for any other."""
-    is_line, line_m = log.is_valid & is_placed(log.offset_m), log.offset_m
-    left = np.where(is_line & (line_m < 0), -line_m, np.inf).min(axis=1, initial=np.inf)
-    right = np.where(is_line & (line_m > 0), line_m, np.inf).min(axis=1, initial=np.inf)
-    is_wide = left + right > 1.5 * lane_width(log, LANE_M).width_m
+    is_line = log.is_valid & is_placed(log.offset_m)
+    is_wide = own_lane_m(replace(log, is_valid=is_line)) > 1.5 * lane_width(log, LANE_M).width_m
     share = float((is_wide & (is_line.sum(axis=1) >= 3)).mean())
     if share < HOLED:
         return None

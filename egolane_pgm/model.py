@@ -445,11 +445,13 @@ def make_evidence(
         else:
             given = rule.evidence(log, model.n_lanes, model.parameters)
     filtered = _filtered(model, log, given, reading)
-    first = joint_input(model.compiled, filtered)[:1]
-    if road is not None and not model.compiled.prior[first].any(axis=1).all():
-        raise InputError(
-            f"{log.source}: start_lane: where the drive begins the road has {road.n_lanes[0]} lanes"
-        )
+    if road is not None:
+        first = joint_input(model.compiled, filtered)[:1]
+        if not model.compiled.prior[first].any(axis=1).all():
+            raise InputError(
+                f"{log.source}: start_lane: where the drive begins the road has"
+                f" {road.n_lanes[0]} lanes"
+            )
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     if tentative is None:
         tentative = _tentative(rule, given, model.n_lanes)

@@ -30,7 +30,7 @@ WEIGHT = 0.1
 
 def fit_of_counts(log: LineLog, most: int, lane_width_m: float) -> FloatArray:
     """How well each number of lanes fits each frame: (T, most), column n - 1 that of n lanes; the
-    best of a frame is 1. Where `tells_the_number` is False, all are 1.
+    best of a frame is 1.
 
     - lane_width_m: in the detector's metres.
     """
@@ -70,8 +70,16 @@ def fit_of_counts(log: LineLog, most: int, lane_width_m: float) -> FloatArray:
                 )
             fit[:, n - 1] = np.maximum(fit[:, n - 1], score)
     fit -= fit.max(axis=1, keepdims=True)
-    fit[~tells_the_number(log, lane_width_m)] = 0.0
     return np.asarray(np.exp(WEIGHT * fit))
+
+
+def own_lane_m(log: LineLog) -> FloatArray:
+    """(T,): metres between the nearest valid lines left and right of the car; infinite where one of
+    them is not seen."""
+    offset = np.where(log.is_valid, log.offset_m, np.nan)
+    left = np.where(offset < 0, -offset, np.inf).min(axis=1, initial=np.inf)
+    right = np.where(offset > 0, offset, np.inf).min(axis=1, initial=np.inf)
+    return np.asarray(left + right)
 
 
 def tells_the_number(log: LineLog, lane_width_m: float) -> BoolArray:

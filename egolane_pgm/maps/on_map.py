@@ -207,6 +207,7 @@ def _off_the_guess(
     said = (parameters.get(name) for name in ("lane_width_m", "fallback_width_m"))
     width_m = next((width for width in said if isinstance(width, int | float)), LANE_M)
     fit = fit_of_counts(log, n_lanes, width_m)
+    fit[~tells_the_number(log, width_m)] = 1.0
     near = road.n_lanes[:, None] + (-1, 0, 1)
     # Column n is that of n lanes: none is not among them.
     fit = np.take_along_axis(np.pad(fit, ((0, 0), (1, 1))), near, axis=1)

@@ -17,7 +17,7 @@ from egolane_pgm.recordings import write_lines, writer_of
 from egolane_pgm.recordings.mapping import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import NOTE, InputError, LineLog
+from egolane_pgm.types import InputError, LineLog
 from egolane_pgm.verbs.given import (
     CameraFile,
     Frames,
@@ -29,7 +29,12 @@ from egolane_pgm.verbs.given import (
     path_of,
 )
 from egolane_pgm.vision.camera.model import read_camera
-from egolane_pgm.vision.camera.pictures import camera_of_pictures, open_source, read_pictures
+from egolane_pgm.vision.camera.pictures import (
+    camera_of_pictures,
+    note_assumed_rate,
+    open_source,
+    read_pictures,
+)
 from egolane_pgm.vision.detectors.runner import check_pair, collect, find_detector
 from egolane_pgm.vision.detectors.runner import detect as detect_lines
 
@@ -106,13 +111,8 @@ def detect(
         done = collect(lines, rate, pictures, None if frame_rate else left.time_s, of_camera)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
-    if done.stopped is None and frame_rate is None and left.frame_rate is None:
-        warnings.warn(
-            f"{NOTE}{pictures}: does not say its pictures per second: {rate:g} are assumed"
-            " (frame_rate says another)",
-            UserWarning,
-            stacklevel=2,
-        )
+    if done.stopped is None and frame_rate is None:
+        note_assumed_rate(left, rate, "frame_rate")
     if target is None:
         if done.stopped is not None:
             raise done.stopped

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 import zlib
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from egolane_pgm.experiment import Experiment, experiments_folder, load_experime
 from egolane_pgm.simulation.transplanting import Path as Driven
 from egolane_pgm.simulation.transplanting import transplanted
 from egolane_pgm.tools.jobs import in_order
+from egolane_pgm.types import FloatArray
 
 #: Donors of each stretch of the trip, and the length of the other drives, frames.
 _DONORS, _FRAMES = 4, 1800
@@ -109,17 +110,23 @@ def rows(recordings: Sequence[Recording], overrides: Sequence[str]) -> Iterator[
             experiment = load_experiment(experiments_folder() / "zero_label.yaml", keys)
             found = list(in_order(partial(scores, experiment), drives, 1))
             of = {key: np.array([each[key] for each in found]) for key in found[0]}
-            shown = [of["right"], of["first"], of["sure"]]
-            cells += [_share(np.nanmean(values)) for values in shown]
+            keys_shown = ("right", "first", "sure") if filter_ == "exact" else ("right", "sure")
+            cells += [_share(np.nanmean(of[key])) for key in keys_shown]
             cells.append(_share(of["sure_right"].sum() / of["n_sure"].sum()))
-            is_mld = of["is_mld"] > 0
-            cells.append(_share(of["right"][is_mld].mean()) if is_mld.any() else "")
-            hits = of["changes_right"][is_mld].sum()
-            both = [hits / of[key][is_mld].sum() for key in ("changes_told", "changes")]
-            cells.append(" / ".join(map(_share, both)) if is_mld.any() else "")
-            if filter_ == "smoothed":
-                del cells[-2:], cells[-3]
+            if filter_ == "exact":
+                cells += _cells_of_mld(of)
         yield f"| {' | '.join(cells)} |"
+
+
+def _cells_of_mld(of: Mapping[str, FloatArray]) -> list[str]:
+    """Of the drives with the lines of a multi-lane detector: the share of right frames, precision
+    and recall of lane changes; empty where there are none."""
+    is_mld = of["is_mld"] > 0
+    if not is_mld.any():
+        return ["", ""]
+    hits = of["changes_right"][is_mld].sum()
+    both = [hits / of[key][is_mld].sum() for key in ("changes_told", "changes")]
+    return [_share(of["right"][is_mld].mean()), " / ".join(map(_share, both))]
 
 
 def _share(value: float) -> str:

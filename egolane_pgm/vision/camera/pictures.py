@@ -22,7 +22,7 @@ import numpy as np
 
 from egolane_pgm.recordings import FORMATS, files_of
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.types import FloatArray, InputError, problems_in
+from egolane_pgm.types import NOTE, FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
@@ -154,6 +154,21 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
         stacklevel=2,
     )
     return resized
+
+
+def note_assumed_rate(source: Source, rate: float, key: str) -> None:
+    """Notes that a source does not say how many pictures a second there are.
+
+    - rate: what is assumed, Hz
+    - key: what says another
+    """
+    if source.frame_rate is None:
+        warnings.warn(
+            f"{NOTE}{source.path}: does not say its pictures per second: {rate:g} are assumed"
+            f" ({key} says another)",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
 def read_pictures(

@@ -12,7 +12,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.recordings import FORMATS, files_of, format_of
 from egolane_pgm.recordings.source import VIDEOS, Read, find_named, whole_path
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import NOTE, InputError, problems_in
+from egolane_pgm.types import InputError, problems_in
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.detectors.runner import (
     Detector,
@@ -72,7 +72,11 @@ class Pictures:
 
     def read(self) -> Read:
         """See `Source`: the lines that the detector sees."""
-        from egolane_pgm.vision.camera.pictures import camera_of_pictures, read_pictures
+        from egolane_pgm.vision.camera.pictures import (
+            camera_of_pictures,
+            note_assumed_rate,
+            read_pictures,
+        )
 
         recording = self.experiment.recording
         detector, camera, left, right = self._parts()
@@ -99,13 +103,8 @@ class Pictures:
                 UserWarning,
                 stacklevel=2,
             )
-        if left.frame_rate is None and "frame_rate" not in recording.model_fields_set:
-            warnings.warn(
-                f"{NOTE}{left.path}: does not say its pictures per second:"
-                f" {recording.frame_rate:g} are assumed (recording.frame_rate says another)",
-                UserWarning,
-                stacklevel=2,
-            )
+        if "frame_rate" not in recording.model_fields_set:
+            note_assumed_rate(left, recording.frame_rate, "recording.frame_rate")
         assert done.log is not None
         files = [Path(left.path), *([Path(right.path)] if right else [])]
         files.append(find_named(self.experiment, "recording.camera"))
