@@ -23,6 +23,7 @@ check: .venv/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python .ci/budget
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
