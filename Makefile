@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched tuned rendered compared maps benchmark cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera searched tuned rendered compared maps benchmark cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -66,10 +66,10 @@ paper: .venv/.run
 	$(BIN)/egolane network sensor_failure results/paper/network.png
 
 # What results/graphs/ holds: other graphs and learned tables on frames that they have not seen
-# (three quarters of an hour of two cores).
+# (a quarter of an hour of two cores).
 GRAPHS := sensor_failure,wor_on_lane,wor_on_edge,autoregressive,failure_duration,no_wor,lane_only
 GRAPHS := $(GRAPHS),sensor_dynamics,three_sensor_states,biased_sensor,wor_direct
-SEARCH := --seeds 5 --trials-per-number 60 --jobs 2
+SEARCH := --set tuning.trials=420 --jobs 2
 EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregressive_wor.yaml)
 OTHERS := experiments/graphs/start.yaml $(EM)
 graphs: .venv/.run
@@ -94,34 +94,6 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
 	$(BIN)/python -m makers.beyond drawn > results/beyond/drawn.md
 	$(BIN)/python -m makers.beyond calibration --out results/beyond > results/beyond/calibration.md
-
-# results/beyond/delay.md and its figure: how right an answer is that waits (a minute).
-DELAY := egolane compare experiments/zero_label.yaml --runs 1-10 \
-	--lags 0,0.2,0.5,1,1.5,2,3,4,5 --wide --figures results/runs/delay
-define DELAY_HEAD
-# How right an answer is that waits
-
-Made by `make delay`, which runs
-
-    $(DELAY)
-
-No label is used; the constants are one set for all detectors and were chosen with these ten
-recordings in sight. Nothing but the delay looks ahead.
-
-![Accuracy over the delay of the answer](delay.png)
-
-endef
-export DELAY_HEAD
-delay: .venv/.run
-	echo "$$DELAY_HEAD" > results/beyond/delay.md
-	$(BIN)/$(DELAY) >> results/beyond/delay.md
-	cp $(RUNS)/delay/lags.png results/beyond/delay.png
-
-# The table in results/beyond/events.md: how right lane changes are told (half a minute).
-EVENTS := egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper --events --wide
-events: .venv/.run
-	sed -i '/^<!-- the table/q' results/beyond/events.md
-	$(BIN)/$(EVENTS) >> results/beyond/events.md
 
 # results/benchmark/: the public board (a quarter of an hour of two cores). Needs the paper's
 # recordings; the tracks of UAH-DriveSet are scored where EGOLANE_DATA/bench has them.
