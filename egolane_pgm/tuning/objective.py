@@ -35,8 +35,6 @@ BELIEF_SCORES = (
 #: Those that lane changes have.
 OF_CHANGES = ("delay", "share_missed")
 
-ALIASES = {"macro_f1": "f1", "macro-f1": "f1", "log-loss": "log_loss"}
-
 #: What the names of a detector's parameters begin with in a search.
 DETECTOR = "detector."
 
@@ -45,11 +43,11 @@ UNDEFINED = 1e6
 
 
 def check_objective(name: str, where: str = "objective") -> str:
-    """Return the score's own name. Raises InputError for an unknown one, with a suggestion."""
-    known = {*confusions.SCORES, *BELIEF_SCORES, *ALIASES}
+    """Return the name of a score. Raises InputError for an unknown one, with a suggestion."""
+    known = {*confusions.SCORES, *BELIEF_SCORES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
-    return ALIASES.get(name, name)
+    return name
 
 
 def check_filter(experiment: Experiment) -> None:

@@ -195,10 +195,8 @@ class Problem:
 
     @property
     def parts(self) -> Sequence[tuple[int, ...]]:
-        """The numbers of the recordings that are held out together, where whole ones are."""
-        if self.plan.fleet is not None:
-            return self.plan.fleet.parts
-        return [(k,) for k in range(len(self.drives))]
+        """The numbers of the drives of a fleet that are held out together; none for others."""
+        return () if self.plan.fleet is None else self.plan.fleet.parts
 
 
 def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:

@@ -186,8 +186,8 @@ class Study:
     def plot(self, figure: str = "history") -> Figure:
         """Draw a figure of the study.
 
-        - figure: "history", "slices", "flatness", and, where there are trials enough,
-          "importances" and "pairs".
+        - figure: "history", "profile" (the score over each parameter), and, where there are trials
+          enough, "importances".
 
         Raises InputError for another one, and for several studies: `study[name].plot()`.
         """

@@ -24,8 +24,7 @@ class Task:
       same; the values of the parameters that are not searched may differ.
     - starts: points that the study on everything tries first.
     - notes: what a user should know, a line each.
-    - held_out: "blocks", "recordings" (whole ones, of a fleet its parts), or "none" for in-sample
-      scores only.
+    - held_out: "blocks", "recordings" (the parts of a fleet), or "none" for in-sample scores only.
     - part: what is held out in turn, in a word.
     - left_out: the name of each part that is held out in turn, None for a block.
     - identity: what makes two studies the same one, as JSON, so that none goes on with trials of

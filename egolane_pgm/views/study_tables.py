@@ -18,7 +18,7 @@ COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
 
 def legend(documents: Sequence[Mapping[str, Any]]) -> str:
     """What the columns mean; printed with every table."""
-    part, drawn = "each block of the drive (or each recording)", "of a block bootstrap"
+    part, drawn = "each block of the drive", "of a block bootstrap"
     if any(document.get("fleet") for document in documents):
         part, drawn = "each part of the drives", "over drives, which are drawn whole"
     return (
@@ -93,8 +93,6 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
     """Header and rows: per score in-sample, held out, their difference; and without the frames
     that are never fitted, where there are any."""
     header = ["score", "in-sample", "held out", "difference"]
-    if document["test"] is not None:
-        header.append(f"test: {document['test']['name']}")
     rows = []
     for subset, suffix in (("all_frames", ""), ("without_never_fit", ", without never_fit")):
         if subset not in document["in_sample"]:
@@ -106,8 +104,6 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
                 _cell(document["held_out"], score, subset),
                 _cell(document["difference"], score, subset, "+"),
             ]
-            if document["test"] is not None:
-                row.append(_cell(document["test"], score, subset))
             rows.append(row)
     return header, rows
 

@@ -110,18 +110,3 @@ def test_another_search_in_the_same_place_is_refused_and_nothing_changed(
             prepare(with_options(plans[0], options), tmp_path, "none")
         assert said in str(caught.value)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
-
-
-def test_what_was_found_is_tested_elsewhere(plans: tuple[Plan, Plan], tmp_path: Path) -> None:
-    mine, other = plans
-    document = tuned(prepare(mine, tmp_path, "none", other))
-    assert document["held_out"] is document["difference"] is None
-    same = with_options(other, {"parameters": mine.tuning.parameters})
-    task = task_of(same, "none")
-    scores = task.assess(task.answers([document["best"]["point"]]))
-    assert document["test"] == {"tuned_on": "other_frames", "name": other.name, **scores}
-
-
-def test_recordings_do_not_test_a_search_on_pictures(stills: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="test_on: labelled pictures test a search on"):
-        prepare(load_plan(stills), tmp_path, "none", plan())
