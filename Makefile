@@ -88,7 +88,6 @@ tuned: .venv/.dev
 beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond strangers > results/beyond/strangers.md
 	$(BIN)/python -m makers.beyond sensors > results/beyond/sensors.md
-	$(BIN)/python -m makers.beyond labels --out results/beyond > results/beyond/labels.md
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
 	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md

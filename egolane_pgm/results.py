@@ -732,10 +732,10 @@ def staged(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> Iter
 #: in the directory, such as notes, are not ours and stay.
 OURS = (
     *("experiment.yaml", "run.json", "scores.json", BELIEFS, LINES, "events.csv"),
-    *("clips.csv", "labels.txt", "labels.csv", "review.csv", "doubted.csv", "report.html"),
+    *("clips.csv", "labels.txt", "segments.csv", "report.html"),
     *(
         f"figures/{name}.{style}"
-        for name in ("strips", "confusion", "reliability", "coverage", "review_*")
+        for name in ("strips", "confusion", "reliability", "coverage")
         for style in ("png", "pdf", "svg")
     ),
 )

@@ -326,7 +326,7 @@ def test_a_result_interrupted_while_it_is_written_leaves_what_was_there(
 def test_a_result_takes_the_place_of_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
     result = earlier_result(tmp_path)
     mine = {"notes.md", "figures/mine.png", "backup/run.json", "events.csv.old", "graph_mine.py"}
-    ours = {"clips.csv", "labels.txt", "figures/strips.png", "figures/review_1.pdf"}
+    ours = {"clips.csv", "labels.txt", "figures/strips.png", "figures/coverage.pdf"}
     for name in mine | ours:
         (result / name).parent.mkdir(exist_ok=True)
         (result / name).write_text("old")

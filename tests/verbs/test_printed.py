@@ -19,7 +19,7 @@ PRINTING = {
     "compare on one recording": "compare {one} --graphs sensor_failure,lane_only --blocks 2",
     "compare of lane changes": "compare {one} {two} --blocks 2 --events",
     "learn": "learn {one} --blocks 2 --out {out}/learned.yaml",
-    "label": "label {lines} --n-lanes 3 --ground-truth {truth} --no-figures --out {out}",
+    "label": "label {lines} --n-lanes 3 --ground-truth {truth} --out {out}",
     "tune": "tune {one} --trials 2 --in-sample-only --no-figures --jobs 1 --out {out}",
 }
 
