@@ -212,12 +212,6 @@ def _build_from_network(module: ModuleType, where: str) -> None:
     vars(module)["build"] = lambda n_lanes, parameters: network
 
 
-def source_files(module: ModuleType) -> list[Path]:
-    """The files with a plugin's code: several where the plugin is a folder."""
-    file = Path(str(module.__file__))
-    return sorted(file.parent.glob("*.py")) if file.name == "__init__.py" else [file]
-
-
 def _load_file(path: Path, where: str) -> ModuleType:
     source = path.read_bytes()
     # One module per path and content, so that two experiments may each have a my_graph.py.

@@ -623,10 +623,6 @@ class Run(Summary):
         description="commit, and whether the checkout is dirty; null where the package is installed"
     )
     created: str = Field(description="time, UTC")
-    plugins: dict[str, dict[str, str]] = Field(
-        description="file and sha256 of graph and evidence rule"
-    )
-    code: str | None = Field(default=None, description="a checksum of this package's code")
     seconds: Finite | None = Field(
         default=None, description="that reading, filtering and scoring took"
     )
@@ -885,7 +881,6 @@ def provenance(
         "config_hash": config_hash(content),
         "data": list(data),
         "versions": versions(),
-        "code": files.code_checksum(),
         "git": git_state(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }

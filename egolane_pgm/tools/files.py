@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import functools
 import hashlib
 import io
 import json
@@ -319,16 +318,3 @@ def without_version(content: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"{source}: version: {version!r} is not {YAML_VERSION}, the one known here"
         )
     return content
-
-
-# --- this package ----------------------------------------------------------------------------
-
-
-@functools.cache
-def code_checksum() -> str:
-    """A checksum of this package's code, the same wherever it is installed."""
-    folder = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(folder.rglob("*.py")):
-        digest.update(f"{file.relative_to(folder).as_posix()}\n".encode() + file.read_bytes())
-    return digest.hexdigest()

@@ -13,7 +13,7 @@ import numpy as np
 from egolane_pgm.drive import Drive, data_entries
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.parameters import Value
-from egolane_pgm.plugins import OWN_FILES, source_files
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.scoring.held_out import stitched_rows, without_block
 from egolane_pgm.tools.files import plain
@@ -35,7 +35,7 @@ from egolane_pgm.tuning.plan import (
     starting_points,
 )
 from egolane_pgm.tuning.space import Point, to_parameters
-from egolane_pgm.tuning.task import Task, checksum, identity_of
+from egolane_pgm.tuning.task import Task, identity_of
 from egolane_pgm.types import BoolArray, FloatArray
 
 
@@ -145,26 +145,13 @@ def assess_beliefs(
 
 
 def _identity(drive: Drive, data: Sequence[Any]) -> dict[str, Any]:
-    """What makes two recordings with their models the same: data, and the code of graph, evidence
-    rule and detector by checksum, and of a reader that is a file of its own."""
-    experiment, recording = drive.experiment, drive.experiment.recording
-    content = resolved(experiment, {})
+    """What makes two recordings with their models the same."""
+    content = resolved(drive.experiment, {})
     kept = ("n_lanes", "evidence", "graph", "filter", "evidence_reading", "unassigned_below")
-    code = {
-        "graph": checksum(source_files(drive.model.graph)),
-        "evidence": checksum(source_files(drive.model.rule)),
-    }
-    if recording.format is not None and recording.format.endswith(OWN_FILES):
-        code["format"] = checksum([experiment.folder / recording.format])
-    if recording.detector is not None:
-        from egolane_pgm.vision.detectors.pictures import code_of, detector_of
-
-        code["detector"] = checksum(code_of(detector_of(experiment, "recording")))
     return {
         **{key: content[key] for key in kept},
         "recording": {k: v for k, v in content["recording"].items() if k != "path"},
         "data": [entry["sha256"][:16] for entry in data],
-        "code": code,
     }
 
 

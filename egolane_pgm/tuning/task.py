@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from egolane_pgm.parameters import Value
@@ -81,7 +79,7 @@ def task_of(plan: Plan, held_out: str = "blocks") -> Task:
 
 
 def identity_of(plan: Plan, spaces: Mapping[str, SearchSpace], **more: Any) -> dict[str, Any]:
-    """A task's `identity`. more: keys on what is searched on, with checksums of data and code."""
+    """A task's `identity`. more: keys on what is searched on, with checksums of data."""
     settings = plan.settings
     identity = {
         "name": plan.name,
@@ -96,8 +94,3 @@ def identity_of(plan: Plan, spaces: Mapping[str, SearchSpace], **more: Any) -> d
         **more,
     }
     return dict(json.loads(json.dumps(plain(identity))))
-
-
-def checksum(files: Sequence[Path]) -> str:
-    """The beginning of the checksum of some files' content."""
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]

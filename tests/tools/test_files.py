@@ -21,7 +21,6 @@ from egolane_pgm.tools.files import (
     arrow_table,
     atomic,
     atomic_directory,
-    code_checksum,
     plain,
     read_text,
     read_yaml,
@@ -269,11 +268,3 @@ def test_what_is_stored_is_plain() -> None:
         "d": [True, False],
     }
     assert type(stored["b"][0]) is int
-
-
-def test_the_checksum_of_the_code_is_of_the_whole_package(monkeypatch: pytest.MonkeyPatch) -> None:
-    read = list[str]()
-    real = Path.read_bytes
-    monkeypatch.setattr(Path, "read_bytes", lambda path: (read.append(path.name), real(path))[1])
-    code_checksum.__wrapped__()
-    assert {"types.py", "files.py", "sensor_failure.py"} <= set(read)

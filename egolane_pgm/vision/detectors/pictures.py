@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.plugins import OWN_FILES, source_files
 from egolane_pgm.recordings import FORMATS, files_of, format_of
 from egolane_pgm.recordings.source import VIDEOS, Read, find_named, whole_path
 from egolane_pgm.tools.progress import bar
@@ -138,16 +137,6 @@ def detector_of(experiment: Experiment, key: str) -> Detector:
     where = f"{source}: recording.detector"
     given = recording.detector_parameters
     return find_detector(recording.detector, given, experiment.folder, where)
-
-
-def code_of(detector: Detector) -> list[Path]:
-    """The files of a detector's code, and of the network that it uses."""
-    from egolane_pgm.vision.detectors import networks, simple
-
-    files = source_files(detector.module)
-    if not detector.name.endswith(OWN_FILES):
-        files = [*files, *source_files(simple), *source_files(networks)]
-    return files + own_files(detector)
 
 
 def pictures_in(place: Path) -> Sequence[Path]:
