@@ -347,7 +347,7 @@ def run_in_parts(
     experiment: Experiment, directory: str | Path, advance: Callable[[int], Any] = int
 ) -> Result:
     """Run an experiment on a long drive: beliefs are made and written part after part, so that not
-    all of them are held at once. An older result is replaced; files of others in it stay.
+    all of them are held at once. An older result is replaced; other files are left alone.
 
     - advance: called after each part with the number of its frames.
 

@@ -163,7 +163,7 @@ class Comparison:
 
         - figures: whether accuracy, and how it differs, are drawn as well.
 
-        An older comparison of that name is replaced; files of your own in it stay. Raises
+        An older comparison of that name is replaced; other files are left alone. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)

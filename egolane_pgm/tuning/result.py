@@ -205,7 +205,7 @@ class Study:
 
         - figures: whether figures are drawn in it.
 
-        An older study of that name is replaced; files of your own in it stay. Raises
+        An older study of that name is replaced; other files are left alone. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
         # matplotlib is imported only for figures.

@@ -20,10 +20,10 @@ from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
     arrow_table,
     atomic,
-    atomic_directory,
     plain,
     read_text,
     read_yaml,
+    staged_directory,
     write_json,
     write_yaml,
 )
@@ -128,18 +128,18 @@ def test_a_file_with_the_longest_name_can_be_written(tmp_path: Path) -> None:
     assert path.is_file()
 
 
-def test_a_directory_is_replaced_whole_or_not_at_all(
+def test_the_files_of_a_directory_are_replaced_all_or_none(
     tmp_path: Path, umask: Callable[[int], int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = tmp_path / "result"
     umask(0o027)
     for text in ("one", "two"):
-        with atomic_directory(place) as folder:
+        with staged_directory(place) as folder:
             (folder / "a").write_text(text)
     assert stat.S_IMODE(place.stat().st_mode) == 0o750
 
     def fails() -> None:
-        with atomic_directory(place) as folder:
+        with staged_directory(place) as folder:
             (folder / "a").write_text("three")
             raise InputError(f"{folder / 'a'}: is wrong")
 
@@ -155,7 +155,7 @@ def test_what_a_link_leads_to_is_replaced_and_the_link_stays(tmp_path: Path) -> 
     (tmp_path / "disk").mkdir()
     (tmp_path / "result").symlink_to(tmp_path / "disk" / "r")
     (tmp_path / "disk" / "r").mkdir()
-    with atomic_directory(tmp_path / "result") as folder:
+    with staged_directory(tmp_path / "result") as folder:
         (folder / "a").write_text("new")
     assert (tmp_path / "result").is_symlink()
     assert (tmp_path / "disk" / "r" / "a").read_text() == "new"
