@@ -22,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 
 from egolane_pgm.parameters import Parameter
-from egolane_pgm.types import InputError, all_problems, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 #: The names that a module of each folder must define.
 CONTRACTS = {
@@ -175,12 +175,9 @@ def load_rule_and_graph(
     evidence: str, graph: str, base: Path, source: str
 ) -> tuple[ModuleType, ModuleType]:
     """Import an experiment's evidence rule and graph. Raises InputError, naming the YAML file
-    `source` and its key, for both where both cannot be used."""
-    with all_problems() as part:
-        with part():
-            rule = load_plugin("evidence", evidence, base, f"{source}: evidence")
-        with part():
-            module = load_plugin("graphs", graph, base, f"{source}: graph")
+    `source` and its key, for one that cannot be used."""
+    rule = load_plugin("evidence", evidence, base, f"{source}: evidence")
+    module = load_plugin("graphs", graph, base, f"{source}: graph")
     return rule, module
 
 

@@ -672,7 +672,7 @@ def refusing_damage(place: Path, again: str = _AGAIN) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{error.lines[0]}{again}") from None
+        raise InputError(f"{error}{again}") from None
     except Exception as error:
         # The files were not written by hand: how exactly they are damaged helps nobody.
         why = " ".join(f"{type(error).__name__}: {error}".split())

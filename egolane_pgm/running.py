@@ -377,8 +377,7 @@ def run_in_parts(
 
 
 def _check_parts(experiment: Experiment) -> None:
-    """Raise InputError, a line for each key, where a belief needs more than the frames up to its
-    own."""
+    """Raise InputError, naming the key, where a belief needs more than the frames up to its own."""
     keys = []
     if not experiment.has_causal_filter:
         keys.append(f"filter: {experiment.filter} uses later frames")
@@ -388,7 +387,7 @@ def _check_parts(experiment: Experiment) -> None:
         key = "gnss" if experiment.gnss is not None else "n_lanes"
         keys.append(f"{key}: a road table is laid over the whole drive")
     if keys:
-        raise InputError(*(f"{experiment.source}: {key}; that is not run in parts" for key in keys))
+        raise InputError(f"{experiment.source}: {keys[0]}; that is not run in parts")
 
 
 def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
@@ -491,8 +490,7 @@ def plan_runs(
         try:
             experiment = load()
         except InputError as error:
-            lines = "\n".join(error.lines)
-            runs.append(OneOfSeveral(title, folder or Path(), None, lines))
+            runs.append(OneOfSeveral(title, folder or Path(), None, str(error)))
             continue
         directory = (folder or Path()) / experiment.name
         if taken.get(directory) == title:
@@ -547,7 +545,7 @@ def _finish(run: OneOfSeveral, way: Way, figures: bool, keep: bool, resume: bool
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:
-        return replace(run, error="\n".join(error.lines))
+        return replace(run, error=str(error))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
         return replace(run, error=" ".join(f"{type(error).__name__}: {error}".split()))

@@ -26,7 +26,7 @@ from egolane_pgm.results import Result
 from egolane_pgm.scoring.held_out import N_BLOCKS
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError, all_problems, problems_in
+from egolane_pgm.types import InputError, problems_in
 
 
 @dataclass(frozen=True)
@@ -160,29 +160,28 @@ def _of_paper(number: int) -> Experiment:
 
 
 def _checked(groups: list[Group], on_runs: bool = False) -> list[Group]:
-    """The same groups. Raises InputError for a name that occurs twice in one, and for all models
-    that cannot be used, so that it is known before a recording is read.
+    """The same groups. Raises InputError for a name that occurs twice in one, and for a model that
+    cannot be used, so that it is known before a recording is read.
 
     on_runs: whether to say on which of the paper's runs a model cannot be used.
     """
     seen: set[str] = set()
-    with all_problems() as part:
-        for group in groups:
-            names = [experiment.name for experiment in group.experiments]
-            for experiment in group.experiments:
-                if names.count(experiment.name) > 1:
-                    raise InputError(
-                        f"{experiment.source}: {group.title}: two experiments have the name"
-                        f" {experiment.name}; give one another `name`"
-                    )
-                model = (experiment.source, experiment.evidence, experiment.graph)
-                key = repr((*model, experiment.parameters, experiment.n_lanes))
-                if key in seen:
-                    continue
-                seen.add(key)
-                where = f"{group.title}, {experiment.n_lanes} lanes"
-                with part(), problems_in(where) if on_runs else contextlib.nullcontext():
-                    prepare_model(experiment)
+    for group in groups:
+        names = [experiment.name for experiment in group.experiments]
+        for experiment in group.experiments:
+            if names.count(experiment.name) > 1:
+                raise InputError(
+                    f"{experiment.source}: {group.title}: two experiments have the name"
+                    f" {experiment.name}; give one another `name`"
+                )
+            model = (experiment.source, experiment.evidence, experiment.graph)
+            key = repr((*model, experiment.parameters, experiment.n_lanes))
+            if key in seen:
+                continue
+            seen.add(key)
+            where = f"{group.title}, {experiment.n_lanes} lanes"
+            with problems_in(where) if on_runs else contextlib.nullcontext():
+                prepare_model(experiment)
     return groups
 
 
@@ -265,4 +264,4 @@ def _compared(
             del part["results"][alone.name]
         return part
     except InputError as error:
-        return {"title": group.title, "run": group.run, "error": "; ".join(error.lines)}
+        return {"title": group.title, "run": group.run, "error": str(error)}

@@ -43,7 +43,7 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, problems_in
+from egolane_pgm.types import NOTE, BoolArray, InputError, problems_in
 
 
 class TuningFile(Section):
@@ -147,10 +147,9 @@ def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
         return plan_of(make_experiment(content, path.parent, str(path)))
     named = validated(TuningFile, content, str(path))
     found = []
-    with all_problems() as part:
-        for entry in named.experiments:
-            with part(), problems_in(f"{path}: experiments"):
-                found.append(load_experiment(path.parent / entry))
+    for entry in named.experiments:
+        with problems_in(f"{path}: experiments"):
+            found.append(load_experiment(path.parent / entry))
     return Plan(named.name, named.description, tuple(found), named.tuning, str(path))
 
 
@@ -208,13 +207,12 @@ def make_problem(plan: Plan) -> Problem:
     never_fit = plan.tuning.never_fit
     needs = "a search needs it"
     drives = []
-    with all_problems() as part:
-        for experiment in plan.experiments:
-            # The drives of a fleet have one YAML.
-            of_drive = nullcontext() if plan.fleet is None else problems_in(experiment.name)
-            with part(), of_drive:
-                check_filter(experiment)
-                drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
+    for experiment in plan.experiments:
+        # The drives of a fleet have one YAML.
+        of_drive = nullcontext() if plan.fleet is None else problems_in(experiment.name)
+        with of_drive:
+            check_filter(experiment)
+            drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
     specs = [declared_parameters(drive.model.rule, drive.model.graph) for drive in drives]
     for drive, declared in zip(drives, specs, strict=True):
         if declared != specs[0]:
@@ -236,15 +234,11 @@ def check_plan(plan: Plan) -> str:
     """Check a plan without reading a recording; return what it has in a few words. Raises
     InputError as its search would, for all that shows so early."""
     spaces = []
-    with all_problems() as part:
-        with part():
-            _ = plan.settings
-        for experiment in plan.experiments:
-            with part():
-                check_filter(experiment)
-                spaces.append(_space(plan, experiment, prepare_model(experiment)))
-            with part():
-                check_sources(experiment)
+    _ = plan.settings
+    for experiment in plan.experiments:
+        check_filter(experiment)
+        spaces.append(_space(plan, experiment, prepare_model(experiment)))
+        check_sources(experiment)
     _check_alike(plan.experiments, spaces)
     return f"{len(plan.experiments)} experiment(s), {len(spaces[0])} numbers searched"
 
@@ -256,12 +250,9 @@ def check_tuning(experiment: Experiment, model: Model) -> None:
     if tuning is None:
         return
     plan = plan_of(experiment)
-    with all_problems() as part:
-        with part():
-            _ = plan.settings
-        with part():
-            if tuning.parameters:
-                _space(plan, experiment, model)
+    _ = plan.settings
+    if tuning.parameters:
+        _space(plan, experiment, model)
 
 
 def _check_alike(experiments: Sequence[Experiment], spaces: Sequence[SearchSpace]) -> None:

@@ -196,34 +196,28 @@ def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("n_lanes: 3\na: 1\nn_lanes: 4\n", ["line 3: key 'n_lanes' was given in line 1"]),
-        ("a: {x: 1, x: 1}", ["line 1: key 'x' was given in line 1"]),
+        ("n_lanes: 3\na: 1\nn_lanes: 4\n", "line 3: key 'n_lanes' was given in line 1"),
+        ("a: {x: 1, x: 1}", "line 1: key 'x' was given in line 1"),
         (
             "a:\n  x: 1\n  'x': 2\nb:\n- {y: 1}\n- y: 1\n  y: 2\nb: 3\n",
-            [
-                "line 3: key 'x' was given in line 2",
-                "line 7: key 'y' was given in line 6",
-                "line 8: key 'b' was given in line 4",
-            ],
+            "line 3: key 'x' was given in line 2",
         ),
         (
             "a: 1\n\tb: 2\n",
-            [
-                "is not YAML: line 2: found character '\\t' that cannot start any"
-                " token; indent with spaces"
-            ],
+            "is not YAML: line 2: found character '\\t' that cannot start any token; indent with"
+            " spaces",
         ),
-        ("a: [1\nb: 2\n", ["is not YAML: line 2: expected ',' or ']', but got ':'"]),
+        ("a: [1\nb: 2\n", "is not YAML: line 2: expected ',' or ']', but got ':'"),
     ],
 )
 def test_what_is_wrong_with_a_yaml_is_named_by_its_line(
-    tmp_path: Path, content: str, said: list[str]
+    tmp_path: Path, content: str, said: str
 ) -> None:
     path = tmp_path / "x.yaml"
     path.write_text(content)
     with pytest.raises(InputError) as caught:
         read_yaml(path, "n_lanes: 4")
-    assert caught.value.lines == [f"{path}: {line}" for line in said]
+    assert str(caught.value) == f"{path}: {said}"
 
 
 def test_arrays_become_the_columns_that_pyarrow_makes_of_them() -> None:

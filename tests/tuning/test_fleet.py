@@ -167,7 +167,7 @@ def test_what_does_not_go_with_a_fleet_is_refused(tmp_path: Path) -> None:
     missing.write_text("name,recording,ground_truth,n_lanes\na,x.csv,t.txt,4\nb,x.csv,t.txt,4\n")
     with pytest.raises(InputError) as wrong:
         ego.tune(QUICKSTART, fleet=missing)
-    assert all("x.csv" in line or "t.txt" in line for line in wrong.value.lines)
+    assert "x.csv" in str(wrong.value) or "t.txt" in str(wrong.value)
     several = tmp_path / "several.yaml"
     several.write_text(f"name: s\nexperiments: [{QUICKSTART}, {QUICKSTART}]\n")
     assert "fleet: goes with one experiment" in refused("tune", several, *words[2:])
