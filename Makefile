@@ -50,12 +50,15 @@ dist: .venv/.dev
 notebooks: .venv/.dev
 	$(BIN)/python -m tests.kits.notebooks
 
+# A comparison without its table of every score of every run.
+SHORT := sed '/^| recording /,/^$$/d'
+
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
 RUNS := results/runs
 NO_BONUS := --set parameters.bonus_value=0 --set name=run03_no_bonus
 paper: .venv/.run
 	$(BIN)/egolane reproduce --wide --out $(RUNS) > results/paper/reproduction.md
-	$(BIN)/egolane compare --wide > results/paper/graphs.md
+	$(BIN)/egolane compare --wide | $(SHORT) > results/paper/graphs.md
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures --out $(RUNS)/run03_bonus
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures $(NO_BONUS) --out $(RUNS)/run03_no_bonus
 	$(BIN)/egolane plot $(RUNS)/run01_italy_ml --frames 1880 2700 --out results/paper
@@ -71,13 +74,11 @@ GRAPHS := sensor_failure,wor_on_lane,wor_on_edge,autoregressive,failure_duration
 GRAPHS := $(GRAPHS),sensor_dynamics,three_sensor_states,biased_sensor,wor_direct
 SEARCH := --set tuning.trials=420 --jobs 2
 EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregressive_wor.yaml)
-OTHERS := experiments/graphs/start.yaml $(EM)
 graphs: .venv/.run
 	mkdir -p results/graphs
-	$(BIN)/egolane compare --graphs $(GRAPHS) --wide --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs > results/graphs/graphs.md
+	$(BIN)/egolane compare --graphs $(GRAPHS) --wide --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs | $(SHORT) > results/graphs/graphs.md
 	cp $(RUNS)/graphs/differences.png results/graphs/graphs.png
-	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide > results/graphs/learned.md
-	$(BIN)/egolane compare experiments/graphs/searched.yaml $(OTHERS) --runs 1-10 --wide $(SEARCH) > results/graphs/learned_or_searched.md
+	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide | $(SHORT) > results/graphs/learned.md
 
 # results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
 # road (a quarter of an hour of two cores; repeated, it goes on where it stopped).
@@ -89,10 +90,7 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond strangers > results/beyond/strangers.md
 	$(BIN)/python -m makers.beyond sensors > results/beyond/sensors.md
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
-	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
-	$(BIN)/python -m makers.beyond drawn > results/beyond/drawn.md
-	$(BIN)/python -m makers.beyond calibration --out results/beyond > results/beyond/calibration.md
 
 # results/benchmark/: the public board (a quarter of an hour of two cores). Needs the paper's
 # recordings; the tracks of UAH-DriveSet are scored where EGOLANE_DATA/bench has them.
