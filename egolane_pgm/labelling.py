@@ -121,7 +121,7 @@ class Labels:
         """A row per frame, by `frame_id`: `lane`, `confidence`, `is_crossing` and `time_s`."""
         import pandas as pd
 
-        columns = {"lane": self.lane, "confidence": self.confidence}
+        columns: dict[str, Any] = {"lane": self.lane, "confidence": self.confidence}
         columns |= {"is_crossing": self.is_crossing, "time_s": self.run.time_s}
         return pd.DataFrame(columns, index=pd.Index(self.frame_id, name="frame_id"))
 
