@@ -168,7 +168,6 @@ def test_later_frames_change_nothing_of_what_was_believed(tmp_path: Path) -> Non
 NEEDS_ALL = [
     ({"filter": "smoothed"}, "filter: smoothed uses later frames"),
     ({"filter": "fixed_lag", "lag": 3}, "filter: fixed_lag uses later frames"),
-    ({"filter": "smoothed", "decode": "viterbi"}, "decode: viterbi needs the whole drive"),
     (
         {**POSITION, "parameters": {"lane_width_m": "auto"}},
         "evidence: line_geometry: not causal, the lane width and what the detector's flags",

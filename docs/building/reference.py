@@ -41,7 +41,6 @@ METRICS = (
     "stability",
     "events",
     "road",
-    "health",
     "bootstrap",
 )
 
