@@ -168,7 +168,6 @@ def test_later_frames_change_nothing_of_what_was_believed(tmp_path: Path) -> Non
 NEEDS_ALL = [
     ({"filter": "smoothed"}, "filter: smoothed uses later frames"),
     ({"filter": "fixed_lag", "lag": 3}, "filter: fixed_lag uses later frames"),
-    ({"filter": "smoothed", "decode": "viterbi"}, "decode: viterbi needs the whole drive"),
     (
         {**POSITION, "parameters": {"lane_width_m": "auto"}},
         "evidence: line_geometry: not causal, the lane width and what the detector's flags",
@@ -183,7 +182,7 @@ def test_what_needs_the_whole_drive_is_refused_naming_the_key(
     path = write_drive(tmp_path, **changes)
     with pytest.raises(InputError) as error:
         run_in_parts(load_experiment(path), tmp_path / "out")
-    assert any(said in line for line in error.value.lines), error.value.lines
+    assert said in str(error.value)
     assert not (tmp_path / "out").exists()
 
 

@@ -233,7 +233,7 @@ def _run_several(
         raise KeyboardInterrupt(f"{kept}the same command begins anew") from None
     if folder is None:
         if all(each.error is not None for each in done):
-            raise InputError(*(f"{each.title}: {each.error}" for each in done[:1]))
+            raise InputError(f"{done[0].title}: {done[0].error}")
         for each in done:
             if each.error is not None:
                 warnings.warn(f"{each.title}: {each.error}", UserWarning, stacklevel=3)

@@ -9,7 +9,6 @@ from egolane_pgm.drive import check_sources
 from egolane_pgm.experiment import Overrides, experiment_path, load_experiment, load_yaml
 from egolane_pgm.model import prepare_model
 from egolane_pgm.tuning.plan import check_plan, check_tuning, load_plan
-from egolane_pgm.types import all_problems
 from egolane_pgm.verbs.given import Option, StrPath, path_of, several_of
 
 EXAMPLES = ("egolane validate drive/experiment.yaml experiments/zero_label.yaml",)
@@ -31,11 +30,9 @@ def validate(
     Returns what each has, in a few words. Raises InputError, a line for each problem.
     """
     found = {}
-    with all_problems() as part:
-        for each in several_of(experiments):
-            path = path_of(each, "experiments")
-            with part():
-                found[path] = _has(path, overrides)
+    for each in several_of(experiments):
+        path = path_of(each, "experiments")
+        found[path] = _has(path, overrides)
     return found
 
 
@@ -46,13 +43,10 @@ def says(done: Mapping[str, str], given: Mapping[str, Any]) -> str:
 
 def _has(path: str, overrides: Overrides) -> str:
     keys = load_yaml(experiment_path(path), overrides)
-    if "pictures" in keys or "experiments" in keys:
+    if "experiments" in keys:
         return check_plan(load_plan(path, overrides))
     experiment = load_experiment(path, overrides)
-    with all_problems() as part:
-        with part():
-            model = prepare_model(experiment)
-            check_tuning(experiment, model)
-        with part():
-            check_sources(experiment)
+    model = prepare_model(experiment)
+    check_tuning(experiment, model)
+    check_sources(experiment)
     return f"{model.n_lanes} lanes, {model.compiled.n_states} joint states"

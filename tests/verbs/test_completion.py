@@ -25,7 +25,7 @@ def completed(*words: str) -> list[str]:
     ("words", "expected"),
     [
         (("ru",), ["run"]),
-        (("compare", "--wi"), ["--with-paper", "--wide"]),
+        (("compare", "--wi"), ["--wide"]),
         (("network", "no"), [n for n in plugin_names("graphs") if n.startswith("no")]),
         (("compare", "--graphs", "no_wor,lane"), ["no_wor,lane_only"]),
         (("detect", "--detector", ""), plugin_names("detectors")),
