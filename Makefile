@@ -90,7 +90,6 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond sensors > results/beyond/sensors.md
 	$(BIN)/python -m makers.beyond labels --out results/beyond > results/beyond/labels.md
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
-	$(BIN)/python -m makers.beyond lanes --runs 1,5,8,10 > results/beyond/lanes.md
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
 	$(BIN)/python -m makers.beyond drawn > results/beyond/drawn.md
 	$(BIN)/python -m makers.beyond calibration --out results/beyond > results/beyond/calibration.md

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from egolane_pgm.paper import parse_runs
 
-MODULES = ("calibration", "drawn", "failures", "labels", "lanes", "ramps", "sensors", "strangers")
+MODULES = ("calibration", "drawn", "failures", "labels", "ramps", "sensors", "strangers")
 
 
 def main() -> None:
