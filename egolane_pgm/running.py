@@ -38,7 +38,6 @@ from egolane_pgm.inference.filtering import piece_frames, step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi
-from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.model import (
     causality,
     online_output,
@@ -180,7 +179,6 @@ def believe(drive: Drive) -> Believed:
         notes += filter(None, [disagreement(path, beliefs)])
     else:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-    notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
     return Believed(
         beliefs,
         assigned,

@@ -33,7 +33,7 @@ needs_compiler = pytest.mark.skipif(
 #: What takes longest, begun first: processes that share the tests by files then end together.
 SLOWEST = (
     *("docs/test_examples.py", "vision/detectors/simple/test_clothoids.py", "makers/test_drift.py"),
-    *("docs/test_site.py", "comparing/test_events.py", "test_lane_count.py", "test_notebooks.py"),
+    *("docs/test_site.py", "comparing/test_events.py", "test_notebooks.py"),
     *("tools/test_jobs.py", "vision/detectors/networks/", "makers/test_labels.py", "tuning/"),
     *("vision/detectors/simple/test_drift.py", "test_dist.py", "test_loading.py", "makers/"),
 )
