@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera searched tuned rendered compared maps benchmark cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera tuned rendered compared maps benchmark cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -141,10 +141,6 @@ fuzz: .venv/.dev
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
 	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels lstr --out results/camera > results/camera/pictures.md
-
-# What a search of the detectors' parameters gains on labelled stills (ten minutes of two cores).
-searched: .venv/.dev
-	$(BIN)/python -m makers.camera searched > results/camera/searched.md
 
 # What results/camera/ holds of rendered motorways: tables (25 minutes of one core), a frame.
 rendered: .venv/.dev

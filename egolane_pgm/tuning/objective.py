@@ -64,9 +64,12 @@ def check_filter(experiment: Experiment) -> None:
 def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[str, Value]]:
     """The parameters of an experiment's detector, and their values, as a search names them. Raises
     InputError for a recording without one."""
-    from egolane_pgm.vision import picture_task
+    from egolane_pgm.vision.detectors.pictures import detector_of
 
-    return picture_task.searched(picture_task.detector_of(experiment))
+    detector = detector_of(experiment, "tuning.search: detector")
+    specs = getattr(detector.module, "PARAMETERS", ())
+    values = {DETECTOR + name: value for name, value in detector.parameters.items()}
+    return [replace(spec, name=DETECTOR + spec.name) for spec in specs], values
 
 
 def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:

@@ -6,8 +6,6 @@
     tuning: {trials: 3000, parameters: {p1: 0.9}}
 
 With several experiments one parameter set is searched for all of them, each with equal weight.
-A tuning file with `pictures:` searches a detector's parameters on labelled pictures; see
-`vision.picture_task`.
 """
 
 from __future__ import annotations
@@ -19,13 +17,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from egolane_pgm.drive import Drive, check_sources, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
-    Positive,
     Section,
     Tuning,
     experiment_path,
@@ -38,7 +35,6 @@ from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters
-from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.tuning.objective import (
     check_filter,
     check_objective,
@@ -47,13 +43,13 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, not_one_of, problems_in
-
-#: Trials of a study on labelled pictures: each looks at all of them.
-PICTURE_TRIALS = 200
+from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, problems_in
 
 
-class _File(Section):
+class TuningFile(Section):
+    """A tuning file: one parameter set is searched for several experiments, each with equal
+    weight."""
+
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
         description="short name; the study is written to results/tuning/NAME",
@@ -61,59 +57,11 @@ class _File(Section):
     )
     description: str = Field(default="", description="what it is, in a line")
     tuning: Tuning = Field(default=Tuning(), description="settings of the search")
-
-
-class TuningFile(_File):
-    """A tuning file: one parameter set is searched for several experiments, each with equal
-    weight."""
-
     experiments: tuple[str, ...] = Field(
         min_length=1,
         description="YAML files of experiments, relative to this one",
         examples=[["../paper/run01_italy_ml.yaml", "../paper/run02_italy_sl.yaml"]],
     )
-
-
-class Pictures(Section):
-    """Pictures with labelled lines, and the detector that looks at them."""
-
-    labels: str = Field(
-        description="file, in TuSimple's format, that names the pictures", examples=["labels.json"]
-    )
-    camera: str = Field(description="YAML file of the camera", examples=["cam.yaml"])
-    detector: str = Field(description="name of the detector, or its file", examples=["ml"])
-    detector_parameters: dict[str, Any] = Field(
-        default_factory=dict,
-        description="values of its parameters before the search",
-        examples=[{"road": 0.5}],
-    )
-    frames: tuple[int, int] | None = Field(
-        default=None,
-        description="first labelled picture, from 0, and the one after the last",
-        examples=[[0, 100]],
-    )
-    ahead_m: Positive = Field(
-        default=10.0, description="where lines and labels are compared, metres ahead of the camera"
-    )
-    side_m: Positive = Field(
-        default=6.0, description="how far to either side of the camera they count, metres"
-    )
-    tolerance_m: Positive = Field(
-        default=0.35, description="largest distance of a line from its label, metres"
-    )
-
-    @field_validator("frames")
-    @classmethod
-    def _a_range(cls, value: tuple[int, int] | None) -> tuple[int, int] | None:
-        if value is not None and not 0 <= value[0] < value[1]:
-            raise ValueError(f"{list(value)} is an empty range")
-        return value
-
-
-class PictureTuningFile(_File):
-    """A tuning file for a detector: its parameters are searched on labelled pictures."""
-
-    pictures: Pictures = Field(description="what is looked at")
 
 
 @dataclass(frozen=True)
@@ -134,13 +82,12 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study to do: which experiments are tuned together, or on which pictures, and how.
+    """A study to do: which experiments are tuned together, and how.
 
     - tuning: the settings of the search.
     - source: the YAML, for messages.
     - fleet: where the experiments are one on each drive of a fleet; all frames count alike then,
       and else all experiments.
-    - pictures: labelled ones, instead of experiments.
     """
 
     name: str
@@ -149,24 +96,16 @@ class Plan:
     tuning: Tuning
     source: str
     fleet: Fleet | None = None
-    pictures: Pictures | None = None
 
     @property
     def settings(self) -> Settings:
         """How the study is run, checked."""
         given, where = self.tuning.objective, f"{self.source}: tuning"
-        if self.pictures is None:
-            names = tuple(check_objective(name, f"{where}.objective") for name in given)
-        else:
-            names = ("line_f1",) if given == Tuning().objective else given
-            for name in names:
-                if name not in LINE_SCORES:
-                    raise InputError(f"{where}.objective: {not_one_of(name, list(LINE_SCORES))}")
+        names = tuple(check_objective(name, f"{where}.objective") for name in given)
         if len(set(names)) < len(names):
             raise InputError(f"{where}.objective: a score is named twice")
         sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
-        trials = TRIALS if self.pictures is None else PICTURE_TRIALS
-        return Settings(names, sampler, self.tuning.trials or trials, self.tuning.seed)
+        return Settings(names, sampler, self.tuning.trials or TRIALS, self.tuning.seed)
 
     @property
     def run(self) -> int | None:
@@ -202,14 +141,10 @@ class Problem:
 
 
 def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
-    """Read an experiment, or a tuning file of either kind. Raises InputError, one line, as
+    """Read an experiment, or a tuning file. Raises InputError, one line, as
     `load_experiment`."""
     path = experiment_path(path)
     content = load_yaml(path, overrides)
-    if "pictures" in content:
-        seen = validated(PictureTuningFile, content, str(path))
-        given = seen.name, seen.description, (), seen.tuning, str(path)
-        return Plan(*given, pictures=seen.pictures)
     if "experiments" not in content:
         return plan_of(make_experiment(content, path.parent, str(path)))
     named = validated(TuningFile, content, str(path))
@@ -235,11 +170,7 @@ def paper_plans(numbers: Sequence[int]) -> list[Plan]:
 
 
 def together(plans: Sequence[Plan]) -> Plan:
-    """One plan for the experiments of several; the tuning section is the first one's. Raises
-    InputError for labelled pictures."""
-    for plan in plans:
-        if plan.pictures is not None:
-            raise InputError(f"{plan.source}: together: does not go with labelled pictures")
+    """One plan for the experiments of several; the tuning section is the first one's."""
     names = [plan.name for plan in plans]
     return Plan(
         "+".join(names) if len("+".join(names)) < 100 else f"{names[0]}+{len(names) - 1}",
@@ -304,12 +235,8 @@ def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
 
 
 def check_plan(plan: Plan) -> str:
-    """Check a plan without reading a recording or looking at a picture; return what it has in a few
-    words. Raises InputError as its search would, for all that shows so early."""
-    if plan.pictures is not None:
-        from egolane_pgm.vision import picture_task
-
-        return picture_task.check(plan)
+    """Check a plan without reading a recording; return what it has in a few words. Raises
+    InputError as its search would, for all that shows so early."""
     spaces = []
     with all_problems() as part:
         with part():

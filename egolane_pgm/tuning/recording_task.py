@@ -163,9 +163,9 @@ def _identity(drive: Drive, data: Sequence[Any]) -> dict[str, Any]:
     if recording.format is not None and recording.format.endswith(OWN_FILES):
         code["format"] = checksum([experiment.folder / recording.format])
     if recording.detector is not None:
-        from egolane_pgm.vision import picture_task
+        from egolane_pgm.vision.detectors.pictures import code_of, detector_of
 
-        code["detector"] = picture_task.code_of(picture_task.detector_of(experiment))
+        code["detector"] = checksum(code_of(detector_of(experiment, "recording")))
     return {
         **{key: content[key] for key in kept},
         "recording": {k: v for k, v in content["recording"].items() if k != "path"},

@@ -148,7 +148,7 @@ class Study:
         by_title = {"": documents} if style == "csv" else study_tables.by_country(documents)
         for title, mine in by_title.items():
             score = next(iter(mine[0]["best"]["values"]))
-            seen = score if score in study_tables.scores_of(mine[0]) else "accuracy"
+            seen = score if score in study_tables.SHOWN else "accuracy"
             parts += [title, Table(*study_tables.parameter_rows(mine, seen), labels=2)]
         if len(documents) == 1:
             parts.append(Table(*study_tables.score_rows(documents[0])))

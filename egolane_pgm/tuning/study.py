@@ -80,11 +80,6 @@ def prepare(
     """
     made = Search(task_of(plan, held_out), directory, storage)
     if test is not None:
-        if (test.pictures is None) != (plan.pictures is None):
-            raise InputError(
-                f"{test.source}: test_on: labelled pictures test a search on labelled pictures, and"
-                " recordings one on recordings"
-            )
         same = {**plan.tuning.model_dump(), "never_fit": test.tuning.never_fit}
         made.test = task_of(with_options(test, same), "none")
         if made.test.space.dimensions != made.task.space.dimensions:

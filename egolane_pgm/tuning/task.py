@@ -1,4 +1,4 @@
-"""What a search searches on: recordings, or pictures whose lines are labelled."""
+"""What a search knows of the recordings that it searches on."""
 
 from __future__ import annotations
 
@@ -76,10 +76,6 @@ def task_of(plan: Plan, held_out: str = "blocks") -> Task:
 
     Raises InputError for whatever does not fit, before anything is computed.
     """
-    if plan.pictures is not None:
-        from egolane_pgm.vision.picture_task import picture_task
-
-        return picture_task(plan, held_out)
     from egolane_pgm.tuning.recording_task import recording_task
 
     return recording_task(plan, held_out)

@@ -218,8 +218,6 @@ def on_fleet(
 ) -> planning.Plan:
     """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of
     its recording."""
-    if plan.pictures is not None:
-        raise InputError(f"{plan.source}: fleet: does not go with labelled pictures")
     if len(plan.experiments) > 1:
         raise InputError(f"{plan.source}: fleet: goes with one experiment; the table has drives")
     (base,) = plan.experiments

@@ -46,7 +46,7 @@ def says(done: Mapping[str, str], given: Mapping[str, Any]) -> str:
 
 def _has(path: str, overrides: Overrides) -> str:
     keys = load_yaml(experiment_path(path), overrides)
-    if "pictures" in keys or "experiments" in keys:
+    if "experiments" in keys:
         return check_plan(load_plan(path, overrides))
     experiment = load_experiment(path, overrides)
     with all_problems() as part:

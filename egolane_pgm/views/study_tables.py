@@ -13,6 +13,9 @@ from egolane_pgm.scoring.confusion import scores_from_confusion
 from egolane_pgm.views.study_trials import Trials, importances
 from egolane_pgm.views.tables import score_text, with_interval
 
+#: The scores in the tables.
+SHOWN = ("accuracy", "f1", "log_loss")
+
 COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
 
 
@@ -99,7 +102,7 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
     for subset, suffix in (("all_frames", ""), ("without_never_fit", ", without never_fit")):
         if subset not in document["in_sample"]:
             continue
-        for score in scores_of(document):
+        for score in SHOWN:
             row = [
                 f"{score}{suffix}",
                 _cell(document["in_sample"], score, subset),
@@ -124,11 +127,6 @@ def importance_line(trials: Trials) -> str | None:
         f"{trials.name}: what sets the best tenth of the trials apart (PED-ANOVA, in-sample):"
         f" {first}{rest}"
     )
-
-
-def scores_of(document: Mapping[str, Any]) -> tuple[str, ...]:
-    """The scores that a study's tables show."""
-    return tuple(document.get("scores", ("accuracy", "f1", "log_loss")))
 
 
 def _searched(document: Mapping[str, Any]) -> list[str]:

@@ -1,9 +1,7 @@
-"""Searches on recordings and on pictures, from end to end: what they say of themselves, and that
-they go on."""
+"""Searches from end to end: what they say of themselves, and that they go on."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +12,12 @@ from egolane_pgm.tuning.plan import Plan, load_plan, with_options
 from egolane_pgm.tuning.study import Search, prepare
 from egolane_pgm.tuning.task import task_of
 from egolane_pgm.types import InputError
-from tests.kits.labelled_pictures import write_stills
 from tests.kits.tuning_kit import QUICKSTART, plan
 
 
-@pytest.fixture(scope="module")
-def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_stills(tmp_path_factory.mktemp("stills"))
-
-
-@pytest.fixture(params=["recordings", "pictures"])
-def plans(request: pytest.FixtureRequest, stills: Path) -> tuple[Plan, Plan]:
-    """What is searched on, and other ones of that kind."""
-    if request.param == "pictures":
-        seen = load_plan(stills)
-        assert seen.pictures is not None
-        others = seen.pictures.model_copy(update={"frames": (1, 6)})
-        return seen, replace(seen, name="others", pictures=others)
+@pytest.fixture
+def plans() -> tuple[Plan, Plan]:
+    """What is searched on, and another one of that kind."""
     other = load_plan(QUICKSTART, {"recording.seed": 1, "name": "other"})
     return plan(trials=35, never_fit=((1100, None),)), other
 
@@ -49,7 +36,7 @@ def test_a_study_reports_in_sample_and_held_out_and_marks_them(
     [(score, best)] = document["best"]["values"].items()
     assert document["in_sample"]["all_frames"][score] == pytest.approx(best)
     subsets = document["in_sample"].keys() - {"tuned_on"}
-    assert ("without_never_fit" in subsets) == (plans[0].pictures is None)
+    assert "without_never_fit" in subsets
     for subset in subsets:
         inside, outside = document["in_sample"][subset], document["held_out"][subset]
         lost = document["difference"][subset][score]
@@ -120,8 +107,3 @@ def test_what_was_found_is_tested_elsewhere(plans: tuple[Plan, Plan], tmp_path: 
     task = task_of(same, "none")
     scores = task.assess(task.answers([document["best"]["point"]]))
     assert document["test"] == {"tuned_on": "other_frames", "name": other.name, **scores}
-
-
-def test_recordings_do_not_test_a_search_on_pictures(stills: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="test_on: labelled pictures test a search on"):
-        prepare(load_plan(stills), tmp_path, "none", plan())
