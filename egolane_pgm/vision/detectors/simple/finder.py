@@ -15,8 +15,8 @@ from egolane_pgm.types import BoolArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.networks import looking
-from egolane_pgm.vision.detectors.networks.finding import Finder
+from egolane_pgm.vision.detectors.networks.finding import PARAMETERS as _NETWORK
+from egolane_pgm.vision.detectors.networks.finding import Finder, keep_on_road
 from egolane_pgm.vision.detectors.simple import drift
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
@@ -41,7 +41,7 @@ PARAMETERS = (
     *_PAINT,
     *TRACKING,
     *drift.PARAMETERS,
-    *looking.PARAMETERS,
+    *_NETWORK,
 )
 
 #: It is said if vehicles seem to hide more than this share of the road in this number of pictures
@@ -94,7 +94,7 @@ def follower(
     rule = rules(parameters, curve=curve)
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
-    keep = looking.keep(camera, parameters)
+    keep = keep_on_road(camera, parameters)
     count_repeats = repeat_counter()
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct" and road is None
