@@ -50,7 +50,6 @@ COMMANDS = {
     "ls": "List graphs, evidence rules, detectors and experiments.",
     "map": "Read the lanes of motorways from an extract of OpenStreetMap.",
     "network": "Write a graph: a picture, or text for other programs.",
-    "network-check": "Say which layout fits an ONNX file, and the YAML to start from.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw the figures of result directories and studies.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",

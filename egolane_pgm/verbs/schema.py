@@ -19,17 +19,15 @@ from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import TuningFile
 from egolane_pgm.verbs.given import Option
-from egolane_pgm.vision.detectors.networks.description import Network
 
 EXAMPLES = ("egolane schema > experiment.schema.json",)
 
-Kind = Literal["experiment", "tuning", "network", "comparison", "reproduction"]
+Kind = Literal["experiment", "tuning", "comparison", "reproduction"]
 
 #: The files that have a schema: what is in them.
 KINDS: dict[Kind, Any] = {
     "experiment": Experiment,
     "tuning": TuningFile,
-    "network": Network,
     "comparison": Comparison,
     "reproduction": Reproduction,
 }
@@ -60,8 +58,8 @@ class _Untitled(GenerateJsonSchema):
 def schema(kind: Annotated[Kind, Option("[KIND]")] = "experiment") -> Mapping[str, Any]:
     """Print the JSON Schema of a YAML file, by which an editor completes and checks its keys.
 
-    KIND is experiment (the default), tuning, or network (which describes a lane network); or
-    comparison or reproduction, which `compare --json` and `reproduce --json` write.
+    KIND is experiment (the default) or tuning; or comparison or reproduction, which
+    `compare --json` and `reproduce --json` write.
 
     An editor with YAML's language server reads the schema where the first line of a YAML is
     `# yaml-language-server: $schema=experiment.schema.json`.

@@ -23,7 +23,11 @@ from egolane_pgm.views.description import (
     description_text,
 )
 
-EXAMPLES = ("egolane show sensor_failure --tables", "egolane show detector:ml --json -")
+EXAMPLES = (
+    "egolane show sensor_failure --tables",
+    "egolane show detector:ml --json -",
+    "egolane show lstr_360x640.onnx > lanes.yaml",
+)
 
 NLanes = Annotated[int, Ge(1), Le(MAX_LANES)]
 
@@ -33,7 +37,8 @@ _KINDS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
 
 def show(
     name: Annotated[
-        StrPath, Option("GRAPH|EVIDENCE|DETECTOR", plugins=("graphs", "evidence", "detectors"))
+        StrPath,
+        Option("GRAPH|EVIDENCE|DETECTOR|FILE", plugins=("graphs", "evidence", "detectors")),
     ],
     *,
     n_lanes: NLanes = 3,
@@ -42,13 +47,20 @@ def show(
     """Show what a graph, an evidence rule or a detector is: nodes, edges, tables, parameters.
 
     A name of `egolane ls`, or a file of your own; `graph:NAME`, `evidence:NAME` or `detector:NAME`
-    says which where it is not clear.
+    says which where it is not clear. Of a lane network (FILE.onnx): its inputs and outputs, the
+    layout that fits, and the YAML to start from.
 
     - n_lanes: number of lanes of the road.
     - tables: print a graph's tables in numbers.
 
     Returns its description. Raises InputError, one line, for whatever does not fit.
     """
+    if path_of(name, "name").endswith(".onnx"):
+        # OpenCV is imported only if it is needed.
+        from egolane_pgm.vision.detectors.networks.checking import describe_onnx
+
+        onnx = Path(path_of(name, "name"))
+        return {"schema_version": SCHEMA_VERSION, "name": str(onnx), "yaml": describe_onnx(onnx)}
     kind, bare = find_plugin(path_of(name, "name"), _KINDS, Path.cwd())
     module = load_plugin(_KINDS[kind], bare, Path.cwd(), kind)
     found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": bare}
@@ -63,6 +75,8 @@ def show(
 
 def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """The description as text."""
+    if "yaml" in done:
+        return str(done["yaml"])
     return description_text({**done, "file": shown(done["file"])})
 
 

@@ -23,7 +23,6 @@ import numpy as np
 
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.tables import markdown
-from egolane_pgm.vision.calibration.labels import label_places, read_labels
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.detectors.runner import find_detector, start
@@ -38,6 +37,7 @@ from makers.camera._following import (
     runs,
     wilson,
 )
+from makers.camera._labels import label_places, read_labels
 from tests.kits import tusimple_metric
 from tests.kits.tusimple_metric import Score
 
@@ -84,7 +84,7 @@ def look_at(
     of BEYOND are tried."""
     stills = tusimple.data_file()
     assert stills is not None
-    camera = tusimple.calibrated(stills)
+    camera = tusimple.CAMERA
     theirs = {_name(frame): frame for frame in read_labels(folder / "mld_output.jsonl")}
     return tuple(
         _look(folder, camera, frame, theirs[_name(frame)], curve, beyond)
@@ -132,7 +132,7 @@ def columns(folder: Path, name: str) -> dict[str, FloatArray]:
     rows."""
     stills = tusimple.data_file()
     assert stills is not None
-    camera = tusimple.calibrated(stills)
+    camera = tusimple.CAMERA
     found = {}
     for frame in read_labels(folder / "labels.jsonl"):
         step = start(find_detector(name, {}, Path(), "clips"), camera)

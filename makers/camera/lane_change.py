@@ -77,10 +77,12 @@ def camera_of(folder: Path, first: int = 50) -> Camera:
     """Calibrated by the command from the lines it finds in the first pictures."""
     masks = [word for hidden in HIDDEN for word in ("--ignore", hidden)]
     with TemporaryDirectory() as place:
+        for picture in sorted(folder.glob("*.jpg"))[:first]:
+            (Path(place) / picture.name).symlink_to(picture)
         return calibrate(
             Path(place) / "camera.yaml",
-            *("--stills", folder / "*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
-            *("--first", first, *masks),
+            *("--stills", f"{place}/*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
+            *masks,
         )
 
 
@@ -152,7 +154,7 @@ def _by_defaults(folder: Path) -> list[str]:
     if ten is None or stills is None:
         return ["With defaults: camera/tusimple_clips or tusimple_frames is absent (EGOLANE_DATA)."]
     drives = [(folder, camera_of(folder), RATE)]
-    drives += [(clip, tusimple.calibrated(stills), clips.RATE) for clip in sorted(ten.glob("*/*/"))]
+    drives += [(clip, tusimple.CAMERA, clips.RATE) for clip in sorted(ten.glob("*/*/"))]
     own = [(place, _own_camera(place), rate) for place, _, rate in drives]
     rows = [
         [name, detector, str(n), *_told(given, curve, n)]

@@ -21,7 +21,6 @@ import numpy as np
 import yaml
 
 from egolane_pgm.views.tables import markdown
-from egolane_pgm.vision.calibration.labels import label_picture, label_places, read_labels
 from egolane_pgm.vision.camera.model import Camera, vanishing_point
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
@@ -32,6 +31,7 @@ from egolane_pgm.vision.detectors.runner import detect, find_detector
 from egolane_pgm.vision.detectors.simple.fit import view_for
 from makers.camera import carnd, clips, lane_change, tusimple
 from makers.camera._following import data_path, runs
+from makers.camera._labels import label_picture, label_places, read_labels
 
 FILE = "networks/lstr_360x640.onnx"
 VIDEO_COLUMNS = ["", "both ego lines", "width", "left, right continuous"]
@@ -61,7 +61,7 @@ def detector(name: str, **given: Any) -> Any:
 
 def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
     """Lines and labels of some of the stills, single frames, as `tusimple.look_at`."""
-    camera, found = tusimple.calibrated(labels), detector("lstr")
+    camera, found = tusimple.CAMERA, detector("lstr")
     parameters = found.parameters
     view = view_for(camera, parameters)
     find = network_finder(camera, read_network(parameters["network"]), parameters)
@@ -94,7 +94,7 @@ def on_clips(folder: Path, name: str, beyond: str = clips.BEYOND[0]) -> np.ndarr
     """(4,): labels found, labels, lines that are labelled, lines, of the last frames, tracked."""
     labels = tusimple.data_file()
     assert labels is not None
-    camera, total = tusimple.calibrated(labels), np.zeros(4)
+    camera, total = tusimple.CAMERA, np.zeros(4)
     for frame in read_labels(folder / "labels.jsonl"):
         clip = Path(frame["raw_file"]).parent
         pictures = read_pictures(open_source(folder / str(clip).removeprefix("clips/")), camera)

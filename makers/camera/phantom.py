@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.vision.calibration.labels import label_picture, read_labels
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
@@ -20,6 +19,7 @@ from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, from_abov
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 from egolane_pgm.vision.detectors.simple.upright import free_road
 from makers.camera import tusimple
+from makers.camera._labels import label_picture, read_labels
 
 #: The still that is drawn.
 DRAWN = 12
@@ -55,7 +55,7 @@ def draw(folder: Path) -> None:
     labels = tusimple.data_file()
     if labels is None:
         return
-    camera = tusimple.calibrated(labels)
+    camera = tusimple.CAMERA
     image = cv2.imread(str(label_picture(read_labels(labels)[DRAWN], labels)))
     assert image is not None
     still = np.asarray(image, dtype=np.uint8)

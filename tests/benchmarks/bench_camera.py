@@ -22,13 +22,13 @@ import cv2
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import InputError
 from egolane_pgm.vision import detectors
-from egolane_pgm.vision.calibration.labels import label_picture, read_labels
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.runner import Detector, find_detector, start
 from egolane_pgm.vision.rendering.render import render_frame
 from egolane_pgm.vision.rendering.scene import make_scene
 from makers.camera import tusimple
+from makers.camera._labels import label_picture, read_labels
 
 HEADER = ("camera picture, 1280x720", "per frame", "frames per second")
 FRAMES = 60
@@ -73,7 +73,7 @@ def _stills() -> tuple[Camera, list[Picture]]:
     assert labels is not None
     files = [label_picture(frame, labels) for frame in read_labels(labels)[: tusimple.HALF]]
     pictures = [Picture(k, cv2.imread(str(file))) for k, file in enumerate(files)]
-    return tusimple.calibrated(labels), pictures
+    return tusimple.CAMERA, pictures
 
 
 def _seconds(detector: Detector, camera: Camera, pictures: Sequence[Picture]) -> float:

@@ -35,11 +35,11 @@ PARAMETERS = (
     Parameter(
         "camera_drift",
         "choice",
-        "warn",
-        "what is done if the camera is no longer pitched as it was calibrated: `warn` once,"
-        " `correct` the pitch as well (with two cameras the plane of the road does), or `ignore` it"
-        " and save the time to look",
-        choices=("warn", "correct", "ignore"),
+        "correct",
+        "what is done if the camera is no longer pitched as it was calibrated: `correct` the pitch"
+        " and warn once (with two cameras the plane of the road corrects it), `warn` only, or"
+        " `ignore` it and save the time to look",
+        choices=("correct", "warn", "ignore"),
     ),
     Parameter(
         "drift_every",
