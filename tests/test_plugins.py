@@ -176,7 +176,7 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
     silent = GRAPH.replace("OBSERVED)", "())").replace("    OBSERVED", "    # OBSERVED")
     for name, text in (("own", said_so), ("plain", PLAIN), ("silent", silent)):
         write(tmp_path / f"{name}.py", text)
-    done("network", tmp_path / "plain.py", tmp_path / "g.bif")
+    done("show", tmp_path / "plain.py", "--out", tmp_path / "g.bif")
     with quiet():
         XMLBIFWriter(read_file(tmp_path / "g.bif")).write(tmp_path / "g.xml")
     beliefs = []
@@ -198,7 +198,7 @@ def test_a_bif_file_with_a_fault_is_refused_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "g.bif").write_text("{'a': 1}")
     said = "g.bif: has no variable; is it a BIF file?"
     assert said in refused("validate", write_drive(tmp_path, 20, graph="./g.bif"))
-    assert said in refused("network", tmp_path / "g.bif", tmp_path / "g.dot")
+    assert said in refused("show", tmp_path / "g.bif", "--out", tmp_path / "g.dot")
 
 
 def test_a_file_that_an_override_names_is_found_from_where_one_stands(

@@ -77,7 +77,7 @@ def experiment_page() -> str:
             "An editor with YAML's language server (VS Code with its YAML extension, Neovim,"
             " JetBrains, ...) completes and checks the keys of a file whose first line names the"
             " schema:",
-            "```\negolane schema > experiment.schema.json\n```",
+            "```\negolane show schema > experiment.schema.json\n```",
             "```yaml\n# yaml-language-server: $schema=experiment.schema.json\nname: my_drive\n"
             "recording: {path: drive.csv}\nn_lanes: 3\n```",
             *schema_tables(json_schema("experiment"), "The file"),
@@ -110,7 +110,7 @@ def yaml_page() -> str:
             "# Keys of the other YAML files",
             "## A tuning file",
             "What `egolane tune FILE` takes: several experiments, or labelled pictures. Its schema"
-            " is printed by `egolane schema tuning`; the section `tuning` is that of"
+            " is printed by `egolane show schema:tuning`; the section `tuning` is that of"
             " [an experiment](experiment.md#tuning).",
             *schema_tables(
                 {"$defs": {k: v for k, v in tuning["$defs"].items() if k != "Tuning"}}, "", 3
@@ -122,8 +122,8 @@ def yaml_page() -> str:
             "What `graph: ./my_graph.yaml` names; `egolane learn` writes one.",
             as_markdown(inspect.getdoc(yaml_graph) or ""),
             "## A lane network",
-            "What the detector `network` takes (`--set model=net.yaml`); `egolane schema network`"
-            " prints its schema.",
+            "What the detector `network` takes (`--set model=net.yaml`); `egolane show"
+            " schema:network` prints its schema.",
             as_markdown(network["description"]),
             keys_table(network, {}),
         ]

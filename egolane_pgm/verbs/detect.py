@@ -69,7 +69,7 @@ def detect(
     `egolane run FILE --n-lanes N` gives the lane.
 
     - camera: the camera's YAML.
-    - detector: `egolane ls` lists them.
+    - detector: `egolane show` lists them.
     - out: where the lines go: .parquet, .csv or .bag.
     - right: those of the second camera.
     - topic: topic of the pictures in a bag.

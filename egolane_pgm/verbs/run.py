@@ -99,8 +99,8 @@ def run(  # type: ignore[misc]
 ) -> Result | DriveTable:
     """Filter a recording, score it where there is ground truth, and list its lane changes.
 
-    EXPERIMENT is a YAML file, or a name that `egolane ls` prints. LINES is a recording of lines; it
-    is run by the experiment zero_label, which needs no label. A recording of many clips (TuSimple's
+    EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines,
+    run by the experiment zero_label, which needs no label. A recording of many clips (TuSimple's
     test labels, folders of CULane or OpenLane) is run clip by clip, with one table.
 
     Several experiments, or one on several recordings, share the jobs; each has its own result

@@ -26,10 +26,8 @@ def completed(*words: str) -> list[str]:
     [
         (("ru",), ["run"]),
         (("compare", "--wi"), ["--with-paper", "--wide"]),
-        (("network", "no"), [n for n in plugin_names("graphs") if n.startswith("no")]),
         (("compare", "--graphs", "no_wor,lane"), ["no_wor,lane_only"]),
         (("detect", "--detector", ""), plugin_names("detectors")),
-        (("show", "counting_"), ["counting_levels"]),
         (("reproduce", "--format", "la"), ["latex"]),
     ],
 )
@@ -38,5 +36,5 @@ def test_names_are_completed(words: tuple[str, ...], expected: list[str]) -> Non
 
 
 def test_names_of_files_are_left_to_the_shell() -> None:
-    for words in (("run", "exp"), ("detect", "--detector", "./my"), ("network", "mine.y")):
+    for words in (("run", "exp"), ("detect", "--detector", "./my"), ("show", "mine.y")):
         assert completed(*words) == [words[-1]]

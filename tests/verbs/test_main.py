@@ -22,7 +22,6 @@ from tests.kits.synthetic_road import write_place
     [
         (("map",), "argument 'FILE'"),
         (("validate",), "argument 'EXPERIMENTS...'"),
-        (("lines", "x.csv"), "option '--frame'"),
         (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
     ],
 )
@@ -39,7 +38,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) ->
     words = (write_drive(labels.parent / "x", 30), "--set", "n_lanes=1000000000")
     for name in ("run", "validate", "learn", "compare", "tune"):
         assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
-    said = refused("network", "lane_only", labels.with_name("n.png"), "--n-lanes", 51)
+    said = refused("show", "lane_only", "--n-lanes", 51)
     assert "'--n-lanes': 51 is not in the range" in said
 
 

@@ -1,4 +1,4 @@
-"""The commands `ls`, `show`, `validate`, `plot` and `network`."""
+"""The commands `show`, `validate` and `plot`."""
 
 from __future__ import annotations
 
@@ -51,36 +51,38 @@ def test_validate_says_which_recording_is_not_there(
     assert "ground_truth.path: rle/" in truth
 
 
-def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(experiments_folder().parent)
-    shown = done("ls").stdout
+    shown = done("show").stdout
     words = " ".join(shown.split())
     assert "wor_direct, wor_levels, wor_on_edge, wor_on_lane" in words
     assert "simulations: a2, a4, quickstart" in words
     assert "experiments/quickstart.yaml simulated drive of two minutes" in words
     assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
     assert "published" not in shown
+    assert done("show", "simulations").stdout == "simulations:  a2, a4, quickstart\n"
 
 
 @pytest.mark.parametrize("graph", ["wor_on_lane", str(EXAMPLES / "my_graph.py")])
 def test_a_graph_is_drawn_by_name_or_file(tmp_path: Path, graph: str) -> None:
     target = tmp_path / "graph.svg"
-    assert done("network", graph, target, "--n-lanes", "2").stdout == f"{target}\n"
+    assert done("show", graph, "--out", target, "--n-lanes", "2").stdout == f"{target}\n"
     assert "SensorState" in target.read_text()
 
 
 def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
     (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
-    said = refused("network", tmp_path / "g.py", tmp_path / "g.svg")
+    said = refused("show", tmp_path / "g.py", "--out", tmp_path / "g.svg")
     assert "g.py, line 3: AttributeError" in said
-    said = refused("network", "no_wor", tmp_path / "g.txt")
+    said = refused("show", "no_wor", "--out", tmp_path / "g.txt")
     assert said.endswith(
         "g.txt: a network is written to a file that ends in .png, .svg, .pdf, .dot, .bif"
     )
-    assert "(did you mean 'no_wor'?)" in refused("network", "no_wro", tmp_path / "g.svg")
+    assert "(did you mean 'no_wor'?)" in refused("show", "no_wro", "--out", tmp_path / "g.svg")
     own = tmp_path / "g.bif"
     own.write_text("")
-    assert "g.bif: is read here" in refused("network", own, own)
+    assert "g.bif: is read here" in refused("show", own, "--out", own)
+    assert "only a graph" in refused("show", "ml", "--out", tmp_path / "g.png")
 
 
 @pytest.mark.parametrize(
@@ -96,10 +98,21 @@ def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
         (str(EXAMPLES / "my_detector.py"), "detector"),
     ],
 )
-def test_whatever_ls_lists_or_one_writes_is_shown(name: str, kind: str) -> None:
+def test_whatever_is_listed_or_one_writes_is_shown(name: str, kind: str) -> None:
     shown = done("show", name).stdout
     assert shown.splitlines()[0] == f"{kind} {name.removeprefix('graph:')}"
     assert "\nparameters" in shown
+
+
+def test_an_experiment_is_shown_with_what_it_includes(drive: Path, tmp_path: Path) -> None:
+    shown = done("show", "run01_italy_ml").stdout
+    assert shown.startswith("experiment run01_italy_ml\n")
+    assert "ground_truth:" in shown
+    keys = json.loads(done("show", drive, "--json", "-").stdout)["keys"]
+    assert keys["recording"]["path"] == "lines.csv"
+    shown = done("show", experiments_folder() / "tuning" / "all_italy.yaml").stdout
+    assert shown.startswith("tuning file all_italy\n")
+    assert "(known: " in refused("show", "schema:x")
 
 
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
@@ -161,7 +174,7 @@ def test_an_override_that_is_none_is_refused(tmp_path: Path, override: str) -> N
 
 
 def test_tuning_files_are_listed_and_checked(tmp_path: Path) -> None:
-    said = done("ls").stdout
+    said = done("show").stdout
     assert "tuning files" in said
     assert "all_italy.yaml" in said.partition("tuning files")[2]
     assert "all_italy.yaml" not in said.partition("tuning files")[0]
