@@ -175,8 +175,6 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
         return []
     given = None if default in (inspect.Parameter.empty, ()) else default
     settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(kinds, extras)}
-    if looks.plugins:
-        settings["shell_complete"] = _plugins(looks.plugins)
     required = looks.required or default is inspect.Parameter.empty
     if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
         nargs = -1 if looks.many else 1
@@ -235,20 +233,6 @@ def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
         return (click.IntRange if first is int else click.FloatRange)(low, high)
     is_path = any(typing.get_origin(each) is os.PathLike for each in kinds)
     return click.Path() if is_path else str
-
-
-def _plugins(folders: Sequence[str]) -> Callable[..., list[CompletionItem]]:
-    """Completes names of the package's plugins, several with commas between them, or of files."""
-
-    def complete(_: click.Context, __: click.Parameter, typed: str) -> list[CompletionItem]:
-        from egolane_pgm.plugins import plugin_names
-
-        *before, last = typed.split(",")
-        known = sorted(name for folder in folders for name in plugin_names(folder))
-        found = [",".join([*before, name]) for name in known if name.startswith(last)]
-        return [*map(CompletionItem, found)] or [CompletionItem(typed, type="file")]
-
-    return complete
 
 
 def _tables() -> list[click.Parameter]:

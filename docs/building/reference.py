@@ -286,6 +286,9 @@ def commands_page() -> str:
         "# Commands",
         "`egolane COMMAND --help` says the same. What a user can mend is said in a line, and the"
         " exit code is 2.",
+        "The tab key completes commands, options and names of files: put `eval"
+        ' "$(_EGOLANE_COMPLETE=bash_source egolane)"` into `~/.bashrc`; of other shells [Click]'
+        "(https://click.palletsprojects.com/en/stable/shell-completion/) has the line.",
     ]
     for name in COMMANDS:
         context = click.Context(egolane, info_name="egolane")

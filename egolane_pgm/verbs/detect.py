@@ -52,7 +52,7 @@ def detect(
     pictures: StrPath,
     *,
     camera: CameraFile,
-    detector: Annotated[StrPath, Option("NAME|FILE.py", plugins=("detectors",))] = "ml",
+    detector: Annotated[StrPath, Option("NAME|FILE.py")] = "ml",
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     right: Annotated[StrPath | None, Option("PICTURES")] = None,
     topic: str | None = None,

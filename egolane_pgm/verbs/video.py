@@ -42,7 +42,7 @@ def video(
     camera: CameraFile,
     detector: Annotated[
         str | None,
-        Option("NAME|FILE.py", plugins=("detectors",), said="the experiment's, or ml"),
+        Option("NAME|FILE.py", said="the experiment's, or ml"),
     ] = None,
     lines: Annotated[str | None, Option("FILE")] = None,
     right: Annotated[str | None, Option("PICTURES")] = None,
