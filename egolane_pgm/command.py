@@ -56,7 +56,6 @@ COMMANDS = {
     "show": "List what there is, or describe it: graphs, rules, detectors, experiments.",
     "simulate": "Simulate a drive, as lines or as pictures.",
     "tune": "Search parameters, and score them on frames they have not seen.",
-    "validate": "Check experiments and tuning files without computing anything.",
     "video": "Draw a drive: pictures, lines, bird's-eye view and belief.",
 }
 

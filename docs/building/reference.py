@@ -72,7 +72,7 @@ def experiment_page() -> str:
         [
             "# Keys of an experiment",
             "An experiment is a YAML file. Unknown keys are refused, with a suggestion; `egolane"
-            " validate FILE` says all that is wrong with one, a line each. Any key can be changed"
+            " run FILE --dry-run` says what is wrong with one, a line each. Any key can be changed"
             " on the command line, `--set parameters.sigma1=0.3`. Paths are relative to the YAML.",
             "An editor with YAML's language server (VS Code with its YAML extension, Neovim,"
             " JetBrains, ...) completes and checks the keys of a file whose first line names the"

@@ -238,7 +238,7 @@ def test_lines_in_metres_need_no_camera(tmp_path: Path, make: Any) -> None:
     experiment = write_experiment(
         tmp_path / "e.yaml", recording={"path": "s"}, ground_truth=None, n_lanes=3
     )
-    done("validate", experiment)
+    done("run", "--dry-run", experiment)
     done("run", experiment, "--no-figures", "--out", tmp_path / "r")
 
 

@@ -21,7 +21,6 @@ from tests.kits.synthetic_road import write_place
     ("words", "missing"),
     [
         (("map",), "argument 'FILE'"),
-        (("validate",), "argument 'EXPERIMENTS...'"),
         (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
     ],
 )
@@ -36,7 +35,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) ->
     )  # fmt: skip
     assert said.endswith("n_lanes: input should be less than or equal to 50 (got 300)")
     words = (write_drive(labels.parent / "x", 30), "--set", "n_lanes=1000000000")
-    for name in ("run", "validate", "learn", "compare", "tune"):
+    for name in ("run", "learn", "compare", "tune"):
         assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
     said = refused("show", "lane_only", "--n-lanes", 51)
     assert "'--n-lanes': 51 is not in the range" in said

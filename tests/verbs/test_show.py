@@ -1,4 +1,4 @@
-"""The commands `show`, `validate` and `plot`."""
+"""The commands `show`, `plot` and `run --dry-run`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.paper import paper_experiment
@@ -33,20 +32,20 @@ def test_several_results_make_one_sheet(drive: Path, tmp_path: Path) -> None:
     assert all((tmp_path / "figures" / name).is_file() for name in figures)
 
 
-def test_every_experiment_of_the_paper_validates(recordings: Path) -> None:
+def test_a_dry_run_checks_every_experiment_of_the_paper(recordings: Path) -> None:
     paths = [paper_experiment(number) for number in range(1, 11)]
-    lines = done("validate", *paths).stdout.splitlines()
+    lines = done("run", "--dry-run", *paths).stdout.splitlines()
     assert [line.partition(":")[0] for line in lines] == [str(path) for path in paths]
     assert lines[0].endswith("ok (4 lanes, 8 joint states)")
     assert lines[9].endswith("ok (3 lanes, 6 joint states)")
 
 
-def test_validate_says_which_recording_is_not_there(
+def test_a_dry_run_says_which_recording_is_not_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("EGOLANE_DATA", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    recording, truth = problems("validate", paper_experiment(1))
+    recording, truth = problems("run", "--dry-run", paper_experiment(1))
     assert "recording.path: rle/special" in recording
     assert "ground_truth.path: rle/" in truth
 
@@ -164,43 +163,32 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
 )
 def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "e.yaml").write_text(text)
-    assert refused("validate", tmp_path / "e.yaml").startswith(f"{tmp_path / 'e.yaml'}: {said}")
+    assert refused("run", "--dry-run", tmp_path / "e.yaml").startswith(
+        f"{tmp_path / 'e.yaml'}: {said}"
+    )
 
 
 @pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=[", "n_lanes.x=1"])
 def test_an_override_that_is_none_is_refused(tmp_path: Path, override: str) -> None:
     experiment = write_drive(tmp_path, 20)
-    assert refused("validate", experiment, "--set", override).startswith(f"--set: {override}: ")
+    assert refused("run", "--dry-run", experiment, "--set", override).startswith(
+        f"--set: {override}: "
+    )
 
 
-def test_tuning_files_are_listed_and_checked(tmp_path: Path) -> None:
+def test_tuning_files_are_listed_apart() -> None:
     said = done("show").stdout
-    assert "tuning files" in said
     assert "all_italy.yaml" in said.partition("tuning files")[2]
     assert "all_italy.yaml" not in said.partition("tuning files")[0]
-    write_drive(tmp_path, 60)
-    path = tmp_path / "tuning.yaml"
-
-    def write(**tuning: object) -> None:
-        content = {"name": "both", "experiments": ["experiment.yaml"], "tuning": tuning}
-        path.write_text(yaml.safe_dump(content))
-
-    write(parameters={"p1": 0.9})
-    assert f"{path}: ok (1 experiment(s), " in done("validate", path).stdout
-    write(parameters={"p11": 0.9})
-    assert f"{path}: tuning.parameters" in refused("validate", path)
-    write(objective="acuracy")
-    assert "did you mean 'accuracy'" in refused("validate", path)
-    write(parameters={"p1": 0.9})
-    (tmp_path / "lines.csv").unlink()
-    assert "recording.path: lines.csv: no such file" in refused("validate", path)
 
 
 def test_only_a_recording_that_is_missing_is_said_to_be_fetched(tmp_path: Path) -> None:
     path = write_place(tmp_path, 2) / "run.yaml"
-    said = refused("validate", path, "--set", "recording.camera=none.yaml")
+    said = refused("run", "--dry-run", path, "--set", "recording.camera=none.yaml")
     assert "recording.camera: none.yaml: no such file" in said
     assert "data fetch" not in said
-    assert "data fetch" not in refused("validate", path, "--set", "recording.path=none.mp4")
+    assert "data fetch" not in refused("run", "--dry-run", path, "--set", "recording.path=none.mp4")
     bare = write_drive(tmp_path / "x", 30)
-    assert "run `egolane data fetch`" in refused("validate", bare, "--set", "recording.path=no.csv")
+    assert "run `egolane data fetch`" in refused(
+        "run", "--dry-run", bare, "--set", "recording.path=no.csv"
+    )
