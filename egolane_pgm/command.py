@@ -41,7 +41,7 @@ COMMANDS = {
     "convert": "Convert a recording of lines to .bag, .csv or .parquet.",
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
-    "export": "Write a result for a viewer: Foxglove, PlotJuggler, rerun.",
+    "export": "Write a result as MCAP for Foxglove and PlotJuggler.",
     "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",

@@ -480,11 +480,10 @@ class Experiment(Section):
         " probable each of the n lanes is",
         examples=[3, [0, 0, 1, 1]],
     )
-    evidence_reading: Literal["soft", "hard", "jeffrey"] = Field(
+    evidence_reading: Literal["soft", "hard"] = Field(
         default="soft",
-        description="how the evidence of a frame is read: as a likelihood (`soft`), by its most"
-        " probable value alone (`hard`), or as what the observed node is believed to be after the"
-        " frame (`jeffrey`: Jeffrey's rule)",
+        description="how the evidence of a frame is read: as a likelihood (`soft`), or by its most"
+        " probable value alone (`hard`)",
     )
     unassigned_below: float = Field(
         default=0.0,
@@ -556,13 +555,6 @@ class Experiment(Section):
             raise ValueError("filter fixed_lag needs a number of frames to wait, e.g. lag: 10")
         if value is not None and chosen != "fixed_lag":
             raise ValueError(f"only filter fixed_lag waits, filter {chosen} has no lag")
-        return value
-
-    @field_validator("evidence_reading")
-    @classmethod
-    def _reading_that_fits(cls, value: str, info: ValidationInfo) -> str:
-        if value == "jeffrey" and info.data.get("filter") in ("smoothed", "fixed_lag"):
-            raise ValueError("jeffrey goes with filter assumed_density or exact only")
         return value
 
     @field_validator("decode")

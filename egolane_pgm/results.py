@@ -372,7 +372,7 @@ class Result:
           takes seconds for hundreds of frames.
 
         Raises InputError for frames that there are not, and where the evidence was not kept (in a
-        result that was read) or is no likelihood (evidence_reading jeffrey).
+        result that was read).
         """
         if not evidence:
             if first is not None or last is not None:

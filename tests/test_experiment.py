@@ -107,7 +107,7 @@ def test_every_key_that_does_not_fit_is_named_at_once() -> None:
         recording={"path": "a.bag", "frame_rate": -1, "missing_frames": "hol", "frame": [0, 9]},
         n_lanes=3.5,
         filter="fixed_lag",
-        evidence_reading="jeffrey",
+        evidence_reading="herd",
         tuning={"blocks": 1, "sampling": "tpe"},
         learning="yes",
         parameters={"sigma1": 0.3},
@@ -118,7 +118,7 @@ def test_every_key_that_does_not_fit_is_named_at_once() -> None:
         "recording.missing_frames: 'hol' is not one of skip, hold, predict (did you mean 'hold'?)",
         "n_lanes: input should be a valid integer (got 3.5)",
         "lag: filter fixed_lag needs a number of frames to wait, e.g. lag: 10 (got None)",
-        "evidence_reading: jeffrey goes with filter assumed_density or exact only (got 'jeffrey')",
+        "evidence_reading: 'herd' is not one of soft, hard (did you mean 'hard'?)",
         "learning: needs keys and values (got 'yes')",
         "tuning.blocks: input should be greater than or equal to 2 (got 1)",
     ]

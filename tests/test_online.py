@@ -39,7 +39,7 @@ LINE = {"offset_m": -1.8, "is_valid": True, "is_continuous": False, "lri": 10}
         ("skip", "assumed_density", {}),
         ("hold", "exact", {}),
         ("predict", "assumed_density", {"evidence_reading": "hard"}),
-        ("predict", "exact", {"evidence_reading": "jeffrey"}),
+        ("predict", "exact", {}),
         ("skip", "exact", {"recording__lri": "clip"}),
     ],
 )

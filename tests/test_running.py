@@ -415,7 +415,6 @@ def test_a_fixed_lag_run_waits_so_many_frames(tmp_path: Path) -> None:
         ("start_lane=[0,0,0]", "start_lane: the lanes' probabilities are not negative, and"),
         ("lag=3", "lag: only filter fixed_lag waits, filter assumed_density has no lag (got 3)"),
         ("filter=fixed_lag lag=-1", "lag: input should be greater than or equal to 0 (got -1)"),
-        ("filter=smoothed evidence_reading=jeffrey", "jeffrey goes with filter assumed_density or"),
         ("filter=smoothed decode=viterbi unassigned_below=0.5", "a path has a lane"),
         ("decode=viterbi", "decode: viterbi knows the whole drive"),
     ],
@@ -424,34 +423,6 @@ def test_keys_that_do_not_fit_together_are_refused(tmp_path: Path, changes: str,
     experiment = write_drive(tmp_path, 20)
     options = [word for change in changes.split() for word in ("--set", change)]
     assert said in refused("run", experiment, *options)
-
-
-def test_evidence_read_by_jeffreys_rule_gives_other_beliefs_and_no_stop_at_gaps(
-    tmp_path: Path,
-) -> None:
-    """A frame put in by `predict` says nothing: the belief spreads, it is not made uniform."""
-    experiment = write_drive(
-        tmp_path, evidence_reading="jeffrey", recording__missing_frames="predict"
-    )
-    log = short_drive().log
-    write_table(tmp_path / "lines.csv", log.take(~np.isin(log.frame_id, (50, 51))))
-    run = run_experiment(experiment)
-    right = filter_beliefs(
-        run.model.compiled, read_evidence(run.evidence, "jeffrey"), "assumed_density"
-    )
-    np.testing.assert_array_equal(run.beliefs.lane, right.lane)
-    soft = run_experiment(
-        load_experiment(experiment).model_copy(update={"evidence_reading": "soft"})
-    )
-    assert np.abs(run.beliefs.lane - soft.beliefs.lane).max() > 0.1
-    missing = np.flatnonzero(run.lines.is_missing)
-    assert len(missing) == 2
-    before = run.beliefs.lane[missing[0] - 1]
-    # One step of the lane dynamics by itself.
-    from egolane_pgm.graphs.shared_parameters import f_table
-
-    moved = before @ f_table("sigma1", 3, run.model.parameters)
-    np.testing.assert_allclose(run.beliefs.lane[missing[0]], moved, rtol=0, atol=1e-12)
 
 
 def test_a_decoded_run_answers_the_most_probable_path_beside_the_smoothed_belief(

@@ -87,7 +87,7 @@ def numbers(content: Any) -> Any:
     [
         ("csv", "skip", True, {}),
         ("bag", "hold", False, {"filter": "exact", "evidence_reading": "hard"}),
-        ("parquet", "predict", True, {"evidence_reading": "jeffrey", "recording__lri": "clip"}),
+        ("parquet", "predict", True, {"recording__lri": "clip"}),
         ("parquet", "hold", True, {"unassigned_below": 0.7, "recording__frames": [10, 130]}),
         ("mcap", "predict", True, POSITION),
         ("csv", "skip", False, POSITION),

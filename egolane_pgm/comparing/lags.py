@@ -45,8 +45,7 @@ def lagged_beliefs(result: Result, lags: Sequence[float]) -> list[FloatArray]:
     seconds, with what was found without each block. The recording is read for it; the evidence is
     made once for all lags, and only once where nothing is fitted.
 
-    Raises InputError where the recording cannot be read, or the evidence is not a likelihood
-    (`evidence_reading: jeffrey`).
+    Raises InputError where the recording cannot be read.
     """
     drive = load_drive(result.experiment, needs_truth="a comparison scores against it")
     experiment, rate = drive.experiment, result.run["frame_rate"]

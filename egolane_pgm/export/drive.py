@@ -13,10 +13,8 @@ from numpy.typing import NDArray
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.results import LINES, Result, read_result
 from egolane_pgm.types import (
-    DATED_S,
     SIDES,
     UNASSIGNED,
-    BoolArray,
     FloatArray,
     InputError,
     IntArray,
@@ -55,14 +53,12 @@ class Drive:
 
     - events: the lane changes in the beliefs of the whole drive.
     - time_ns (T,): when the frames were; strictly increasing.
-    - is_dated: whether the times are since 1970, instead of since some moment of the drive.
     - pictures: those of its camera; None where there are none.
     """
 
     result: Result
     events: LaneEvents
     time_ns: IntArray
-    is_dated: bool
     pictures: Source | None
 
     def __len__(self) -> int:
@@ -76,16 +72,14 @@ class Drive:
             if len(names) <= MOST_VALUES
         }
 
-    def lane_curves(self) -> dict[str, tuple[NDArray[np.int64], BoolArray]]:
-        """The lanes over time by name, (T,), 0 for Unassigned, and in which frames they are
-        known."""
-        result, always = self.result, np.ones(len(self), dtype=bool)
-        curves = {"model": (result.assigned_lane, always)}
+    def lane_curves(self) -> dict[str, NDArray[np.int64]]:
+        """The lanes over time by name, (T,), 0 for Unassigned or not annotated."""
+        result = self.result
+        curves = {"model": result.assigned_lane}
         if result.detector_lane is not None:
-            curves["detector"] = (result.detector_lane, always)
-        known = result.true_lane != UNASSIGNED
-        if known.any():
-            curves["truth"] = (result.true_lane, known)
+            curves["detector"] = result.detector_lane
+        if (result.true_lane != UNASSIGNED).any():
+            curves["truth"] = result.true_lane
         return curves
 
     def lines_at(self, t: int) -> list[tuple[float, Colour, bool, bool]]:
@@ -174,10 +168,10 @@ def open_drive(
             stacklevel=2,
         )
     source = open_source(pictures) if pictures is not None else _pictures(result)
-    return Drive(result, events, *_clock(result), source)
+    return Drive(result, events, _clock(result), source)
 
 
-def _clock(result: Result) -> tuple[IntArray, bool]:
+def _clock(result: Result) -> IntArray:
     # Seconds since 1970 in a float are good to a microsecond.
     whole = np.floor(result.time_s)
     part = np.round((result.time_s - whole) * 1e6).astype(np.int64) * 1000
@@ -189,7 +183,7 @@ def _clock(result: Result) -> tuple[IntArray, bool]:
             f"{result.directory}: frame {int(result.frame_id[k])} is at {result.time_s[k]:g} s,"
             " which is before 0 or not after the frame before; a viewer needs times that increase"
         )
-    return time_ns, bool(len(time_ns)) and float(result.time_s[0]) >= DATED_S
+    return time_ns
 
 
 def _pictures(result: Result) -> Source | None:

@@ -116,7 +116,7 @@ def _messages(drive: Drive, t: int, now: int) -> Iterator[tuple[str, Content]]:
             for k, name in enumerate(names)
         },
     )
-    yield "/lanes", {name: int(lane[t]) for name, (lane, _) in drive.lane_curves().items()}
+    yield "/lanes", {name: int(lane[t]) for name, lane in drive.lane_curves().items()}
     if result.tentative is not None:
         yield (
             "/detector",

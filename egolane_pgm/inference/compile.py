@@ -503,8 +503,7 @@ def _joined(
     tables: Mapping[SliceNode, Table], observed: Sequence[Observed], emissions: Collection[str]
 ) -> list[list[Observed]]:
     """Evidence keys that must share one emission table: those whose plain emissions are linked by
-    an edge or by a common virtual-evidence node. In the order declared: Jeffrey's rule does not
-    commute."""
+    an edge or by a common virtual-evidence node. In the order declared."""
     clusters: list[tuple[set[str], list[int]]] = []
     for k, key in enumerate(observed):
         linked = {n for n in _names(key) if n in emissions}

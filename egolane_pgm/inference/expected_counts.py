@@ -66,8 +66,8 @@ def expected_counts(
       known.
     - is_first (T,): True where a sequence begins; by default the first frame only.
 
-    Raises InputError for evidence that does not fit the network, or is read by Jeffrey's rule, and
-    for known values of a node that is not hidden.
+    Raises InputError for evidence that does not fit the network, and for known values of a node
+    that is not hidden.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"

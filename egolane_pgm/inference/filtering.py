@@ -23,12 +23,10 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.jeffrey import run_jeffrey
 from egolane_pgm.inference.kernels.banded import Band, forward_banded
 from egolane_pgm.inference.kernels.filter import forward_kernel, likelihood_kernel, multiply_chosen
 from egolane_pgm.inference.layout import (
     FilterState,
-    PosteriorEvidence,
     evidence_blocks,
     joint_input,
     layout,
@@ -46,7 +44,7 @@ from egolane_pgm.types import (
 )
 
 METHODS = ("assumed_density", "exact")
-READINGS = ("soft", "hard", "jeffrey")
+READINGS = ("soft", "hard")
 
 #: Kernels are compiled for the sizes of networks with at most this many joint states, ...
 MAX_FIXED_STATES = 16
@@ -100,10 +98,6 @@ def step(
     joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
     begins = np.zeros(n_frames, dtype=bool)
     begins[:1] = state is None
-    if isinstance(evidence, PosteriorEvidence):
-        whole, log_evidence, flags = run_jeffrey(compiled, evidence, begins, joint, is_factored)
-        marginals = marginals_of(compiled, whole)
-        return FilterState(joint), Beliefs(ids, marginals, log_evidence, flags, compiled.values)
     index = joint_input(compiled, evidence)
     done = []
     for piece in _pieces(n_frames, piece_frames(compiled)):
@@ -118,13 +112,11 @@ def step(
 
 def read_evidence(evidence: Evidence, reading: str) -> Evidence:
     """The evidence as the filter takes it (section "Inference"): `soft` as it is, a likelihood;
-    `hard` only its most probable value; `jeffrey` as the posterior of the observed node. A tie has
-    no most probable value: all that share it are kept as equals.
+    `hard` only its most probable value. A tie has no most probable value: all that share it are
+    kept as equals.
     """
     if reading == "soft":
         return evidence
-    if reading == "jeffrey":
-        return PosteriorEvidence(evidence.likelihoods, evidence.inputs)
     if reading != "hard":
         raise InputError(f"evidence reading '{reading}'{suggestion(reading, READINGS)}")
     hard: dict[Observed, FloatArray] = {}

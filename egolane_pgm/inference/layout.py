@@ -11,21 +11,10 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.banded import Band, find_band
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
+from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 #: With more joint states than this, sums along the axes are quicker than a product of matrices.
 MAX_MATRIX_STATES = 256
-
-
-@dataclass(frozen=True)
-class PosteriorEvidence(Evidence):
-    """Evidence that is read by Jeffrey's rule (`jeffrey`). A row says how probable each value of
-    the observed node is after the frame, up to a factor; a row of nothing but ones says nothing."""
-
-    def take(self, frames: slice | IntArray | BoolArray) -> PosteriorEvidence:
-        """The evidence of some frames, in order."""
-        some = super().take(frames)
-        return PosteriorEvidence(some.likelihoods, some.inputs)
 
 
 @dataclass(frozen=True)
@@ -121,15 +110,7 @@ def evidence_blocks(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> list[FloatArray]:
     """The evidence of each group of observed nodes in some frames, (T, K): the product over the
-    group's keys for all values of its nodes. The evidence fits the network (`joint_input`).
-
-    Raises InputError for evidence that is read by Jeffrey's rule.
-    """
-    if isinstance(evidence, PosteriorEvidence):
-        raise InputError(
-            "evidence read by Jeffrey's rule is no likelihood: only the filters exact and"
-            " assumed_density take it; use evidence_reading soft or hard here"
-        )
+    group's keys for all values of its nodes. The evidence fits the network (`joint_input`)."""
     blocks = []
     for group in compiled.groups:
         block = evidence.likelihoods[group.observed[0]][frames]

@@ -85,7 +85,7 @@ def pass_forward(
 
     - before (S,): the joint belief after the frame before, None where the sequence begins.
 
-    Raises InputError as `filter_beliefs`, and for evidence that is read by Jeffrey's rule.
+    Raises InputError as `filter_beliefs`.
     """
     index = joint_input(compiled, evidence)
     begins = np.zeros(len(evidence), dtype=bool)

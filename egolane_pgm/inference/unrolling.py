@@ -11,7 +11,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import step
-from egolane_pgm.inference.layout import FilterState, PosteriorEvidence, check_keys
+from egolane_pgm.inference.layout import FilterState, check_keys
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
@@ -56,8 +56,7 @@ def unrolled(
     after the last. The evidence of impossible frames is not among `given`, as the filter leaves it
     out.
 
-    Raises InputError for frames that there are not, for evidence that does not fit the network, and
-    for posteriors (evidence that is read by Jeffrey's rule).
+    Raises InputError for frames that there are not, and for evidence that does not fit the network.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -67,11 +66,6 @@ def unrolled(
     ['Lane@39', 'Lane@40', 'Lane@41']
     """
     compiled = model if isinstance(model, Compiled) else model.compiled
-    if isinstance(evidence, PosteriorEvidence):
-        raise InputError(
-            "evidence read by Jeffrey's rule is no likelihood, a network cannot hold it; use"
-            " evidence_reading soft or hard"
-        )
     check_keys(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     start, stop = _position(ids, first), _position(ids, last) + 1

@@ -169,8 +169,6 @@ def test_what_has_no_lags_is_refused_in_one_line(tmp_path: Path) -> None:
     assert refused("compare", path, "--lags=-1") == "--lags: -1 s must not be negative"
     bare = write_drive(tmp_path / "bare", ground_truth=None)
     assert "ground_truth: is missing" in refused("compare", bare, "--lags", "1")
-    said = refused("compare", path, "--lags", "1", "--set", "evidence_reading=jeffrey")
-    assert "experiment.yaml: lags: evidence read by Jeffrey's rule is no likelihood" in said
 
 
 def test_the_function_has_the_table_and_the_figure(tmp_path: Path) -> None:

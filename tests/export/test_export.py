@@ -1,14 +1,11 @@
-"""Results as files of viewers, read again by each format's own reader."""
+"""Results as MCAP files, read again by the format's own reader."""
 
 from __future__ import annotations
 
 import base64
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import cv2
 import jsonschema
@@ -20,7 +17,6 @@ from mcap.reader import SeekingReader
 import egolane_pgm as ego
 from egolane_pgm.command import egolane
 from egolane_pgm.export.drive import Drive, open_drive
-from egolane_pgm.export.layouts import foxglove_layout, plotjuggler_layout
 from egolane_pgm.export.mcap_file import write_mcap
 from egolane_pgm.recordings import write_lines
 from egolane_pgm.simulation import simulate
@@ -163,32 +159,6 @@ def test_pictures_stand_at_the_time_of_their_frame(written: Messages) -> None:
         assert abs(float(image.mean()) - grey) < 2
 
 
-def test_layouts_name_topics_and_keys_that_the_file_has(drive: Drive, written: Messages) -> None:
-    found = written
-    layout = json.loads(foxglove_layout(drive))
-    curves = [
-        path["value"] for panel in layout["configById"].values() for path in panel.get("paths", ())
-    ]
-    root = ElementTree.fromstring(plotjuggler_layout(drive).split("\n", 1)[1])
-    names = [curve.attrib["name"] for curve in root.iter("curve")]
-    assert [curve.replace(".", "/") for curve in curves] == names
-    for name in names:
-        _, topic, key = name.split("/")
-        assert key in found[f"/{topic}"][0][1]
-    placed: list[str] = []
-
-    def walk(part: Any) -> None:
-        if isinstance(part, str):
-            placed.append(part)
-        else:
-            walk(part["first"])
-            walk(part["second"])
-
-    walk(layout["layout"])
-    assert sorted(placed) == sorted(layout["configById"])
-    assert layout["configById"]["Image!picture"]["imageMode"]["imageTopic"] in found
-
-
 def test_some_frames_alone_are_shown_as_in_the_whole_drive(result: Path, drive: Drive) -> None:
     some = open_drive(result, frames=(20, 30))
     assert some.result.frame_id.tolist() == list(range(20, 30))
@@ -205,29 +175,6 @@ def test_some_frames_alone_are_shown_as_in_the_whole_drive(result: Path, drive: 
         open_drive(result, frames=(500, 600))
 
 
-# --- rerun ---------------------------------------------------------------------------------------
-
-
-def test_a_rerun_file_is_whole_and_has_what_was_believed(drive: Drive, tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason="rerun, the extra [rerun]")
-    from egolane_pgm.export.rerun_file import write_rrd
-
-    file = tmp_path / "out.rrd"
-    counts = write_rrd(file, drive)
-    assert counts["picture"] == 3
-    assert counts["lanes/truth"] == 199
-    program = Path(sys.executable).with_name("rerun")
-    told = subprocess.run(
-        [program, "rrd", "verify", file], capture_output=True, text=True, timeout=120
-    )
-    assert told.returncode == 0, told.stderr
-    told = subprocess.run(
-        [program, "rrd", "print", "-vv", file], capture_output=True, text=True, timeout=120
-    )
-    for entity in counts:
-        assert f"/{entity}" in told.stdout, entity
-
-
 # --- the command ---------------------------------------------------------------------------------
 
 
@@ -242,15 +189,10 @@ def refused(*words: object) -> str:
     return line
 
 
-def test_the_command_writes_file_and_layouts(result: Path, tmp_path: Path) -> None:
-    layouts = tmp_path / "a.json", tmp_path / "a.xml"
-    done = export(
-        result, tmp_path / "out.mcap", "--layout", layouts[0], "--layout", layouts[1],
-        "--frames", 10, 20,
-    )  # fmt: skip
+def test_the_command_writes_the_file(result: Path, tmp_path: Path) -> None:
+    done = export(result, tmp_path / "out.mcap", "--frames", 10, 20)
     assert done.exit_code == 0, done.output
     assert "out.mcap: /belief 10, /birdseye 10" in done.output
-    assert all(file.stat().st_size > 500 for file in layouts)
     assert not done.stderr
 
 
@@ -258,10 +200,6 @@ def test_what_cannot_be_exported_is_said_in_a_line(result: Path, tmp_path: Path)
     assert "unknown extension; take .mcap" in refused(result, tmp_path / "out.bag")
     assert "is not a result directory" in refused(tmp_path, tmp_path / "out.mcap")
     out = tmp_path / "out.mcap"
-    assert "take .json (Foxglove), .xml (PlotJuggler)" in refused(result, out, "--layout", "a.yaml")
     assert "is an empty range" in refused(result, out, "--frames", 5, 5)
     assert "no such video" in refused(result, out, "--pictures", tmp_path / "gone")
-    if sys.modules.get("rerun"):
-        said = refused(result, tmp_path / "out.rrd", "--layout", "a.json")
-        assert "an .rrd has its layout in it" in said
     assert not list(tmp_path.iterdir())

@@ -16,7 +16,7 @@ from egolane_pgm.graphs.cpds import Table, declare, dynamics, previous, prior, w
 from egolane_pgm.inference import filtering
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.expected_counts import FREE, expected_counts
-from egolane_pgm.inference.filtering import METHODS, filter_beliefs, read_evidence, step
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs, step
 from egolane_pgm.inference.kernels import banded
 from egolane_pgm.inference.layout import layout
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
@@ -157,17 +157,6 @@ def test_filters_are_right(method: str, kind: int, seed: int) -> None:
         state, part = step(compiled, state, evidence.take(slice(t, t + 1)), method)
         parts.append(part)
     assert_right(Beliefs.joined(parts), right)
-
-
-@every_method
-@some
-@given(kind=networks, seed=seeds)
-def test_jeffreys_rule_is_right(method: str, kind: int, seed: int) -> None:
-    compiled, evidence = case(kind, seed)
-    right = right_of(lambda: exact.beliefs(compiled, exact.jeffrey(compiled, evidence, method)))
-    posterior = read_evidence(evidence, "jeffrey")
-    assert_right(filter_beliefs(compiled, posterior, method), right)
-    assert_right(reference.filter_beliefs(compiled, posterior, method), right)
 
 
 @some

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from egolane_pgm.graphs.cpds import SliceNode, Table, declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.expected_counts import FREE, Expected, counted_tables, expected_counts
-from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.types import Evidence, InputError, IntArray
 from tests.conformance.networks import (
@@ -245,12 +245,6 @@ def test_functions_and_tables_that_an_input_selects_are_not_counted() -> None:
     small = {**{p.name: p.default for p in module.PARAMETERS}, "cells": 2, "motion_bins": 3}
     compiled = compiled_graph(module, 2, small)
     assert counted_tables(compiled) == {}
-
-
-def test_evidence_read_by_jeffreys_rule_is_no_likelihood_to_learn_from() -> None:
-    compiled, _, evidence, _ = drawn_case(1, 5)
-    with pytest.raises(InputError, match="Jeffrey's rule"):
-        expected_counts(compiled, read_evidence(evidence, "jeffrey"))
 
 
 def test_known_values_of_a_node_that_is_not_hidden_are_refused() -> None:

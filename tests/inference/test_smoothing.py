@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import compile, with_tables
-from egolane_pgm.inference.filtering import filter_beliefs, read_evidence
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
 from egolane_pgm.inference.smoothing import (
     LagState,
@@ -301,7 +301,5 @@ def test_what_cannot_be_smoothed_is_refused_in_a_line() -> None:
         infer_beliefs(compiled, evidence, "fixed_lag")
     with pytest.raises(InputError, match="lag -1: must not be negative"):
         fixed_lag_beliefs(compiled, evidence, -1)
-    with pytest.raises(InputError, match="Jeffrey's rule is no likelihood"):
-        smooth_beliefs(compiled, read_evidence(evidence, "jeffrey"))
     with pytest.raises(InputError, match="one frame at a time, got 3"):
         lag_step(compiled, None, evidence, 2)

@@ -1,5 +1,5 @@
-"""Answers about whole drives by adding up every trajectory, in plain loops: what the smoothers, the
-most probable path and Jeffrey's rule are checked against."""
+"""Answers about whole drives by adding up every trajectory, in plain loops: what the smoothers and
+the most probable path are checked against."""
 
 from __future__ import annotations
 
@@ -10,15 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.types import Beliefs, Evidence
+from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     _assignments,
     _likelihood,
     _marginal,
     _size,
     _weight,
-    nodes_across,
-    product_of,
 )
 
 #: The assignment of every node in every frame, and its probability with the evidence.
@@ -79,58 +77,3 @@ def enumerated_paths(
     for path, weight in paths:
         weights[tuple(tuple(values[name] for name in hidden) for values in path)].append(weight)
     return {states: math.fsum(parts) for states, parts in weights.items()}
-
-
-def enumerated_jeffrey(
-    tables: Sequence[Table],
-    hidden: Sequence[str],
-    order: Sequence[str | tuple[str, ...]],
-    evidence: Evidence,
-    method: str,
-) -> Beliefs:
-    """The filters with the evidence read by Jeffrey's rule: for each observed node in `order`,
-    every trajectory is weighted by q(o) / P(o), o being the node's value in it."""
-    persistent = nodes_across(tables)
-    slices = [[t for t in tables if t.node[1] == s] for s in (0, 1)]
-    paths: list[Weighted] = [((), 1.0)]
-    marginals: dict[str, list[np.ndarray]] = {name: [] for name in hidden}
-    log_evidence, flags = [], []
-    for t in range(len(evidence)):
-        predicted = extend(paths, slices[min(t, 1)], evidence, t)
-        total = math.fsum(weight for _, weight in predicted)
-        paths = predicted = [(path, weight / total) for path, weight in predicted]
-        log_total, is_impossible = 0.0, False
-        for key in order:
-            names = (key,) if isinstance(key, str) else key
-            values = evidence.likelihoods[key][t]
-            if (values == 1).all() and values.size > 1:
-                continue
-            expected = np.zeros(values.shape)
-            for path, weight in paths:
-                expected[tuple(path[-1][n] for n in names)] += weight
-            q = np.where(expected > 0, values, 0.0)
-            if not q.sum() > 0:
-                is_impossible = True
-                break
-            log_total += math.log((values / values.sum() * expected).sum())
-            q = q / q.sum()
-            paths = [
-                (path, weight * q[at] / expected[at])
-                for path, weight in paths
-                if q[at := tuple(path[-1][n] for n in names)] > 0
-            ]
-        if is_impossible:
-            paths, log_total = predicted, 0.0
-        flags.append(is_impossible)
-        log_evidence.append(log_total)
-        now = {n: _marginal(paths, n, _size(tables, n)) for n in {*hidden, *persistent}}
-        for name in hidden:
-            marginals[name].append(now[name])
-        if method == "assumed_density":
-            paths = product_of({name: now[name] for name in persistent})
-    return Beliefs(
-        np.arange(len(evidence)),
-        {name: np.stack(rows) for name, rows in marginals.items()},
-        np.array(log_evidence),
-        np.array(flags),
-    )

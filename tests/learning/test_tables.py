@@ -449,12 +449,6 @@ def test_a_graph_without_a_table_to_learn_is_refused(tmp_path: Path) -> None:
     assert "nor can the graph ./g.yaml" in said
 
 
-def test_evidence_read_by_jeffreys_rule_cannot_be_learned_from(tmp_path: Path) -> None:
-    said = refused("learn", write_drive(tmp_path, 30, evidence_reading="jeffrey"))
-    assert "Jeffrey's rule" in said
-    assert "evidence_reading soft or hard" in said
-
-
 def test_what_a_rule_learned_is_written_with_four_digits(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"

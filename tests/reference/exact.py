@@ -150,51 +150,6 @@ def forward(
     return Exact(filtered, given, index, np.array(log_evidence), is_impossible)
 
 
-def jeffrey(compiled: Compiled, evidence: Evidence, method: str) -> Exact:
-    """The filter that reads the evidence by Jeffrey's rule (`egolane_pgm.inference.jeffrey`)."""
-    filtered, is_impossible, log_evidence = [], [], []
-    joint: Row | None = None
-    index = joint_input(compiled, evidence)
-    for t, u in enumerate(index):
-        predicted = moved(compiled, u, joint)
-        # P(state, column of each group so far), groups one after the other: as a group's nodes are
-        # independent of the others' given the state, its columns are summed out behind it.
-        belief, agreement = predicted, Decimal(1)
-        for group in compiled.groups:
-            mass = [
-                [p * e for e in numbers(row)] for p, row in zip(belief, group.emission, strict=True)
-            ]
-            for k, key in enumerate(group.observed):
-                values = evidence.likelihoods[key][t]
-                if (values == 1).all() and values.size > 1:
-                    continue
-                q, column = numbers(values), columns(group, k)
-                total = sum(q, Decimal(0))
-                expected = [Decimal(0)] * len(q)
-                for row in mass:
-                    for c, m in zip(column, row, strict=True):
-                        expected[c] += m
-                all_expected = sum(expected, Decimal(0))
-                possible = sum((a for a, b in zip(q, expected, strict=True) if b > 0), Decimal(0))
-                if not agreement or not possible:
-                    agreement = Decimal(0)
-                    break
-                agreement *= sum((a * b for a, b in zip(q, expected, strict=True)), Decimal(0)) / (
-                    total * all_expected
-                )
-                ratio = [
-                    a / possible / (b / all_expected) if b > 0 else Decimal(0)
-                    for a, b in zip(q, expected, strict=True)
-                ]
-                mass = [[m * ratio[c] for c, m in zip(column, row, strict=True)] for row in mass]
-            belief = [sum(row, Decimal(0)) for row in mass]
-        is_impossible.append(not agreement)
-        log_evidence.append(logarithm(agreement) if agreement else 0.0)
-        filtered.append(kept(normalised(belief if agreement else predicted)))
-        joint = carried(compiled, filtered[t], method)
-    return Exact(filtered, [], index, np.array(log_evidence), is_impossible)
-
-
 def smoothed(compiled: Compiled, passed: Exact, lag: int) -> list[Row]:
     """The joint belief about each frame given `lag` later ones. States that the filter takes for
     impossible are so here."""

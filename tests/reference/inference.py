@@ -14,7 +14,7 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, Expected
 from egolane_pgm.inference.kernels.filter import LEAST
-from egolane_pgm.inference.layout import FilterState, PosteriorEvidence, joint_input
+from egolane_pgm.inference.layout import FilterState, joint_input
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
 
 #: The largest likelihood of a frame: those that matter have the whole range of numbers.
@@ -50,14 +50,11 @@ def _filter(
     frame_id: IntArray | None,
 ) -> tuple[FilterState, Beliefs]:
     joint = None if state is None else state.joint
-    if isinstance(evidence, PosteriorEvidence):
-        filtered, log_evidence, is_impossible, last = jeffrey(compiled, evidence, method, joint)
-    else:
-        likelihood, log_scale = state_likelihood(compiled, evidence)
-        index = joint_input(compiled, evidence)
-        filtered, log_evidence, is_impossible, last = forward(
-            compiled, likelihood, log_scale, index, method, joint
-        )
+    likelihood, log_scale = state_likelihood(compiled, evidence)
+    index = joint_input(compiled, evidence)
+    filtered, log_evidence, is_impossible, last = forward(
+        compiled, likelihood, log_scale, index, method, joint
+    )
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     marginals = marginals_of(compiled, filtered)
     return FilterState(last), Beliefs(ids, marginals, log_evidence, is_impossible)
@@ -160,51 +157,6 @@ def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]
         name: joint @ np.eye(compiled.cardinality[name])[compiled.node_value[name]]
         for name in compiled.hidden
     }
-
-
-def jeffrey(
-    compiled: Compiled, evidence: PosteriorEvidence, method: str, joint: FloatArray | None
-) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray]:
-    """As `forward`, with evidence read by Jeffrey's rule, one observed node after the other."""
-    filtered = np.empty((len(evidence), compiled.n_states))
-    log_evidence = np.zeros(len(evidence))
-    is_impossible = np.zeros(len(evidence), dtype=bool)
-    for t, u in enumerate(joint_input(compiled, evidence)):
-        predicted = _log_predicted(compiled, u, joint)
-        of_group = np.zeros((len(compiled.groups), compiled.n_states))
-        log_total = 0.0
-        for g, group in enumerate(compiled.groups):
-            table = logarithms(group.emission)
-            factor = np.zeros(group.sizes)
-            others = predicted + np.delete(of_group, g, axis=0).sum(axis=0)
-            for key, axes in zip(group.observed, group.axes, strict=True):
-                values = evidence.likelihoods[key][t]
-                if is_impossible[t] or ((values == 1).all() and values.size > 1):
-                    continue
-                q = logarithms(values)
-                mass = _log_sum(others[:, None] + table, axis=0).reshape(group.sizes) + factor
-                rest = tuple(k for k in range(len(group.sizes)) if k not in axes)
-                order = np.argsort(np.argsort(axes))
-                expected = (
-                    _log_sum(mass, axis=rest).transpose(order) if rest else (mass.transpose(order))
-                )
-                possible = expected > -np.inf
-                shared = np.where(possible, q, -np.inf)
-                agreement = _log_sum(shared + np.where(possible, expected, 0.0))
-                if agreement == -np.inf:
-                    is_impossible[t] = True
-                    continue
-                log_total += float(agreement - _log_sum(q) - _log_sum(expected))
-                ratio = shared - _log_sum(shared) - np.where(possible, expected, 0.0)
-                shape = [n if k in axes else 1 for k, n in enumerate(group.sizes)]
-                factor = factor + ratio.transpose(np.argsort(axes)).reshape(shape)
-            of_group[g] = _log_sum(table + factor.reshape(-1), axis=1)
-        weighted = predicted if is_impossible[t] else predicted + of_group.sum(axis=0)
-        joint = filtered[t] = _kept(np.exp(weighted - _log_sum(weighted)))
-        log_evidence[t] = 0.0 if is_impossible[t] else log_total
-        if method == "assumed_density":
-            joint = product_of_marginals(compiled, joint)
-    return filtered, log_evidence, is_impossible, np.zeros(0) if joint is None else joint.copy()
 
 
 def smooth_beliefs(compiled: Compiled, evidence: Evidence) -> Beliefs:

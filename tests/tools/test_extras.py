@@ -19,7 +19,7 @@ from egolane_pgm.vision.detectors.networks.onnx_file import weight_files
 from tests.kits.tiny_result import a_result
 
 #: The modules that import an extra's packages when they are imported themselves.
-AT_ONCE = ("page.document", "page.timeline", "export.mcap_file", "export.rerun_file")
+AT_ONCE = ("page.document", "page.timeline", "export.mcap_file")
 
 
 def exported(file: Path) -> None:
@@ -44,7 +44,6 @@ def position(_: Path) -> None:
         ("bokeh", "a.html", a_result().report, "a page of results needs bokeh|page"),
         ("jinja2", "a.html", a_result().report, "a page of results needs jinja2|page"),
         ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
-        ("rerun", "a.rrd", exported, "an .rrd file needs rerun|rerun"),
         ("osmium", "a.osm", load_map, "{} needs osmium|maps"),
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),
         ("pynmea2", "a.nmea", read_positions, "{} needs pynmea2|maps"),

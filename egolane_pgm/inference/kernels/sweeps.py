@@ -1,13 +1,11 @@
-"""What goes over the frames besides the forward recursion, compiled: smoothing backwards, the most
-probable path, and the filter that reads evidence by Jeffrey's rule."""
+"""What goes over the frames besides the forward recursion, compiled: smoothing backwards and the
+most probable path."""
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from egolane_pgm.inference.kernels.filter import LEAST, product_of_marginals
+from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
@@ -163,91 +161,3 @@ def best_path(
         path[t] = state
         state = came_from[t, state]
     return total
-
-
-@kernel()
-def jeffrey_frames(
-    joint: FloatArray,
-    begins: BoolArray,
-    is_factored: bool,
-    prior: FloatArray,
-    transition: FloatArray,
-    index: IntArray,
-    emission: FloatArray,
-    group_start: IntArray,
-    posterior: FloatArray,
-    is_said: BoolArray,
-    key_start: IntArray,
-    key_group: IntArray,
-    key_value: IntArray,
-    column: IntArray,
-    beliefs: FloatArray,
-    log_evidence: FloatArray,
-    is_impossible: BoolArray,
-) -> None:
-    """Filter T frames, the evidence read by Jeffrey's rule, one observed node (of N) after the
-    other. What is not named here is as in the recursion of `forward_kernel`.
-
-    emission (S, K): the groups' tables side by side, group g in group_start[g]:
-        group_start[g + 1].
-    posterior (T, V): per node the probabilities of its values, in key_start[i]:
-        key_start[i + 1], summing to one. is_said (T, N): False where the frame says nothing about
-        the node.
-    key_group (N,): which group the node belongs to. key_value (N, K): the node's value in each
-        column of the emissions.
-    log_evidence (T,): written; 0 in impossible frames.
-    """
-    n_states = joint.shape[0]
-    n_groups = group_start.shape[0] - 1
-    n_keys = key_group.shape[0]
-    factor = np.empty(emission.shape[1])
-    of_group = np.empty((n_groups, n_states))
-    predicted = np.empty(n_states)
-    for t in range(posterior.shape[0]):
-        u = index[t]
-        predicted[:] = prior[u] if begins[t] else np.dot(joint, transition[u])
-        factor[:] = 1.0
-        of_group[:, :] = 1.0
-        is_impossible[t] = False
-        log_evidence[t] = 0.0
-        for i in range(n_keys):
-            if not is_said[t, i]:
-                continue
-            g, first = key_group[i], key_start[i]
-            expected = np.zeros(key_start[i + 1] - first)
-            for s in range(n_states):
-                weight = predicted[s]
-                for h in range(n_groups):
-                    if h != g:
-                        weight *= of_group[h, s]
-                for k in range(group_start[g], group_start[g + 1]):
-                    expected[key_value[i, k]] += weight * emission[s, k] * factor[k]
-            total, agreement, possible = 0.0, 0.0, 0.0
-            for v in range(expected.shape[0]):
-                if expected[v] >= LEAST:
-                    said = posterior[t, first + v]
-                    total += expected[v]
-                    agreement += said * expected[v]
-                    possible += said
-            if not agreement >= LEAST:
-                is_impossible[t] = True
-                break
-            log_evidence[t] += math.log(agreement / total)
-            for k in range(group_start[g], group_start[g + 1]):
-                v = key_value[i, k]
-                said = posterior[t, first + v] / possible
-                factor[k] *= said * (total / expected[v]) if expected[v] >= LEAST else 0.0
-            for s in range(n_states):
-                of_group[g, s] = 0.0
-                for k in range(group_start[g], group_start[g + 1]):
-                    of_group[g, s] += emission[s, k] * factor[k]
-        belief = beliefs[t]
-        belief[:] = predicted
-        for g in range(n_groups):
-            belief *= of_group[g]
-        is_impossible[t] = is_impossible[t] or not belief.sum() >= LEAST
-        if is_impossible[t]:
-            belief[:] = predicted
-            log_evidence[t] = 0.0
-        belief /= belief.sum()
-        joint[:] = product_of_marginals(belief, column) if is_factored else belief
