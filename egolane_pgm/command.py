@@ -113,8 +113,8 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
             _invoke(verb, {key: _given(hints.get(key), key, v) for key, v in values.items()}, says)
         except InputError as error:
             # What a Python caller knows as a parameter is an option here.
-            lines = (_LEADING.sub(lambda m: names.get(m[0], m[0]), line) for line in error.lines)
-            raise InputError(*lines) from error
+            said = _LEADING.sub(lambda m: names.get(m[0], m[0]), str(error))
+            raise InputError(said) from error
 
     return click.Command(name, callback=callback, params=params, help=text)
 
@@ -381,8 +381,7 @@ class _Group(click.Group):
             click.echo(f"egolane: interrupted; {kept}", err=True)
             ctx.exit(130)
         except InputError as error:
-            for line in error.lines:
-                click.echo(f"egolane: {line}", err=True)
+            click.echo(f"egolane: {error}", err=True)
             ctx.exit(2)
         except click.UsageError as error:
             if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):

@@ -52,7 +52,6 @@ from egolane_pgm.types import (
     IntArray,
     LaneTruth,
     LineLog,
-    all_problems,
 )
 from egolane_pgm.vision.detectors.pictures import Pictures
 
@@ -179,13 +178,10 @@ def load_recording(
 def check_sources(experiment: Experiment) -> None:
     """Raise InputError, naming the YAML file and key, for a recording or ground truth that is not
     there, or a format or simulation that does not exist. No file is read."""
-    with all_problems() as part:
-        with part():
-            source_of(experiment).check()
-        for key in ("ground_truth.path", "road"):
-            if getattr(experiment, key.partition(".")[0]) is not None:
-                with part():
-                    find_named(experiment, key)
+    source_of(experiment).check()
+    for key in ("ground_truth.path", "road"):
+        if getattr(experiment, key.partition(".")[0]) is not None:
+            find_named(experiment, key)
 
 
 def with_own_rate(experiment: Experiment, read: Read | None = None) -> Experiment:
@@ -450,20 +446,12 @@ def open_drive(
     clips: whether the recording may be of several clips.
     check: raises InputError for what is not done with the experiment.
 
-    Raises InputError, a line each, for all that is wrong with the experiment, its model and the
-    names of its files; and as `load_recording` does.
+    Raises InputError for what is wrong with the experiment or its model, and as `load_recording`
+    does.
     """
-    with all_problems() as part:
-        with part():
-            check(experiment)
-        model: Model | None = None
-        with part():
-            experiment = with_map(experiment)
-            model = prepare_model(experiment)
-        if model is None and recorded is None and read is None:
-            with part():
-                check_sources(experiment)
-    assert model is not None
+    check(experiment)
+    experiment = with_map(experiment)
+    model = prepare_model(experiment)
     if recorded is None:
         source = source_of(experiment)
         if read is None and isinstance(source, LinesFile):
@@ -504,20 +492,18 @@ def load_drive(
         has_truth = experiment.ground_truth is not None or brings is not None
 
     def check(experiment: Experiment) -> None:
-        source, problems = experiment.source, []
+        source = experiment.source
         if experiment.gnss is not None:
-            problems.append(
+            raise InputError(
                 f"{source}: gnss: positions are for `egolane run`; here leave them out (gnss: null)"
             )
         if experiment.decode != "marginal":
-            problems.append(
+            raise InputError(
                 f"{source}: decode: {experiment.decode} is for `egolane run`; here beliefs are"
                 " scored (decode: marginal)"
             )
         if needs_truth is not None and not has_truth:
-            problems.append(f"{source}: ground_truth: is missing, {needs_truth}")
-        if problems:
-            raise InputError(*problems)
+            raise InputError(f"{source}: ground_truth: is missing, {needs_truth}")
 
     drive = open_drive(experiment, recorded=recorded, read=read, check=check)
     truth = drive.recorded.truth

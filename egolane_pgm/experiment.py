@@ -1,6 +1,6 @@
 """An experiment is a YAML file: it names the recording, the rule by which lines become evidence,
 the graph and the parameters. This module checks the keys, `model` then the parameters of plugins.
-All keys that do not fit are named at once, a line each.
+A key that does not fit is named in one line.
 
 Two keys are not the experiment's own. `include: other.yaml` takes the keys that the YAML lacks from
 a file beside it (`load_yaml`). `version: 1`, which may be left out, says which version of the keys
@@ -638,7 +638,7 @@ def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
       YAML. A dict adds its keys to those of a section, and an empty one empties it; None takes a
       key, or a section, away. Its values may be NumPy's, tuples or paths.
 
-    Raises InputError, a line that names file and key for everything that does not fit.
+    Raises InputError, a line that names file and key, for what does not fit.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -753,7 +753,7 @@ def _merged(
 def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
     """Make an experiment from the keys of a YAML file; its paths are relative to `folder`.
 
-    Raises InputError for every key that does not fit.
+    Raises InputError for a key that does not fit.
     """
     experiment = validated(Experiment, content, source)
     experiment._folder = Path(folder)
@@ -762,11 +762,11 @@ def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Ex
 
 
 def validated(model: type[AnySection], content: Mapping[str, Any], source: str) -> AnySection:
-    """Make a section from some keys. Raises InputError for every one that does not fit."""
+    """Make a section from some keys. Raises InputError for the first one that does not fit."""
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise InputError(*(f"{source}: {line}" for line in _problems(error, model))) from None
+        raise InputError(f"{source}: {_first_problem(error, model)}") from None
     except RecursionError:
         raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
 
@@ -845,27 +845,16 @@ def _found_from_here(key: str, value: Any) -> Any:
     return str(Path(value).absolute()) if is_named and os.path.exists(value) else value
 
 
-def _problems(error: ValidationError, model: type[Section]) -> list[str]:
-    """pydantic's complaints, a line each. Unknown keys come first, with a suggestion, and what they
-    seem to mean is not said to be missing."""
+def _first_problem(error: ValidationError, model: type[Section]) -> str:
+    """pydantic's first complaint. An unknown key goes before others, with a suggestion."""
     problems = error.errors(include_url=False)
-    hints = {
-        problem["loc"]: suggestion(str(problem["loc"][-1]), _section_at(model, problem["loc"]))
-        for problem in problems
-        if problem["type"] == "extra_forbidden"
-    }
-    lines = []
-    for (*above, key), hint in hints.items():
-        prefix = f"{'.'.join(map(str, above))}: " if above else ""
-        lines.append(f"{prefix}unknown key '{key}'{hint}")
     for problem in problems:
-        # A section as a whole has no key.
-        *above, key = problem["loc"] or ("",)
-        meant = f"(did you mean '{key}'?)"
-        is_meant = any(list(loc[:-1]) == above and meant in hint for loc, hint in hints.items())
-        if problem["type"] != "extra_forbidden" and not (problem["type"] == "missing" and is_meant):
-            lines.append(_problem(problem))
-    return lines
+        if problem["type"] == "extra_forbidden":
+            *above, key = problem["loc"]
+            prefix = f"{'.'.join(map(str, above))}: " if above else ""
+            known = _section_at(model, problem["loc"])
+            return f"{prefix}unknown key '{key}'{suggestion(str(key), known)}"
+    return _problem(problems[0])
 
 
 def _section_at(model: type[Section], loc: Sequence[int | str]) -> Iterable[str]:

@@ -29,7 +29,7 @@ from egolane_pgm.running import OneOfSeveral, plan_runs
 from egolane_pgm.scoring.bootstrap import over_drives
 from egolane_pgm.tools.files import read_parquet, read_text, read_yaml, write_parquet
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import InputError, all_problems, problems_in, suggestion
+from egolane_pgm.types import InputError, problems_in, suggestion
 
 #: The columns that are no keys of an experiment.
 _OWN = ("name", "recording", "ground_truth", "camera", "detector", "n_lanes")
@@ -204,16 +204,14 @@ def experiments_of(
 
     - overrides: keys that were overridden in the base.
 
-    Raises InputError for all rows that do not fit.
+    Raises InputError for a row that does not fit.
     """
     drives = read_fleet(os.fspath(fleet))
     found = []
-    with all_problems() as part:
-        for drive in drives:
-            with part():
-                placed = drive_experiment(base, drive, overrides)
-                # A drive may be what the base was tuned on, under another name too.
-                found.append(placed.model_copy(update={"tuned_on": base.tuned_on}))
+    for drive in drives:
+        placed = drive_experiment(base, drive, overrides)
+        # A drive may be what the base was tuned on, under another name too.
+        found.append(placed.model_copy(update={"tuned_on": base.tuned_on}))
     return drives, found
 
 

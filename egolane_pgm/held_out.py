@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -44,20 +44,6 @@ _TIMED = 3
 Fit = Callable[[Drive, IntArray, int], Found]
 
 
-@dataclass(frozen=True)
-class Search:
-    """How `fit: tune` searches, as far as the experiment does not say it.
-
-    - trials_per_number: the trials of each block's search for each number that is searched, so
-      that models with more numbers are searched as well; None for the experiment's `tuning.trials`,
-      else TRIALS.
-    - seed: None for the experiment's.
-    """
-
-    trials_per_number: int | None = None
-    seed: int | None = None
-
-
 def run_held_out(
     experiment: Experiment, *, n_blocks: int = N_BLOCKS, read: Read | None = None
 ) -> Result:
@@ -89,16 +75,14 @@ def held_out_result(
     drive: Drive,
     *,
     n_blocks: int = N_BLOCKS,
-    search: Search | None = None,
     done: Callable[[], object] = int,
 ) -> Result:
     """`run_held_out` of a drive.
 
-    - search: how `fit: tune` searches.
     - done: is called after each fit.
     """
     experiment = drive.experiment
-    fit, facts = _fit_of(drive, search or Search())
+    fit, facts = _fit_of(drive)
     notes: list[str] = []
     if experiment.fit != "none" and drive.recorded.truth is not None:
         notes += blocks_lacking_lanes(drive, n_blocks)
@@ -181,11 +165,11 @@ def _result(drive: Drive, believed: Believed, block: IntArray, said: Mapping[str
 # --- what is fitted ----------------------------------------------------------------------------
 
 
-def _fit_of(drive: Drive, search: Search) -> tuple[Fit, dict[str, Any]]:
+def _fit_of(drive: Drive) -> tuple[Fit, dict[str, Any]]:
     """How the experiment finds parameters, and what run.json says of that."""
     experiment, model = drive.experiment, drive.model
     if experiment.fit == "tune":
-        problem = _problem(drive, search)
+        problem = _problem(drive)
         return _searcher(problem), {
             "free_parameters": len(problem.space),
             "fixed_parameters": problem.spaces[0].n_fixed,
@@ -213,7 +197,7 @@ def _searcher(problem: Problem) -> Fit:
     return fit
 
 
-def _problem(drive: Drive, how: Search) -> Problem:
+def _problem(drive: Drive) -> Problem:
     """What a search is to find for a drive. Raises InputError for an experiment that cannot be
     searched."""
     experiment = drive.experiment
@@ -224,11 +208,6 @@ def _problem(drive: Drive, how: Search) -> Problem:
             f"{experiment.source}: tuning.search: detector: goes with `egolane tune`, not with"
             " fit: tune"
         )
-    seed = tuning.seed if how.seed is None else how.seed
-    tuning = tuning.model_copy(update={"trials": tuning.trials or TRIALS, "seed": seed})
+    tuning = tuning.model_copy(update={"trials": tuning.trials or TRIALS})
     plan = Plan(experiment.name, "", (experiment,), tuning, experiment.source)
-    problem = problem_of(plan, [drive])
-    if how.trials_per_number is None:
-        return problem
-    trials = how.trials_per_number * len(problem.space)
-    return replace(problem, settings=replace(problem.settings, trials=trials))
+    return problem_of(plan, [drive])

@@ -1,16 +1,9 @@
-"""Lane labels of a recording that nobody annotated, and which of them a human should look at.
+"""Lane labels of a recording that nobody annotated, and the segments in which they are not sure.
 
-A labeller is not in a hurry, so it knows the whole recording: the beliefs are smoothed, and where
-the evidence rule estimates a lane width, it does so from all frames.
-
-The labels are the most probable path through the smoothed beliefs over lanes (Viterbi's recursion
-on posterior probabilities: Fariselli, Martelli and Casadio 2005). It differs from the most probable
-lane of each frame in that a lane change happens once, also where the car stays on the line for
-seconds and the belief hovers about a half. The most probable path of the joint state
-(`inference.viterbi`) is the second opinion: one story out of many, it may hold a lane for minutes
-that the belief hardly gives a chance. Where it says another lane, the review list tells.
-
-The confidence of a frame is the smoothed probability of its label.
+The experiment is run smoothed, and an estimated lane width comes from all frames. The labels are
+the most probable path through the smoothed beliefs over lanes (Viterbi's recursion on posterior
+probabilities: Fariselli, Martelli and Casadio 2005). It differs from the most probable lane of each
+frame in that a lane change happens once, also while the belief hovers about a half.
 """
 
 from __future__ import annotations
@@ -18,47 +11,28 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.drive import ONE_DRIVE, Recorded, may_fit
-from egolane_pgm.evidence.line_geometry.habits import is_placed
-from egolane_pgm.evidence.line_geometry.lane_width import lane_width
-from egolane_pgm.evidence.line_geometry.model import LANE_M
-from egolane_pgm.evidence.lines_beside import own_lane_m
+from egolane_pgm.drive import ONE_DRIVE, Recorded
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
-from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.recordings import check_one_drive
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
 from egolane_pgm.running import run_experiment
-from egolane_pgm.scoring.probabilistic import answers_curve
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.tools.files import plain
-from egolane_pgm.types import (
-    NOTE,
-    BoolArray,
-    FloatArray,
-    InputError,
-    IntArray,
-    LaneTruth,
-    LineLog,
-    joined,
-    not_one_of,
-    runs_of,
-)
+from egolane_pgm.tools.files import plain, write_text
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth, joined
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
-    from matplotlib.figure import Figure
 
-#: Frames whose label has a smaller probability are looked at.
+#: Labels with a smaller probability are not sure.
 BELOW = 0.99
 
 #: The weight of a path that changes lane once more, per frame in which it could. Between .1 and
@@ -68,62 +42,19 @@ CHANGE_WEIGHT = 0.01
 #: Without a position in the lane, frames within this time of a lane change are crossing, seconds.
 BESIDE_S = 1.0
 
-#: Stretches that are closer to each other are looked at together, seconds.
+#: Segments that are closer to each other are one, seconds.
 JOIN_S = 1.0
-
-#: What holds in this share of a stretch's frames is said of it.
-SOME = 0.25
-
-#: A lane that reaches this probability in a stretch is in question there.
-QUESTIONED = 0.05
-
-#: A note says that lines of the own lane are missing while others are seen if that is so in this
-#: share of the frames. It is on each drive of the paper's Italian multi-lane detector (.42 to .69;
-#: ten recordings and the benchmark's public part), and on no other (.26; simple ones .14).
-HOLED = 0.3
-
-#: Shares of the frames, the surest ones, whose accuracy is reported.
-SHARES = (1.0, 0.98, 0.95, 0.9)
-
-
-@dataclass(frozen=True)
-class Stretch:
-    """Frames in a row that a human should look at.
-
-    - start, stop: the row of its first frame, and the one after its last.
-    - first, last: frame ids. first_s, last_s: seconds.
-    - lanes: those that are in question.
-    - lowest: the lowest confidence.
-    - expected_wrong: the sum of what the confidences lack to one: how many of the frames are wrong
-      if the model is right.
-    - why: what makes them hard, where that can be said.
-    """
-
-    start: int
-    stop: int
-    first: int
-    last: int
-    first_s: float
-    last_s: float
-    lanes: tuple[int, ...]
-    lowest: float
-    expected_wrong: float
-    why: str
-
-    def __len__(self) -> int:
-        return self.stop - self.start
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Labels:
-    """The labels of T frames, and which of them a human should look at.
+    """The labels of T frames.
 
     - run: the experiment, smoothed.
     - lane (T,): 1 (leftmost) to n.
     - possible (T, n): marks the label's lane and, while the car crosses a line, the lane on the
       line's other side.
-    - story (T,): the lane on the most probable path of the joint state.
-    - below: frames with less confidence are reviewed.
+    - below: labels with a smaller probability are not sure.
 
     >>> import egolane_pgm as ego
     >>> labels = ego.label(experiment="zero_label", overrides={"recording.frames": [0, 300]})
@@ -134,101 +65,15 @@ class Labels:
     run: Result
     lane: IntArray
     possible: BoolArray
-    story: IntArray
     below: float
 
     def __len__(self) -> int:
         return len(self.lane)
 
     @property
-    def frame_id(self) -> IntArray:
-        """(T,)."""
-        return self.run.frame_id
-
-    @property
-    def lines(self) -> LineLog:
-        """Of T frames."""
-        assert self.run.lines is not None
-        return self.run.lines
-
-    @property
-    def is_crossing(self) -> BoolArray:
-        """(T,): marks frames in which the car crosses a line on its way to another lane."""
-        return np.asarray(self.possible.sum(axis=1) > 1)
-
-    @cached_property
-    def confidence(self) -> FloatArray:
-        """(T,): the smoothed probability of the label."""
-        return self.run.beliefs.lane[np.arange(len(self)), self.lane - 1]
-
-    @cached_property
-    def on_line(self) -> FloatArray | None:
-        """(T,): the probability that the car is on a line; None where the graph cannot tell."""
-        return crossing_probability(self.run.beliefs.marginals)
-
-    @property
-    def is_doubtful(self) -> BoolArray:
-        """(T,): marks frames whose confidence is too low. While the car crosses a line both lanes
-        are right, so that their probabilities count together."""
-        return np.asarray((self.run.beliefs.lane * self.possible).sum(axis=1) < self.below)
-
-    @property
-    def truth(self) -> LaneTruth:
-        """The labels as what a ground-truth file says."""
-        return LaneTruth(self.frame_id, self.lane, self.is_crossing, "labels")
-
-    @cached_property
-    def review(self) -> tuple[Stretch, ...]:
-        """The stretches that a human should look at, in their order."""
-        time_s = self.run.time_s
-        return tuple(self.stretch(a, b) for a, b in joined(self.is_doubtful, time_s, JOIN_S))
-
-    @property
-    def is_reviewed(self) -> BoolArray:
-        """(T,): marks the frames of these stretches."""
-        found = np.zeros(len(self), dtype=bool)
-        for each in self.review:
-            found[each.start : each.stop] = True
-        return found
-
-    @property
-    def worst(self) -> list[Stretch]:
-        """The stretches, those first in which most frames are expected to be wrong."""
-        return sorted(self.review, key=lambda each: -each.expected_wrong)
-
-    def stretch(self, start: int, stop: int) -> Stretch:
-        """What there is to say about the frames in some rows."""
-        log, rows = self.lines, slice(start, stop)
-        belief, confidence = self.run.beliefs.lane[rows], self.confidence[rows]
-        questioned = belief.max(axis=0) >= QUESTIONED
-        questioned[self.lane[rows] - 1] = True
-        questioned[np.argsort(belief[np.argmin(confidence)])[-2:]] = True
-        return Stretch(
-            start,
-            stop,
-            int(log.frame_id[start]),
-            int(log.frame_id[stop - 1]),
-            float(log.time_s[start]),
-            float(log.time_s[stop - 1]),
-            tuple(int(k) + 1 for k in np.flatnonzero(questioned)),
-            float(confidence.min()),
-            float((1 - confidence).sum()),
-            "; ".join(_reasons(self, rows)),
-        )
-
-    def stretches(self, marked: BoolArray) -> list[Stretch]:
-        """The runs of marked frames, (T,)."""
-        return [self.stretch(a, b) for a, b in runs_of(marked)]
-
-    @property
     def name(self) -> str:
         """The name of the experiment."""
         return self.run.experiment.name
-
-    @cached_property
-    def scores(self) -> dict[str, Any]:
-        """See `label_scores`; empty without ground truth."""
-        return label_scores(self)
 
     @property
     def notes(self) -> list[str]:
@@ -236,108 +81,99 @@ class Labels:
         return self.run.notes
 
     @property
+    def frame_id(self) -> IntArray:
+        """(T,)."""
+        return self.run.frame_id
+
+    @property
+    def is_crossing(self) -> BoolArray:
+        """(T,): marks frames in which the car crosses a line on its way to another lane."""
+        return np.asarray(self.possible.sum(axis=1) > 1)
+
+    @property
+    def confidence(self) -> FloatArray:
+        """(T,): the smoothed probability of the label."""
+        return self.run.beliefs.lane[np.arange(len(self)), self.lane - 1]
+
+    @property
+    def truth(self) -> LaneTruth:
+        """The labels as what a ground-truth file says."""
+        return LaneTruth(self.frame_id, self.lane, self.is_crossing, "labels")
+
+    def segments(self) -> pd.DataFrame:
+        """A row per segment whose labels are not sure: `first_frame`, `last_frame`, `first_s`,
+        `last_s`, `frames` and `lowest_confidence`.
+
+        While the car crosses a line both lanes are right, so their probabilities are added.
+        """
+        import pandas as pd
+
+        is_unsure = (self.run.beliefs.lane * self.possible).sum(axis=1) < self.below
+        ids, time_s = self.frame_id, self.run.time_s
+        rows = [
+            (ids[a], ids[b - 1], time_s[a], time_s[b - 1], b - a, self.confidence[a:b].min())
+            for a, b in joined(is_unsure, time_s, JOIN_S)
+        ]
+        names = ["first_frame", "last_frame", "first_s", "last_s", "frames", "lowest_confidence"]
+        return pd.DataFrame(rows, columns=names)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """A row per frame, by `frame_id`: `lane`, `confidence`, `is_crossing` and `time_s`."""
+        import pandas as pd
+
+        columns: dict[str, Any] = {"lane": self.lane, "confidence": self.confidence}
+        columns |= {"is_crossing": self.is_crossing, "time_s": self.run.time_s}
+        return pd.DataFrame(columns, index=pd.Index(self.frame_id, name="frame_id"))
+
+    @property
     def document(self) -> dict[str, Any]:
         """What `egolane label --json` writes."""
-        from egolane_pgm.views.label_tables import review_row
-
         return {
             "schema_version": SCHEMA_VERSION,
             "name": self.name,
             "n_lanes": self.run.experiment.n_lanes,
             "frames": len(self),
             "below": self.below,
-            "reviewed": float(self.is_reviewed.mean()),
-            "review": [review_row(each) for each in self.review],
-            "doubted": [review_row(each) for each in self.stretches(doubted(self))],
+            "segments": self.segments().to_dict("records"),
             "warnings": self.notes,
-            "scores": self.scores,
+            "scores": self.run.scores,
         }
 
-    # --- shown; pandas, xarray and matplotlib are imported when they are asked for --------------
-
     def __repr__(self) -> str:
-        from egolane_pgm.views.label_tables import label_title
+        return f"Labels({self._title()})"
 
-        return f"Labels({label_title(self)})"
-
-    def _repr_html_(self) -> str:
-        from egolane_pgm.views import label_tables, shown
-
-        rows = label_tables.review_rows(self.review)
-        return shown.html_table(label_tables.label_title(self), *rows, self.notes)
+    def _title(self) -> str:
+        unsure = self.segments()["frames"]
+        said = f"{self.name!r}: {len(self)} frames, {self.run.experiment.n_lanes} lanes"
+        said += f", {np.count_nonzero(np.diff(self.lane))} lane changes"
+        said += f", {len(unsure)} segments not sure ({unsure.sum() / max(1, len(self)):.1%})"
+        if self.run.truth is not None:
+            said += f", accuracy {self.run.scores['model']['accuracy']:.4f}"
+        return said
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
-        """The stretches to review, and the scores; see `Result.to_text`."""
-        from egolane_pgm.views.label_tables import label_parts
-        from egolane_pgm.views.tables import page
+        """The segments whose labels are not sure; see `Result.to_text`."""
+        from egolane_pgm.views.tables import Table, page
 
-        return page(label_parts(self), style, wide)
+        known = "labels know the whole recording: for the frames themselves, not for a causal score"
+        table = self.segments().round(4)
+        parts: list[Any] = [f"{self._title()}\n{known}"]
+        if len(table):
+            parts += [f"segments with labels below {self.below:g}:"]
+            parts += [Table(list(table), table.astype(str).to_numpy().tolist())]
+        return page(parts, style, wide)
 
-    def to_pandas(self, table: str = "frames") -> pd.DataFrame:
-        """A row per frame; the index is `frame_id`.
+    def save(self, directory: str | os.PathLike[str]) -> Path:
+        """Write a result directory, as a run's, with labels.txt (`frame;lane;crossing`, a
+        ground-truth file as `run` reads it) and segments.csv in it.
 
-        Columns: `lane`, `confidence` (the smoothed probability of the label), `is_crossing`,
-        `is_reviewed`, `time_s`, the belief in each lane (`Lane=1`, ...), and with ground truth
-        `true_lane`, missing where nobody annotated the frame.
-
-        - table: "review" for a row per stretch of frames that a human should look at:
-          `first_frame`, `last_frame`, `first_s`, `last_s`, `frames`, `lanes` (in question),
-          `lowest_confidence`, `expected_wrong` (frames, if the model is right) and `why`;
-          "doubted" for the same where a sure label contradicts the annotation.
-
-        Raises InputError for another table.
+        An older result of that name is replaced. Raises InputError where the directory holds
+        anything else, or cannot be written.
         """
-        from egolane_pgm.views.label_tables import label_frame
-
-        if table not in ("frames", "review", "doubted"):
-            raise InputError(f"table: {not_one_of(table, ('frames', 'review', 'doubted'))}")
-        return label_frame(self, table)
-
-    def to_xarray(self) -> xr.Dataset:
-        """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        from egolane_pgm.views.shown import as_dataset
-
-        return as_dataset(self.to_pandas())
-
-    def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the lines, the belief with the labels, and the confidence.
-
-        - first, last: frame ids, both included; by default the stretch of the review list in which
-          most frames are expected to be wrong, or the whole recording where there is none.
-
-        Raises InputError for a range without frames.
-        """
-        from egolane_pgm.views.review import review_figure
-        from egolane_pgm.views.style import inline_figure
-
-        ids, worst = self.frame_id, self.worst[:1]
-        if first is None and last is None and worst:
-            first, last = worst[0].first, worst[0].last
-        low, high = ids[0] if first is None else first, ids[-1] if last is None else last
-        return inline_figure(lambda: review_figure(self, int(low), int(high)))
-
-    def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
-        """Write a result directory, as a run's, with the labels in it:
-
-        labels.txt: `frame;lane;crossing`, a ground-truth file as `run` reads it. labels.csv: the
-        same with time_s, confidence and whether the frame is on the review list. review.csv: that
-        list. doubted.csv: with ground truth, where sure labels contradict it.
-        figures/review_*.png: the worst stretches.
-
-        - figures: whether pictures are drawn.
-
-        An older result of that name is replaced; files of your own in it stay. Raises
-        InputError where the directory holds anything else, or cannot be written.
-        """
-        from egolane_pgm.views.label_tables import write_labels
-
         with staged(Path(directory)) as folder:
             write_result(folder, self.run)
-            write_labels(folder, self)
-            if figures:
-                from egolane_pgm.views.review import draw_review
-
-                draw_review(self, folder / "figures")
+            write_ground_truth(folder / "labels.txt", self.truth)
+            write_text(folder / "segments.csv", self.segments().to_csv(index=False))
         return Path(directory)
 
 
@@ -350,7 +186,7 @@ def label_experiment(
 ) -> Labels:
     """Label the recording of an experiment, which is run smoothed.
 
-    - below: frames with less confidence are put on the review list.
+    - below: labels with a smaller probability are not sure.
     - recorded: its recording, where it was read already. read: lines and lanes in memory.
 
     Raises InputError as `run_experiment` does, and for a threshold that is no probability.
@@ -363,40 +199,17 @@ def label_experiment(
     )
     run = run_experiment(smoothed, recorded=recorded, read=read)
     assert run.lines is not None
-    assert run.evidence is not None
     check_one_drive(run.lines, ONE_DRIVE)
     if not len(run.beliefs):
         raise InputError(f"{run.lines.source}: has no frames to label")
-    beliefs, log = run.beliefs, run.lines
-    lane = lane_path(beliefs.lane)
-    possible = crossed_lanes(lane, log.time_s, beliefs.marginals)
-    story = viterbi(run.model.compiled, run.evidence, frame_id=log.frame_id).lane
+    lane = lane_path(run.beliefs.lane)
     scores = dict(run.scores)
     if run.truth is not None:
         k, rate = run.scored, run.experiment.recording.frame_rate
-        scores["model"] = plain(
-            score_with_intervals(beliefs.lane[k], run.truth, rate, assigned=lane[k])
-        )
-    said = {**run.run, "warnings": [*run.notes, *filter(None, [note_of_holes(log)])]}
-    run = replace(run, assigned_lane=lane, scores=scores, run=said)
-    return Labels(run, lane, possible, story, below)
-
-
-def note_of_holes(log: LineLog) -> str | None:
-    """A note on a detector that misses lines of the own lane in HOLED of the frames: three valid
-    lines or more are seen, and the nearest ones on the left and on the right are more than a lane
-    and a half apart, or one of them is not there. None for any other."""
-    is_line = log.is_valid & is_placed(log.offset_m)
-    is_wide = own_lane_m(replace(log, is_valid=is_line)) > 1.5 * lane_width(log, LANE_M).width_m
-    share = float((is_wide & (is_line.sum(axis=1) >= 3)).mean())
-    if share < HOLED:
-        return None
-    return (
-        f"{NOTE}{log.source}: in {share:.0%} of the frames a line of the own lane is missing while"
-        " three others or more are seen, as by multi-lane detectors: their labels are less often"
-        " right (.989 on the paper's run 5; on a recording not seen before .956 of those that"
-        " need no review)"
-    )
+        found = score_with_intervals(run.beliefs.lane[k], run.truth, rate, assigned=lane[k])
+        scores["model"] = plain(found)
+    run = replace(run, assigned_lane=lane, scores=scores)
+    return Labels(run, lane, crossed_lanes(lane, run.time_s, run.beliefs.marginals), below)
 
 
 def lane_path(belief: FloatArray) -> IntArray:
@@ -448,87 +261,3 @@ def crossed_lanes(
             stop += 1
         possible[start : stop + 1, min(before, after) - 1 : max(before, after)] = True
     return np.asarray(possible)
-
-
-def _reasons(labels: Labels, rows: slice) -> list[str]:
-    """What makes some frames hard, a few words each."""
-    run, log = labels.run, labels.lines
-    marginals, n_frames = run.beliefs.marginals, len(labels)
-    found = []
-    if rows.start == 0:
-        found.append("the recording begins")
-    if rows.stop == n_frames:
-        found.append("the recording ends")
-    # From the frame before to the one after.
-    gaps = np.diff(log.frame_id[max(rows.start - 1, 0) : rows.stop + 1]) - 1
-    missing = int(gaps.sum() + log.is_missing[rows].sum())
-    if missing >= SOME * (rows.stop - rows.start):
-        found.append(f"{missing} frames were not recorded")
-    blind = float((~log.is_valid[rows].any(axis=1)).mean())
-    if blind >= SOME:
-        found.append(f"no valid line in {blind:.0%} of the frames")
-    sensor = run.model.compiled.values.get("SensorState", ())
-    if "OK" in sensor:
-        is_ok = float(marginals["SensorState"][rows, list(sensor).index("OK")].mean())
-        if is_ok < 0.5:
-            found.append(f"the sensor is believed to work with probability {is_ok:.2f} only")
-    if run.beliefs.is_impossible[rows].any():
-        found.append("the model holds the evidence of some frames for impossible")
-    on_line = labels.on_line
-    if on_line is not None and on_line[rows].mean() >= 0.5:
-        found.append("the car is on a line")
-    other = labels.story[rows] != labels.lane[rows]
-    if other.mean() >= SOME:
-        lanes = " and ".join(map(str, np.unique(labels.story[rows][other])))
-        found.append(f"the most probable single story is in lane {lanes} for {other.sum()} frames")
-    return found
-
-
-def label_scores(labels: Labels) -> dict[str, Any]:
-    """How good the labels are, where there is ground truth; empty without.
-
-    - frames_scored: annotated frames that are not crossing; frames whose annotation an experiment
-      does not trust (`tuning.never_fit`) do not count.
-    - surest: the accuracy of each of SHARES of them, those with the highest confidence.
-    - reviewed: the share of them on the review list.
-    - unreviewed: the accuracy of those that are neither on it nor labelled as crossing.
-    - wrong_unreviewed: how many of these are wrong.
-    - crossing_precision, crossing_recall: of the labelled crossing frames against the annotated.
-
-    A score without a frame is None.
-    """
-    run = labels.run
-    truth, rows, tuning = run.truth, run.scored, run.experiment.tuning
-    if truth is None:
-        return {}
-    trusted = may_fit(truth.frame_id, () if tuning is None else tuning.never_fit)
-    keep = trusted & ~truth.is_crossing
-    is_right, crossing = labels.lane[rows] == truth.lane, labels.is_crossing[rows]
-    curve = answers_curve(labels.confidence[rows][keep], is_right[keep])
-    reviewed = labels.is_reviewed[rows]
-    alone = keep & ~reviewed & ~crossing
-    both = (crossing & truth.is_crossing & trusted).sum()
-    return {
-        "frames_scored": int(keep.sum()),
-        "trusted_only": not bool(trusted.all()),
-        "surest": {f"{share:g}": plain(curve.accuracy_of_surest(share)) for share in SHARES},
-        "reviewed": _share((reviewed & keep).sum(), keep.sum()),
-        "unreviewed": _share((is_right & alone).sum(), alone.sum()),
-        "wrong_unreviewed": int(np.count_nonzero(~is_right & alone)),
-        "crossing_precision": _share(both, (crossing & trusted).sum()),
-        "crossing_recall": _share(both, (truth.is_crossing & trusted).sum()),
-    }
-
-
-def _share(part: Any, whole: Any) -> float | None:
-    return float(part / whole) if whole else None
-
-
-def doubted(labels: Labels) -> BoolArray:
-    """(T,): marks frames in which a sure label contradicts the annotation, and neither says that
-    the car is crossing a line. Sure is one that is not below the threshold of the review."""
-    found = np.zeros(len(labels), dtype=bool)
-    truth, rows = labels.run.truth, labels.run.scored
-    if truth is not None:
-        found[rows] = (labels.lane[rows] != truth.lane) & ~truth.is_crossing
-    return found & (labels.confidence >= labels.below) & ~labels.is_crossing

@@ -50,7 +50,6 @@ from egolane_pgm.types import (
     InputError,
     LineLog,
     Observed,
-    all_problems,
     problems_in,
 )
 
@@ -116,17 +115,14 @@ def prepare_model(experiment: Experiment) -> Model:
     rule, graph = load_rule_and_graph(
         experiment.evidence, experiment.graph, experiment.folder, source
     )
-    with all_problems() as part:
-        with part():
-            specs = declared_parameters(rule, graph)
-            parameters = resolve_parameters(
-                looking_back(specs) if experiment.filter == "smoothed" else specs,
-                experiment.parameters,
-                experiment.n_lanes,
-                f"{source}: parameters",
-            )
-        with part():
-            _check_names(rule, graph, source)
+    specs = declared_parameters(rule, graph)
+    parameters = resolve_parameters(
+        looking_back(specs) if experiment.filter == "smoothed" else specs,
+        experiment.parameters,
+        experiment.n_lanes,
+        f"{source}: parameters",
+    )
+    _check_names(rule, graph, source)
     with problems_in(f"{source}: graph {experiment.graph}"):
         roles, compiled = _compiled(graph, rule, experiment.n_lanes, parameters, f"{source}: graph")
     lanes = compiled.cardinality.get("Lane")

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from egolane_pgm.types import InputError, all_problems, not_one_of, suggestion
+from egolane_pgm.types import InputError, not_one_of, suggestion
 
 #: A parameter's value: a number, a choice by name, or one number per lane.
 Value = float | int | str | tuple[float, ...]
@@ -196,25 +196,19 @@ def resolve_parameters(
     """
     known = {spec.name: spec for spec in specs}
     values: dict[str, Value] = {}
-    with all_problems() as part:
-        with part():
-            check_names(known, given, where)
-        for name, spec in known.items():
-            with part():
-                values[name] = spec.check(given.get(name, spec.default), n_lanes, f"{where}.{name}")
+    check_names(known, given, where)
+    for name, spec in known.items():
+        values[name] = spec.check(given.get(name, spec.default), n_lanes, f"{where}.{name}")
     return values
 
 
 def check_names(known: Iterable[str], given: Iterable[str], where: str) -> None:
-    """Raise InputError for every given name that is not known, with a suggestion. A name without a
+    """Raise InputError for a given name that is not known, with a suggestion. A name without a
     suggestion may be left over from another graph."""
     names = set(known)
     left = "; `parameters: {}` drops all of another graph" if where.endswith(" parameters") else ""
-    lines = []
     for name in given:
         if name not in names:
             hint = suggestion(str(name), names)
             hint += "" if "did you mean" in hint else left
-            lines.append(f"{where}: unknown key '{name}'{hint}")
-    if lines:
-        raise InputError(*lines)
+            raise InputError(f"{where}: unknown key '{name}'{hint}")

@@ -22,7 +22,7 @@ from pathlib import Path
 from types import ModuleType
 
 from egolane_pgm.parameters import Parameter
-from egolane_pgm.types import InputError, all_problems, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 #: The names that a module of each folder must define.
 CONTRACTS = {
@@ -175,12 +175,9 @@ def load_rule_and_graph(
     evidence: str, graph: str, base: Path, source: str
 ) -> tuple[ModuleType, ModuleType]:
     """Import an experiment's evidence rule and graph. Raises InputError, naming the YAML file
-    `source` and its key, for both where both cannot be used."""
-    with all_problems() as part:
-        with part():
-            rule = load_plugin("evidence", evidence, base, f"{source}: evidence")
-        with part():
-            module = load_plugin("graphs", graph, base, f"{source}: graph")
+    `source` and its key, for one that cannot be used."""
+    rule = load_plugin("evidence", evidence, base, f"{source}: evidence")
+    module = load_plugin("graphs", graph, base, f"{source}: graph")
     return rule, module
 
 
@@ -210,12 +207,6 @@ def _build_from_network(module: ModuleType, where: str) -> None:
         raise InputError(f"{where} does not define build, {has} at its top level")
     [(_, network)] = found.values()
     vars(module)["build"] = lambda n_lanes, parameters: network
-
-
-def source_files(module: ModuleType) -> list[Path]:
-    """The files with a plugin's code: several where the plugin is a folder."""
-    file = Path(str(module.__file__))
-    return sorted(file.parent.glob("*.py")) if file.name == "__init__.py" else [file]
 
 
 def _load_file(path: Path, where: str) -> ModuleType:

@@ -19,8 +19,8 @@ What was believed held out (`held_out.run_held_out`) is written so too: beliefs.
 annotated frames, and the `block` of each; run.json has `fit`, `blocks`, `parameters_per_block` and
 more of how they were found.
 
-A directory is written beside its place and renamed at the end: one that has the name is whole. A
-new result takes the place of an old one file by file: what else lies there stays (see `OURS`).
+A directory is made beside its place and moved there at the end. run.json is removed first and comes
+last, so that a directory that has it is whole. Files that are not ours are left alone (see `OURS`).
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from datetime import UTC, datetime
-from fnmatch import fnmatch
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -425,7 +424,7 @@ class Result:
 
         - figures: whether the belief over time is drawn in it; `egolane plot` draws more.
 
-        An older result of that name is replaced; files of your own in it stay. Raises
+        An older result of that name is replaced; other files are left alone. Raises
         InputError where the directory holds anything else, or cannot be written. Where only the
         figures cannot be drawn it raises InputError too, and the result is kept without them.
         """
@@ -623,10 +622,6 @@ class Run(Summary):
         description="commit, and whether the checkout is dirty; null where the package is installed"
     )
     created: str = Field(description="time, UTC")
-    plugins: dict[str, dict[str, str]] = Field(
-        description="file and sha256 of graph and evidence rule"
-    )
-    code: str | None = Field(default=None, description="a checksum of this package's code")
     seconds: Finite | None = Field(
         default=None, description="that reading, filtering and scoring took"
     )
@@ -677,7 +672,7 @@ def refusing_damage(place: Path, again: str = _AGAIN) -> Iterator[None]:
     try:
         yield
     except InputError as error:
-        raise InputError(f"{error.lines[0]}{again}") from None
+        raise InputError(f"{error}{again}") from None
     except Exception as error:
         # The files were not written by hand: how exactly they are damaged helps nobody.
         why = " ".join(f"{type(error).__name__}: {error}".split())
@@ -714,50 +709,31 @@ def check_writable(directory: Path, is_ours: Callable[[Path], bool] = is_result)
             raise InputError(f"{directory}: exists and is not a result directory; name another one")
 
 
-@contextlib.contextmanager
-def staged(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> Iterator[Path]:
-    """A directory to fill, which takes the place of the result `directory` when the block ends
-    well; what is not ours in there stays (see `OURS`).
-
-    Raises InputError where that holds something else (see `check_writable`), or cannot be written.
-    """
-    check_writable(directory, is_ours)
-    with files.atomic_directory(directory) as temporary:
-        yield temporary
-        if directory.is_dir():
-            _keep_others(directory, temporary)
-
-
-#: The files of a result: a new one replaces them, or removes those that it has not got. All others
-#: in the directory, such as notes, are not ours and stay.
+#: Files owned by a result directory. Saving replaces or deletes them; other files are left alone.
 OURS = (
     *("experiment.yaml", "run.json", "scores.json", BELIEFS, LINES, "events.csv"),
-    *("clips.csv", "labels.txt", "labels.csv", "review.csv", "doubted.csv", "report.html"),
+    *("clips.csv", "labels.txt", "segments.csv", "report.html"),
     *(
         f"figures/{name}.{style}"
-        for name in ("strips", "confusion", "reliability", "coverage", "review_*")
+        for name in ("strips", "confusion", "reliability", "coverage")
         for style in ("png", "pdf", "svg")
     ),
 )
 
+#: The files that make a directory whole: removed first and written last.
+_LAST = ("run.json", "comparison.json", "study.json")
 
-def _keep_others(old: Path, new: Path) -> None:
-    """Put what is in `old` but not ours into `new` too, as a second name of the same file."""
-    for file in sorted(old.rglob("*")):
-        name = file.relative_to(old)
-        kept = new / name
-        if file.is_dir() and not file.is_symlink():
-            if not any(file.iterdir()):
-                kept.mkdir(parents=True, exist_ok=True)
-        elif kept.is_dir():
-            raise InputError(f"{file}: is in the way of a folder of the result; move it")
-        elif not kept.exists() and not any(fnmatch(name.as_posix(), ours) for ours in OURS):
-            kept.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.link(file, kept, follow_symlinks=False)
-            except OSError:
-                # Not every file system has second names.
-                shutil.copy2(file, kept, follow_symlinks=False)
+
+@contextlib.contextmanager
+def staged(directory: Path, is_ours: Callable[[Path], bool] = is_result) -> Iterator[Path]:
+    """A directory to fill; when the block ends well, its files take the place of those in the
+    result `directory`, see `OURS`.
+
+    Raises InputError where that holds something else (see `check_writable`), or cannot be written.
+    """
+    check_writable(directory, is_ours)
+    with files.staged_directory(directory, OURS, _LAST) as temporary:
+        yield temporary
 
 
 def write_result(directory: Path, result: Result) -> None:
@@ -885,7 +861,6 @@ def provenance(
         "config_hash": config_hash(content),
         "data": list(data),
         "versions": versions(),
-        "code": files.code_checksum(),
         "git": git_state(),
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -41,7 +40,6 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi
 from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.model import (
-    Model,
     causality,
     online_output,
     place_by_lines,
@@ -49,13 +47,13 @@ from egolane_pgm.model import (
     value_names,
     with_map,
 )
-from egolane_pgm.plugins import source_files
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import (
     BELIEFS,
     SCHEMA_VERSION,
     Result,
     check_writable,
+    git_state,
     provenance,
     read_said,
     staged,
@@ -66,7 +64,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import event_scores
 from egolane_pgm.scoring.road import road_scores
 from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
-from egolane_pgm.tools.files import arrow_table, code_checksum, parquet_writer, plain
+from egolane_pgm.tools.files import arrow_table, parquet_writer, plain
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import (
@@ -269,7 +267,6 @@ def run_document(
     return {
         "schema_version": SCHEMA_VERSION,
         **provenance(experiment.name, content, files),
-        "plugins": plugin_files(model),
         "frame_rate": experiment.recording.frame_rate,
         "n_lanes": drive.n_lanes,
         "tuned_on": experiment.tuned_on,
@@ -343,18 +340,6 @@ def _lanes_over_time(result: Result) -> list[tuple[int, float, float]]:
     ]
 
 
-def plugin_files(model: Model) -> dict[str, dict[str, str]]:
-    """The file, or the folder of several, in which a model's evidence rule and graph stand: its
-    name and the sha256 of what is in it."""
-    files_of = {}
-    for kind, module in (("evidence", model.rule), ("graph", model.graph)):
-        files = source_files(module)
-        named = files[0].parent if len(files) > 1 else files[0]
-        content = b"".join(file.read_bytes() for file in files)
-        files_of[kind] = {"file": named.name, "sha256": hashlib.sha256(content).hexdigest()}
-    return files_of
-
-
 # --- a long drive ------------------------------------------------------------------------------
 
 
@@ -362,7 +347,7 @@ def run_in_parts(
     experiment: Experiment, directory: str | Path, advance: Callable[[int], Any] = int
 ) -> Result:
     """Run an experiment on a long drive: beliefs are made and written part after part, so that not
-    all of them are held at once. An older result is replaced; files of others in it stay.
+    all of them are held at once. An older result is replaced; other files are left alone.
 
     - advance: called after each part with the number of its frames.
 
@@ -392,8 +377,7 @@ def run_in_parts(
 
 
 def _check_parts(experiment: Experiment) -> None:
-    """Raise InputError, a line for each key, where a belief needs more than the frames up to its
-    own."""
+    """Raise InputError, naming the key, where a belief needs more than the frames up to its own."""
     keys = []
     if not experiment.has_causal_filter:
         keys.append(f"filter: {experiment.filter} uses later frames")
@@ -403,7 +387,7 @@ def _check_parts(experiment: Experiment) -> None:
         key = "gnss" if experiment.gnss is not None else "n_lanes"
         keys.append(f"{key}: a road table is laid over the whole drive")
     if keys:
-        raise InputError(*(f"{experiment.source}: {key}; that is not run in parts" for key in keys))
+        raise InputError(f"{experiment.source}: {keys[0]}; that is not run in parts")
 
 
 def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:
@@ -506,8 +490,7 @@ def plan_runs(
         try:
             experiment = load()
         except InputError as error:
-            lines = "\n".join(error.lines)
-            runs.append(OneOfSeveral(title, folder or Path(), None, lines))
+            runs.append(OneOfSeveral(title, folder or Path(), None, str(error)))
             continue
         directory = (folder or Path()) / experiment.name
         if taken.get(directory) == title:
@@ -541,7 +524,7 @@ def run_all(
     - figures: as in `Result.save`.
     - keep: whether results are kept instead of written.
     - resume: whether a result that is there already is taken, where it was made from the same
-      files, with the same config and the same code; and each tells its drive.
+      files, with the same config and versions; and each tells its drive.
     """
     work = partial(_finish, way=way, figures=figures, keep=keep, resume=resume)
     yield from in_order(work, runs, jobs, died=lambda run, error: replace(run, error=error))
@@ -562,7 +545,7 @@ def _finish(run: OneOfSeveral, way: Way, figures: bool, keep: bool, resume: bool
         if not keep:
             done.save(run.directory, figures=figures)
     except InputError as error:
-        return replace(run, error="\n".join(error.lines))
+        return replace(run, error=str(error))
     except Exception as error:
         # A fault of ours in one run must not cost the others what they computed.
         return replace(run, error=" ".join(f"{type(error).__name__}: {error}".split()))
@@ -575,16 +558,15 @@ def stored_result(
     experiment: Experiment, directory: Path
 ) -> tuple[dict[str, Any], dict[str, Any]] | None:
     """What run.json and scores.json say of the result in a directory, where it is whole and was
-    made with this config, from these files as they are now, and with this code; else None."""
+    made with this config and these versions, from these files as they are now; else None."""
     try:
         said, scores = read_said(directory)
         experiment = with_own_rate(with_map(experiment))
         model = prepare_model(experiment)
         made_by: dict[str, Any] = {
             "config_hash": config_hash(resolved(experiment, model.parameters)),
-            "code": code_checksum(),
-            "plugins": plugin_files(model),
             "versions": versions(),
+            "git": git_state(),
         }
         files_in = source_of(experiment).files_in
         is_same = all(said.get(key) == value for key, value in made_by.items()) and all(

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -64,20 +64,12 @@ class InputError(ValueError):
     nowhere.yaml: cannot be read: No such file or directory
     """
 
-    def __init__(self, *problems: object) -> None:
-        super().__init__(*map(in_one_line, problems))
-
-    def __str__(self) -> str:
-        return "\n".join(self.args)
+    def __init__(self, problem: object) -> None:
+        super().__init__(in_one_line(problem))
 
     def _render_traceback_(self) -> list[str]:
         # What a notebook shows: the line that helps, without the calls that led here.
         return [f"InputError: {self}"]
-
-    @property
-    def lines(self) -> list[str]:
-        """What is wrong, in as many lines as there are arguments."""
-        return list(self.args)
 
 
 def in_one_line(problem: object) -> str:
@@ -95,39 +87,12 @@ def titled(title: str, note: str) -> str:
 
 
 @contextlib.contextmanager
-def all_problems() -> Iterator[Callable[[], contextlib.AbstractContextManager[None]]]:
-    """Everything that is wrong in the parts of a block, raised as one InputError at its end.
-
-    with all_problems() as part:
-        with part():
-            check(this)
-        with part():
-            check(that)
-    """
-    found: list[InputError] = []
-
-    @contextlib.contextmanager
-    def part() -> Iterator[None]:
-        try:
-            yield
-        except InputError as error:
-            found.append(error)
-
-    yield part
-    if len(found) == 1:
-        raise found[0]
-    if found:
-        # What several parts say is said once.
-        raise InputError(*dict.fromkeys(problem for error in found for problem in error.args))
-
-
-@contextlib.contextmanager
 def problems_in(where: str) -> Iterator[None]:
-    """Begin each line of an InputError that the block raises with `where`."""
+    """Begin an InputError that the block raises with `where`."""
     try:
         yield
     except InputError as error:
-        raise InputError(*(f"{where}: {line}" for line in error.lines)) from error
+        raise InputError(f"{where}: {error}") from error
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:

@@ -1,4 +1,4 @@
-"""Labels: the path through the beliefs, crossing frames, the review list, and their scores."""
+"""Labels: the path through the beliefs, crossing frames, and the segments that are not sure."""
 
 from __future__ import annotations
 
@@ -21,15 +21,11 @@ from egolane_pgm.labelling import (
     JOIN_S,
     Labels,
     crossed_lanes,
-    doubted,
     label_experiment,
-    label_scores,
     lane_path,
-    note_of_holes,
 )
 from egolane_pgm.types import BoolArray, FloatArray, InputError, joined, runs_of
 from tests.conftest import needs_compiler
-from tests.evidence.line_geometry.test_rule import line_log
 from tests.kits.drives import write_drive
 
 ZERO_LABEL = paper.experiments_folder() / "zero_label.yaml"
@@ -122,7 +118,7 @@ def test_a_change_while_nothing_was_recorded_has_no_crossing_frames(then: float)
     np.testing.assert_array_equal(found, np.eye(2, dtype=bool)[lane - 1])
 
 
-# --- the review list -----------------------------------------------------------------------------
+# --- segments ----------------------------------------------------------------------------------
 
 
 def stretches_by_brute_force(marked: BoolArray, time_s: FloatArray) -> list[tuple[int, int]]:
@@ -149,52 +145,35 @@ def with_belief(labels: Labels, belief: FloatArray) -> Labels:
     return replace(labels, run=replace(labels.run, marginals=marginals))
 
 
-def test_frames_whose_label_is_not_sure_are_reviewed_but_for_lane_changes() -> None:
+def segments(labels: Labels) -> list[tuple[int, int, int, float]]:
+    names = ["first_frame", "last_frame", "frames", "lowest_confidence"]
+    return list(labels.segments()[names].itertuples(index=False, name=None))
+
+
+def test_segments_are_of_frames_whose_label_is_not_sure_but_for_lane_changes() -> None:
     labels = simulated()
     sure = np.eye(3)[labels.lane - 1]
-    assert with_belief(labels, sure).review == ()
+    assert segments(with_belief(labels, sure)) == []
     belief = sure.copy()
     aside = np.flatnonzero(~labels.is_crossing)
     aside = aside[(aside > 10) & (aside < 290)]
     hard = [int(aside[0]), int(aside[-1])]
-    other = labels.lane[hard] % 3
     belief[hard] *= 0.9
-    belief[hard, other] += 0.1
+    belief[hard, labels.lane[hard] % 3] += 0.1
     # The two lanes of a lane change share the belief.
     crossing = np.flatnonzero(labels.is_crossing)
     belief[crossing] = labels.possible[crossing] / 2
-    found = with_belief(labels, belief).review
-    assert [(each.start, each.stop) for each in found] == [(k, k + 1) for k in hard]
-    for each, k, second in zip(found, hard, other, strict=True):
-        assert (each.first, each.last) == (labels.frame_id[k],) * 2
-        assert each.lanes == tuple(sorted((int(labels.lane[k]), int(second) + 1)))
-        assert each.lowest == pytest.approx(0.9)
-        assert each.expected_wrong == pytest.approx(0.1)
+    ids = labels.frame_id[hard].tolist()
+    found = segments(with_belief(labels, belief))
+    assert found == [(k, k, 1, pytest.approx(0.9)) for k in ids]
 
 
-def test_a_frame_that_is_just_sure_enough_is_not_reviewed() -> None:
+def test_a_frame_that_is_just_sure_enough_is_in_no_segment() -> None:
     labels = simulated()
     belief = np.eye(3)[labels.lane - 1] * (BELOW - 0.005) + 0.005
-    assert not with_belief(labels, belief / belief.sum(axis=1, keepdims=True)).review
-    found = with_belief(replace(labels, below=0.995), belief).review
-    assert sum(map(len, found)) >= np.count_nonzero(~labels.is_crossing)
-
-
-def test_the_review_says_what_makes_frames_hard() -> None:
-    labels = simulated()
-    log = labels.run.lines
-    blind = log.is_valid.copy()
-    blind[100:110] = False
-    changed = replace(labels, run=replace(labels.run, lines=replace(log, is_valid=blind)))
-    assert "no valid line in 100% of the frames" in changed.stretch(100, 110).why
-    assert "no valid line" not in changed.stretch(110, 120).why or (~blind[110:120].any(1)).any()
-    assert labels.stretch(0, 5).why.startswith("the recording begins")
-    assert labels.stretch(295, 300).why.startswith("the recording ends")
-    story = labels.story.copy()
-    story[100:110] = labels.lane[100:110] % 3 + 1
-    said = replace(labels, story=story).stretch(100, 110).why
-    assert "the most probable single story is in lane" in said
-    assert "for 10 frames" in said
+    assert not segments(with_belief(labels, belief / belief.sum(axis=1, keepdims=True)))
+    found = with_belief(replace(labels, below=0.995), belief).segments()
+    assert found["frames"].sum() >= np.count_nonzero(~labels.is_crossing)
 
 
 # --- whole recordings ----------------------------------------------------------------------------
@@ -219,7 +198,7 @@ def test_a_graph_without_a_place_in_the_lane_labels_too(tmp_path: Path) -> None:
     assert "RoadPosition" not in labels.run.beliefs.marginals
     assert labels.lane.min() >= 1
     assert labels.is_crossing.any()
-    assert label_scores(labels)["surest"]["1"] > 0.5
+    assert labels.run.scores["model"]["accuracy"] > 0.5
 
 
 @pytest.mark.parametrize("n_lanes", [1, 3])
@@ -228,7 +207,7 @@ def test_a_recording_of_one_frame_is_labelled(n_lanes: int) -> None:
     assert labels.frame_id.tolist() == [7]
     assert 1 <= labels.lane[0] <= n_lanes
     assert not labels.is_crossing.any()
-    assert len(labels.review) <= 1
+    assert len(labels.segments()) <= 1
 
 
 @pytest.mark.parametrize("missing", ["skip", "hold", "predict"])
@@ -244,70 +223,12 @@ def test_missing_frames_are_labelled_where_they_are_put_in(missing: str, tmp_pat
     )
     is_there = np.isin(np.arange(40, 60), labels.frame_id)
     assert is_there.all() if missing != "skip" else not is_there.any()
-    around = np.flatnonzero((labels.frame_id >= 38) & (labels.frame_id < 62))
-    why = labels.stretch(int(around[0]), int(around[-1]) + 1).why
-    # Frames that are held look like recorded ones.
-    assert ("20 frames were not recorded" in why) == (missing != "hold")
 
 
 @pytest.mark.parametrize("below", [-0.1, 1.1, float("nan")])
 def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
     with pytest.raises(InputError, match=r"below: .* is not a probability"):
         label_experiment(load_experiment(ZERO_LABEL), below)
-
-
-def test_a_detector_that_misses_lines_of_its_own_lane_is_noted() -> None:
-    places = np.array([-5.25, -1.75, 1.75, 5.25]) * np.ones((100, 1))
-    places[:40, 1] = np.nan
-    log = replace(line_log(places), source="drive.csv")
-    said = note_of_holes(log)
-    assert said is not None
-    assert said.startswith("note: drive.csv: in 40% of the frames a line of the own lane is miss")
-    assert note_of_holes(log.take(slice(20, 100))) is None
-    # Of a camera of two lines none is seen beside the missing one.
-    own = replace(log, is_valid=log.is_valid & (np.abs(places) < 3))
-    assert note_of_holes(own) is None
-
-
-# --- scores --------------------------------------------------------------------------------------
-
-
-def test_scores_are_those_that_one_counts_by_hand() -> None:
-    labels = simulated()
-    truth = labels.run.truth
-    assert truth is not None
-    # Every seventh annotation is another lane than the label.
-    lane = np.where(np.arange(300) % 7 == 0, labels.lane % 3 + 1, labels.lane)
-    assert len(truth) == 300
-    labels = replace(labels, run=replace(labels.run, true_lane=lane))
-    keep = np.flatnonzero(~truth.is_crossing)
-    order = keep[np.argsort(-labels.confidence[keep], kind="stable")]
-    found = label_scores(labels)
-    assert found["frames_scored"] == len(keep)
-    for share, right in found["surest"].items():
-        count = int(np.ceil(float(share) * len(keep)))
-        while (
-            count < len(keep)
-            and labels.confidence[order[count]] == labels.confidence[order[count - 1]]
-        ):
-            count += 1
-        assert right == pytest.approx(np.mean(lane[order[:count]] == labels.lane[order[:count]]))
-    both = labels.is_crossing & truth.is_crossing
-    assert found["crossing_precision"] == both.sum() / labels.is_crossing.sum()
-    assert found["crossing_recall"] == both.sum() / truth.is_crossing.sum()
-    alone = ~truth.is_crossing & ~labels.is_crossing & ~labels.is_reviewed
-    assert found["unreviewed"] == pytest.approx(np.mean((lane == labels.lane)[alone]))
-    assert found["wrong_unreviewed"] == np.count_nonzero((lane != labels.lane)[alone])
-    suspect = doubted(labels)
-    wrong = (lane != labels.lane) & ~truth.is_crossing & ~labels.is_crossing
-    np.testing.assert_array_equal(suspect, wrong & (labels.confidence >= BELOW))
-    assert suspect.any()
-
-
-def test_without_ground_truth_there_are_no_scores(tmp_path: Path) -> None:
-    labels = label_experiment(load_experiment(write_drive(tmp_path, ground_truth=None)))
-    assert label_scores(labels) == {}
-    assert not doubted(labels).any()
 
 
 # --- the paper's recordings ----------------------------------------------------------------------
@@ -322,29 +243,14 @@ def real(recordings: Path) -> dict[str, Labels]:
 
 
 @needs_compiler
-def test_the_98_percent_that_are_surest_are_right(real: dict[str, Labels]) -> None:
+def test_labels_that_are_sure_are_right(real: dict[str, Labels]) -> None:
     for name, labels in real.items():
-        scores = label_scores(labels)
-        assert scores["surest"]["0.98"] >= 0.9995, name
-        assert scores["unreviewed"] >= 0.9999, name
-        assert scores["reviewed"] <= 0.09, name
-
-
-@needs_compiler
-def test_only_the_italian_multi_lane_detector_is_noted(real: dict[str, Labels]) -> None:
-    mark = "a line of the own lane is missing"
-    assert not any(mark in note for labels in real.values() for note in labels.notes)
-    labels = label_experiment(load_experiment(BEYOND / "geometry_italy_mld.yaml"))
-    [said] = [note for note in labels.notes if mark in note]
-    assert said in labels.document["warnings"]
-
-
-@needs_compiler
-def test_spain_s_annotation_is_doubted_where_its_label_jumps(real: dict[str, Labels]) -> None:
-    for name, labels in real.items():
-        suspect = labels.frame_id[doubted(labels)]
-        if name.startswith("spain"):
-            assert len(suspect) >= 10
-            assert suspect.min() == 9577
-        else:
-            assert len(suspect) <= 3
+        run, unsure = labels.run, labels.segments()
+        assert run.truth is not None
+        is_sure = ~labels.is_crossing
+        for first, last in zip(unsure["first_frame"], unsure["last_frame"], strict=True):
+            is_sure &= (labels.frame_id < first) | (labels.frame_id > last)
+        is_right = labels.lane[run.scored] == run.truth.lane
+        kept = is_sure[run.scored] & ~run.truth.is_crossing & (run.truth.frame_id < 9577)
+        assert is_right[kept].mean() >= 0.9999, name
+        assert unsure["frames"].sum() <= 0.1 * len(labels), name

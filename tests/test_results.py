@@ -109,8 +109,6 @@ def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Result, sav
     assert set(said["versions"]) >= {"python", "egolane-pgm", "numpy", "numba", "pgmpy"}
     assert "not installed" not in said["versions"].values()
     assert said["git"] is None or set(said["git"]) == {"commit", "dirty"}
-    assert said["plugins"]["graph"]["file"] == "sensor_failure.py"
-    assert len(said["plugins"]["evidence"]["sha256"]) == 64
     assert said["frames"] == len(run.beliefs)
     assert said["frames_scored"] == run.scores["model"]["frames_scored"]
     assert said["mean_log_evidence"] == run.beliefs.mean_log_evidence
@@ -326,7 +324,7 @@ def test_a_result_interrupted_while_it_is_written_leaves_what_was_there(
 def test_a_result_takes_the_place_of_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
     result = earlier_result(tmp_path)
     mine = {"notes.md", "figures/mine.png", "backup/run.json", "events.csv.old", "graph_mine.py"}
-    ours = {"clips.csv", "labels.txt", "figures/strips.png", "figures/review_1.pdf"}
+    ours = {"clips.csv", "labels.txt", "figures/strips.png", "figures/coverage.pdf"}
     for name in mine | ours:
         (result / name).parent.mkdir(exist_ok=True)
         (result / name).write_text("old")
@@ -352,8 +350,9 @@ def test_a_file_where_a_result_has_a_folder_is_not_deleted(tmp_path: Path) -> No
         with staged(result) as folder:
             fill(folder)
             (folder / "figures").mkdir()
+            (folder / "figures" / "strips.png").write_text("new")
 
-    with pytest.raises(InputError, match="figures: is in the way of a folder of the result"):
+    with pytest.raises(InputError, match=r"result: cannot be written: File exists"):
         write()
     assert contents(tmp_path) == before
 

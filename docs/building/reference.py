@@ -41,7 +41,6 @@ METRICS = (
     "stability",
     "events",
     "road",
-    "line_places",
     "health",
     "bootstrap",
 )
@@ -72,7 +71,7 @@ def experiment_page() -> str:
         [
             "# Keys of an experiment",
             "An experiment is a YAML file. Unknown keys are refused, with a suggestion; `egolane"
-            " run FILE --dry-run` says what is wrong with one, a line each. Any key can be changed"
+            " run FILE --dry-run` says what is wrong with one. Any key can be changed"
             " on the command line, `--set parameters.sigma1=0.3`. Paths are relative to the YAML.",
             "An editor with YAML's language server (VS Code with its YAML extension, Neovim,"
             " JetBrains, ...) completes and checks the keys of a file whose first line names the"
@@ -109,12 +108,10 @@ def yaml_page() -> str:
         [
             "# Keys of the other YAML files",
             "## A tuning file",
-            "What `egolane tune FILE` takes: several experiments, or labelled pictures. Its schema"
+            "What `egolane tune FILE` takes: several experiments. Its schema"
             " is printed by `egolane show schema:tuning`; the section `tuning` is that of"
             " [an experiment](experiment.md#tuning).",
-            *schema_tables(
-                {"$defs": {k: v for k, v in tuning["$defs"].items() if k != "Tuning"}}, "", 3
-            ),
+            keys_table(tuning, {}),
             "## A camera",
             "What `camera:` and `--camera` name; `egolane calibrate` writes one.",
             markdown(["key", "range", "default", "meaning"], rows),
@@ -154,7 +151,7 @@ def order_of(schema: Mapping[str, Any], definitions: Mapping[str, Any]) -> list[
 
 
 def section_title(name: str) -> str:
-    """`PictureTuningFile` -> `Picture tuning file`."""
+    """`GroundTruth` -> `Ground truth`."""
     return re.sub(r"(?<!^)(?=[A-Z])", " ", name).capitalize()
 
 

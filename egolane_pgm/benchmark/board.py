@@ -14,7 +14,7 @@ import numpy as np
 
 from egolane_pgm.benchmark.scored import SCORES, VERSION, resamples, total
 from egolane_pgm.benchmark.tracks import SHOWN_ONLY
-from egolane_pgm.scoring.seeds import with_bounds
+from egolane_pgm.scoring.bootstrap import with_bounds
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.views.benchmark_tables import ABOUT, Place, places_table, track_table

@@ -21,7 +21,6 @@ from egolane_pgm.scoring.bootstrap import RESAMPLES
 from egolane_pgm.scoring.confusion import confusion, recall
 from egolane_pgm.scoring.events import event_delays, score_events
 from egolane_pgm.scoring.probabilistic import calibration_curve, log_loss_per_frame
-from egolane_pgm.tools.files import code_checksum
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import FloatArray, InputError, runs_of
 
@@ -167,7 +166,6 @@ def score_entry(
         "title": entry.title,
         "fitted": entry.fit is not None,
         "lanes": shown,
-        "code": code_checksum()[:16],
         "check": {**asdict(check), "is_causal": check.is_causal},
         "recordings": found,
     }

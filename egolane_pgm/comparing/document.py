@@ -48,18 +48,12 @@ class Compared(Stored):
     trials: Count | None = Field(description="trials of each block's search")
     microseconds_per_frame: Finite | None = Field(description="evidence and filter")
     parameters: list[dict[str, Any]] = Field(
-        description="per block those that were fitted without it; empty for several seeds"
+        description="per block those that were fitted without it"
     )
-    spread: dict[str, dict[str, Finite | None]] = Field(
-        description="per choice of frames and score the standard deviation over the seeds"
-    )
-    seeds: list[dict[str, Any]] = Field(description="parameters and scores with each seed")
-    lags: dict[str, Any] | None = Field(description="scores of answers that wait, if asked for")
     difference_to: str | None = Field(description="name of the first experiment")
     difference: dict[str, Differences] | None = Field(
         description="per choice of frames and score, 95 % by paired block bootstrap"
     )
-    health: dict[str, Any] | None = Field(description="of the model, if asked for")
     events: dict[str, Any] | None = Field(description="scores of lane changes, if asked for")
 
 
@@ -74,7 +68,6 @@ class ComparedRecording(Stored):
     frames: Count = Field(description="annotated frames")
     blocks: Count | None = Field(description="parts that were held out, one after the other")
     notes: list[str] = Field(description="what was odd, a line each")
-    health: dict[str, Any] | None = Field(description="of the detector, if asked for")
     experiments: list[Compared] = Field(min_length=1, description="the first is compared with")
 
 
@@ -85,7 +78,6 @@ class Together(Stored):
     recordings: Count = Field(description="how many there are")
     drives: Count = Field(description="number of different drives")
     scores: Differences = Field(description="per score, null where a drive is short")
-    spread: dict[str, Finite | None] = Field(description="standard deviation over the seeds")
     difference: Differences | None = Field(description="to the first experiment")
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.model import fitting_rule
 from egolane_pgm.plugins import OWN_FILES, declared_parameters, load_plugin
-from egolane_pgm.types import InputError, all_problems
+from egolane_pgm.types import InputError
 
 
 def named_graphs(graphs: Sequence[str]) -> dict[str, str]:
@@ -48,15 +48,13 @@ def with_graphs(
     is_shared: whether several models share a recording; the experiments are named after the model
         too then.
 
-    Raises InputError for all graphs that are not there.
+    Raises InputError for a graph that is not there.
     """
     named = named_graphs(graphs)
     found = []
-    with all_problems() as part:
-        for model, (name, graph) in itertools.product(models, named.items()):
-            title = f"{model.name}_{name}" if is_shared else name
-            with part():
-                found.append(with_graph(model, graph).model_copy(update={"name": title}))
+    for model, (name, graph) in itertools.product(models, named.items()):
+        title = f"{model.name}_{name}" if is_shared else name
+        found.append(with_graph(model, graph).model_copy(update={"name": title}))
     return found
 
 

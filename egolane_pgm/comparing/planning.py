@@ -12,21 +12,21 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.comparing.compared import Asked, compare_results, detector_alone
+from egolane_pgm.comparing.compared import compare_results, detector_alone
 from egolane_pgm.comparing.document import folder_of
 from egolane_pgm.comparing.graphs import with_graphs
 from egolane_pgm.comparing.placing import on_recording, recording_key
 from egolane_pgm.drive import Recorded, load_drive
 from egolane_pgm.experiment import Experiment, Given, Overrides, load_experiment
 from egolane_pgm.fleet import FleetDrive, drive_experiment
-from egolane_pgm.held_out import Search, held_out_result
+from egolane_pgm.held_out import held_out_result
 from egolane_pgm.model import prepare_model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.held_out import N_BLOCKS
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError, all_problems, problems_in
+from egolane_pgm.types import InputError, problems_in
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,6 @@ def planned(
     *,
     graphs: Sequence[str] = (),
     numbers: Sequence[int] | None = None,
-    with_paper: bool = False,
     drives: Sequence[FleetDrive] = (),
     overrides: Overrides = (),
 ) -> list[Group]:
@@ -59,7 +58,6 @@ def planned(
       of the paper's on its runs.
     - graphs: as `graphs.named_graphs` takes them.
     - numbers: of the paper's runs, on whose recordings each is put; None for its own.
-    - with_paper: whether the run's own experiment, with its recovered parameters, comes first.
     - drives: of a fleet, on each of which the experiments are put.
 
     Raises InputError for whatever does not fit, before a recording is read.
@@ -77,7 +75,7 @@ def planned(
         return _checked([_on_drive(models, drive, overrides) for drive in drives])
     if numbers is None:
         return by_recording(models)
-    return _checked([_on_run(models, n, with_paper) for n in numbers], on_runs=True)
+    return _checked([_on_run(models, n) for n in numbers], on_runs=True)
 
 
 def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
@@ -86,26 +84,19 @@ def by_recording(experiments: Sequence[Experiment]) -> list[Group]:
     return _checked(_grouped(experiments))
 
 
-def results_by_recording(results: Sequence[Result]) -> list[tuple[str, list[list[Result]]]]:
-    """Stored results of each recording, with its title, as `compare_results` takes them: those that
-    differ in the seed of their search only are one column. Where no recording has two results, they
+def results_by_recording(results: Sequence[Result]) -> list[tuple[str, list[Result]]]:
+    """Stored results of each recording, with its title. Where no recording has two results, they
     are put side by side all the same: of one drive by several detectors, say. Raises InputError for
     less than two."""
     if len(results) < 2:
         raise InputError("compare: needs two result directories or more")
     groups = _grouped([each.experiment for each in results])
     if all(len(group.experiments) == 1 for group in groups):
-        return [(groups[0].title, [[each] for each in results])]
+        return [(groups[0].title, list(results))]
     found = []
     for group in groups:
         mine = {id(experiment) for experiment in group.experiments}
-        columns: dict[Any, list[Result]] = {}
-        for each in results:
-            run = each.run
-            alike = (each.name, run["config_hash"], run["trials"]) if "seed" in run else id(each)
-            if id(each.experiment) in mine:
-                columns.setdefault(alike, []).append(each)
-        found.append((group.title, [*columns.values()]))
+        found.append((group.title, [each for each in results if id(each.experiment) in mine]))
     return found
 
 
@@ -137,12 +128,10 @@ def _title(experiment: Experiment) -> str:
     return f"{recording.simulate}, seed {recording.seed}"
 
 
-def _on_run(models: Sequence[Experiment], number: int, with_paper: bool) -> Group:
+def _on_run(models: Sequence[Experiment], number: int) -> Group:
     """Each model (evidence, graph, filter, parameters, fit) on the recording of a paper's run."""
     own = _of_paper(number)
-    first = [own.model_copy(update={"name": "paper"})] if with_paper else []
-    placed = [on_recording(model, own) for model in models]
-    return Group(f"run {number}", number, (*first, *placed))
+    return Group(f"run {number}", number, tuple(on_recording(model, own) for model in models))
 
 
 def _on_drive(models: Sequence[Experiment], drive: FleetDrive, overrides: Overrides) -> Group:
@@ -171,45 +160,42 @@ def _of_paper(number: int) -> Experiment:
 
 
 def _checked(groups: list[Group], on_runs: bool = False) -> list[Group]:
-    """The same groups. Raises InputError for a name that occurs twice in one, and for all models
-    that cannot be used, so that it is known before a recording is read.
+    """The same groups. Raises InputError for a name that occurs twice in one, and for a model that
+    cannot be used, so that it is known before a recording is read.
 
     on_runs: whether to say on which of the paper's runs a model cannot be used.
     """
     seen: set[str] = set()
-    with all_problems() as part:
-        for group in groups:
-            names = [experiment.name for experiment in group.experiments]
-            for experiment in group.experiments:
-                if names.count(experiment.name) > 1:
-                    raise InputError(
-                        f"{experiment.source}: {group.title}: two experiments have the name"
-                        f" {experiment.name}; give one another `name`"
-                    )
-                model = (experiment.source, experiment.evidence, experiment.graph)
-                key = repr((*model, experiment.parameters, experiment.n_lanes))
-                if key in seen:
-                    continue
-                seen.add(key)
-                where = f"{group.title}, {experiment.n_lanes} lanes"
-                with part(), problems_in(where) if on_runs else contextlib.nullcontext():
-                    prepare_model(experiment)
+    for group in groups:
+        names = [experiment.name for experiment in group.experiments]
+        for experiment in group.experiments:
+            if names.count(experiment.name) > 1:
+                raise InputError(
+                    f"{experiment.source}: {group.title}: two experiments have the name"
+                    f" {experiment.name}; give one another `name`"
+                )
+            model = (experiment.source, experiment.evidence, experiment.graph)
+            key = repr((*model, experiment.parameters, experiment.n_lanes))
+            if key in seen:
+                continue
+            seen.add(key)
+            where = f"{group.title}, {experiment.n_lanes} lanes"
+            with problems_in(where) if on_runs else contextlib.nullcontext():
+                prepare_model(experiment)
     return groups
 
 
 # --- run and compared --------------------------------------------------------------------------
 
-#: Experiments on one recording, and how each searches.
-Work = Sequence[tuple[Experiment, Search]]
+#: Experiments on one recording.
+Work = Sequence[Experiment]
 
 
 def compare_groups(
     groups: Sequence[Group],
-    asked: Asked | None = None,
     *,
+    events: bool = False,
     n_blocks: int = N_BLOCKS,
-    trials_per_number: int | None = None,
-    seeds: Sequence[int] = (),
     jobs: Jobs = 1,
     progress: bool | None = False,
 ) -> Iterator[dict[str, Any]]:
@@ -217,24 +203,17 @@ def compare_groups(
     `compare_results` makes it, in order; of a group that failed, which stops no other, its `title`,
     `run` and `error`.
 
-    - asked: as `compare_results` takes it.
-    - trials_per_number: trials of a search for each number that it moves; None for what the
-      experiment says.
-    - seeds: each search is repeated with each of these; empty: the experiment's own.
-    - jobs: the number of processes that share the searches (one for each seed of an experiment),
-      or, where nothing is searched, the groups.
+    - events: as `compare_results` takes it.
+    - jobs: the number of processes that share the experiments, or, where nothing is searched, the
+      groups.
     - progress: whether a bar shows how far it is; None for in a terminal.
     """
-    runs: list[Work] = [
-        [
-            (experiment, Search(trials_per_number, seed))
-            for experiment in group.experiments
-            for seed in (seeds if experiment.fit == "tune" and seeds else (None,))
-        ]
+    is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
+    runs: list[list[Work]] = [
+        [[each] for each in group.experiments] if is_searched else [group.experiments]
         for group in groups
     ]
-    is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
-    work: list[Work] = [[one] for each in runs for one in each] if is_searched else [*runs]
+    work = [each for mine in runs for each in mine]
     with contextlib.closing(
         in_order(
             partial(_held_out, n_blocks=n_blocks),
@@ -245,8 +224,7 @@ def compare_groups(
     ) as found:
         shown = iter(bar(found, progress, total=len(work), unit="run"))
         for group, mine in zip(groups, runs, strict=True):
-            done = [next(shown) for _ in (mine if is_searched else [mine])]
-            yield _compared(group, done, asked or Asked())
+            yield _compared(group, [next(shown) for _ in mine], events)
 
 
 def _held_out(work: Work, n_blocks: int) -> list[Result] | InputError:
@@ -255,38 +233,35 @@ def _held_out(work: Work, n_blocks: int) -> list[Result] | InputError:
     read: dict[str, Recorded] = {}
     results = []
     try:
-        for experiment, search in work:
+        for experiment in work:
             recording = experiment.recording
             largest = recording.lri == "clip" and experiment.parameters.get("max_lri")
             key = repr((recording, experiment.ground_truth, experiment.folder, largest))
             needs = "a comparison scores against it"
             drive = load_drive(experiment, needs_truth=needs, recorded=read.get(key))
             read[key] = drive.recorded
-            results.append(held_out_result(drive, n_blocks=n_blocks, search=search))
+            results.append(held_out_result(drive, n_blocks=n_blocks))
     except InputError as error:
         return error
     return results
 
 
 def _compared(
-    group: Group, done: Sequence[list[Result] | InputError], asked: Asked
+    group: Group, done: Sequence[list[Result] | InputError], events: bool
 ) -> dict[str, Any]:
     """The group's part of the document."""
-    columns: dict[str, list[Result]] = {}
+    results: list[Result] = []
     try:
         for each in done:
             if isinstance(each, InputError):
                 raise each
-            for result in each:
-                columns.setdefault(result.name, []).append(result)
-        given = [*columns.values()]
-        alone = detector_alone(given[0][0]) if group.with_detector else None
-        part = compare_results(
-            group.title, given if alone is None else [*given, [alone]], asked, run=group.run
-        )
+            results += each
+        alone = detector_alone(results[0]) if group.with_detector else None
+        given = results if alone is None else [*results, alone]
+        part = compare_results(group.title, given, events=events, run=group.run)
         if alone is not None:
             # It stands in the others' results.
             del part["results"][alone.name]
         return part
     except InputError as error:
-        return {"title": group.title, "run": group.run, "error": "; ".join(error.lines)}
+        return {"title": group.title, "run": group.run, "error": str(error)}

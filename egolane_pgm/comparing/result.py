@@ -16,7 +16,7 @@ from egolane_pgm.types import InputError, not_one_of, titled
 from egolane_pgm.views import comparison_tables as rows_of
 from egolane_pgm.views import events as lane_changes
 from egolane_pgm.views import shown
-from egolane_pgm.views.comparison_tables import entries_of, experiment_names, lag_curves
+from egolane_pgm.views.comparison_tables import entries_of, experiment_names
 from egolane_pgm.views.fleet_table import FLEET_LEGEND, fleet_comparison_rows
 from egolane_pgm.views.tables import Table, page
 
@@ -104,9 +104,7 @@ class Comparison:
 
     def _repr_html_(self) -> str:
         document = self.document
-        header, rows = (rows_of.lag_rows if lag_curves(document) else rows_of.accuracy_rows)(
-            document
-        )
+        header, rows = rows_of.accuracy_rows(document)
         notes = [f"failed: {title}: {error}" for title, error in self.failed]
         return shown.html_table(
             self._title(), header, rows, [*notes, *rows_of.marks_text(document).splitlines()]
@@ -119,24 +117,14 @@ class Comparison:
             return page([Table(*rows, labels=2), FLEET_LEGEND], style, wide)
         return page(_parts(self.document, with_all=style != "markdown"), style, wide)
 
-    def to_pandas(self, table: str = "scores") -> pd.DataFrame:
+    def to_pandas(self) -> pd.DataFrame:
         """A row per recording, experiment, subset of frames and score.
 
         Columns: `value`; `low` and `high` of its 95 % interval; `difference` to the first
         experiment of the recording, `difference_low`, `difference_high`; `tuned_on`.
-
-        - table: "scores", or "lags" for how right beliefs are that wait: a row per recording,
-          experiment, subset of frames and lag in seconds, with the columns `frames` waited for,
-          `accuracy`, its `low` and `high`, `f1`, `log_loss` and `tuned_on`.
-
-        Raises InputError for another table, and for lags where none was asked for.
         """
         import pandas as pd
 
-        if table == "lags":
-            return self._lags()
-        if table != "scores":
-            raise InputError(f"table: {not_one_of(table, ('scores', 'lags'))}")
         rows = [
             (title, entry["name"], subset, *row, entry["tuned_on"])
             for title, entry in entries_of(self.document)
@@ -147,37 +135,16 @@ class Comparison:
         values = ["value", "low", "high", "difference", "difference_low", "difference_high"]
         return pd.DataFrame(rows, columns=[*index, *values, "tuned_on"]).set_index(index)
 
-    def _lags(self) -> pd.DataFrame:
-        import pandas as pd
-
-        rows = []
-        for title, entry in entries_of(self.document):
-            for subset, found in (entry.get("lags") or {}).items():
-                intervals = (found["intervals"] or {}).get("accuracy")
-                for k, lag in enumerate(found["lag_s"]):
-                    low, high = (intervals and intervals[k]) or (None, None)
-                    scores = (found[name][k] for name in ("f1", "log_loss"))
-                    row = (found["frames"][k], found["accuracy"][k], low, high, *scores)
-                    rows.append((title, entry["name"], subset, lag, *row, entry["tuned_on"]))
-        if not rows:
-            raise InputError(
-                "table: 'lags' are of comparisons with lags, compare(..., lags=[0, 1])"
-            )
-        index = ["recording", "experiment", "subset", "lag_s"]
-        columns = ["frames", "accuracy", "low", "high", "f1", "log_loss", "tuned_on"]
-        return pd.DataFrame(rows, columns=[*index, *columns]).set_index(index)
-
-    def to_xarray(self, table: str = "scores") -> xr.Dataset:
+    def to_xarray(self) -> xr.Dataset:
         """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        return shown.as_dataset(self.to_pandas(table))
+        return shown.as_dataset(self.to_pandas())
 
     def plot(self, figure: str = "accuracy") -> Figure:
         """Draw the experiments on each recording, with their intervals.
 
-        - figure: "accuracy"; "differences" for how it differs from the first experiment's; or
-          "lags" for how it grows with the delay.
+        - figure: "accuracy", or "differences" for how it differs from the first experiment's.
 
-        Raises InputError for another figure, and for differences or lags that there are not.
+        Raises InputError for another figure, and for differences that there are not.
         """
         from egolane_pgm.views import comparison_figures as figures
         from egolane_pgm.views.style import inline_figure
@@ -185,7 +152,6 @@ class Comparison:
         makes = {
             "accuracy": figures.comparison_figure,
             "differences": figures.differences_figure,
-            "lags": figures.lags_figure,
         }
         if figure not in makes:
             raise InputError(f"figure: {not_one_of(figure, list(makes))}")
@@ -195,9 +161,9 @@ class Comparison:
         """Write the numbers, and a result directory for each recording and experiment, as
         `egolane compare --out` does; `load_result` reads them.
 
-        - figures: whether accuracy, how it differs, and that over lags, is drawn as well.
+        - figures: whether accuracy, and how it differs, are drawn as well.
 
-        An older comparison of that name is replaced; files of your own in it stay. Raises
+        An older comparison of that name is replaced; other files are left alone. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
         place = Path(directory)
@@ -239,39 +205,22 @@ def read_comparison(directory: Path) -> Comparison:
 
 
 def _parts(found: Mapping[str, Any], *, with_all: bool) -> list[str | Table]:
-    """The tables of scores, or instead of them those of lags and events that were asked for.
+    """The tables of scores, or instead of them that of events, if asked for.
 
     - with_all: whether a table of all scores comes first.
     """
-    legends: list[str] = []
-    instead: list[str | Table] = []
-    if lag_curves(found):
-        header, rows = rows_of.lag_rows(found)
-        instead.append(Table(header, rows, labels=1 + ("experiment" in header)))
-        legends.append(rows_of.LAGS_LEGEND)
-    if any(entry.get("events") for _, entry in entries_of(found)):
-        header, rows = lane_changes.event_comparison_rows(found)
-        instead.append(Table(header, rows, labels=2, leaves_out=True))
-        legends.append(lane_changes.LEGEND)
     searched = rows_of.search_rows(found)
     parts: list[str | Table] = [Table(*searched)] if searched[1] else []
-    if instead:
-        parts += [*instead, rows_of.marks_text(found)]
+    if any(entry.get("events") for _, entry in entries_of(found)):
+        header, rows = lane_changes.event_comparison_rows(found)
+        parts += [Table(header, rows, labels=2, leaves_out=True), rows_of.marks_text(found)]
+        legends = [lane_changes.LEGEND]
     else:
         together = rows_of.together_tables(found)
-        parts += [Table(*each) for each in together]
-        if rows_of.is_repeated(found):
-            parts += [Table(*rows_of.seeds_rows(found), labels=2), rows_of.marks_text(found)]
-            legends += [rows_of.LEGEND, rows_of.SEEDS_LEGEND]
-        else:
-            parts += _score_parts(found)
-            legends.append(rows_of.LEGEND)
-        legends += [rows_of.TOGETHER_LEGEND] if together else []
+        parts += [*(Table(*each) for each in together), *_score_parts(found)]
+        legends = [rows_of.LEGEND, *([rows_of.TOGETHER_LEGEND] if together else [])]
         if with_all:
             parts.insert(0, Table(*rows_of.full_rows(found)))
-    if any(recording["health"] for recording in found["recordings"]):
-        parts.append(Table(*rows_of.health_rows(found)))
-        legends.append(rows_of.HEALTH_LEGEND)
     # They are wrapped as wide as the terminal is.
     return parts + [" ".join(legend.split()) for legend in legends]
 

@@ -39,7 +39,7 @@ from pydantic import BeforeValidator
 from egolane_pgm.experiment import Section, load_yaml, validated
 from egolane_pgm.graphs.cpds import Table, declare, uniform
 from egolane_pgm.parameters import check_names
-from egolane_pgm.types import FloatArray, InputError, all_problems, problems_in, suggestion
+from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
 
 #: The end of the name of a parent at time t.
 _BEFORE = " before"
@@ -120,35 +120,29 @@ def _tables(graph: _Graph) -> list[Table]:
     """The tables of all nodes in the first slice and in the next."""
     size = {n: v if isinstance(v, int) else len(v) for n, v in graph.nodes.items()}
     with_table = [node for node in size if node not in graph.inputs]
-    with all_problems() as part:
-        for key in ("hidden", "observed", "inputs"):
-            with part():
-                _check_nodes(_flat(getattr(graph, key)), size, key)
-        with part():
-            check_names(with_table, graph.tables, "tables")
-        for node in with_table:
-            with part():
-                if node not in graph.tables:
-                    raise InputError(f"tables.{node}: is missing")
+    for key in ("hidden", "observed", "inputs"):
+        _check_nodes(_flat(getattr(graph, key)), size, key)
+    check_names(with_table, graph.tables, "tables")
+    for node in with_table:
+        if node not in graph.tables:
+            raise InputError(f"tables.{node}: is missing")
     tables = []
-    with all_problems() as part:
-        for node, n_values in size.items():
-            with part():
-                if node not in with_table:
-                    tables += [Table((node, s), (), uniform(n_values)) for s in (0, 1)]
-                    continue
-                for s, (where, one) in enumerate(_rows_of(node, graph.tables[node])):
-                    names = [name.removesuffix(_BEFORE) for name in one.of]
-                    _check_nodes(names, size, f"{where}: of")
-                    if s == 0 and names != [*one.of]:
-                        raise InputError(
-                            f"{where}: has a parent in the frame before; a node has such a table"
-                            " under `next`, and one without it under `first`"
-                        )
-                    slices = [0 if name.endswith(_BEFORE) else s for name in one.of]
-                    values = _numbers(one, (*(size[name] for name in names), n_values), where)
-                    parents = tuple(zip(names, slices, strict=True))
-                    tables.append(Table((node, s), parents, values))
+    for node, n_values in size.items():
+        if node not in with_table:
+            tables += [Table((node, s), (), uniform(n_values)) for s in (0, 1)]
+            continue
+        for s, (where, one) in enumerate(_rows_of(node, graph.tables[node])):
+            names = [name.removesuffix(_BEFORE) for name in one.of]
+            _check_nodes(names, size, f"{where}: of")
+            if s == 0 and names != [*one.of]:
+                raise InputError(
+                    f"{where}: has a parent in the frame before; a node has such a table"
+                    " under `next`, and one without it under `first`"
+                )
+            slices = [0 if name.endswith(_BEFORE) else s for name in one.of]
+            values = _numbers(one, (*(size[name] for name in names), n_values), where)
+            parents = tuple(zip(names, slices, strict=True))
+            tables.append(Table((node, s), parents, values))
     return tables
 
 
@@ -174,9 +168,9 @@ def _numbers(rows: _Rows, shape: tuple[int, ...], where: str) -> FloatArray:
 
 
 def _check_nodes(listed: Iterable[str], known: Iterable[str], where: str) -> None:
-    unknown = [node for node in listed if node not in known]
-    if unknown:
-        raise InputError(*(f"{where}: no node '{n}'{suggestion(n, known)}" for n in unknown))
+    for node in listed:
+        if node not in known:
+            raise InputError(f"{where}: no node '{node}'{suggestion(node, known)}")
 
 
 def _flat(listed: Iterable[str | Sequence[str]]) -> list[str]:

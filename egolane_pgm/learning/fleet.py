@@ -30,7 +30,7 @@ from egolane_pgm.learning.held_out import (
 from egolane_pgm.learning.tables import nested_tables, with_found
 from egolane_pgm.model import Model, prepare_model, with_map
 from egolane_pgm.tools.jobs import Jobs, in_order
-from egolane_pgm.types import InputError, all_problems, problems_in
+from egolane_pgm.types import InputError, problems_in
 
 #: What drives that are learned from together have in common.
 SHARED = ("n_lanes", "evidence", "graph", "parameters", "filter", "evidence_reading", "learning")
@@ -132,10 +132,9 @@ def _training(given: bytes) -> tuple[Sequence[Experiment], list[TrainingData]]:
     """What is learned from each drive, read once in each process."""
     experiments = pickle.loads(given)
     data = []
-    with all_problems() as part:
-        for experiment in experiments:
-            with part(), problems_in(experiment.name):
-                drive = load_to_learn(experiment)
-                trusted = trusted_frames(drive)
-                data.append(training_data(drive.only_labels_of(trusted), trusted))
+    for experiment in experiments:
+        with problems_in(experiment.name):
+            drive = load_to_learn(experiment)
+            trusted = trusted_frames(drive)
+            data.append(training_data(drive.only_labels_of(trusted), trusted))
     return experiments, data

@@ -272,8 +272,6 @@ def _provenance_of(result: Result) -> dict[str, str]:
     }
     for k, entry in enumerate(run.get("data", ()), start=1):
         found[f"file {k}"] = f"{entry['path']} ({entry['bytes']:,} bytes, sha256 {entry['sha256']})"
-    for kind, plugin in run.get("plugins", {}).items():
-        found[f"{kind} file"] = f"{plugin['file']} (sha256 {plugin['sha256']})"
     git = run.get("git")
     if git:
         found["commit"] = f"{git['commit']}{', with changes' if git['dirty'] else ''}"

@@ -18,7 +18,7 @@ from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_errors, plugin_na
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
 from egolane_pgm.recordings.catalog import find_file
 from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.types import InputError, LaneTruth, LineLog, all_problems, suggestion
+from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
 
 #: Extensions by which a video is known where no detector is named.
 VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
@@ -103,19 +103,16 @@ class LinesFile(Source):
 
     def check(self) -> None:
         experiment, recording = self.experiment, self.experiment.recording
-        with all_problems() as part:
-            with part():
-                self._check_format()
-            with part():
-                path = self._path()
-                if recording.camera is not None:
-                    find_named(experiment, "recording.camera")
-                elif self._format(path) in IN_PIXELS:
-                    raise InputError(
-                        f"{experiment.source}: recording.camera: is missing; the lines of"
-                        f" {path.name} are in pixels (lines in metres: recording.lines says where"
-                        " they stand; `egolane inspect` what to write)"
-                    )
+        self._check_format()
+        path = self._path()
+        if recording.camera is not None:
+            find_named(experiment, "recording.camera")
+        elif self._format(path) in IN_PIXELS:
+            raise InputError(
+                f"{experiment.source}: recording.camera: is missing; the lines of"
+                f" {path.name} are in pixels (lines in metres: recording.lines says where"
+                " they stand; `egolane inspect` what to write)"
+            )
 
     def _check_format(self) -> None:
         format_, where = self.experiment.recording.format, self._where("format")

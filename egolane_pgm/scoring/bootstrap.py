@@ -235,6 +235,45 @@ def score_intervals(
     }
 
 
+def resampled_scores(
+    counts: Mapping[str, NDArray[np.generic]], seed: int | Sequence[int] = 0
+) -> dict[str, FloatArray] | None:
+    """Accuracy, F1 and log-loss of all frames and of each of R resamples, (1 + R,) each; None where
+    the drive is too short for an interval.
+
+    counts: as `score_counts` gives them. seed: of the resamples.
+    """
+    n_frames = len(counts["accuracy"])
+    if n_frames < 2 * BLOCK_FRAMES:
+        return None
+    drawn = circular_block_bootstrap(n_frames, seed=seed)
+    found = {}
+    for name, statistic in INTERVAL_STATISTICS.items():
+        whole = _of_all_frames(counts[name], statistic)
+        found[name] = np.array([whole, *statistic(resampled_sums(counts[name], drawn))])
+    return found
+
+
+def with_bounds(values: FloatArray) -> list[float]:
+    """A score of all frames and of the resamples (1 + R,) as [estimate, low, high], 95 %."""
+    return [float(values[0]), *_percentiles(values[1:], LEVEL)]
+
+
+def on_timeline(
+    counts: Mapping[str, NDArray[np.generic]], frame_id: IntArray, timeline: IntArray
+) -> dict[str, NDArray[np.generic]]:
+    """The counts of frames (K,), placed among the frames of their whole drive (T,): 0 elsewhere.
+
+    Recordings of one drive, by several detectors, are resampled together so.
+    """
+    at = np.searchsorted(timeline, frame_id)
+    placed = {}
+    for name, values in counts.items():
+        placed[name] = np.zeros((len(timeline), *values.shape[1:]), dtype=values.dtype)
+        placed[name][at] = values
+    return placed
+
+
 def _of_all_frames(counts: NDArray[np.generic], statistic: Statistic) -> float:
     array = np.asarray(counts)
     total = array.sum(axis=0, dtype=np.int64 if array.dtype.kind in "biu" else np.float64)

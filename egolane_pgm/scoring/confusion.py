@@ -22,7 +22,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
 
 
@@ -161,9 +160,9 @@ SCORES: Mapping[str, Callable[[IntArray], FloatArray]] = {
 
 
 def is_maximised(score: str) -> bool:
-    """Whether larger is better: for the scores of confusion matrices and of lines, but not for any
-    other (`log_loss`, `brier`, `delay`, ...)."""
-    return score in SCORES or score in LINE_SCORES
+    """Whether larger is better: for the scores of confusion matrices, but not for any other
+    (`log_loss`, `brier`, `delay`, ...)."""
+    return score in SCORES
 
 
 def scores_from_confusion(matrix: ArrayLike) -> ConfusionScores:

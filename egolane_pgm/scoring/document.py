@@ -12,9 +12,6 @@ Count = Annotated[int, Field(ge=0, le=2**53)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Share = Annotated[float, Field(ge=0, le=1)]
 
-#: A mean over several seeds, so numbers of frames need not be whole.
-MeanCount = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
 Bounds = Annotated[list[Finite], Field(min_length=2, max_length=2)]
 
 
@@ -30,7 +27,7 @@ class Delay(Stored):
     median_frames: Finite | None = Field(description="median over the changes that were not missed")
     p90_frames: Finite | None = Field(description="90th percentile of the same")
     share_missed: Share | None = Field(description="share of the changes that were never held")
-    changes: MeanCount = Field(description="true lane changes")
+    changes: Count = Field(description="true lane changes")
 
 
 class PerLane(Stored):
@@ -66,9 +63,9 @@ class Scores(Stored):
     )
     delay: Delay = Field(description="how late lane changes are held")
     per_lane: PerLane = Field(description="scores of each lane")
-    confusion: list[list[MeanCount]] = Field(description="n + 1 rows of n counts")
-    frames: MeanCount = Field(description="annotated frames")
-    frames_scored: MeanCount = Field(description="those that are not crossing")
+    confusion: list[list[Count]] = Field(description="n + 1 rows of n counts")
+    frames: Count = Field(description="annotated frames")
+    frames_scored: Count = Field(description="those that are not crossing")
     intervals: Intervals = Field(description="95 % block-bootstrap intervals")
 
     @model_validator(mode="after")
@@ -82,9 +79,9 @@ class Scores(Stored):
 class Reported(Stored):
     """How right the reported lane changes are, within some seconds."""
 
-    right: MeanCount = Field(description="events that match a true change")
-    false: MeanCount = Field(description="events that match none, in annotated frames")
-    missed: MeanCount = Field(description="true changes that are not reported")
+    right: Count = Field(description="events that match a true change")
+    false: Count = Field(description="events that match none, in annotated frames")
+    missed: Count = Field(description="true changes that are not reported")
     precision: Share | None = Field(description="right / (right + false)")
     recall: Share | None = Field(description="right / (right + missed)")
     false_per_hour: Finite | None = Field(description="false events per hour of annotated frames")
@@ -110,10 +107,10 @@ class Warned(Stored):
     auc: Share | None = Field(description="area under the ROC curve for `this frame is crossing`")
     precision: Share | None = Field(description="share of warned frames that are crossing")
     recall: Share | None = Field(description="share of crossing frames that are warned of")
-    changes: MeanCount = Field(description="true lane changes")
-    warned: MeanCount = Field(description="those that a warning precedes or meets")
+    changes: Count = Field(description="true lane changes")
+    warned: Count = Field(description="those that a warning precedes or meets")
     lead_s: Lead = Field(description="from the warning to the change of the label")
-    warnings: MeanCount = Field(description="how many there are")
+    warnings: Count = Field(description="how many there are")
     false_per_hour: Finite | None = Field(description="warnings far from any crossing, per hour")
 
 
@@ -121,10 +118,10 @@ class Events(Stored):
     """The reported lane changes: their number, and, with ground truth, how right they are; see
     `scoring.events.event_scores`."""
 
-    told: MeanCount = Field(
+    told: Count = Field(
         description="reported lane changes; with ground truth those that can be right or false"
     )
-    changes: MeanCount | None = Field(default=None, description="true lane changes")
+    changes: Count | None = Field(default=None, description="true lane changes")
     hours: Finite | None = Field(default=None, description="of annotated frames")
     within: dict[str, Reported] | None = Field(
         default=None, description="per tolerance in seconds, `0.5`, `1` and `2`"

@@ -29,7 +29,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.health import roc_auc
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
 from egolane_pgm.types import (
     UNASSIGNED,
@@ -205,3 +204,21 @@ def _ratio(count: float, of: float) -> float | None:
 
 def _percentile(values: FloatArray, share: float) -> float | None:
     return float(np.percentile(values, share)) if values.size else None
+
+
+def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:
+    """The area under the ROC curve: the probability that a positive frame has a larger score than
+    a negative one, ties counting half (Hanley & McNeil 1982).
+
+    score (T,), is_positive (T,). NaN without a positive or without a negative frame.
+    """
+    values, positive = np.asarray(score, dtype=np.float64), np.asarray(is_positive)
+    n_positive = int(positive.sum())
+    n_negative = len(values) - n_positive
+    if not n_positive or not n_negative:
+        return float("nan")
+    _, index, count = np.unique(values, return_inverse=True, return_counts=True)
+    # The mean rank of equal scores, counted from 1.
+    rank = np.cumsum(count) - (count - 1) / 2
+    total = float(rank[index][positive].sum())
+    return (total - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative)

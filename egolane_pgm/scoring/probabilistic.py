@@ -148,12 +148,6 @@ class CoverageCurve:
             return 0.0, float("nan")
         return float(self.coverage[k]), float(self.accuracy[k])
 
-    def accuracy_of_surest(self, share: float) -> float:
-        """The accuracy of the surest answers, as few as make up that share of the frames; NaN where
-        fewer are answered."""
-        enough = np.flatnonzero(self.answered >= share * self.frames_scored)
-        return float(self.accuracy[enough[0]]) if len(enough) else float("nan")
-
 
 def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> CoverageCurve:
     """The curve of a belief (T, n), rows summing to 1, against lane (T,) and is_crossing (T,)."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import csv
-import functools
 import hashlib
 import io
 import json
@@ -226,36 +225,52 @@ def make_directory(directory: Path) -> None:
 
 
 @contextlib.contextmanager
-def atomic_directory(directory: Path) -> Iterator[Path]:
-    """A directory to fill, which takes the place of `directory` when the block ends well; of a
-    link, the place of what it leads to.
+def staged_directory(
+    directory: Path, owned: Sequence[str] = (), last: Sequence[str] = ()
+) -> Iterator[Path]:
+    """A directory to fill, whose files take their places in `directory` when the block ends well.
 
-    Raises InputError, naming `directory`, where it cannot be written.
+    - owned: files in `directory` that are deleted if the new one has not got them.
+    - last: names of files without which it is not whole: deleted first and written last.
+
+    Other files in `directory` are left alone. Raises InputError, naming `directory`, where it
+    cannot be written.
     """
     place = directory.resolve()
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(place.parent) as folder:
-            new, old = folder / "new" / place.name, folder / "old"
-            new.mkdir(parents=True)
+            new = folder / place.name
+            new.mkdir()
             try:
                 yield new
             except InputError as error:
                 # The message names the file by its place, not by where it is made.
                 raise InputError(str(error).replace(str(new), str(directory))) from None
-            try:
-                if place.exists():
-                    place.rename(old)
+            if place.exists():
+                _put(new, place, owned, last)
+            else:
                 new.rename(place)
-            except BaseException:
-                if old.exists() and not place.exists():
-                    old.rename(place)
-                raise
     except OSError as error:
         at = f" ({error.filename})" if error.filename else ""
         raise InputError(
             f"{directory}: cannot be written: {error.strerror or error}{at}"
         ) from error
+
+
+def _put(new: Path, place: Path, owned: Sequence[str], last: Sequence[str]) -> None:
+    """Move the files of a directory into another one."""
+    made = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
+    # Whatever is in the way is found before anything changes.
+    for name in made:
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+    for each in last:
+        (place / each).unlink(missing_ok=True)
+    for each in owned:
+        if Path(each) not in made:
+            (place / each).unlink(missing_ok=True)
+    for name in sorted(made, key=lambda name: (name.name in last, -len(name.parts))):
+        (new / name).replace(place / name)
 
 
 # --- before anything is computed -------------------------------------------------------------
@@ -319,16 +334,3 @@ def without_version(content: Mapping[str, Any], source: str) -> dict[str, Any]:
             f"{source}: version: {version!r} is not {YAML_VERSION}, the one known here"
         )
     return content
-
-
-# --- this package ----------------------------------------------------------------------------
-
-
-@functools.cache
-def code_checksum() -> str:
-    """A checksum of this package's code, the same wherever it is installed."""
-    folder = Path(__file__).parents[1]
-    digest = hashlib.sha256()
-    for file in sorted(folder.rglob("*.py")):
-        digest.update(f"{file.relative_to(folder).as_posix()}\n".encode() + file.read_bytes())
-    return digest.hexdigest()

@@ -22,7 +22,6 @@ from typing import Any, TypeVar
 from tqdm import tqdm
 
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.tools.files import code_checksum
 from egolane_pgm.types import InputError
 
 T = TypeVar("T")
@@ -163,11 +162,9 @@ def _do(expected: dict[str, str], folder: str, work: Callable[..., R], /, *given
 
 @functools.cache
 def code() -> dict[str, str]:
-    """What the numbers depend on: the version of Python and of packages, and a checksum of this
-    package's code."""
-    packages = ("numpy", "scipy", "numba", "pgmpy", "opencv-python-headless")
+    """What the numbers depend on: the version of Python and of packages."""
+    packages = ("egolane-pgm", "numpy", "scipy", "numba", "pgmpy", "opencv-python-headless")
     return {
         "Python": ".".join(platform.python_version_tuple()[:2]),
         **{name: importlib.metadata.version(name) for name in packages},
-        "egolane_pgm code": code_checksum()[:16],
     }

@@ -33,7 +33,7 @@ _PLAIN = {
 
 def parse_yaml(text: str, source: str) -> Any:
     """What a text in YAML says. Raises InputError, which begins with `source`, for what is no YAML
-    and for what is refused here; for every key that a mapping has twice."""
+    and for what is refused here; for a key that a mapping has twice."""
     try:
         loader = _Loader(text)
         content = loader.get_single_data()
@@ -47,7 +47,7 @@ def parse_yaml(text: str, source: str) -> Any:
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
     if loader.twice:
-        raise InputError(*(f"{source}: {problem}" for problem in loader.twice))
+        raise InputError(f"{source}: {loader.twice[0]}")
     return content
 
 

@@ -1,9 +1,9 @@
 """Parameter search: Optuna studies over what graph and evidence rule declare.
 
 `plan` says what is tuned, `space` within which bounds, `objective` scores parameters, `task` says
-what a search knows of recordings (`recording_task`) or pictures (`vision.picture_task`), `sampler`
-is a sampler of our own, `search` runs a study, `storage` opens the one that is kept, `nested` runs
-it anew without a part, `study` does it all.
+what a search knows of its recordings (`recording_task`), `sampler` is a sampler of our own,
+`search` runs a study, `storage` opens the one that is kept, `nested` runs it anew without a part,
+`study` does it all.
 """
 
 from typing import TYPE_CHECKING, Any

@@ -29,7 +29,7 @@ from egolane_pgm.types import BoolArray, LaneTruth
 class Nested:
     """The result of a study without one part of the frames.
 
-    - part: number of the block, or of the recording, from 0.
+    - part: number of the block, or of the part of a fleet, from 0.
     - point: the best one.
     - values: its scores on the frames that the study saw (in-sample for those).
     - trials: how many there were.

@@ -35,8 +35,6 @@ BELIEF_SCORES = (
 #: Those that lane changes have.
 OF_CHANGES = ("delay", "share_missed")
 
-ALIASES = {"macro_f1": "f1", "macro-f1": "f1", "log-loss": "log_loss"}
-
 #: What the names of a detector's parameters begin with in a search.
 DETECTOR = "detector."
 
@@ -45,11 +43,11 @@ UNDEFINED = 1e6
 
 
 def check_objective(name: str, where: str = "objective") -> str:
-    """Return the score's own name. Raises InputError for an unknown one, with a suggestion."""
-    known = {*confusions.SCORES, *BELIEF_SCORES, *ALIASES}
+    """Return the name of a score. Raises InputError for an unknown one, with a suggestion."""
+    known = {*confusions.SCORES, *BELIEF_SCORES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
-    return ALIASES.get(name, name)
+    return name
 
 
 def check_filter(experiment: Experiment) -> None:
@@ -64,9 +62,12 @@ def check_filter(experiment: Experiment) -> None:
 def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[str, Value]]:
     """The parameters of an experiment's detector, and their values, as a search names them. Raises
     InputError for a recording without one."""
-    from egolane_pgm.vision import picture_task
+    from egolane_pgm.vision.detectors.pictures import detector_of
 
-    return picture_task.searched(picture_task.detector_of(experiment))
+    detector = detector_of(experiment, "tuning.search: detector")
+    specs = getattr(detector.module, "PARAMETERS", ())
+    values = {DETECTOR + name: value for name, value in detector.parameters.items()}
+    return [replace(spec, name=DETECTOR + spec.name) for spec in specs], values
 
 
 def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:

@@ -6,8 +6,6 @@
     tuning: {trials: 3000, parameters: {p1: 0.9}}
 
 With several experiments one parameter set is searched for all of them, each with equal weight.
-A tuning file with `pictures:` searches a detector's parameters on labelled pictures; see
-`vision.picture_task`.
 """
 
 from __future__ import annotations
@@ -19,13 +17,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from egolane_pgm.drive import Drive, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
-    Positive,
     Section,
     Tuning,
     experiment_path,
@@ -38,7 +35,6 @@ from egolane_pgm.model import Model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters
-from egolane_pgm.scoring.line_places import LINE_SCORES
 from egolane_pgm.tuning.objective import (
     check_filter,
     check_objective,
@@ -47,13 +43,13 @@ from egolane_pgm.tuning.objective import (
 )
 from egolane_pgm.tuning.search import TRIALS, Score, Settings, check_sampler
 from egolane_pgm.tuning.space import Point, SearchSpace, make_space, to_parameters, to_point
-from egolane_pgm.types import NOTE, BoolArray, InputError, all_problems, not_one_of, problems_in
-
-#: Trials of a study on labelled pictures: each looks at all of them.
-PICTURE_TRIALS = 200
+from egolane_pgm.types import NOTE, BoolArray, InputError, problems_in
 
 
-class _File(Section):
+class TuningFile(Section):
+    """A tuning file: one parameter set is searched for several experiments, each with equal
+    weight."""
+
     name: str = Field(
         pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
         description="short name; the study is written to results/tuning/NAME",
@@ -61,59 +57,11 @@ class _File(Section):
     )
     description: str = Field(default="", description="what it is, in a line")
     tuning: Tuning = Field(default=Tuning(), description="settings of the search")
-
-
-class TuningFile(_File):
-    """A tuning file: one parameter set is searched for several experiments, each with equal
-    weight."""
-
     experiments: tuple[str, ...] = Field(
         min_length=1,
         description="YAML files of experiments, relative to this one",
         examples=[["../paper/run01_italy_ml.yaml", "../paper/run02_italy_sl.yaml"]],
     )
-
-
-class Pictures(Section):
-    """Pictures with labelled lines, and the detector that looks at them."""
-
-    labels: str = Field(
-        description="file, in TuSimple's format, that names the pictures", examples=["labels.json"]
-    )
-    camera: str = Field(description="YAML file of the camera", examples=["cam.yaml"])
-    detector: str = Field(description="name of the detector, or its file", examples=["ml"])
-    detector_parameters: dict[str, Any] = Field(
-        default_factory=dict,
-        description="values of its parameters before the search",
-        examples=[{"road": 0.5}],
-    )
-    frames: tuple[int, int] | None = Field(
-        default=None,
-        description="first labelled picture, from 0, and the one after the last",
-        examples=[[0, 100]],
-    )
-    ahead_m: Positive = Field(
-        default=10.0, description="where lines and labels are compared, metres ahead of the camera"
-    )
-    side_m: Positive = Field(
-        default=6.0, description="how far to either side of the camera they count, metres"
-    )
-    tolerance_m: Positive = Field(
-        default=0.35, description="largest distance of a line from its label, metres"
-    )
-
-    @field_validator("frames")
-    @classmethod
-    def _a_range(cls, value: tuple[int, int] | None) -> tuple[int, int] | None:
-        if value is not None and not 0 <= value[0] < value[1]:
-            raise ValueError(f"{list(value)} is an empty range")
-        return value
-
-
-class PictureTuningFile(_File):
-    """A tuning file for a detector: its parameters are searched on labelled pictures."""
-
-    pictures: Pictures = Field(description="what is looked at")
 
 
 @dataclass(frozen=True)
@@ -134,13 +82,12 @@ class Fleet:
 
 @dataclass(frozen=True)
 class Plan:
-    """A study to do: which experiments are tuned together, or on which pictures, and how.
+    """A study to do: which experiments are tuned together, and how.
 
     - tuning: the settings of the search.
     - source: the YAML, for messages.
     - fleet: where the experiments are one on each drive of a fleet; all frames count alike then,
       and else all experiments.
-    - pictures: labelled ones, instead of experiments.
     """
 
     name: str
@@ -149,24 +96,16 @@ class Plan:
     tuning: Tuning
     source: str
     fleet: Fleet | None = None
-    pictures: Pictures | None = None
 
     @property
     def settings(self) -> Settings:
         """How the study is run, checked."""
         given, where = self.tuning.objective, f"{self.source}: tuning"
-        if self.pictures is None:
-            names = tuple(check_objective(name, f"{where}.objective") for name in given)
-        else:
-            names = ("line_f1",) if given == Tuning().objective else given
-            for name in names:
-                if name not in LINE_SCORES:
-                    raise InputError(f"{where}.objective: {not_one_of(name, list(LINE_SCORES))}")
+        names = tuple(check_objective(name, f"{where}.objective") for name in given)
         if len(set(names)) < len(names):
             raise InputError(f"{where}.objective: a score is named twice")
         sampler = check_sampler(self.tuning.sampler, names, f"{where}.sampler")
-        trials = TRIALS if self.pictures is None else PICTURE_TRIALS
-        return Settings(names, sampler, self.tuning.trials or trials, self.tuning.seed)
+        return Settings(names, sampler, self.tuning.trials or TRIALS, self.tuning.seed)
 
     @property
     def run(self) -> int | None:
@@ -195,29 +134,22 @@ class Problem:
 
     @property
     def parts(self) -> Sequence[tuple[int, ...]]:
-        """The numbers of the recordings that are held out together, where whole ones are."""
-        if self.plan.fleet is not None:
-            return self.plan.fleet.parts
-        return [(k,) for k in range(len(self.drives))]
+        """The numbers of the drives of a fleet that are held out together; none for others."""
+        return () if self.plan.fleet is None else self.plan.fleet.parts
 
 
 def load_plan(path: str | Path, overrides: Overrides = ()) -> Plan:
-    """Read an experiment, or a tuning file of either kind. Raises InputError, one line, as
+    """Read an experiment, or a tuning file. Raises InputError, one line, as
     `load_experiment`."""
     path = experiment_path(path)
     content = load_yaml(path, overrides)
-    if "pictures" in content:
-        seen = validated(PictureTuningFile, content, str(path))
-        given = seen.name, seen.description, (), seen.tuning, str(path)
-        return Plan(*given, pictures=seen.pictures)
     if "experiments" not in content:
         return plan_of(make_experiment(content, path.parent, str(path)))
     named = validated(TuningFile, content, str(path))
     found = []
-    with all_problems() as part:
-        for entry in named.experiments:
-            with part(), problems_in(f"{path}: experiments"):
-                found.append(load_experiment(path.parent / entry))
+    for entry in named.experiments:
+        with problems_in(f"{path}: experiments"):
+            found.append(load_experiment(path.parent / entry))
     return Plan(named.name, named.description, tuple(found), named.tuning, str(path))
 
 
@@ -235,11 +167,7 @@ def paper_plans(numbers: Sequence[int]) -> list[Plan]:
 
 
 def together(plans: Sequence[Plan]) -> Plan:
-    """One plan for the experiments of several; the tuning section is the first one's. Raises
-    InputError for labelled pictures."""
-    for plan in plans:
-        if plan.pictures is not None:
-            raise InputError(f"{plan.source}: together: does not go with labelled pictures")
+    """One plan for the experiments of several; the tuning section is the first one's."""
     names = [plan.name for plan in plans]
     return Plan(
         "+".join(names) if len("+".join(names)) < 100 else f"{names[0]}+{len(names) - 1}",
@@ -279,13 +207,12 @@ def make_problem(plan: Plan) -> Problem:
     never_fit = plan.tuning.never_fit
     needs = "a search needs it"
     drives = []
-    with all_problems() as part:
-        for experiment in plan.experiments:
-            # The drives of a fleet have one YAML.
-            of_drive = nullcontext() if plan.fleet is None else problems_in(experiment.name)
-            with part(), of_drive:
-                check_filter(experiment)
-                drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
+    for experiment in plan.experiments:
+        # The drives of a fleet have one YAML.
+        of_drive = nullcontext() if plan.fleet is None else problems_in(experiment.name)
+        with of_drive:
+            check_filter(experiment)
+            drives.append(load_drive(experiment, needs_truth=needs, never_fit=never_fit))
     specs = [declared_parameters(drive.model.rule, drive.model.graph) for drive in drives]
     for drive, declared in zip(drives, specs, strict=True):
         if declared != specs[0]:
@@ -310,12 +237,9 @@ def check_tuning(experiment: Experiment, model: Model) -> None:
     if tuning is None:
         return
     plan = plan_of(experiment)
-    with all_problems() as part:
-        with part():
-            _ = plan.settings
-        with part():
-            if tuning.parameters:
-                _space(plan, experiment, model)
+    _ = plan.settings
+    if tuning.parameters:
+        _space(plan, experiment, model)
 
 
 def _check_alike(experiments: Sequence[Experiment], spaces: Sequence[SearchSpace]) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from egolane_pgm.drive import Drive, data_entries
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.parameters import Value
-from egolane_pgm.plugins import OWN_FILES, source_files
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.source import files_in_full
 from egolane_pgm.scoring.held_out import stitched_rows, without_block
 from egolane_pgm.tools.files import plain
@@ -35,8 +35,8 @@ from egolane_pgm.tuning.plan import (
     starting_points,
 )
 from egolane_pgm.tuning.space import Point, to_parameters
-from egolane_pgm.tuning.task import Task, checksum, identity_of
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.tuning.task import Task, identity_of
+from egolane_pgm.types import BoolArray, FloatArray
 
 
 def recording_task(plan: Plan, held_out: str) -> Task:
@@ -47,8 +47,6 @@ def recording_task(plan: Plan, held_out: str) -> Task:
     if fleet is not None and held_out != "none":
         held_out = "recordings"
     whole = held_out == "recordings"
-    if whole and len(problem.parts) < 2:
-        raise InputError(f"{plan.source}: whole recordings as blocks need at least two of them")
     starts, notes = starting_points(problem)
     notes = [note for drive in drives for note in drive.recorded.notes] + notes
     notes += notes_of_silent(drives, problem.settings.objectives)
@@ -73,7 +71,7 @@ def recording_task(plan: Plan, held_out: str) -> Task:
         starts=starts,
         notes=notes,
         held_out=held_out,
-        part="part" if fleet is not None else "recording" if whole else "block",
+        part="part" if fleet is not None else "block",
         left_out=left_out,
         identity=identity_of(plan, spaces, **searched_on),
         parts_key={
@@ -89,21 +87,19 @@ def recording_task(plan: Plan, held_out: str) -> Task:
         scorer=lambda part: (
             scorer(problem, all_used(drives))
             if part is None
-            else scorer(*without_part(problem, part, whole))
+            else scorer(*without_part(problem, part))
         ),
-        answers=partial(beliefs_at, problem, whole=whole),
+        answers=partial(beliefs_at, problem),
         assess=partial(assess_beliefs, problem),
         parameters=lambda point: dict(zip(names, parameters_at(problem, point), strict=True)),
         experiments=partial(best_experiments, problem),
     )
 
 
-def without_part(
-    problem: Problem, part: int, whole: bool = False
-) -> tuple[Problem, list[BoolArray]]:
-    """The problem without the labels of a part, and per drive the frames that may be used. whole:
-    whether whole recordings are held out, not blocks."""
-    if whole:
+def without_part(problem: Problem, part: int) -> tuple[Problem, list[BoolArray]]:
+    """The problem without the labels of a part, a block of each recording or some drives of a
+    fleet, and per drive the frames that may be used."""
+    if problem.plan.fleet is not None:
         kept = [k for k in range(len(problem.drives)) if k not in problem.parts[part]]
         drives = tuple(problem.drives[k] for k in kept)
         spaces = tuple(problem.spaces[k] for k in kept)
@@ -115,12 +111,10 @@ def without_part(
     return replace(problem, drives=tuple(drive for drive, _ in pairs)), used
 
 
-def beliefs_at(
-    problem: Problem, points: Sequence[Point], *, whole: bool = False
-) -> list[FloatArray]:
+def beliefs_at(problem: Problem, points: Sequence[Point]) -> list[FloatArray]:
     """Per drive the belief (K, n): with the parameters of one point, or each part with those of its
-    own. whole: as in `without_part`."""
-    if len(points) > 1 and whole:
+    own."""
+    if len(points) > 1 and problem.plan.fleet is not None:
         point_of = {k: points[b] for b, part in enumerate(problem.parts) for k in part}
         sets = [to_parameters(space, point_of[k]) for k, space in enumerate(problem.spaces)]
         return [tried_belief(d, p) for d, p in zip(problem.drives, sets, strict=True)]
@@ -151,26 +145,13 @@ def assess_beliefs(
 
 
 def _identity(drive: Drive, data: Sequence[Any]) -> dict[str, Any]:
-    """What makes two recordings with their models the same: data, and the code of graph, evidence
-    rule and detector by checksum, and of a reader that is a file of its own."""
-    experiment, recording = drive.experiment, drive.experiment.recording
-    content = resolved(experiment, {})
+    """What makes two recordings with their models the same."""
+    content = resolved(drive.experiment, {})
     kept = ("n_lanes", "evidence", "graph", "filter", "evidence_reading", "unassigned_below")
-    code = {
-        "graph": checksum(source_files(drive.model.graph)),
-        "evidence": checksum(source_files(drive.model.rule)),
-    }
-    if recording.format is not None and recording.format.endswith(OWN_FILES):
-        code["format"] = checksum([experiment.folder / recording.format])
-    if recording.detector is not None:
-        from egolane_pgm.vision import picture_task
-
-        code["detector"] = picture_task.code_of(picture_task.detector_of(experiment))
     return {
         **{key: content[key] for key in kept},
         "recording": {k: v for k, v in content["recording"].items() if k != "path"},
         "data": [entry["sha256"][:16] for entry in data],
-        "code": code,
     }
 
 

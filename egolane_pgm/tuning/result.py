@@ -148,7 +148,7 @@ class Study:
         by_title = {"": documents} if style == "csv" else study_tables.by_country(documents)
         for title, mine in by_title.items():
             score = next(iter(mine[0]["best"]["values"]))
-            seen = score if score in study_tables.scores_of(mine[0]) else "accuracy"
+            seen = score if score in study_tables.SHOWN else "accuracy"
             parts += [title, Table(*study_tables.parameter_rows(mine, seen), labels=2)]
         if len(documents) == 1:
             parts.append(Table(*study_tables.score_rows(documents[0])))
@@ -186,8 +186,8 @@ class Study:
     def plot(self, figure: str = "history") -> Figure:
         """Draw a figure of the study.
 
-        - figure: "history", "slices", "flatness", and, where there are trials enough,
-          "importances" and "pairs".
+        - figure: "history", "profile" (the score over each parameter), and, where there are trials
+          enough, "importances".
 
         Raises InputError for another one, and for several studies: `study[name].plot()`.
         """
@@ -205,7 +205,7 @@ class Study:
 
         - figures: whether figures are drawn in it.
 
-        An older study of that name is replaced; files of your own in it stay. Raises
+        An older study of that name is replaced; other files are left alone. Raises
         InputError where the directory holds anything else, or cannot be written.
         """
         # matplotlib is imported only for figures.

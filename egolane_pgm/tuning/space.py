@@ -15,7 +15,7 @@ from optuna.distributions import (
 )
 
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.types import InputError, all_problems, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 #: An open end of a range, (0, 3] or (0, 1), begins this far inside, as a share of the range.
 OPEN_END = 1e-6
@@ -93,23 +93,20 @@ def make_space(
     known = {spec.name: spec for spec in specs}
     dimensions: list[Dimension] = []
     fixed: dict[str, Value] = {}
-    with all_problems() as part:
-        for name in given:
-            with part():
-                if name not in known:
-                    hint = suggestion(str(name), known)
-                    raise InputError(f"{where}: unknown parameter '{name}'{hint}")
-        for name, spec in known.items():
-            here = f"{where}.{name}"
-            bounds = given.get(name, spec.search_range if spec.is_searched else None)
-            is_list = isinstance(bounds, (list, tuple))
-            with part():
-                if name in given and (not is_list or (spec.per_lane and len(bounds) != 2)):
-                    fixed[name] = spec.check(bounds, n_lanes, here)
-                elif bounds is None:
-                    fixed[name] = current[name]
-                else:
-                    dimensions += _dimensions(spec, bounds, name in given, n_lanes, here)
+    for name in given:
+        if name not in known:
+            hint = suggestion(str(name), known)
+            raise InputError(f"{where}: unknown parameter '{name}'{hint}")
+    for name, spec in known.items():
+        here = f"{where}.{name}"
+        bounds = given.get(name, spec.search_range if spec.is_searched else None)
+        is_list = isinstance(bounds, (list, tuple))
+        if name in given and (not is_list or (spec.per_lane and len(bounds) != 2)):
+            fixed[name] = spec.check(bounds, n_lanes, here)
+        elif bounds is None:
+            fixed[name] = current[name]
+        else:
+            dimensions += _dimensions(spec, bounds, name in given, n_lanes, here)
     if not dimensions:
         raise InputError(f"{where}: every parameter is fixed, there is nothing to search")
     return SearchSpace(tuple(dimensions), fixed)

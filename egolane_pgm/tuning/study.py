@@ -18,7 +18,7 @@ from egolane_pgm.tools.files import make_directory, write_json, write_yaml
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.tuning import study_directory as files
 from egolane_pgm.tuning.nested import Nested, search_without, settings_of_part
-from egolane_pgm.tuning.plan import Plan, with_options
+from egolane_pgm.tuning.plan import Plan
 from egolane_pgm.tuning.search import Progress, Report, best_trial, counted, search
 from egolane_pgm.tuning.storage import (
     check_place,
@@ -27,7 +27,6 @@ from egolane_pgm.tuning.storage import (
     storage_errors,
 )
 from egolane_pgm.tuning.task import Task, task_of
-from egolane_pgm.types import InputError
 from egolane_pgm.views.study_trials import STUDY_FILE
 
 #: A process's share: the number of a search, the part that is left out (None for the study on
@@ -41,7 +40,6 @@ class Search:
 
     - directory: of its results.
     - storage: URL of the storage; None for a journal in the directory.
-    - test: what takes no part in the search and is scored with what it finds.
     - best: the part of study.json on the best trial. trials, experiments: see `Study`.
     - nested: the studies without a part that are done, by part.
     """
@@ -49,7 +47,6 @@ class Search:
     task: Task
     directory: Path
     storage: str | None = None
-    test: Task | None = None
     best: dict[str, Any] = field(default_factory=dict)
     trials: dict[str, list[Any]] = field(default_factory=dict)
     experiments: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -70,7 +67,6 @@ def prepare(
     plan: Plan,
     directory: Path,
     held_out: str = "blocks",
-    test: Plan | None = None,
     storage: str | None = None,
 ) -> Search:
     """Read what is searched on, and check everything that can be checked before anything is
@@ -79,18 +75,6 @@ def prepare(
     Raises InputError for whatever does not fit, another study in the same place included.
     """
     made = Search(task_of(plan, held_out), directory, storage)
-    if test is not None:
-        if (test.pictures is None) != (plan.pictures is None):
-            raise InputError(
-                f"{test.source}: test_on: labelled pictures test a search on labelled pictures, and"
-                " recordings one on recordings"
-            )
-        same = {**plan.tuning.model_dump(), "never_fit": test.tuning.never_fit}
-        made.test = task_of(with_options(test, same), "none")
-        if made.test.space.dimensions != made.task.space.dimensions:
-            raise InputError(
-                f"{test.source}: test_on: declares other parameters than {plan.source}"
-            )
     check_place(storage, directory, plan.name, made.task.identity)
     return made
 
@@ -230,7 +214,6 @@ def finish(made: Search) -> dict[str, Any]:
         "in_sample": {"tuned_on": "same_frames", **task.assess(answers)},
         "held_out": None,
         "difference": None,
-        "test": None,
         "notes": list(task.notes),
     }
     if made.n_parts:
@@ -238,9 +221,6 @@ def finish(made: Search) -> dict[str, Any]:
         held_out = task.answers([each.point for each in nested])
         content["held_out"] = {**files.held_out_entry(task, nested), **task.assess(held_out)}
         content["difference"] = task.assess(answers, held_out)
-    if made.test is not None:
-        name, scores = made.test.plan.name, made.test.assess(made.test.answers(best))
-        content["test"] = {"tuned_on": "other_frames", "name": name, **scores}
     write_json(made.directory / STUDY_FILE, content)
     return content
 

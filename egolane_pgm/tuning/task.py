@@ -1,12 +1,10 @@
-"""What a search searches on: recordings, or pictures whose lines are labelled."""
+"""What a search knows of the recordings that it searches on."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from egolane_pgm.parameters import Value
@@ -24,8 +22,7 @@ class Task:
       same; the values of the parameters that are not searched may differ.
     - starts: points that the study on everything tries first.
     - notes: what a user should know, a line each.
-    - held_out: "blocks", "recordings" (whole ones, of a fleet its parts), or "none" for in-sample
-      scores only.
+    - held_out: "blocks", "recordings" (the parts of a fleet), or "none" for in-sample scores only.
     - part: what is held out in turn, in a word.
     - left_out: the name of each part that is held out in turn, None for a block.
     - identity: what makes two studies the same one, as JSON, so that none goes on with trials of
@@ -76,17 +73,13 @@ def task_of(plan: Plan, held_out: str = "blocks") -> Task:
 
     Raises InputError for whatever does not fit, before anything is computed.
     """
-    if plan.pictures is not None:
-        from egolane_pgm.vision.picture_task import picture_task
-
-        return picture_task(plan, held_out)
     from egolane_pgm.tuning.recording_task import recording_task
 
     return recording_task(plan, held_out)
 
 
 def identity_of(plan: Plan, spaces: Mapping[str, SearchSpace], **more: Any) -> dict[str, Any]:
-    """A task's `identity`. more: keys on what is searched on, with checksums of data and code."""
+    """A task's `identity`. more: keys on what is searched on, with checksums of data."""
     settings = plan.settings
     identity = {
         "name": plan.name,
@@ -101,8 +94,3 @@ def identity_of(plan: Plan, spaces: Mapping[str, SearchSpace], **more: Any) -> d
         **more,
     }
     return dict(json.loads(json.dumps(plain(identity))))
-
-
-def checksum(files: Sequence[Path]) -> str:
-    """The beginning of the checksum of some files' content."""
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]

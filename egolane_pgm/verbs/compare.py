@@ -8,10 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Ge
-
-from egolane_pgm.comparing.compared import Asked, compare_results, document
-from egolane_pgm.comparing.lags import check_lags
+from egolane_pgm.comparing.compared import compare_results, document
 from egolane_pgm.comparing.planning import (
     compare_groups,
     planned,
@@ -37,7 +34,7 @@ from egolane_pgm.verbs.given import (
 
 EXAMPLES = (
     "egolane compare experiments/quickstart.yaml --graphs sensor_failure,lane_only",
-    "egolane compare experiments/zero_label.yaml --runs 1-10 --with-paper --wide > table.md",
+    "egolane compare experiments/zero_label.yaml --runs 1-10 --wide > table.md",
 )
 
 #: The graphs that are compared where none is named.
@@ -52,13 +49,8 @@ def compare(
         Option("NAME,...", said=",".join(DEFAULT_GRAPHS)),
     ] = None,
     runs: Annotated[Runs | None, Option("TEXT", said="with graphs alone: 1-10")] = None,
-    with_paper: bool = False,
-    health: bool = False,
     events: bool = False,
-    lags: Annotated[str | Sequence[float] | None, Option("SECONDS,...")] = None,
     blocks: Blocks = 5,
-    trials_per_number: Annotated[int | None, Ge(1), Option("K")] = None,
-    seeds: Annotated[str | int | Sequence[int] | None, Option("N|LIST")] = None,
     fleet: Fleet = None,
     jobs: Jobs = 1,
     overrides: Overrides = (),
@@ -78,18 +70,13 @@ def compare(
     - experiments: one, or a list of several; or result directories.
     - graphs: graphs, names or files.
     - runs: runs of the paper, e.g. 1-5,7.
-    - with_paper: with runs: the paper's model first, with its recovered parameters.
-    - health: as well: how well each tells that the detector is wrong.
     - events: instead: how well each tells lane changes.
-    - lags: instead: accuracy of beliefs that wait, e.g. 0,0.5,1,2,5.
     - blocks: blocks held out in turn.
-    - trials_per_number: trials of each block's search (fit=tune): K for each number that it moves.
-    - seeds: search with seeds 0 to N-1, or those of a list (3,7); means.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
     - jobs: processes that share the work.
     - overrides: override the YAMLs, e.g. fit=tune tuning.trials=300.
     - out: keep the results, the numbers and the figures.
-    - figures: draw accuracy, how it differs from the first one's, and over lags, in this folder.
+    - figures: draw accuracy, and how it differs from the first one's, in this folder.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
     Returns a `Comparison`. Raises InputError for whatever does not fit. A recording that fails does
@@ -101,13 +88,8 @@ def compare(
     >>> compared = ego.compare([one, other], blocks=2)
     >>> compared.to_pandas()["value"].xs("f1", level="score").round(3).to_list()
     [0.728, 0.727]
-    >>> late = ego.compare(one, blocks=2, lags=[0, 1]).to_pandas("lags")
-    >>> late["accuracy"].round(3).to_list()
-    [0.902, 0.911]
     """
     given = several_of(experiments)
-    waits = () if lags is None else check_lags(lags.split(",") if isinstance(lags, str) else lags)
-    asked, chosen = Asked(health, events, waits), _seeds(seeds)
     place = None if out is None else Path(path_of(out, "out"))
     drawn = None if figures is None else Path(path_of(figures, "figures"))
     if place is not None:
@@ -116,17 +98,16 @@ def compare(
         check_place(drawn)
     if any(isinstance(each, (str, os.PathLike)) and Path(each).is_dir() for each in given):
         of_experiments = {
-            "graphs": graphs, "runs": runs, "with_paper": with_paper, "fleet": fleet,
-            "trials_per_number": trials_per_number, "seeds": seeds, "overrides": overrides,
+            "graphs": graphs, "runs": runs, "fleet": fleet, "overrides": overrides,
         }  # fmt: skip
         for name, value in of_experiments.items():
             if value:
                 raise InputError(f"{name}: goes with experiments, not with results")
         stored = results_by_recording([read_result(each) for each in given])
-        found = _comparison([compare_results(title, columns, asked) for title, columns in stored])
+        found = _comparison(
+            [compare_results(title, results, events=events) for title, results in stored]
+        )
     else:
-        if with_paper and not (given and runs):
-            raise InputError("with_paper: goes with experiments and runs")
         if fleet is not None and (not given or runs):
             raise InputError("fleet: goes with experiments, without runs")
         drives = () if fleet is None else read_fleet(path_of(fleet, "fleet"))
@@ -134,23 +115,10 @@ def compare(
             given,
             graphs=graph_names(graphs, bool(given)),
             numbers=parse_runs(runs) if runs else None,
-            with_paper=with_paper,
             drives=drives,
             overrides=overrides,
         )
-        is_searched = any(e.fit == "tune" for group in groups for e in group.experiments)
-        for name, value in (("seeds", seeds), ("trials_per_number", trials_per_number)):
-            if value and not is_searched:
-                raise InputError(f"{name}: nothing is searched; override fit=tune")
-        done = compare_groups(
-            groups,
-            asked,
-            n_blocks=blocks,
-            trials_per_number=trials_per_number,
-            seeds=chosen,
-            jobs=jobs,
-            progress=progress,
-        )
+        done = compare_groups(groups, events=events, n_blocks=blocks, jobs=jobs, progress=progress)
         found = replace(_compared(done, len(groups)), drives=drives)
     if place is not None:
         found.save(place)
@@ -190,22 +158,6 @@ def _comparison(parts: Sequence[Mapping[str, Any]]) -> Comparison:
         for name, result in part.get("results", {}).items()
     }
     return Comparison(found, results)
-
-
-def _seeds(given: str | int | Sequence[int] | None) -> tuple[int, ...]:
-    """None -> (), 5 or "5" -> (0, 1, 2, 3, 4), [3, 7] or "3,7" -> (3, 7)."""
-    if given is None:
-        return ()
-    if isinstance(given, str):
-        words = [word.strip() for word in given.split(",")]
-        if words[0] and all(word.isdecimal() for word in words if word):
-            numbers = [int(word) for word in words if word]
-            return _seeds(numbers if "," in given else numbers[0])
-    elif isinstance(given, int) and given > 0:
-        return tuple(range(given))
-    elif isinstance(given, Sequence) and all(isinstance(seed, int) for seed in given):
-        return tuple(dict.fromkeys(map(int, given)))
-    raise InputError(f"seeds: {given} is neither how many, 5, nor which, 3,7")
 
 
 def graph_names(graphs: Any, has_experiments: bool) -> list[str]:

@@ -33,27 +33,25 @@ def label(
     out: Annotated[
         StrPath | None, Option("DIR", default="results/*_labels", said="results/NAME_labels")
     ] = None,
-    figures: bool = True,
 ) -> Labels:
-    """Label the lanes of a RECORDING, and list the frames that a human should look at.
+    """Label the lanes of a RECORDING, and list the segments in which a label is not sure.
 
     The labels are made from the whole recording (smoothed beliefs, lane width of all frames), and
     no label is needed for that. labels.txt in the output folder is a ground-truth file as `egolane
-    run --ground-truth` reads it; review.csv and figures/ are for whoever checks it. Without
-    RECORDING the experiment's own is labelled.
+    run --ground-truth` reads it; segments.csv lists the segments. Without RECORDING the
+    experiment's own is labelled.
 
     - recording: lines, as `run` takes them; by default the experiment's own.
     - n_lanes: number of lanes of the road; needed without an experiment.
     - experiment: what labels it. Its filter is replaced by the smoother, and a causal lane width by
       that of all frames.
     - overrides: override a key of the experiment, e.g. recording.frame_rate=25.
-    - below: frames whose label has a smaller probability are looked at.
+    - below: labels with a smaller probability are not sure.
     - ground_truth: annotation to score the labels with.
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
     - lines: where the lines stand in a table or in messages, as for `run`.
     - out: folder of the labels. A `*` in it is the recording's name.
-    - figures: draw figures/.
 
     Returns the `Labels`. Without `out` nothing is written. Raises InputError, one line, for
     whatever does not fit.
@@ -62,11 +60,11 @@ def label(
     >>> import egolane_pgm as ego
     >>> found = ego.label(experiment="zero_label", overrides={"recording.frames": [0, 600]})
     >>> found  # of a simulated drive
-    Labels('zero_label': 600 frames, 3 lanes, ... to review (...), accuracy 0.99...)
+    Labels('zero_label': 600 frames, 3 lanes, ... segments not sure (...), accuracy 0.99...)
     >>> found.truth
     LaneTruth('labels': 600 frames, ids 0 to 599, ... crossing)
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     saved = found.save(f"{folder}/mine", figures=False)
+    ...     saved = found.save(f"{folder}/mine")
     ...     print((saved / "labels.txt").read_text()[:5])
     0;3;0
     """
@@ -84,7 +82,7 @@ def label(
         check_writable(place)
     labels = label_experiment(chosen, below, read=read_of(chosen, recording, ground_truth))
     if place is not None:
-        labels.save(place, figures=figures)
+        labels.save(place)
     return labels
 
 

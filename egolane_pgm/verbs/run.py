@@ -27,7 +27,7 @@ from egolane_pgm.running import (
     run_in_parts,
 )
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError, LineLog, all_problems, titled
+from egolane_pgm.types import InputError, LineLog, titled
 from egolane_pgm.verbs.given import (
     Blocks,
     Detector,
@@ -211,28 +211,19 @@ def says(done: Result | DriveTable | str, given: Mapping[str, Any]) -> str:
 
 
 def _checked(titled: Sequence[tuple[str, Callable[[], Experiment]]]) -> str:
-    """Check experiments without computing anything; a line for each. Raises InputError, a line for
-    each problem."""
-    lines = []
-    with all_problems() as part:
-        for title, load in titled:
-            with part():
-                lines.append(f"{title}: ok ({_has(load())})")
-    return "\n".join(lines)
-
-
-def _has(experiment: Experiment) -> str:
+    """Check experiments without computing anything; a line for each."""
     # Optuna is loaded for this only.
     from egolane_pgm.tuning.plan import check_tuning
 
-    with all_problems() as part:
-        with part():
-            model = prepare_model(experiment)
-            check_tuning(experiment, model)
-        with part():
-            if experiment.recording.path != IN_MEMORY:
-                check_sources(experiment)
-    return f"{model.n_lanes} lanes, {model.compiled.n_states} joint states"
+    lines = []
+    for title, load in titled:
+        experiment = load()
+        model = prepare_model(experiment)
+        check_tuning(experiment, model)
+        if experiment.recording.path != IN_MEMORY:
+            check_sources(experiment)
+        lines.append(f"{title}: ok ({model.n_lanes} lanes, {model.compiled.n_states} joint states)")
+    return "\n".join(lines)
 
 
 def _run_one(
@@ -269,7 +260,7 @@ def _run_several(
         raise KeyboardInterrupt(f"{kept}the same command begins anew") from None
     if folder is None:
         if all(each.error is not None for each in done):
-            raise InputError(*(f"{each.title}: {each.error}" for each in done[:1]))
+            raise InputError(f"{done[0].title}: {done[0].error}")
         for each in done:
             if each.error is not None:
                 warnings.warn(f"{each.title}: {each.error}", UserWarning, stacklevel=3)

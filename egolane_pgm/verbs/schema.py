@@ -16,7 +16,7 @@ from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
-from egolane_pgm.tuning.plan import PictureTuningFile, TuningFile
+from egolane_pgm.tuning.plan import TuningFile
 from egolane_pgm.vision.detectors.networks.description import Network
 
 Kind = Literal["experiment", "tuning", "network", "comparison", "reproduction"]
@@ -24,7 +24,7 @@ Kind = Literal["experiment", "tuning", "network", "comparison", "reproduction"]
 #: The files that have a schema: what is in them.
 KINDS: dict[Kind, Any] = {
     "experiment": Experiment,
-    "tuning": TuningFile | PictureTuningFile,
+    "tuning": TuningFile,
     "network": Network,
     "comparison": Comparison,
     "reproduction": Reproduction,
@@ -62,18 +62,13 @@ def schema(kind: Kind = "experiment") -> dict[str, Any]:
     """
     found = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
     definitions = found.get("$defs", {})
-    if "anyOf" in found:
-        names = [each["$ref"].removeprefix("#/$defs/") for each in found["anyOf"]]
-        roots = [definitions[name] for name in names]
-    else:
-        roots = [found]
-    for root in () if kind in _WRITTEN else roots:
-        root["properties"] = {"version": _VERSION, **root["properties"]}
-        if "name" in root["required"]:
-            root["properties"] = {"include": _INCLUDE, **root["properties"]}
-            needed = [key for key in root.pop("required") if key != "name"]
-            root["if"] = {"required": ["name"]}
-            root["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
+    if kind not in _WRITTEN:
+        found["properties"] = {"version": _VERSION, **found["properties"]}
+        if "name" in found["required"]:
+            found["properties"] = {"include": _INCLUDE, **found["properties"]}
+            needed = [key for key in found.pop("required") if key != "name"]
+            found["if"] = {"required": ["name"]}
+            found["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
     _name_plugins(found["properties"] if kind == "experiment" else {})
     _name_plugins(definitions["Recording"]["properties"] if "Recording" in definitions else {})
     title = f"egolane_pgm: {'an' if kind == 'experiment' else 'a'} {kind} file"

@@ -57,14 +57,11 @@ def tune(
     objective: Annotated[str | Sequence[str], Option(many=True, said="accuracy")] = (),
     sampler: Annotated[str | None, Option(said="evolution")] = None,
     seed: Annotated[Seed | None, Option(said="0")] = None,
-    from_scratch: bool = False,
     parameter: Annotated[
         Mapping[str, Any] | None,
         Option("NAME=VALUE", names=("-p",), example="p1=[0.5,1] or p1=0.9"),
     ] = None,
     blocks: Annotated[Blocks | None, Option(said="5")] = None,
-    whole_recordings: bool = False,
-    test_on: Annotated[Given | None, Option("YAML")] = None,
     in_sample_only: bool = False,
     together: bool = False,
     fleet: Fleet = None,
@@ -94,11 +91,8 @@ def tune(
     - objective: a score by name; several times for a Pareto front.
     - sampler: one of evolution, tpe, cma-es, random; nsga2 for several objectives.
     - seed: of the sampler.
-    - from_scratch: do not try the known values first.
     - parameter: narrow, p1=[0.5,1], or fix, p1=0.9.
     - blocks: blocks held out in turn; of a fleet parts of its drives.
-    - whole_recordings: hold out each recording in turn, not blocks.
-    - test_on: an experiment that takes no part; it is scored with what is found.
     - in_sample_only: no nested studies: in-sample scores only.
     - together: one parameter set for all the experiments.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
@@ -127,37 +121,32 @@ def tune(
         raise InputError("workers: share one study, jobs several; take one of the two")
     if workers is None and jobs is None:
         jobs = cpu_count() if out is not None else 1
-    held_out = _held_out(blocks, whole_recordings=whole_recordings, in_sample_only=in_sample_only)
+    if in_sample_only and blocks is not None:
+        raise InputError("in_sample_only: does not go with blocks")
     changed = {
         "trials": trials,
         "objective": (objective,) if isinstance(objective, str) else tuple(objective) or None,
         "sampler": sampler,
         "seed": seed,
         "blocks": blocks,
-        "from_scratch": from_scratch or None,
         "parameters": keys_of(parameter, "parameter", "{'p1': [0.5, 1], 'p2': 0.9}"),
     }
     given = several_of(experiments)
     plans = [planning.with_options(p, changed) for p in _plans(given, runs, overrides)]
     if fleet is not None:
-        if runs or together or whole_recordings:
-            raise InputError(
-                "fleet: its drives are tuned together, and held out whole; leave out runs, together"
-                " and whole_recordings"
-            )
+        if runs or together:
+            raise InputError("fleet: its drives are tuned together; leave out runs and together")
         plans = [on_fleet(p, fleet, by_tag, overrides) for p in plans]
     elif by_tag is not None:
         raise InputError("by_tag: goes with a fleet")
     if together:
         plans = [planning.together(plans)]
     _check_names(plans)
-    test = None if test_on is None else _plan(test_on, ())
     with (
         nullcontext(Path(path_of(out, "out"))) if out is not None else temporary_folder() as folder
     ):
-        searches = [
-            studies.prepare(plan, folder / plan.name, held_out, test, storage) for plan in plans
-        ]
+        held_out = "none" if in_sample_only else "blocks"
+        searches = [studies.prepare(plan, folder / plan.name, held_out, storage) for plan in plans]
         if out is not None:
             _announce(searches)
         try:
@@ -179,14 +168,6 @@ def says(done: Study, given: Mapping[str, Any]) -> str:
     """Where the studies are."""
     folders = _listed([Path(given["out"], name) for name in done.names])
     return f"studies: {folders}; best.yaml: run it, or `include:` it"
-
-
-def _held_out(blocks: int | None, *, whole_recordings: bool, in_sample_only: bool) -> str:
-    if in_sample_only and (whole_recordings or blocks is not None):
-        raise InputError("in_sample_only: goes with neither blocks nor whole_recordings")
-    if whole_recordings and blocks is not None:
-        raise InputError("whole_recordings: a recording is the block, leave blocks out")
-    return "none" if in_sample_only else "recordings" if whole_recordings else "blocks"
 
 
 def _listed(folders: Sequence[Path]) -> str:
@@ -218,8 +199,6 @@ def on_fleet(
 ) -> planning.Plan:
     """The plan for one parameter set for all drives of a fleet; for a fleet of one drive that of
     its recording."""
-    if plan.pictures is not None:
-        raise InputError(f"{plan.source}: fleet: does not go with labelled pictures")
     if len(plan.experiments) > 1:
         raise InputError(f"{plan.source}: fleet: goes with one experiment; the table has drives")
     (base,) = plan.experiments

@@ -13,13 +13,7 @@ from matplotlib.figure import Figure
 
 from egolane_pgm.types import InputError
 from egolane_pgm.views.answers import FAINT, INK, MODEL_COLOUR
-from egolane_pgm.views.comparison_tables import (
-    entries_of,
-    experiment_names,
-    lag_curves,
-    lag_means,
-    trusted_or_all,
-)
+from egolane_pgm.views.comparison_tables import entries_of, experiment_names, trusted_or_all
 from egolane_pgm.views.style import axes_at, new_figure, put_title, write_figure
 
 #: Okabe and Ito's colours, and a marker each, so that the figure can be read without colour.
@@ -44,13 +38,11 @@ _COLUMN, _LEFT, _RIGHT, _HEAD, _FOOT, _HEIGHT = 0.16, 0.9, 0.15, 0.4, 0.45, 3.4
 
 
 def draw_all(document: Mapping[str, Any], folder: Path) -> None:
-    """Write accuracy.png; differences.png of several experiments; lags.png where lags were asked
-    for. Raises InputError as `write_figure`."""
+    """Write accuracy.png, and differences.png of several experiments. Raises InputError as
+    `write_figure`."""
     write_figure(lambda: comparison_figure(document), folder / "accuracy.png")
     if _is_different(document):
         write_figure(lambda: differences_figure(document), folder / "differences.png")
-    if lag_curves(document):
-        write_figure(lambda: lags_figure(document), folder / "lags.png")
 
 
 def comparison_figure(document: Mapping[str, Any]) -> Figure:
@@ -59,8 +51,7 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
 
     document: as `egolane compare --json` writes it. Frames whose labels are not trusted are left
     out. The axis is logarithmic in the share of errors and ends at 0.9997; larger accuracies are
-    drawn there. Filled markers are held out or not tuned, hollow ones in-sample; the small dots
-    next to a mean over seeds are the seeds.
+    drawn there. Filled markers are held out or not tuned, hollow ones in-sample.
     """
     recordings = document["recordings"]
     names = experiment_names(document)
@@ -88,13 +79,6 @@ def comparison_figure(document: Mapping[str, Any]) -> Figure:
             heights = [_height(v) for v in scores["intervals"]["accuracy"] or ()]
             if heights:
                 ax.plot([x, x], heights, color=colour, linewidth=1.6, zorder=2)
-            seeds = entry.get("seeds", ())
-            if len(seeds) > 1:
-                each = [_height(trusted_or_all(one["scores"])["accuracy"]) for one in seeds]
-                ax.plot(
-                    [x + step / 3] * len(each), each,
-                    linestyle="none", marker=".", markersize=3, color=colour, zorder=2,
-                )  # fmt: skip
             ax.plot(
                 [x], [_height(scores["accuracy"])], linestyle="none", marker=marker, markersize=5,
                 markeredgecolor=colour, markerfacecolor="white" if hollow else colour, zorder=3,
@@ -201,80 +185,6 @@ def _differences(document: Mapping[str, Any], name: str) -> dict[str, tuple[floa
             bounds = entry["difference"]["accuracy"]
             found[f"all {entry['recordings']}"] = bounds and tuple(bounds)
     return found
-
-
-#: What a study of another kind reports, and where (Towards Accurate Ego-lane Identification with
-#: Early Time Series Classification, 2024): the average time until a series is answered, seconds,
-#: and the share of right answers.
-STUDY = (0.84, 0.996)
-STUDY_SOURCE = """\
-Star: another study (arXiv:2405.17270) reports 99.6 % at an average prediction time of 0.84 s, for
-114 h of driving in five countries with camera and map. It answers a series of frames once, when it
-is sure, and on other roads: a mark to look at, no like-for-like comparison."""
-
-_LAG_PANEL, _LAG_GAP, _LAG_HEIGHT, _LAG_LEGEND, _LAG_FOOT = 5.0, 0.3, 3.8, 1.2, 1.1
-
-
-def lags_figure(document: Mapping[str, Any]) -> Figure:
-    """Draws how the accuracy of each experiment on each recording grows with the time that its
-    beliefs wait, the mean over the recordings, and what a study of another kind reports.
-
-    document: as `egolane compare --lags ... --json` writes it. Axis and frames are those of
-    `comparison_figure`; a panel per experiment.
-
-    Raises InputError for a document without lags.
-    """
-    curves = lag_curves(document)
-    if not curves:
-        raise InputError("comparison: no lags to draw; compare with lags, seconds")
-    titles = [str(recording["title"]) for recording in document["recordings"]]
-    wide, head = len(curves) * (_LAG_PANEL + _LAG_GAP), _HEAD + 0.2 * (len(curves) > 1)
-    figure = new_figure(_LEFT + wide + _LAG_LEGEND, head + _LAG_HEIGHT + _LAG_FOOT)
-    put_title(
-        figure, "Accuracy on frames that are not crossing, by how late the answer is", size=10
-    )
-    axes = []
-    for p, (name, curve) in enumerate(curves.items()):
-        ax = axes_at(figure, _LEFT + p * (_LAG_PANEL + _LAG_GAP), head, _LAG_PANEL, _LAG_HEIGHT)
-        axes.append(ax)
-        for k, title in enumerate(titles):
-            if title not in curve:
-                continue
-            colour, marker = _look(k)
-            found = curve[title]
-            ax.plot(
-                found["lag_s"], [_height(v) for v in found["accuracy"]], label=_short(title),
-                color=colour, marker=marker, markersize=4, linewidth=1.1,
-                linestyle=("-", "--", ":")[k // len(SERIES) % 3],
-            )  # fmt: skip
-        if len(curve) > 1:
-            lags = next(iter(curve.values()))["lag_s"]
-            ax.plot(
-                lags, [_height(v) for v in lag_means(curve)], label=f"mean of {len(curve)}",
-                color=INK, linewidth=2.6, alpha=0.75, zorder=4,
-            )  # fmt: skip
-        ax.plot(
-            [STUDY[0]], [_height(STUDY[1])], label="another study", linestyle="none", marker="*",
-            markersize=13, markerfacecolor="#f0e442", markeredgecolor=INK, zorder=5,
-        )  # fmt: skip
-        if len(curves) > 1:
-            ax.set_title(name, fontsize=9, loc="left", color=INK)
-        ax.set_xlabel("delay of the answer, seconds", fontsize=9)
-        ax.tick_params(labelsize=8.5)
-        ax.grid(color="#ececec", linewidth=0.6)
-        ax.set_axisbelow(True)
-    low = min(ax.get_ylim()[0] for ax in axes)
-    high = max(ax.get_ylim()[1] for ax in axes)
-    for p, ax in enumerate(axes):
-        ax.set_ylim(low, high)
-        _name_accuracies(ax, low, high)
-        if p:
-            ax.set_yticklabels([])
-    axes[0].set_ylabel("accuracy (errors on a log scale)", fontsize=9)
-    axes[-1].legend(loc="center left", bbox_to_anchor=(1.02, 0.5), fontsize=8.5, frameon=False)
-    across, down = (float(x) for x in figure.get_size_inches())
-    figure.text(0.12 / across, 0.1 / down, STUDY_SOURCE, fontsize=7, va="bottom", color=INK)
-    return figure
 
 
 def _name_accuracies(ax: Axes, low: float, high: float) -> None:

@@ -6,8 +6,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
-
 from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, causal_text, score_text, with_interval
 
 LEGEND = """\
@@ -20,28 +18,9 @@ compared only between experiments with the same evidence rule and parameters of 
 processor time of evidence and filter. Parameters: numbers that were fitted to labels. Trials: of
 the search without one block."""
 
-SEEDS_LEGEND = """\
-Each search was made with every seed: scores are means over the seeds, +- is their standard
-deviation, and intervals are over frames and seeds (each resample draws blocks of frames and, for
-each experiment, seeds)."""
-
 TOGETHER_LEGEND = """\
 All recordings: plain means over them. Recordings of one drive by several detectors are not
 independent: their frames are resampled together, each drive by itself."""
-
-LAGS_LEGEND = """\
-Over non-crossing frames, those of untrusted labels (tuning.never_fit) left out. The belief about a
-frame is given that many seconds late: it knows the lines of the frames recorded until then. Lag 0
-is the exact filter, whatever the experiment's own; where frames are missing a lag lasts longer.
-Evidence that is causal is made of a frame when it comes and not read anew later. All scores and
-95 % intervals: in the JSON."""
-
-HEALTH_LEGEND = """\
-AUC: area under the ROC curve for "the detector alone is wrong in this frame", over non-crossing
-frames in which it commits to a lane; doubt: 1 - P(the detector's lane), P(BAD): the belief that
-SensorState is BAD. Unassigned: the detector's own silence as the score, over all non-crossing
-frames, in which it is no surprise."""
-
 
 #: The scores that are compared, and how a table calls them.
 _COMPARED = {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}
@@ -94,41 +73,6 @@ def marks_text(document: Mapping[str, Any]) -> str:
     return "\n".join([*lines, *(f"{text}: {', '.join(names[text])}" for text in sorted(names))])
 
 
-def lag_curves(document: Mapping[str, Any]) -> dict[str, dict[str, Mapping[str, Any]]]:
-    """By experiment and recording how right beliefs are that wait (`lags` of the document), over
-    the frames whose labels can be trusted. Empty where no lag was asked for."""
-    curves: dict[str, dict[str, Mapping[str, Any]]] = {}
-    for title, entry in entries_of(document):
-        if entry.get("lags"):
-            curves.setdefault(entry["name"], {})[title] = trusted_or_all(entry["lags"])
-    return curves
-
-
-def lag_means(curve: Mapping[str, Mapping[str, Any]]) -> list[float]:
-    """The plain means over recordings of the accuracies, one for each lag."""
-    means: list[float] = np.mean([found["accuracy"] for found in curve.values()], axis=0).tolist()
-    return means
-
-
-def lag_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Accuracies of the beliefs that wait: a row per recording and experiment, a column per lag;
-    the means below."""
-    curves = lag_curves(document)
-    several = len(curves) > 1
-    lags = next(found["lag_s"] for curve in curves.values() for found in curve.values())
-    header = ["accuracy", *["experiment"] * several, *(f"{lag:g} s" for lag in lags)]
-    rows = []
-    for title, entry in entries_of(document):
-        values = curves[entry["name"]][title]["accuracy"]
-        cells = [score_text(value, 4) + _mark(entry) for value in values]
-        rows.append([title, *[entry["name"]] * several, *cells])
-    for name, curve in curves.items():
-        if len(curve) > 1:
-            cells = [score_text(value, 4) for value in lag_means(curve)]
-            rows.append([f"mean of {len(curve)}", *[name] * several, *cells])
-    return header, rows
-
-
 def has_untrusted(document: Mapping[str, Any]) -> bool:
     """Whether the labels of some frames are not trusted."""
     return any("without_never_fit" in entry["scores"] for _, entry in entries_of(document))
@@ -140,8 +84,7 @@ def full_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
         "recording", "experiment", "frames", "accuracy", "F1", "log-loss", "parameters from",
         "causality", "Brier", "calibration error", "false switches/min", "delay median",
         "delay p90", "missed", "coverage", "log evidence", "us/frame", "parameters",
-        "accuracy diff", "F1 diff", "log-loss diff", "fixed", "trials", "seeds", "accuracy +-",
-        "doubt AUC", "P(BAD) AUC",
+        "accuracy diff", "F1 diff", "log-loss diff", "fixed", "trials",
     ]  # fmt: skip
     return header, [
         [title, *_cells(entry, subset, scores)]
@@ -177,7 +120,6 @@ def _filled(rows: Sequence[Sequence[str]]) -> list[int]:
 def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> list[str]:
     delay = scores["delay"]
     difference = (entry["difference"] or {}).get(subset) or {}
-    health = (entry.get("health") or {}).get(subset) or {}
     return [
         entry["name"],
         "all" if subset == "all_frames" else "trusted",
@@ -198,15 +140,7 @@ def _cells(entry: Mapping[str, Any], subset: str, scores: Mapping[str, Any]) -> 
         score_text(entry["free_parameters"], 0),
         *(_bounds_text(difference.get(key), "+.3f") for key in _COMPARED),
         *(score_text(entry[key], 0) for key in ("fixed_parameters", "trials")),
-        str(len(entry["seeds"]) or "-"),
-        score_text(entry["spread"][subset]["accuracy"]),
-        *(_auc(health.get(key)) for key in ("auc_doubt", "auc_bad")),
     ]
-
-
-def is_repeated(document: Mapping[str, Any]) -> bool:
-    """Whether a search was made with several seeds."""
-    return any(len(entry["seeds"]) > 1 for _, entry in entries_of(document))
 
 
 def search_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
@@ -217,67 +151,28 @@ def search_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]
         searches = [e for _, e in entries_of(document) if e["name"] == name and e["trials"]]
         keys = ("free_parameters", "fixed_parameters", "trials")
         numbers = [[e[key] for e in searches] for key in keys]
-        numbers.append([len(e["seeds"]) for e in searches])
         if searches:
             rows.append([name, *("-".join(map(str, sorted({min(n), max(n)}))) for n in numbers)])
-    return ["search", "numbers searched", "held fixed", "trials", "seeds"], rows
+    return ["search", "numbers searched", "held fixed", "trials"], rows
 
 
 def together_tables(document: Mapping[str, Any]) -> list[tuple[list[str], list[list[str]]]]:
     """All recordings together: a table for each score, a row per experiment. Empty where there is
     nothing to take together."""
-    means, repeated = document["together"], is_repeated(document)
+    means = document["together"]
     tables = []
     for key, title in _COMPARED.items() if means else ():
-        header = [f"all {means[0]['recordings']} recordings", title]
-        header += [*(["+-"] if repeated else []), f"to {means[0]['name']}"]
+        header = [f"all {means[0]['recordings']} recordings", title, f"to {means[0]['name']}"]
         rows = [
             [
                 each["name"],
                 _bounds_text(each["scores"][key]),
-                *([score_text(each["spread"][key])] if repeated else []),
                 _bounds_text((each["difference"] or {}).get(key), "+.3f"),
             ]
             for each in means
         ]
         tables.append((header, rows))
     return tables
-
-
-def seeds_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """The means over the seeds, over the frames whose labels can be trusted: a row per recording
-    and experiment."""
-    rows = []
-    for title, entry in entries_of(document):
-        scores, spread = trusted_or_all(entry["scores"]), trusted_or_all(entry["spread"])
-        difference = trusted_or_all(entry["difference"]) if entry["difference"] else {}
-        row = [title, entry["name"], str(max(1, len(entry["seeds"])))]
-        row += [_score(scores, "accuracy", 3) + _mark(entry), score_text(spread["accuracy"])]
-        rows.append([*row, _bounds_text(difference.get("accuracy"), "+.3f")])
-    first = next(iter(experiment_names(document)), "the first")
-    return ["recording", "experiment", "seeds", "accuracy", "+-", f"to {first}"], rows
-
-
-def health_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Areas under the ROC curve for "the detector alone is wrong", over the frames whose labels can
-    be trusted: a row per recording."""
-    names = experiment_names(document)
-    header = ["AUC", "committed", "wrong", "Unassigned (all frames)"]
-    header += [f"{name}: {what}" for name in names for what in ("doubt", "P(BAD)")]
-    rows = []
-    for recording in document["recordings"]:
-        detector = trusted_or_all(recording["health"])
-        models = {e["name"]: trusted_or_all(e["health"]) for e in recording["experiments"]}
-        row = [recording["title"], str(detector["committed"]), str(detector["wrong"])]
-        row.append(_auc(detector["auc_unassigned"]))
-        for name in names:
-            row += [_auc(models.get(name, {}).get(key)) for key in ("auc_doubt", "auc_bad")]
-        rows.append(row)
-    return header, rows
-
-
-def _auc(value: float | None) -> str:
-    return "-" if value is None or value != value else f"{value:.4f}"
 
 
 def _mark(entry: Mapping[str, Any]) -> str:

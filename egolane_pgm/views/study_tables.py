@@ -13,12 +13,15 @@ from egolane_pgm.scoring.confusion import scores_from_confusion
 from egolane_pgm.views.study_trials import Trials, importances
 from egolane_pgm.views.tables import score_text, with_interval
 
+#: The scores in the tables.
+SHOWN = ("accuracy", "f1", "log_loss")
+
 COUNTRIES = {"italy": "A4, Italy", "spain": "A2, Spain"}
 
 
 def legend(documents: Sequence[Mapping[str, Any]]) -> str:
     """What the columns mean; printed with every table."""
-    part, drawn = "each block of the drive (or each recording)", "of a block bootstrap"
+    part, drawn = "each block of the drive", "of a block bootstrap"
     if any(document.get("fleet") for document in documents):
         part, drawn = "each part of the drives", "over drives, which are drawn whole"
     return (
@@ -93,21 +96,17 @@ def score_rows(document: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]
     """Header and rows: per score in-sample, held out, their difference; and without the frames
     that are never fitted, where there are any."""
     header = ["score", "in-sample", "held out", "difference"]
-    if document["test"] is not None:
-        header.append(f"test: {document['test']['name']}")
     rows = []
     for subset, suffix in (("all_frames", ""), ("without_never_fit", ", without never_fit")):
         if subset not in document["in_sample"]:
             continue
-        for score in scores_of(document):
+        for score in SHOWN:
             row = [
                 f"{score}{suffix}",
                 _cell(document["in_sample"], score, subset),
                 _cell(document["held_out"], score, subset),
                 _cell(document["difference"], score, subset, "+"),
             ]
-            if document["test"] is not None:
-                row.append(_cell(document["test"], score, subset))
             rows.append(row)
     return header, rows
 
@@ -124,11 +123,6 @@ def importance_line(trials: Trials) -> str | None:
         f"{trials.name}: what sets the best tenth of the trials apart (PED-ANOVA, in-sample):"
         f" {first}{rest}"
     )
-
-
-def scores_of(document: Mapping[str, Any]) -> tuple[str, ...]:
-    """The scores that a study's tables show."""
-    return tuple(document.get("scores", ("accuracy", "f1", "log_loss")))
 
 
 def _searched(document: Mapping[str, Any]) -> list[str]:

@@ -21,15 +21,11 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.trial import create_trial
 from pydantic_core import from_json
 
-from egolane_pgm.paper import load_published, parameters_for
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import FloatArray, InputError
 
 STUDY_FILE, TRIALS_FILE, SCHEMA_VERSION = "study.json", "trials.parquet", 1
-
-#: As good as the best: 0.5 points of accuracy, and as much of any other score.
-TOLERANCE = 0.005
 
 #: Importances of fewer trials than this would be noise.
 FEWEST = 20
@@ -42,13 +38,10 @@ class Trials:
     - document: its study.json.
     - study: the trials in the order of their numbers, each with its in-sample score of the first
       objective.
-    - reference: known values, of the paper where `reference_name` says so.
     """
 
     document: Mapping[str, Any]
     study: optuna.Study
-    reference: Mapping[str, Any]
-    reference_name: str
 
     @property
     def name(self) -> str:
@@ -122,7 +115,6 @@ def trials_of(
     """
     try:
         study = _study(content, table)
-        reference, name = _reference(content)
     except (LookupError, TypeError, ValueError, AttributeError) as error:
         raise InputError(
             f"{directory}: {STUDY_FILE} or {TRIALS_FILE} is damaged ({error!r}); tune again"
@@ -131,7 +123,7 @@ def trials_of(
         raise InputError(
             f"{directory}: no trial of this study is finished, there is nothing to draw"
         )
-    return Trials(content, study, reference, name)
+    return Trials(content, study)
 
 
 def _study(content: Mapping[str, Any], table: Mapping[str, Sequence[Any]]) -> optuna.Study:
@@ -155,53 +147,6 @@ def _distribution(bounds: Sequence[Any], column: Sequence[Any]) -> BaseDistribut
     if all(v is None or isinstance(v, int) for v in column):
         return IntDistribution(int(bounds[0]), int(bounds[1]))
     return FloatDistribution(*bounds)
-
-
-def _reference(content: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """The paper's values for one of its runs; else what all the experiments came with."""
-    if content.get("run") is not None:
-        return dict(parameters_for(load_published()[content["run"]], "published")), "the paper's"
-    points = [_per_lane(e["parameters"]) for e in content.get("experiments", ())] or [{}]
-    common = {k: v for k, v in points[0].items() if all(p.get(k) == v for p in points)}
-    return common, "before the search"
-
-
-def _per_lane(parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Parameters with one value per lane also under the keys of the search, `p3[2]`."""
-    found = dict(parameters)
-    for name, value in parameters.items():
-        if isinstance(value, list):
-            found |= {f"{name}[{lane}]": v for lane, v in enumerate(value, start=1)}
-    return found
-
-
-def as_good(trials: Trials) -> list[Mapping[str, Any]]:
-    """The points of the trials whose score is within `TOLERANCE` of the best."""
-    # Scores are ratios of counts: the bound itself counts in, whatever its last bit says.
-    is_good = trials.gain >= trials.gain.max() - TOLERANCE - 1e-12
-    return [trials.study.trials[k].params for k in np.flatnonzero(is_good)]
-
-
-def places(space: BaseDistribution, values: Sequence[Any]) -> FloatArray:
-    """Where values lie on the range that was searched: 0 at the lower, 1 at the upper end; whole
-    numbers and choices at the middle of their cell, of which there are 1 / `cell`. NaN for what is
-    outside."""
-    known = np.full(len(values), np.nan)
-    for k, value in enumerate(values):
-        if isinstance(space, CategoricalDistribution):
-            if value in space.choices:
-                known[k] = (space.choices.index(value) + 0.5) * cell(space)
-        elif isinstance(space, (IntDistribution, FloatDistribution)):
-            at = (value - space.low) / (space.high - space.low)
-            known[k] = at * (1 - cell(space)) + cell(space) / 2 if 0 <= at <= 1 else np.nan
-    return known
-
-
-def cell(space: BaseDistribution) -> float:
-    """The share of the range that one value takes; none of a real number."""
-    if isinstance(space, CategoricalDistribution):
-        return 1 / len(space.choices)
-    return 1 / (space.high - space.low + 1) if isinstance(space, IntDistribution) else 0.0
 
 
 def importances(trials: Trials) -> dict[str, float]:

@@ -3,9 +3,8 @@
 `strangers` prints how often the model without labels is right on the ten recordings as other
 detectors might have written them (about ten minutes of one core; --only and --runs take less),
 `sensors` the same of sensors that give less, `failures` where it fails on run 5 and why, and draws
-it, `labels` how good the labels are that `egolane label` makes, `ramps` lane changes where a ramp
-joins (simulated, two minutes), `drawn` scores on drives with new seeds and donors, `calibration`
-how right beliefs are, by how sure they are (a minute). All but `ramps` need EGOLANE_DATA.
+it, `ramps` lane changes where a ramp joins (simulated, two minutes). All but `ramps` need
+EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from pathlib import Path
 
 from egolane_pgm.paper import parse_runs
 
-MODULES = ("calibration", "drawn", "failures", "labels", "lanes", "ramps", "sensors", "strangers")
+MODULES = ("failures", "ramps", "sensors", "strangers")
 
 
 def main() -> None:

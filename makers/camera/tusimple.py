@@ -19,7 +19,6 @@ import cv2
 import numpy as np
 
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.scoring.line_places import line_counts, line_precision, line_recall, matched
 from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.calibration.labels import (
     label_picture,
@@ -43,6 +42,19 @@ TOLERANCE_M = 0.35
 SIDE_M = 6.0
 
 
+def matched(label_m: FloatArray, line_m: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Match lines with labels one to one, nearest first: which labels (A,) and lines (B,) are."""
+    label, line = np.zeros(len(label_m), dtype=bool), np.zeros(len(line_m), dtype=bool)
+    away = np.abs(label_m[:, None] - line_m)
+    for flat in np.argsort(away, axis=None, kind="stable"):
+        a, b = np.unravel_index(flat, away.shape)
+        if away[a, b] > TOLERANCE_M:
+            break
+        if not (label[a] or line[b]):
+            label[a] = line[b] = True
+    return label, line
+
+
 @dataclass(frozen=True)
 class Still:
     """One still. label_m (A,), line_m (B,): labels and lines 10 m ahead, metres to the right.
@@ -56,13 +68,17 @@ class Still:
         """Which labels (A,) and which lines (B,) are matched, lines below a score left out."""
         kept = self.score >= least_score
         label, line = np.zeros(len(self.label_m), bool), np.zeros(len(self.line_m), bool)
-        label[:], line[kept] = matched(self.label_m, self.line_m[kept], TOLERANCE_M)
+        label[:], line[kept] = matched(self.label_m, self.line_m[kept])
         return label, line
 
     def counts(self, least_score: float = 0.0) -> FloatArray:
         """(4,): labels found, labels, lines that are labelled, lines."""
-        kept = self.line_m[self.score >= least_score]
-        return line_counts(self.label_m, kept, SIDE_M, TOLERANCE_M).astype(np.float64)
+        label, line = self.matched(least_score)
+        near_label = np.abs(self.label_m) <= SIDE_M
+        near_line = (np.abs(self.line_m) <= SIDE_M) & (self.score >= least_score)
+        pairs = (label, near_label), (line, near_line)
+        counted = [n for hit, near in pairs for n in ((hit & near).sum(), near.sum())]
+        return np.array(counted, dtype=np.float64)
 
 
 def data_file() -> Path | None:
@@ -91,7 +107,14 @@ def look_at(labels: Path, which: slice, **parameters: Any) -> list[Still]:
 def recall_precision(stills: list[Still], least_score: float) -> tuple[float, float]:
     """Shares of labels found and of lines that are labelled."""
     counts = np.sum([still.counts(least_score) for still in stills], axis=0)
-    return float(line_recall(counts)), float(line_precision(counts))
+    recall, precision = _shares(counts)
+    return float(recall), float(precision)
+
+
+def _shares(counts: FloatArray) -> FloatArray:
+    """Recall and precision (2, ...) of summed counts (..., 4); NaN without labels, or lines."""
+    of = np.where(counts == 0, np.nan, counts)
+    return np.stack([counts[..., 0] / of[..., 1], counts[..., 2] / of[..., 3]])
 
 
 def interval(stills: list[Still], least_score: float) -> FloatArray:
@@ -100,8 +123,7 @@ def interval(stills: list[Still], least_score: float) -> FloatArray:
     rng = np.random.default_rng(0)
     draws = rng.integers(len(counts), size=(2000, len(counts)))
     sums = counts[draws].sum(axis=1)
-    shares = np.stack([line_recall(sums), line_precision(sums)])
-    return np.percentile(shares, [2.5, 97.5], axis=1).T
+    return np.percentile(_shares(sums), [2.5, 97.5], axis=1).T
 
 
 def curve(stills: list[Still]) -> FloatArray:

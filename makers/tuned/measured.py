@@ -70,7 +70,7 @@ def measure(
             [str(file) for file in files],
             trials=trials,
             seed=seed,
-            from_scratch=True,
+            overrides={"tuning.from_scratch": True},
             out=work / f"seed{seed}",
             figures=False,
             jobs=jobs,

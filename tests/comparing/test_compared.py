@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.comparing.compared import Asked, compare_results, document, together
+from egolane_pgm.comparing.compared import compare_results, document, together
 from egolane_pgm.comparing.planning import Group, by_recording, compare_groups
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.results import Result, read_result
@@ -20,17 +20,14 @@ from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
 from egolane_pgm.scoring.confusion import accuracy
-from egolane_pgm.scoring.health import detector_errors, doubt, roc_auc
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparison_figures import comparison_figure, differences_figure, draw_all
 from egolane_pgm.views.comparison_tables import (
     accuracy_rows,
     full_rows,
     full_tables,
-    health_rows,
     marks_text,
     search_rows,
-    seeds_rows,
     together_tables,
 )
 from egolane_pgm.views.events import event_comparison_rows
@@ -46,9 +43,9 @@ pytestmark = [
 N_FRAMES = 700
 
 
-def compared(*experiments: Experiment, **asked: Any) -> list[dict[str, Any]]:
+def compared(*experiments: Experiment, events: bool = False) -> list[dict[str, Any]]:
     """What is said of each experiment on the one recording that they share."""
-    (part,) = compare_groups(by_recording(experiments), Asked(**asked))
+    (part,) = compare_groups(by_recording(experiments), events=events)
     entries: list[dict[str, Any]] = part["experiments"]
     return entries
 
@@ -76,42 +73,13 @@ def test_a_difference_is_paired_and_to_the_first_experiment() -> None:
 def test_without_the_frames_that_are_never_fitted_the_scores_are_shown_beside() -> None:
     tuning = {"never_fit": {"from_frame": 900}}
     experiments = [simulated("a"), simulated("b", graph="lane_only", tuning=tuning)]
-    entries = compared(*experiments, health=True)
+    entries = compared(*experiments)
     for entry in entries:
         assert list(entry["scores"]) == ["all_frames", "without_never_fit"]
         every, trusted = entry["scores"].values()
         assert trusted["frames"] < every["frames"]
-        assert list(entry["health"]) == list(entry["scores"])
     difference = entries[1]["difference"]
     assert difference["without_never_fit"]["accuracy"] != difference["all_frames"]["accuracy"]
-
-
-def test_health_is_asked_of_frames_in_which_the_detector_commits() -> None:
-    asked = Asked(health=True)
-    (found,) = compare_groups(by_recording([simulated("counting"), geometry()]), asked)
-    detector = run_experiment(simulated("counting")).scores["detector"]
-    health = found["health"]["all_frames"]
-    matrix = np.array(detector["confusion"])
-    assert health["frames"] == matrix.sum()
-    assert health["committed"] == matrix[:-1].sum()
-    assert health["wrong"] == matrix[:-1].sum() - np.trace(matrix[:-1])
-    # Silence is never right: each silent frame beats all right ones, wrong lanes tie with these.
-    silent = matrix[-1].sum()
-    assert health["auc_unassigned"] == pytest.approx(
-        (silent + 0.5 * health["wrong"]) / (silent + health["wrong"])
-    )
-    for result, entry in zip(found["results"].values(), found["experiments"], strict=True):
-        mine = entry["health"]["all_frames"]
-        assert 0.5 < mine["auc_doubt"] <= 1
-        bad = result.marginals["SensorState"][:, result.values["SensorState"].index("BAD")]
-        answers = found["results"]["counting"].tentative
-        errors = detector_errors(answers, result.true_lane, result.is_crossing)
-        frames = errors.is_committed
-        assert mine["auc_bad"] == roc_auc(bad[frames], errors.is_wrong[frames])
-        score = doubt(result.marginals["Lane"], errors.assigned)
-        assert mine["auc_doubt"] == roc_auc(score[frames], errors.is_wrong[frames])
-    (alone,) = compare_groups(by_recording([geometry()]), asked)
-    assert alone["error"].startswith("health: no experiment here has the detector's own answer")
 
 
 def whole(groups: list[Group], **options: Any) -> dict[str, Any]:
@@ -129,42 +97,33 @@ def _searched(name: str, simulation: int, **keys: Any) -> Experiment:
     return simulated(name, fit="tune", recording=recording, **keys)
 
 
-def test_a_search_is_made_with_every_seed_and_scored_by_the_mean() -> None:
+def test_a_search_is_scored_as_a_run_and_recordings_are_taken_together() -> None:
     groups = by_recording(
-        [_searched(name, k, graph=name) for k in (0, 7) for name in ("lane_only", "no_wor")]
+        [
+            _searched(name, k, graph=name, tuning={"trials": 9})
+            for k in (0, 7)
+            for name in ("lane_only", "no_wor")
+        ]
     )
-    options = {"n_blocks": 2, "trials_per_number": 3, "seeds": (0, 4)}
-    found = whole(groups, **options)
-    assert found == whole(groups, **options, jobs=2)
+    found = whole(groups, n_blocks=2)
+    assert found == whole(groups, n_blocks=2, jobs=2)
     for entry, numbers in zip(found["recordings"][1]["experiments"], (3, 5), strict=True):
-        assert (entry["free_parameters"], entry["trials"]) == (numbers, 3 * numbers)
-        assert [one["seed"] for one in entry["seeds"]] == [0, 4]
-        for one in entry["seeds"]:
-            # With this seed alone: the same parameters, and the same scores.
-            own = {"seed": one["seed"], "trials": 3 * numbers}
-            searched = _searched("x", 7, graph=entry["name"], tuning=own)
-            alone = ego.run(searched, held_out=True, blocks=2)
-            assert alone.run["parameters_per_block"] == one["parameters"]
-        each = [one["scores"]["all_frames"]["accuracy"] for one in entry["seeds"]]
-        assert each[0] != each[1]
-        assert entry["scores"]["all_frames"]["accuracy"] == pytest.approx(np.mean(each))
-        assert entry["spread"]["all_frames"]["accuracy"] == pytest.approx(np.std(each, ddof=1))
+        assert (entry["free_parameters"], entry["trials"]) == (numbers, 9)
+        searched = _searched("x", 7, graph=entry["name"], tuning={"trials": 9})
+        alone = ego.run(searched, held_out=True, blocks=2)
+        assert alone.run["parameters_per_block"] == entry["parameters"]
+        mine = entry["scores"]["all_frames"]["accuracy"]
+        assert mine == pytest.approx(alone.scores["model"]["accuracy"])
     mean = [r["experiments"][1]["scores"]["all_frames"]["f1"] for r in found["recordings"]]
     first, second = found["together"]
     assert (first["difference"], second["recordings"], second["drives"]) == (None, 2, 2)
     assert second["scores"]["f1"][0] == pytest.approx(np.mean(mean))
     low, high = second["difference"]["f1"][1:]
     assert low < second["scores"]["f1"][0] - first["scores"]["f1"][0] < high
-    assert search_rows(found)[1] == [
-        ["lane_only", "3", "7", "9", "2"],
-        ["no_wor", "5", "7", "15", "2"],
-    ]
-    (ax,) = comparison_figure(found).axes
-    dots = [line for line in ax.lines if line.get_marker() == "."]
-    assert [len(line.get_xdata()) for line in dots] == [2] * 4  # type: ignore[arg-type]
-    for header, rows in (seeds_rows(found), *together_tables(found)):
+    assert search_rows(found)[1] == [["lane_only", "3", "7", "9"], ["no_wor", "5", "7", "9"]]
+    for header, rows in together_tables(found):
         assert {len(row) for row in rows} == {len(header)}
-        assert f"{np.mean(mean):.3f}" in str(rows) or header[-3] != "F1"
+        assert f"{np.mean(mean):.3f}" in str(rows) or header[-2] != "F1"
 
 
 @pytest.mark.parametrize("accuracies", [(0.81, 0.83), (0.5, 0.999)])
@@ -208,7 +167,7 @@ def test_the_command_shows_writes_and_draws(tmp_path: Path) -> None:
         write_drive(tmp_path, N_FRAMES, **keys, name="learned", fit="learn"),
     ]
     target, out = tmp_path / "all.json", tmp_path / "out"
-    shown = done("compare", *paths, "--health", "--json", target, "--out", out).stdout
+    shown = done("compare", *paths, "--json", target, "--out", out).stdout
     found = json.loads(target.read_text())
     assert found == json.loads((out / "comparison.json").read_text())
     assert (found["held_out"], found["blocks"]) == (True, 5)
@@ -219,7 +178,6 @@ def test_the_command_shows_writes_and_draws(tmp_path: Path) -> None:
     for name, entry in entries.items():
         for scores in entry["scores"].values():
             assert f"{scores['accuracy']:.3f}" in shown
-        assert f"{entry['health']['without_never_fit']['auc_doubt']:.4f}" in shown
         result = read_result(out / "lines" / name)
         right = (result.assigned_lane == result.true_lane)[~result.is_crossing]
         assert right.mean() == pytest.approx(entry["scores"]["all_frames"]["accuracy"], abs=1e-12)
@@ -295,7 +253,7 @@ def small_document() -> dict[str, Any]:
             simulated("c", recording={"simulate": "quickstart", "seed": 7}),
         ]
     )
-    return document(compare_groups(groups, Asked(health=True)))
+    return document(compare_groups(groups))
 
 
 def test_the_figure_of_differences_has_a_panel_for_each_experiment_but_the_first() -> None:
@@ -344,13 +302,11 @@ def test_tables_and_figure_show_the_numbers_of_the_document(tmp_path: Path) -> N
     assert [row[at] for row in rows] == ["in-sample", "not tuned", "unknown"]
     assert [row[at + 1] for row in rows] == ["causal"] * 3
     ((shorter, cells, *_),) = full_tables(found)
-    unsaid = {"fixed", "trials", "seeds", "accuracy +-"}
+    unsaid = {"fixed", "trials"}
     assert shorter == [name for name in header if name not in unsaid]
     assert cells == [
         [cell for name, cell in zip(header, row, strict=True) if name not in unsaid] for row in rows
     ]
-    header, rows = health_rows(found)
-    assert {len(row) for row in rows} == {len(header)}
     (ax,) = comparison_figure(found).axes
     points = [line for line in ax.lines if np.size(line.get_xdata()) == 1]
     heights = [np.asarray(line.get_ydata()).item() for line in points]
@@ -466,12 +422,12 @@ def test_results_of_other_frames_are_refused_with_both_ranges(stored: list[Path]
     late = replace(one, frame_id=one.frame_id + 5)
     first, last = one.frame_id[one.true_lane > 0][[0, -1]]
     with pytest.raises(InputError) as caught:
-        compare_results("x", [[one], [late]])
+        compare_results("x", [one, late])
     assert f"from {first} to {last}" in str(caught.value)
     assert f"from {first + 5} to {last + 5}" in str(caught.value)
     without = replace(one, true_lane=np.zeros_like(one.true_lane))
     with pytest.raises(InputError, match="has no ground truth"):
-        compare_results("x", [[one], [without]])
+        compare_results("x", [one, without])
 
 
 # --- several recordings, and what fails --------------------------------------------------------

@@ -74,9 +74,9 @@ def _problem(
         read(place / root)
     except InputError as error:
         # It may be what the damaged one names: a file beside it, or their folder.
-        for line in error.lines:
-            if str(place) not in line or len(line) > LONGEST or not line.isprintable():
-                return f"says {line[:200]!a}{_where(error)}"
+        said = str(error)
+        if str(place) not in said or len(said) > LONGEST or not said.isprintable():
+            return f"says {said[:200]!a}{_where(error)}"
     except Exception as error:
         return " ".join(f"{type(error).__name__}: {error}".split())[:200] + _where(error)
     return ""

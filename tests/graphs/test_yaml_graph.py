@@ -60,10 +60,10 @@ def changed(**changes: Any) -> str:
     return str(yaml.safe_dump(with_changes(yaml.safe_load(SMALL), changes)))
 
 
-def refusal(folder: Path, text: str) -> list[str]:
+def refusal(folder: Path, text: str) -> str:
     with pytest.raises(InputError) as caught:
         load(folder, text).build(2, {})
-    return caught.value.lines
+    return str(caught.value)
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
@@ -181,9 +181,10 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
 def test_a_file_that_does_not_fit_together_is_refused_by_its_name_and_key(
     tmp_path: Path, text: str, said: str
 ) -> None:
-    lines = refusal(tmp_path, text)
-    assert said in lines[0]
-    assert all(line.startswith("graph: ") and "g.yaml: " in line for line in lines)
+    line = refusal(tmp_path, text)
+    assert said in line
+    assert line.startswith("graph: ")
+    assert "g.yaml: " in line
 
 
 @pytest.mark.parametrize(
@@ -205,24 +206,9 @@ def test_a_file_that_does_not_fit_together_is_refused_by_its_name_and_key(
 def test_a_table_that_does_not_fit_is_refused_naming_node_and_parent(
     tmp_path: Path, seen: Any, said: str
 ) -> None:
-    (line,) = refusal(tmp_path, changed(tables__Seen=seen))[:1]
+    line = refusal(tmp_path, changed(tables__Seen=seen))
     assert said in line
     assert line.startswith("graph: g.yaml: ")
-
-
-def test_all_that_is_wrong_with_a_file_is_said_at_once(tmp_path: Path) -> None:
-    assert refusal(tmp_path, changed(nods=3, hidden=None, nodes__Lane="x")) == [
-        "graph: g.yaml: unknown key 'nods' (did you mean 'nodes'?)",
-        "graph: g.yaml: nodes.Lane: needs a number of values, or a list of their names (got 'x')",
-        "graph: g.yaml: hidden: is missing",
-    ]
-    text = changed(hidden=["Lan"], observed=["Sen", "Lane", "See"], tables__Sen={})
-    assert refusal(tmp_path, text) == [
-        "graph: g.yaml: hidden: no node 'Lan' (did you mean 'Lane'?)",
-        "graph: g.yaml: observed: no node 'Sen' (did you mean 'Seen'?)",
-        "graph: g.yaml: observed: no node 'See' (did you mean 'Seen'?)",
-        "graph: g.yaml: tables: unknown key 'Sen' (did you mean 'Seen'?)",
-    ]
 
 
 def test_what_is_wrong_is_said_by_validate_with_the_experiments_name(tmp_path: Path) -> None:

@@ -52,7 +52,6 @@ QUICKER = (
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),
     (r"tuning.trials=20\b", "tuning.trials=3"),
-    (r"--seeds \d+", "--seeds 1"),
     (r"^egolane reproduce(?! --runs)", "egolane reproduce --runs 5"),
 )
 

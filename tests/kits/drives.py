@@ -94,19 +94,12 @@ def run_json(drive: Path, folder: Path, *words: object) -> dict[str, object]:
 
 def refused(*words: object) -> str:
     """What `egolane words...` says on standard error: exit code 2 and one line, nothing else."""
-    lines = problems(*words)
-    assert len(lines) == 1, lines
-    return lines[0]
-
-
-def problems(*words: object) -> list[str]:
-    """All that `egolane words...` says is wrong, a line each: exit code 2, and nothing else."""
     result = command(*words)
     assert result.exit_code == 2, (result.exit_code, result.output)
-    lines = result.stderr.splitlines()
-    assert all(line.startswith("egolane: ") for line in lines), lines
+    (line,) = result.stderr.splitlines()
+    assert line.startswith("egolane: "), line
     assert result.stdout == ""
-    return [line.removeprefix("egolane: ") for line in lines]
+    return line.removeprefix("egolane: ")
 
 
 def contents(folder: Path) -> dict[str, bytes]:

@@ -23,7 +23,7 @@ from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.tools.files import plain
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, problems, refused, write_drive
+from tests.kits.drives import done, refused, write_drive
 
 W = 3.6
 GEOMETRY: dict[str, Any] = {
@@ -221,11 +221,10 @@ def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: P
     said = done("run", out, "--no-figures", "--out", tmp_path / "result").output
     assert "in-sample" in said
     # On another road the numbers of lanes must fit.
-    said = problems(
+    said = refused(
         "run", out, "--recording", tmp_path / "lines.csv", "--n-lanes", "4", "--out", tmp_path / "r"
     )
-    for name, line in zip(("rates", "class_shares", "sigmas_m"), said, strict=True):
-        assert f"parameters.{name}: " in line
+    assert "parameters.rates: " in said
 
 
 def test_learning_needs_ground_truth(tmp_path: Path) -> None:

@@ -33,7 +33,8 @@ def test_the_searches_are_scored_on_frames_and_drives_that_they_have_not_seen(
     found, on = measured.measure(files, 2, 4, 2, tmp_path / "studies", 1)
     first, second, both = found
     # As `egolane tune` scores the same search.
-    study = ego.tune(str(files[0]), trials=4, from_scratch=True).studies[0].study
+    scratch = {"tuning.from_scratch": True}
+    study = ego.tune(str(files[0]), trials=4, overrides=scratch).studies[0].study
     assert first.seen[0] == pytest.approx(study["best"]["values"]["accuracy"])
     assert first.held[0] == pytest.approx(study["held_out"]["all_frames"]["accuracy"])
     # Another recording is scored whole.

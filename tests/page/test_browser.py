@@ -231,7 +231,6 @@ def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path
             "created": NASTY,
             "data": [{"path": NASTY, "sha256": NASTY, "bytes": 1}],
             "versions": {NASTY: NASTY},
-            "plugins": {NASTY: {"file": NASTY, "sha256": NASTY}},
         },
         marginals=node,
         values={

@@ -14,10 +14,13 @@ from egolane_pgm.scoring.bootstrap import (
     circular_block_bootstrap,
     confusion_counts,
     mean_counts,
+    on_timeline,
     ratio,
+    resampled_scores,
     resampled_sums,
     score_counts,
     score_intervals,
+    with_bounds,
 )
 from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
 from egolane_pgm.types import InputError
@@ -196,3 +199,34 @@ def test_impossible_resamples_are_refused() -> None:
     counts = mean_counts(np.ones(100))
     with pytest.raises(InputError, match="same frames on both sides, got 100 and 99"):
         bootstrap_interval([counts], ratio, minus=[counts[:99]], block=10)
+
+
+N_COUNTED = 900
+
+
+def counts_of(seed: int) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    belief = rng.dirichlet(np.ones(3), N_COUNTED)
+    lane = np.repeat([1, 2, 3], N_COUNTED // 3)
+    return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0)
+
+
+def test_scores_of_resamples_give_the_paired_interval() -> None:
+    mine, theirs = counts_of(0), counts_of(1)
+    expected = score_intervals([mine], [theirs])
+    first, second = map(resampled_scores, (mine, theirs))
+    assert first is not None
+    assert second is not None
+    for name, interval in expected.items():
+        assert interval is not None
+        found = with_bounds(first[name] - second[name])
+        assert found == pytest.approx([interval.estimate, interval.low, interval.high])
+
+
+def test_frames_that_one_recording_lacks_count_nothing_on_the_timeline_of_the_drive() -> None:
+    counts = {name: values[::2] for name, values in counts_of(0).items()}
+    frames = np.arange(0, 2 * N_COUNTED, 4)
+    placed = on_timeline(counts, frames, np.arange(0, 2 * N_COUNTED, 2))
+    for name, values in placed.items():
+        np.testing.assert_array_equal(values[::2], counts[name])
+        assert not values[1::2].any()

@@ -15,6 +15,7 @@ from egolane_pgm.scoring.events import (
     event_delays,
     event_scores,
     match_events,
+    roc_auc,
     score_crossing,
     score_events,
 )
@@ -247,3 +248,26 @@ def test_a_probability_that_is_the_flag_has_no_error() -> None:
     assert (found["auc"], found["precision"], found["recall"]) == (1.0, 1.0, 1.0)
     assert score_crossing(np.zeros(200), ONE, 10.0)["precision"] is None
     assert event_scores(events_at(), None, ONE, 10.0)["crossing"] is None
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 5), st.booleans()), min_size=2, max_size=40).filter(
+        lambda pairs: 0 < sum(p for _, p in pairs) < len(pairs)
+    )
+)
+def test_the_area_is_the_share_of_pairs_in_the_right_order(pairs: list[tuple[int, bool]]) -> None:
+    score, positive = (np.array(column) for column in zip(*pairs, strict=True))
+    wins = [
+        1.0 if a > b else 0.5 if a == b else 0.0 for a in score[positive] for b in score[~positive]
+    ]
+    assert roc_auc(score, positive) == pytest.approx(np.mean(wins))
+    assert roc_auc(-score, positive) == pytest.approx(1 - np.mean(wins))
+
+
+def test_the_area_of_extremes() -> None:
+    positive = np.array([False, True, False, True])
+    assert roc_auc(positive, positive) == 1.0
+    assert roc_auc(np.zeros(4), positive) == 0.5
+    assert np.isnan(roc_auc(np.arange(4), np.zeros(4, dtype=bool)))
+    assert np.isnan(roc_auc(np.arange(4), np.ones(4, dtype=bool)))
+    assert np.isnan(roc_auc(np.zeros(0), np.zeros(0, dtype=bool)))

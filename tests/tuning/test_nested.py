@@ -26,13 +26,13 @@ from egolane_pgm.tuning.nested import (
     settings_of_part,
 )
 from egolane_pgm.tuning.objective import all_used
-from egolane_pgm.tuning.plan import Plan, Problem, make_problem, together, with_options
+from egolane_pgm.tuning.plan import Fleet, Plan, Problem, make_problem, together, with_options
 from egolane_pgm.tuning.recording_task import beliefs_at, without_part
 from tests.kits.tuning_kit import BLOCKS, plan, problem
 
 
-def run_nested(found: Problem, part: int, whole: bool = False) -> Nested:
-    return nested_search(*without_part(found, part, whole), part)
+def run_nested(found: Problem, part: int) -> Nested:
+    return nested_search(*without_part(found, part), part)
 
 
 def current(found: Problem) -> list[dict[str, Any]]:
@@ -110,8 +110,8 @@ def test_what_a_study_may_look_at_is_neither_its_part_nor_untrusted() -> None:
     for part in range(BLOCKS):
         [seen] = without_part(found, part)[1]
         np.testing.assert_array_equal(seen, trusted & ~np.array(frames_of(found, part)))
-    two = make_problem(two_drives(never_fit=((1000, 1020), (1150, None))))
-    smaller, [first] = without_part(two, 1, True)
+    two = make_problem(two_drives(((0,), (1,)), never_fit=((1000, 1020), (1150, None))))
+    smaller, [first] = without_part(two, 1)
     np.testing.assert_array_equal(first, trusted)
     assert smaller.drives == two.drives[:1]
 
@@ -242,29 +242,33 @@ def test_blocks_that_lack_lanes_are_one_note(n_blocks: int) -> None:
     assert f" of {n_blocks} blocks lack a lane" in note
 
 
-def two_drives(**options: Any) -> Plan:
+def two_drives(parts: tuple[tuple[int, ...], ...] = (), **options: Any) -> Plan:
+    """Two drives that are searched on together; with parts those of a fleet."""
     one = plan(**options)
     other = one.experiments[0].model_copy(update={"name": "second"})
     object.__setattr__(
         other, "recording", other.recording.model_copy(update={"seed": other.recording.seed + 1})
     )
     second = replace(one, name="second", experiments=(other,))
-    return with_options(together([one, second]), options)
+    both = together([one, second])
+    if parts:
+        both = replace(both, fleet=Fleet(one.experiments[0], parts, ({}, {}), ("one", "second")))
+    return with_options(both, options)
 
 
 def test_a_whole_recording_is_held_out_without_being_seen() -> None:
-    found = make_problem(two_drives(trials=35))
+    found = make_problem(two_drives(((0,), (1,)), trials=35))
     assert len(found.drives) == 2
-    honest = run_nested(found, 1, True)
+    honest = run_nested(found, 1)
     rng = np.random.default_rng(0)
     drive = found.drives[1]
     lanes = [found.drives[0].truth.lane, rng.integers(1, drive.n_lanes + 1, size=len(drive))]
-    assert run_nested(with_labels(found, lanes), 1, True) == honest
-    nested = [run_nested(found, part, True) for part in (0, 1)]
+    assert run_nested(with_labels(found, lanes), 1) == honest
+    nested = [run_nested(found, part) for part in (0, 1)]
     # Scores of the other recording alone: nothing of the one left out goes into their mean.
     seen = beliefs_at(found, [nested[1].point])[0]
     alone = assess(found.drives[:1], [seen], all_used(found.drives[:1]))
     assert nested[1].values == pytest.approx((alone["accuracy"],))
-    beliefs = beliefs_at(found, [n.point for n in nested], whole=True)
+    beliefs = beliefs_at(found, [n.point for n in nested])
     np.testing.assert_array_equal(beliefs[0], beliefs_at(found, [nested[0].point])[0])
     np.testing.assert_array_equal(beliefs[1], beliefs_at(found, [nested[1].point])[1])

@@ -137,7 +137,7 @@ def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() ->
 def test_an_unknown_objective_is_refused_with_a_suggestion() -> None:
     with pytest.raises(InputError, match=r"unknown score 'acuracy' \(did you mean 'accuracy'\?\)"):
         plan(objective=("acuracy",)).settings  # noqa: B018
-    assert plan(objective=("macro_f1",)).settings.objectives == ("f1",)
+    assert plan(objective=("f1",)).settings.objectives == ("f1",)
 
 
 def test_an_unknown_sampler_and_one_for_one_objective_are_refused() -> None:

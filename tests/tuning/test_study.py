@@ -1,38 +1,23 @@
-"""Searches on recordings and on pictures, from end to end: what they say of themselves, and that
-they go on."""
+"""Searches from end to end: what they say of themselves, and that they go on."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from egolane_pgm.tuning import study as studies
-from egolane_pgm.tuning.plan import Plan, load_plan, with_options
+from egolane_pgm.tuning.plan import Plan, with_options
 from egolane_pgm.tuning.study import Search, prepare
 from egolane_pgm.tuning.task import task_of
 from egolane_pgm.types import InputError
-from tests.kits.labelled_pictures import write_stills
-from tests.kits.tuning_kit import QUICKSTART, plan
+from tests.kits.tuning_kit import plan
 
 
-@pytest.fixture(scope="module")
-def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return write_stills(tmp_path_factory.mktemp("stills"))
-
-
-@pytest.fixture(params=["recordings", "pictures"])
-def plans(request: pytest.FixtureRequest, stills: Path) -> tuple[Plan, Plan]:
-    """What is searched on, and other ones of that kind."""
-    if request.param == "pictures":
-        seen = load_plan(stills)
-        assert seen.pictures is not None
-        others = seen.pictures.model_copy(update={"frames": (1, 6)})
-        return seen, replace(seen, name="others", pictures=others)
-    other = load_plan(QUICKSTART, {"recording.seed": 1, "name": "other"})
-    return plan(trials=35, never_fit=((1100, None),)), other
+@pytest.fixture
+def searched() -> Plan:
+    return plan(trials=35, never_fit=((1100, None),))
 
 
 def tuned(made: Search, **options: Any) -> dict[str, Any]:
@@ -41,15 +26,15 @@ def tuned(made: Search, **options: Any) -> dict[str, Any]:
 
 
 def test_a_study_reports_in_sample_and_held_out_and_marks_them(
-    plans: tuple[Plan, Plan], tmp_path: Path
+    searched: Plan, tmp_path: Path
 ) -> None:
-    document = tuned(prepare(plans[0], tmp_path))
+    document = tuned(prepare(searched, tmp_path))
     assert document["in_sample"]["tuned_on"] == "same_frames"
     assert document["held_out"]["tuned_on"] == "other_frames"
     [(score, best)] = document["best"]["values"].items()
     assert document["in_sample"]["all_frames"][score] == pytest.approx(best)
     subsets = document["in_sample"].keys() - {"tuned_on"}
-    assert ("without_never_fit" in subsets) == (plans[0].pictures is None)
+    assert "without_never_fit" in subsets
     for subset in subsets:
         inside, outside = document["in_sample"][subset], document["held_out"][subset]
         lost = document["difference"][subset][score]
@@ -60,28 +45,28 @@ def test_a_study_reports_in_sample_and_held_out_and_marks_them(
     assert scored == sorted(set(scored), reverse=True)
 
 
-def test_processes_find_the_same_as_one(plans: tuple[Plan, Plan], tmp_path: Path) -> None:
-    one, two = (tuned(prepare(plans[0], tmp_path / str(jobs)), jobs=jobs) for jobs in (1, 2))
+def test_processes_find_the_same_as_one(searched: Plan, tmp_path: Path) -> None:
+    one, two = (tuned(prepare(searched, tmp_path / str(jobs)), jobs=jobs) for jobs in (1, 2))
     for key in ("in_sample", "held_out", "difference"):
         assert one[key] == two[key]
     assert one["best"]["point"] == two["best"]["point"]
 
 
 def test_workers_share_a_study_and_one_process_may_go_on_with_it(
-    plans: tuple[Plan, Plan], tmp_path: Path
+    searched: Plan, tmp_path: Path
 ) -> None:
-    many = prepare(with_options(plans[0], {"trials": 20}), tmp_path, "none")
-    more = prepare(with_options(plans[0], {"trials": 24}), tmp_path, "none")
+    many = prepare(with_options(searched, {"trials": 20}), tmp_path, "none")
+    more = prepare(with_options(searched, {"trials": 24}), tmp_path, "none")
     # Each worker finishes what it is at when the total is reached.
     assert 20 <= tuned(many, workers=2)["best"]["trials"] <= 21
     assert tuned(more)["best"]["trials"] == 24
 
 
 def test_nested_studies_that_are_done_are_not_run_again(
-    plans: tuple[Plan, Plan], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    searched: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ran = []
-    original, last = studies.search_without, plans[0].tuning.blocks - 1
+    original, last = studies.search_without, searched.tuning.blocks - 1
 
     def counted(space: Any, score: Any, settings: Any, part: int, **options: Any) -> Any:
         ran.append(part)
@@ -91,37 +76,22 @@ def test_nested_studies_that_are_done_are_not_run_again(
 
     monkeypatch.setattr(studies, "search_without", counted)
     with pytest.raises(KeyboardInterrupt):
-        tuned(prepare(plans[0], tmp_path))
-    tuned(prepare(plans[0], tmp_path))
+        tuned(prepare(searched, tmp_path))
+    tuned(prepare(searched, tmp_path))
     assert ran == [*range(last + 1), last]
 
 
 def test_another_search_in_the_same_place_is_refused_and_nothing_changed(
-    plans: tuple[Plan, Plan], tmp_path: Path
+    searched: Plan, tmp_path: Path
 ) -> None:
-    tuned(prepare(plans[0], tmp_path, "none"))
+    tuned(prepare(searched, tmp_path, "none"))
     before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    key = task_of(plans[0], "none").space.keys[-1]
+    key = task_of(searched, "none").space.keys[-1]
     for options, said in (
         ({"seed": 5}, "seed: 0, now 5"),
         ({"parameters": {key: [0.1, 0.2]}}, key),
     ):
         with pytest.raises(InputError, match="holds another study of this name") as caught:
-            prepare(with_options(plans[0], options), tmp_path, "none")
+            prepare(with_options(searched, options), tmp_path, "none")
         assert said in str(caught.value)
     assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
-
-
-def test_what_was_found_is_tested_elsewhere(plans: tuple[Plan, Plan], tmp_path: Path) -> None:
-    mine, other = plans
-    document = tuned(prepare(mine, tmp_path, "none", other))
-    assert document["held_out"] is document["difference"] is None
-    same = with_options(other, {"parameters": mine.tuning.parameters})
-    task = task_of(same, "none")
-    scores = task.assess(task.answers([document["best"]["point"]]))
-    assert document["test"] == {"tuned_on": "other_frames", "name": other.name, **scores}
-
-
-def test_recordings_do_not_test_a_search_on_pictures(stills: Path, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="test_on: labelled pictures test a search on"):
-        prepare(load_plan(stills), tmp_path, "none", plan())

@@ -285,14 +285,14 @@ def test_a_saved_study_is_read_back(tuned: ego.Study, tmp_path: Path) -> None:
         tuned.save(tmp_path / "other")
 
 
-@pytest.mark.parametrize("figure", ["history", "slices", "flatness", "importances"])
+@pytest.mark.parametrize("figure", ["history", "profile", "importances"])
 def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(tuned: ego.Study, figure: str) -> None:
     before = pyplot.get_fignums()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert isinstance(tuned.plot(figure), Figure)
     assert pyplot.get_fignums() == before
-    with pytest.raises(ego.InputError, match="figure: 'hystory' is not one of history, slices"):
+    with pytest.raises(ego.InputError, match="figure: 'hystory' is not one of history, profile"):
         tuned.plot("hystory")
 
 
@@ -321,7 +321,7 @@ def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: P
 def test_parameters_are_narrowed_and_fixed_by_a_dict(tmp_path: Path) -> None:
     experiment = ego.load_experiment(QUICKSTART, SHORT)
     only = {"p1": [0.6, 0.7], "bonus_value": 3}
-    found = ego.tune(experiment, trials=5, from_scratch=True, parameter=only, in_sample_only=True)
+    found = ego.tune(experiment, trials=5, parameter=only, in_sample_only=True)
     assert (found.save(tmp_path / "study") / "figures" / "history.png").is_file()
     assert found.to_pandas()["p1"].between(0.6, 0.7).all()
     assert "bonus_value" not in found.to_pandas()
@@ -389,13 +389,10 @@ def test_a_run_of_the_paper_is_repeated_beside_its_table(recordings: Path, tmp_p
         (ego.reproduce, {"runs": 11}, "run 11: the paper has runs 1 to 10"),
         (ego.reproduce, {"runs": "1-99"}, "run 99"),
         (ego.reproduce, {"runs": ["one"]}, "'one' is no number"),
-        (ego.compare, {"experiments": QUICKSTART, "with_paper": True}, "with_paper: goes with"),
-        (ego.compare, {"experiments": QUICKSTART, "trials_per_number": 3}, "nothing is searched"),
         (ego.compare, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),
         (ego.tune, {}, "name experiments, or runs of the paper"),
-        (ego.compare, {"experiments": QUICKSTART, "seeds": "x"}, "seeds: x is neither how many"),
         (ego.detect, {"pictures": 3, "camera": "x.yaml"}, "pictures: 3 is not the name of a file"),
         (ego.detect, {"pictures": "x", "camera": "x", "parameters": ["a"]}, "parameters: .* no di"),
     ],

@@ -22,12 +22,11 @@ LABELS = {
     "beliefs.parquet",
     "events.csv",
     "experiment.yaml",
-    "labels.csv",
     "labels.txt",
     "lines.parquet",
-    "review.csv",
     "run.json",
     "scores.json",
+    "segments.csv",
 }
 
 
@@ -44,29 +43,21 @@ def table(path: Path) -> list[dict[str, str]]:
     return list(csv.DictReader(io.StringIO(path.read_text())))
 
 
-def test_it_writes_the_labels_the_review_list_and_pictures_of_it(lines: Path) -> None:
+def test_it_writes_the_labels_and_the_segments(lines: Path) -> None:
     folder = lines.parent / "labels"
-    files = set(contents(folder))
-    review = table(folder / "review.csv")
-    assert {name for name in files if "figures" not in name} == LABELS
-    assert len(files - LABELS) == min(len(review), 10)
+    assert set(contents(folder)) == LABELS
+    found = ego.label(lines, n_lanes=3)
     truth = read_ground_truth(folder / "labels.txt")
-    rows = table(folder / "labels.csv")
-    assert truth.frame_id.tolist() == [int(row["frame_id"]) for row in rows]
-    assert truth.lane.tolist() == [int(row["lane"]) for row in rows]
-    assert truth.is_crossing.tolist() == [row["crossing"] == "1" for row in rows]
-    assert all(0 <= float(row["confidence"]) <= 1 for row in rows)
-    inside = [
-        any(int(r["first_frame"]) <= frame <= int(r["last_frame"]) for r in review)
-        for frame in truth.frame_id
-    ]
-    assert inside == [row["review"] == "1" for row in rows]
+    for name in ("frame_id", "lane", "is_crossing"):
+        assert getattr(truth, name).tolist() == getattr(found.truth, name).tolist()
+    rows = table(folder / "segments.csv")
+    assert [int(row["frames"]) for row in rows] == found.segments()["frames"].to_list()
 
 
 def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> None:
     truth = lines.parent / "labels" / "labels.txt"
     yaml = ego.experiments_folder() / "zero_label.yaml"
-    words = ("--n-lanes", 3, "--no-figures", "--out", tmp_path / "out")
+    words = ("--n-lanes", 3, "--out", tmp_path / "out")
     said = done("run", yaml, "--recording", lines, "--ground-truth", truth, *words).stdout
     is_crossing = read_ground_truth(truth).is_crossing
     assert f"{np.count_nonzero(~is_crossing)} frames scored" in said
@@ -81,42 +72,27 @@ def test_its_folder_is_a_run_s_result_too(lines: Path) -> None:
 def test_with_ground_truth_it_says_how_good_the_labels_are(lines: Path, tmp_path: Path) -> None:
     mine = lines.parent / "labels" / "labels.txt"
     truth = read_ground_truth(mine)
-    other = replace(truth, lane=truth.lane % 3 + 1)
-    write_ground_truth(tmp_path / "other.txt", other)
-    out, said = {}, {}
-    for name, file in (("mine", mine), ("other", tmp_path / "other.txt")):
-        words = ("--n-lanes", 3, "--below", 0.9, "--no-figures", "--out", tmp_path / name)
-        words = (*words, "--ground-truth", file, "--json", tmp_path / f"{name}.json")
-        # In 15 s no label gets sure with the smoother's own constants.
-        for constant in ("alpha=0.035", "width_wanders=0"):
-            words = (*words, "--set", f"parameters.{constant}")
-        said[name] = done("label", lines, *words).stdout
-        out[name] = json.loads((tmp_path / f"{name}.json").read_text())
-    scores = {name: found["scores"] for name, found in out.items()}
-    assert set(scores["mine"]["surest"].values()) == {1.0}
-    assert set(scores["other"]["surest"].values()) == {0.0}
-    assert "| 98%           | 1.0000 |" in said["mine"]
-    assert f"{np.count_nonzero(~truth.is_crossing)} annotated frames" in said["mine"]
-    assert "contradicts" not in said["mine"]
-    assert "in which a sure label contradicts it: doubted.csv" in said["other"]
-    assert len(table(tmp_path / "other" / "doubted.csv")) == len(out["other"]["doubted"]) > 0
-    assert table(tmp_path / "mine" / "doubted.csv") == out["mine"]["doubted"] == []
+    write_ground_truth(tmp_path / "other.txt", replace(truth, lane=truth.lane % 3 + 1))
+    for file, accuracy in ((mine, 1), (tmp_path / "other.txt", 0)):
+        words = ("--n-lanes", 3, "--ground-truth", file, "--json", tmp_path / "x.json")
+        said = done("label", lines, *words, "--out", tmp_path / "x").stdout
+        found = json.loads((tmp_path / "x.json").read_text())
+        assert found["scores"]["model"]["accuracy"] == accuracy
+        assert f"accuracy {accuracy:.4f}" in said
 
 
-def test_a_lower_threshold_leaves_less_to_review(lines: Path, tmp_path: Path) -> None:
+def test_a_lower_threshold_leaves_fewer_frames_unsure(lines: Path, tmp_path: Path) -> None:
     count = {}
     for below in (0, 0.5, 0.99999):
-        words = ("--n-lanes", 3, "--below", below, "--no-figures", "--out", tmp_path / "x")
-        done("label", lines, *words)
-        count[below] = sum(row["review"] == "1" for row in table(tmp_path / "x" / "labels.csv"))
+        done("label", lines, "--n-lanes", 3, "--below", below, "--out", tmp_path / "x")
+        count[below] = sum(int(row["frames"]) for row in table(tmp_path / "x" / "segments.csv"))
     assert count[0] == 0
     assert count[0] <= count[0.5] < count[0.99999]
-    assert not (tmp_path / "x" / "figures").exists()
 
 
 def test_the_recording_of_an_experiment_is_labelled_where_none_is_named(tmp_path: Path) -> None:
     place = ego.experiments_folder() / "zero_label.yaml"
-    words = ("--set", "recording.frames=[0, 200]", "--out", tmp_path / "x", "--no-figures")
+    words = ("--set", "recording.frames=[0, 200]", "--out", tmp_path / "x")
     said = done("label", "--experiment", place, *words).stdout
     assert said.startswith("'zero_label': 200 frames, 3 lanes")
 
@@ -139,7 +115,7 @@ def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Pat
 def test_the_number_of_lanes_is_doubted_where_the_lines_say_otherwise(tmp_path: Path) -> None:
     write_table(tmp_path / "lines.csv", simulate("quickstart", n_lanes=3).log)
     for said, is_doubted in ((3, False), (2, True)):
-        words = ("--n-lanes", said, "--no-figures", "--out", tmp_path / "x")
+        words = ("--n-lanes", said, "--out", tmp_path / "x")
         error = done("label", tmp_path / "lines.csv", *words).stderr
         assert ("the car moves across 3 lanes or more, n_lanes is 2" in error) == is_doubted
 
@@ -147,6 +123,6 @@ def test_the_number_of_lanes_is_doubted_where_the_lines_say_otherwise(tmp_path: 
 def test_a_bag_s_frames_may_be_numbered_by_seq(tmp_path: Path) -> None:
     bag = line_bag(tmp_path / "x.bag", list(range(100, 108)))
     for frame_id, first in (("way_id", 100), ("header.seq", 0)):
-        words = ("--n-lanes", 2, "--lines", f"frame_id={frame_id}", "--no-figures")
+        words = ("--n-lanes", 2, "--lines", f"frame_id={frame_id}")
         done("label", bag, *words, "--out", tmp_path / frame_id)
         assert read_ground_truth(tmp_path / frame_id / "labels.txt").frame_id[0] == first

@@ -15,12 +15,11 @@ from tests.kits.drives import done, write_drive
 PRINTING = {
     "run": "run {one} --no-figures --out {out}",
     "run of several": "run {one} {two} --no-figures --out {out}",
-    "compare": "compare {one} {two} --blocks 2 --health",
+    "compare": "compare {one} {two} --blocks 2",
     "compare on one recording": "compare {one} --graphs sensor_failure,lane_only --blocks 2",
     "compare of lane changes": "compare {one} {two} --blocks 2 --events",
-    "compare of lags": "compare {one} {two} --blocks 2 --lags 0,0.5,1,2",
     "learn": "learn {one} --blocks 2 --out {out}/learned.yaml",
-    "label": "label {lines} --n-lanes 3 --ground-truth {truth} --no-figures --out {out}",
+    "label": "label {lines} --n-lanes 3 --ground-truth {truth} --out {out}",
     "tune": "tune {one} --trials 2 --in-sample-only --no-figures --jobs 1 --out {out}",
 }
 

@@ -13,7 +13,6 @@ import pytest
 from matplotlib.figure import Figure
 from pyarrow import parquet
 
-from egolane_pgm.paper import load_published
 from egolane_pgm.types import InputError
 from egolane_pgm.views import study_figures as tuning
 from egolane_pgm.views import study_trials as numbers
@@ -69,14 +68,6 @@ def test_failed_trials_are_left_out_and_the_first_of_equal_ones_is_the_best(tmp_
     trials = numbers.read_trials(write_study(tmp_path))
     assert trials.gain.tolist() == [0.5, 0.8, 0.796, 0.7, 0.795, 0.8]
     assert trials.study.best_params == {"sigma1": 0.3, "bonus_value": 7, "normal": "cells"}
-    assert trials.reference == {"sigma1": 0.25, "bonus_value": 3.0, "normal": "other"}
-    assert trials.reference_name == "before the search"
-
-
-def test_a_run_of_the_paper_is_shown_beside_the_published_values(tmp_path: Path) -> None:
-    trials = numbers.read_trials(write_study(tmp_path, run=1))
-    assert trials.reference_name == "the paper's"
-    assert trials.reference == load_published()[1]["parameters"]
 
 
 def best_values(trials: numbers.Trials) -> list[float]:
@@ -107,44 +98,26 @@ def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> Non
     assert numbers.importances(made({"score": [0.1, 0.2], "x": [0.3, 0.4]})) == {}
 
 
-def test_history_and_flatness_draw_the_numbers(tmp_path: Path) -> None:
+def test_history_draws_the_numbers(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
-    # 0.8, 0.796, 0.795 and 0.8: the bound itself counts in.
-    assert [point["sigma1"] for point in numbers.as_good(trials)] == [0.3, 0.5, 0.2, 0.9]
     ax = tuning.history_figure(trials).axes[0]
     lines = {str(line.get_label()).partition(":")[0]: line for line in ax.lines}
     assert np.asarray(lines["held out"].get_ydata()).tolist() == [0.61, 0.61]
-    figure = tuning.flatness_figure(trials)
-    drawn = {t.get_text() for t in figure.axes[0].texts}
-    assert {"0.2 to 0.9  (23 %)", "7 to 9  (30 %)", "cells  (33 %)"} <= drawn
-    assert "in-sample, 4 of 6 trials" in figure.texts[0].get_text()
-    bars = [(p.get_x(), p.get_width()) for p in figure.axes[0].patches]  # type: ignore[attr-defined]
-    # The middle one of three choices; 7 to 9 of ten; 0.2 to 0.9 of 3.
-    np.testing.assert_allclose(
-        sorted(bars), [(0.2 / 3, 0.7 / 3), (1 / 3, 1 / 3), (0.7, 0.3)], atol=1e-5
-    )
-    known = [
-        x for line in figure.axes[0].lines if line.get_marker() == "s" for x in line.get_xdata()
-    ]
-    np.testing.assert_allclose(sorted(known), [0.25 / 3, 3.5 / 10, 2.5 / 3], atol=1e-5)
 
 
 def test_every_title_says_in_sample(tmp_path: Path) -> None:
     trials = numbers.read_trials(write_study(tmp_path))
-    keys = list(trials.space)
     for figure in (
         tuning.history_figure(trials),
-        tuning.slices_figure(trials),
-        tuning.pairs_figure(trials, keys),
-        tuning.flatness_figure(trials),
+        tuning.profile_figure(trials),
         tuning.importances_figure(trials),
     ):
         assert "in-sample" in figure.texts[0].get_text()
 
 
-def test_few_trials_get_no_importances_and_no_pairs(tmp_path: Path) -> None:
+def test_few_trials_get_no_importances(tmp_path: Path) -> None:
     files = tuning.draw_study(write_study(tmp_path), style="svg")
-    assert [f.name for f in files] == ["history.svg", "slices.svg", "flatness.svg"]
+    assert [f.name for f in files] == ["history.svg", "profile.svg"]
     assert all(f.parent == tmp_path / "figures" and f.stat().st_size > 1000 for f in files)
 
 
@@ -153,10 +126,9 @@ def test_a_study_of_one_or_two_parameters_is_drawn(tmp_path: Path) -> None:
     one = made({"score": x, "x": x})
     two = made({"score": x, "x": x, "y": y})
     drawn: list[Callable[[], Figure]] = [
-        lambda: tuning.slices_figure(one),
+        lambda: tuning.profile_figure(one),
         lambda: tuning.importances_figure(one),
-        lambda: tuning.slices_figure(two),
-        lambda: tuning.pairs_figure(two, ["x", "y"]),
+        lambda: tuning.profile_figure(two),
     ]
     for make in drawn:
         with numbers.quiet():
@@ -169,7 +141,7 @@ def test_tune_draws_what_plot_draws_again(tmp_path: Path) -> None:
     done(*words, tmp_path / "a")
     done(*words, tmp_path / "b", "--no-figures")
     study = tmp_path / "a" / "quickstart"
-    names = {f"{n}.png" for n in ("history", "slices", "flatness", "importances", "pairs")}
+    names = {f"{n}.png" for n in ("history", "profile", "importances")}
     assert {f.name for f in (study / "figures").iterdir()} == names
     assert not (tmp_path / "b" / "quickstart" / "figures").exists()
     done("plot", study, "--out", tmp_path / "c")

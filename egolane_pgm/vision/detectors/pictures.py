@@ -44,19 +44,13 @@ class Pictures:
         """The detector, its camera and its pictures (left, and right or None)."""
         experiment = self.experiment
         recording, source = experiment.recording, experiment.source
-        assert recording.detector is not None
         if recording.path is None or recording.format is not None:
             wrong = "simulate" if recording.path is None else "format"
             raise InputError(
                 f"{source}: recording.{wrong}: does not go with a detector, which looks at a video"
                 " or pictures (recording.path)"
             )
-        detector = find_detector(
-            recording.detector,
-            recording.detector_parameters,
-            experiment.folder,
-            f"{source}: recording.detector",
-        )
+        detector = detector_of(experiment, "recording.detector")
         if recording.camera is None:
             raise InputError(
                 f"{source}: recording.camera: is missing; the detector needs the camera's YAML"
@@ -129,6 +123,20 @@ class Pictures:
         keys = {"camera", "detector", "detector_parameters", "topic"}
         own = self.experiment.recording.path
         return frozenset(keys) if _are_pictures(recording, own, detector) else frozenset()
+
+
+def detector_of(experiment: Experiment, key: str) -> Detector:
+    """Return the detector of an experiment. Raises InputError, naming the key that asks for it, for
+    a recording without one."""
+    recording, source = experiment.recording, experiment.source
+    if recording.detector is None:
+        raise InputError(
+            f"{source}: {key}: the recording has none; it goes with pictures or a video and"
+            " recording.detector"
+        )
+    where = f"{source}: recording.detector"
+    given = recording.detector_parameters
+    return find_detector(recording.detector, given, experiment.folder, where)
 
 
 def pictures_in(place: Path) -> Sequence[Path]:

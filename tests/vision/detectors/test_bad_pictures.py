@@ -131,7 +131,7 @@ def test_portrait_odd_and_tiny_pictures_do_no_harm(name: str, width: int, height
     try:
         said.extend(valid_lines(name, camera, pairs(images)))
     except InputError as error:
-        said.extend(error.lines)
+        said.append(str(error))
     assert len(said) == (1 if isinstance(said[0], str) else 3)
 
 
@@ -143,4 +143,4 @@ def test_a_picture_of_another_size_ends_a_drive_in_one_line_that_names_the_frame
     changed = np.zeros((*size, 3), dtype=np.uint8)
     with pytest.raises(InputError, match=r"frame 2: .*pixels") as caught:
         valid_lines(name, CAMERA, pairs([road(), road(seed=1), changed]))
-    assert len(caught.value.lines) == 1
+    assert "\n" not in str(caught.value)

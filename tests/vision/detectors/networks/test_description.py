@@ -60,14 +60,7 @@ def test_what_does_not_fit_is_said(folder: Path, keys: dict[str, Any], said: str
     with pytest.raises(InputError) as caught:
         read_network(path)
     assert said in str(caught.value)
-    assert all(line.startswith(f"{path}: ") for line in caught.value.args)
-
-
-def test_several_mistakes_are_said_at_once(folder: Path) -> None:
-    path = write_network(folder / "net.yaml", model="x.onnx", sise=[1, 2], every=0)
-    with pytest.raises(InputError) as caught:
-        read_network(path)
-    assert len(caught.value.args) == 3
+    assert str(caught.value).startswith(f"{path}: ")
 
 
 def test_all_channels_but_the_background_are_looked_at(folder: Path) -> None:
