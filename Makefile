@@ -67,7 +67,7 @@ paper: .venv/.run
 	cp $(RUNS)/figures/dispersion.png results/paper/
 	$(BIN)/egolane plot $(RUNS)/run03_bonus $(RUNS)/run03_no_bonus --out $(RUNS)/ablation
 	cp $(RUNS)/ablation/bonus_ablation.png results/paper/
-	$(BIN)/egolane network sensor_failure results/paper/network.png
+	$(BIN)/egolane show sensor_failure --out results/paper/network.png
 
 # What results/graphs/ holds: other graphs and learned tables on frames that they have not seen
 # (a quarter of an hour of two cores).

@@ -45,21 +45,16 @@ COMMANDS = {
     "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
-    "lines": "Print the lines of one frame as in the paper's Box 1.",
     "locate": "Find the road of a car on a map, and what is ahead of it.",
-    "ls": "List graphs, evidence rules, detectors and experiments.",
     "map": "Read the lanes of motorways from an extract of OpenStreetMap.",
-    "network": "Write a graph: a picture, or text for other programs.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw the figures of result directories and studies.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",
     "report": "Show results as one interactive HTML page.",
     "run": "Filter a recording, score it, write a result directory.",
-    "schema": "Print the JSON Schema of experiments, for editors.",
-    "show": "Show a graph, an evidence rule or a detector, and its parameters.",
+    "show": "List what there is, or describe it: graphs, rules, detectors, experiments.",
     "simulate": "Simulate a drive, as lines or as pictures.",
     "tune": "Search parameters, and score them on frames they have not seen.",
-    "validate": "Check experiments and tuning files without computing anything.",
     "video": "Draw a drive: pictures, lines, bird's-eye view and belief.",
 }
 
@@ -178,8 +173,6 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
         return []
     given = None if default in (inspect.Parameter.empty, ()) else default
     settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(kinds, extras)}
-    if looks.plugins:
-        settings["shell_complete"] = _plugins(looks.plugins)
     required = looks.required or default is inspect.Parameter.empty
     if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
         nargs = -1 if looks.many else 1
@@ -238,20 +231,6 @@ def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
         return (click.IntRange if first is int else click.FloatRange)(low, high)
     is_path = any(typing.get_origin(each) is os.PathLike for each in kinds)
     return click.Path() if is_path else str
-
-
-def _plugins(folders: Sequence[str]) -> Callable[..., list[CompletionItem]]:
-    """Completes names of the package's plugins, several with commas between them, or of files."""
-
-    def complete(_: click.Context, __: click.Parameter, typed: str) -> list[CompletionItem]:
-        from egolane_pgm.plugins import plugin_names
-
-        *before, last = typed.split(",")
-        known = sorted(name for folder in folders for name in plugin_names(folder))
-        found = [",".join([*before, name]) for name in known if name.startswith(last)]
-        return [*map(CompletionItem, found)] or [CompletionItem(typed, type="file")]
-
-    return complete
 
 
 def _tables() -> list[click.Parameter]:

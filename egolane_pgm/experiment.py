@@ -125,7 +125,7 @@ class LinesMapping(Section):
 
     preset: str | None = Field(
         default=None,
-        description="a known kind of recording (`egolane ls`); its keys hold for what is left out",
+        description="a known kind of recording (`egolane show`), for the keys that are left out",
         examples=["openpilot"],
     )
     topic: str | None = Field(
@@ -242,7 +242,7 @@ class Recording(Section):
     )
     simulate: str | None = Field(
         default=None,
-        description="name of a simulated drive (`egolane ls`)",
+        description="name of a simulated drive (`egolane show`)",
         examples=["quickstart"],
     )
     seed: int = Field(default=0, ge=0, description="random seed of the simulated drive")
@@ -447,13 +447,13 @@ class Experiment(Section):
     )
     evidence: str = Field(
         default="counting",
-        description="rule by which lines become evidence: a name (`egolane ls`) or a file of your"
+        description="rule by which lines become evidence: a name (`egolane show`) or a file of your"
         " own",
         examples=["line_geometry", "./my_evidence.py"],
     )
     graph: str = Field(
         default="sensor_failure",
-        description="the network: a name (`egolane ls`) or a file of your own",
+        description="the network: a name (`egolane show`) or a file of your own",
         examples=["position_in_lane", "./my_graph.py"],
     )
     filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = Field(
@@ -621,7 +621,7 @@ def experiment_path(given: str | os.PathLike[str]) -> Path:
         if str(given) in named:
             return named[str(given)]
         meant = near_word(str(given), named)
-        raise InputError(f"{given}: is no file, and no experiment that `egolane ls` lists{meant}")
+        raise InputError(f"{given}: is no file, and no experiment that `egolane show` lists{meant}")
     if path.parts[:1] == ("experiments",) and not path.exists():
         shipped = experiments_folder().joinpath(*path.parts[1:])
         return shipped if shipped.is_file() else path

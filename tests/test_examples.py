@@ -68,7 +68,7 @@ def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path)
     done("learn", *words, *own, "--out", tmp_path / "learned.yaml")
     learned = yaml.safe_load((tmp_path / "learned.graph.yaml").read_text())
     assert learned["hidden"] == ["Lane", "Sensor"]
-    done("network", TUTORIAL, tmp_path / "network.bif")
+    done("show", TUTORIAL, "--out", tmp_path / "network.bif")
     graphs = f"sensor_failure,{TUTORIAL},{tmp_path / 'network.bif'}"
     options = ["--set", "fit=learn", "--blocks", 2, "--json", tmp_path / "compared.json"]
     done("compare", *words, *options, "--graphs", graphs)

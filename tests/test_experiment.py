@@ -25,8 +25,9 @@ from egolane_pgm.experiment import (
     resolved,
 )
 from egolane_pgm.model import prepare_model
-from egolane_pgm.tuning.plan import check_plan, load_plan
+from egolane_pgm.tuning.plan import load_plan
 from egolane_pgm.types import InputError
+from tests.kits.drives import refused
 
 MINIMAL: dict[str, Any] = {"name": "x", "recording": {"path": "a.bag"}, "n_lanes": 3}
 
@@ -185,9 +186,7 @@ def test_the_settings_of_a_search_are_checked(
 ) -> None:
     drive = {"n_lanes": 3, "recording": {"simulate": "quickstart"}}
     path = write(tmp_path / "one.yaml", name="one", tuning=tuning, **drive)
-    with pytest.raises(InputError) as info:
-        check_plan(load_plan(path))
-    assert str(info.value) == f"{path}: {said}"
+    assert refused("run", "--dry-run", path) == f"{path}: {said}"
 
 
 def test_an_unknown_key_is_named_before_the_missing_one_that_it_means() -> None:

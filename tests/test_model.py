@@ -52,7 +52,7 @@ def test_a_graph_that_does_not_fit_is_refused_by_validate_and_run(
 ) -> None:
     (tmp_path / "g.py").write_text(GRAPH.format(more=more, hidden='("Lane", "X")'))
     path = write_drive(tmp_path, 20, graph="./g.py")
-    found = refused("validate", path)
+    found = refused("run", "--dry-run", path)
     assert refused("run", path, "--out", tmp_path / "out") == found
     assert said in found
     assert "experiment.yaml: graph" in found

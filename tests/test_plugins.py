@@ -78,7 +78,7 @@ def test_plugins_are_the_files_of_their_folder() -> None:
     assert some <= set(plugin_names("graphs"))
     assert {"counting", "counting_levels"} <= set(plugin_names("evidence"))
     assert not [n for f in ("graphs", "evidence") for n in plugin_names(f) if n.startswith("_")]
-    listed = done("ls").stdout
+    listed = done("show").stdout
     for name in (*plugin_names("graphs"), *plugin_names("evidence")):
         assert name in listed
     assert "run01_italy_ml.yaml" in listed
@@ -88,7 +88,7 @@ def test_files_of_ones_own_run_without_parameters_or_promises(tmp_path: Path) ->
     write(tmp_path / "g.py", GRAPH)
     write(tmp_path / "r.py", RULE)
     experiment = write_drive(tmp_path, graph="./g.py", evidence="r.py")
-    shown = done("validate", experiment).stdout
+    shown = done("run", "--dry-run", experiment).stdout
     assert "ok (3 lanes, 3 joint states)" in shown
     ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     assert "graph ./g.py" in ran.stdout
@@ -123,12 +123,12 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
     write(tmp_path / "g.py", GRAPH)
     write(tmp_path / "r.py", parameters + RULE.replace("+= log", "+= parameters['trust'] * log"))
     experiment = write_drive(tmp_path, graph="./g.py", evidence="./r.py")
-    assert "ok" in done("validate", experiment, "--set", "parameters.trust=1").stdout
-    said = refused("validate", experiment, "--set", "parameters.trust=2")
+    assert "ok" in done("run", "--dry-run", experiment, "--set", "parameters.trust=1").stdout
+    said = refused("run", "--dry-run", experiment, "--set", "parameters.trust=2")
     assert said.endswith("parameters.trust: 2 is not a probability (0 to 1)")
-    said = refused("validate", experiment, "--set", "parameters.trst=1")
+    said = refused("run", "--dry-run", experiment, "--set", "parameters.trst=1")
     assert said.endswith("unknown key 'trst' (did you mean 'trust'?)")
-    said = refused("validate", experiment, "--set", "parameters.sigma1=1")
+    said = refused("run", "--dry-run", experiment, "--set", "parameters.sigma1=1")
     assert said.endswith(
         "unknown key 'sigma1' (known: trust); `parameters: {}` drops all of another graph"
     )
@@ -163,7 +163,7 @@ def test_a_graph_file_with_a_fault_is_refused_by_its_name_and_line(
     write(tmp_path / "g.py", graph)
     write(tmp_path / "r.py", RULE)
     experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
-    assert said in refused("validate", experiment)
+    assert said in refused("run", "--dry-run", experiment)
 
 
 def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_path: Path) -> None:
@@ -172,7 +172,7 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
     silent = GRAPH.replace("OBSERVED)", "())").replace("    OBSERVED", "    # OBSERVED")
     for name, text in (("own", said_so), ("plain", PLAIN), ("silent", silent)):
         write(tmp_path / f"{name}.py", text)
-    done("network", tmp_path / "plain.py", tmp_path / "g.bif")
+    done("show", tmp_path / "plain.py", "--out", tmp_path / "g.bif")
     with quiet():
         XMLBIFWriter(read_file(tmp_path / "g.bif")).write(tmp_path / "g.xml")
     beliefs = []
@@ -193,8 +193,8 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
 def test_a_bif_file_with_a_fault_is_refused_by_its_name(tmp_path: Path) -> None:
     (tmp_path / "g.bif").write_text("{'a': 1}")
     said = "g.bif: has no variable; is it a BIF file?"
-    assert said in refused("validate", write_drive(tmp_path, 20, graph="./g.bif"))
-    assert said in refused("network", tmp_path / "g.bif", tmp_path / "g.dot")
+    assert said in refused("run", "--dry-run", write_drive(tmp_path, 20, graph="./g.bif"))
+    assert said in refused("show", tmp_path / "g.bif", "--out", tmp_path / "g.dot")
 
 
 def test_a_file_that_an_override_names_is_found_from_where_one_stands(
@@ -206,14 +206,14 @@ def test_a_file_that_an_override_names_is_found_from_where_one_stands(
     experiment = write_drive(tmp_path, 20)
     words = ["--set", "graph=./g.py", "--set", "evidence=r.py", "--set", "recording.path=lines.csv"]
     monkeypatch.chdir(tmp_path / "here")
-    assert "ok" in done("validate", experiment, *words).stdout
+    assert "ok" in done("run", "--dry-run", experiment, *words).stdout
     # A folder that is called as a plugin of the package is none.
     (tmp_path / "here" / "no_wor").mkdir()
-    assert "ok" in done("validate", experiment, "--set", "graph=no_wor").stdout
+    assert "ok" in done("run", "--dry-run", experiment, "--set", "graph=no_wor").stdout
     monkeypatch.chdir(tmp_path)
-    assert "graph: no file" in refused("validate", experiment, *words)
+    assert "graph: no file" in refused("run", "--dry-run", experiment, *words)
     monkeypatch.chdir(tmp_path / "here")
-    said = refused("validate", experiment, "--set", "graph=nope.py")
+    said = refused("run", "--dry-run", experiment, "--set", "graph=nope.py")
     assert said.endswith(f"graph: no file {tmp_path / 'nope.py'}, nor {tmp_path / 'here/nope.py'}")
 
 
@@ -242,12 +242,12 @@ def test_a_rule_file_with_a_fault_is_refused_by_its_name(
 def test_a_rule_that_gives_more_than_the_graph_observes_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "g.py", GRAPH.replace("Seen", "DetectorOutput"))
     experiment = write_drive(tmp_path, 20, graph="./g.py")
-    said = refused("validate", experiment)
+    said = refused("run", "--dry-run", experiment)
     assert "the evidence rule gives WOR, which the graph does not observe" in said
     assert "UNUSED" in said
     text = GRAPH.replace("Seen", "DetectorOutput") + '    UNUSED = ("WOR",)\n'
     write(tmp_path / "g.py", text)
-    assert "ok" in done("validate", experiment).stdout
+    assert "ok" in done("run", "--dry-run", experiment).stdout
 
 
 def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
@@ -291,7 +291,7 @@ def test_plugins_of_an_installed_package_are_found_by_their_names(
     assert "unknown name 'tempered'" in refused("run", experiment, "--out", tmp_path / "b")
 
     monkeypatch.syspath_prepend(tmp_path / "site")
-    listed = done("ls").stdout
+    listed = done("show").stdout
     assert all(name in listed for name in ("by_lane", "tempered", "dat", "strips"))
     assert "contrast" in done("show", "strips").stdout
     done("run", experiment, "--no-figures", "--out", tmp_path / "b")

@@ -70,13 +70,13 @@ def experiment_page() -> str:
     return "\n\n".join(
         [
             "# Keys of an experiment",
-            "An experiment is a YAML file. Unknown keys are refused, with a suggestion. Any key"
-            " can be changed on the command line, `--set parameters.sigma1=0.3`. Paths are relative"
-            " to the YAML.",
+            "An experiment is a YAML file. Unknown keys are refused, with a suggestion; `egolane"
+            " run FILE --dry-run` says what is wrong with one. Any key can be changed"
+            " on the command line, `--set parameters.sigma1=0.3`. Paths are relative to the YAML.",
             "An editor with YAML's language server (VS Code with its YAML extension, Neovim,"
             " JetBrains, ...) completes and checks the keys of a file whose first line names the"
             " schema:",
-            "```\negolane schema > experiment.schema.json\n```",
+            "```\negolane show schema > experiment.schema.json\n```",
             "```yaml\n# yaml-language-server: $schema=experiment.schema.json\nname: my_drive\n"
             "recording: {path: drive.csv}\nn_lanes: 3\n```",
             *schema_tables(json_schema("experiment"), "The file"),
@@ -109,7 +109,7 @@ def yaml_page() -> str:
             "# Keys of the other YAML files",
             "## A tuning file",
             "What `egolane tune FILE` takes: several experiments. Its schema"
-            " is printed by `egolane schema tuning`; the section `tuning` is that of"
+            " is printed by `egolane show schema:tuning`; the section `tuning` is that of"
             " [an experiment](experiment.md#tuning).",
             keys_table(tuning, {}),
             "## A camera",
@@ -281,6 +281,9 @@ def commands_page() -> str:
         "# Commands",
         "`egolane COMMAND --help` says the same. What a user can mend is said in a line, and the"
         " exit code is 2.",
+        "The tab key completes commands, options and names of files: put `eval"
+        ' "$(_EGOLANE_COMPLETE=bash_source egolane)"` into `~/.bashrc`; of other shells [Click]'
+        "(https://click.palletsprojects.com/en/stable/shell-completion/) has the line.",
     ]
     for name in COMMANDS:
         context = click.Context(egolane, info_name="egolane")

@@ -19,7 +19,7 @@ from typing import Any
 
 from pydantic import Field
 
-from egolane_pgm.drive import Drive, check_sources, load_drive
+from egolane_pgm.drive import Drive, load_drive
 from egolane_pgm.experiment import (
     Experiment,
     Overrides,
@@ -31,7 +31,7 @@ from egolane_pgm.experiment import (
     make_experiment,
     validated,
 )
-from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.model import Model
 from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters
@@ -228,19 +228,6 @@ def problem_of(plan: Plan, drives: Sequence[Drive]) -> Problem:
     spaces = tuple(_space(plan, drive.experiment, drive.model) for drive in drives)
     _check_alike([drive.experiment for drive in drives], spaces)
     return Problem(plan, plan.settings, tuple(drives), spaces)
-
-
-def check_plan(plan: Plan) -> str:
-    """Check a plan without reading a recording; return what it has in a few words. Raises
-    InputError as its search would, for all that shows so early."""
-    spaces = []
-    _ = plan.settings
-    for experiment in plan.experiments:
-        check_filter(experiment)
-        spaces.append(_space(plan, experiment, prepare_model(experiment)))
-        check_sources(experiment)
-    _check_alike(plan.experiments, spaces)
-    return f"{len(plan.experiments)} experiment(s), {len(spaces[0])} numbers searched"
 
 
 def check_tuning(experiment: Experiment, model: Model) -> None:

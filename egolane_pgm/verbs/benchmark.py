@@ -59,7 +59,7 @@ def score(
 ) -> Board:
     """Score what answers for the drives of tracks, and check that it does not look ahead.
 
-    ENTRY is an experiment with its own parameters (a YAML file, or a name that `egolane ls`
+    ENTRY is an experiment with its own parameters (a YAML file, or a name that `egolane show`
     prints), a command with {lines}, {n}, {beliefs} and {events} in it or a Python file that takes
     these four, a Python file with `fit`, which is given the other drivers' drives, or a folder of
     answers NAME.csv and NAME.events.csv. TRACKS are folders of NAME.csv and NAME.txt.

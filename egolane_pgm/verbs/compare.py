@@ -46,7 +46,7 @@ def compare(
     *,
     graphs: Annotated[
         str | Sequence[StrPath] | None,
-        Option("NAME,...", plugins=("graphs",), said=",".join(DEFAULT_GRAPHS)),
+        Option("NAME,...", said=",".join(DEFAULT_GRAPHS)),
     ] = None,
     runs: Annotated[Runs | None, Option("TEXT", said="with graphs alone: 1-10")] = None,
     events: bool = False,

@@ -52,7 +52,7 @@ def detect(
     pictures: StrPath,
     *,
     camera: CameraFile,
-    detector: Annotated[StrPath, Option("NAME|FILE.py", plugins=("detectors",))] = "ml",
+    detector: Annotated[StrPath, Option("NAME|FILE.py")] = "ml",
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     right: Annotated[StrPath | None, Option("PICTURES")] = None,
     topic: str | None = None,
@@ -69,7 +69,7 @@ def detect(
     `egolane run FILE --n-lanes N` gives the lane.
 
     - camera: the camera's YAML.
-    - detector: `egolane ls` lists them.
+    - detector: `egolane show` lists them.
     - out: where the lines go: .parquet, .csv or .bag.
     - right: those of the second camera.
     - topic: topic of the pictures in a bag.

@@ -34,7 +34,6 @@ class Option:
     - names: "-o" beside the long one, or in place of it one of another name: "--outline".
     - example: of a name and a value, for messages.
     - default: what a command takes where the verb is given nothing. said: shows what that means.
-    - plugins: folders of the package whose plugins complete the value.
     - many: whether it is given several times, or several arguments.
     - envvar: a variable of the environment that gives it.
     - help: for the command line only; else what the docstring says.
@@ -47,7 +46,6 @@ class Option:
     example: str | None = None
     default: Any = None
     said: str | None = None
-    plugins: tuple[str, ...] = ()
     many: bool = False
     envvar: str | None = None
     help: str | None = None
@@ -61,7 +59,7 @@ Hidden = Option(hidden=True)
 Progress = Annotated[bool | None, Hidden]
 Blocks = Annotated[int, Ge(2)]
 Seed = Annotated[int, Ge(0)]
-Detector = Annotated[StrPath | None, Option("NAME|FILE.py", plugins=("detectors",))]
+Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
 #: Processes that share the work, or a Dask cluster; see `tools.jobs`.
 Jobs = Annotated[int, Ge(1)] | str

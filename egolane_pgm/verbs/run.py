@@ -10,10 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, overload
 
-from egolane_pgm.drive import source_of, with_recording
+from egolane_pgm.drive import check_sources, source_of, with_recording
 from egolane_pgm.drive_table import DriveTable
 from egolane_pgm.experiment import Experiment, Given, Overrides, experiment_path, load_experiment
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
+from egolane_pgm.model import prepare_model
 from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.results import SCHEMA_VERSION, Result, check_writable
 from egolane_pgm.running import (
@@ -51,6 +52,7 @@ EXAMPLES = (
     "egolane run experiments/quickstart.yaml --set parameters.sigma1=0.3",
     "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4 --out mine",
     "egolane run experiments/zero_label.yaml --recording drive/lines.csv --n-lanes 4 --stream",
+    "egolane run drive/experiment.yaml --dry-run",
 )
 
 #: The experiment that runs on lines where none is named: it needs no label.
@@ -92,15 +94,16 @@ def run(  # type: ignore[misc]
     stream: bool = False,
     held_out: bool = False,
     blocks: Blocks = 5,
+    dry_run: bool = False,
     out: Annotated[StrPath | None, Option("DIR", default="results/*", said="results/NAME")] = None,
     figures: bool = True,
     jobs: Jobs = 1,
     progress: Progress = None,
-) -> Result | DriveTable:
+) -> Result | DriveTable | str:
     """Filter a recording, score it where there is ground truth, and list its lane changes.
 
-    EXPERIMENT is a YAML file, or a name that `egolane ls` prints. LINES is a recording of lines; it
-    is run by the experiment zero_label, which needs no label. A recording of many clips (TuSimple's
+    EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines,
+    run by the experiment zero_label, which needs no label. A recording of many clips (TuSimple's
     test labels) is run clip by clip, with one table.
 
     Several experiments, or one on several recordings, share the jobs; each has its own result
@@ -129,13 +132,15 @@ def run(  # type: ignore[misc]
     - held_out: believe each block of the annotated frames with parameters that were found without
       it, as the experiment's `fit` says (none: its own, learn, tune).
     - blocks: with held_out: how many blocks there are.
+    - dry_run: check keys, plugins, parameters and the names of files, and compute nothing. A .py
+      that a YAML names is executed.
     - out: result directory; of several runs, their folder. A `*` in it is the run's name.
     - figures: draw the belief over time.
     - jobs: processes that share several runs.
     - progress: whether a bar shows how far several runs are; None for in a terminal.
 
-    Returns a `Result`, or a `DriveTable` of several. Without `out` nothing is written. Raises
-    InputError, one line, for whatever does not fit.
+    Returns a `Result`, or a `DriveTable` of several; of a dry run a line for each. Without `out`
+    nothing is written. Raises InputError, one line, for whatever does not fit.
 
     >>> import egolane_pgm as ego
     >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
@@ -154,6 +159,10 @@ def run(  # type: ignore[misc]
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
     is_one = not isinstance(experiment, (list, tuple)) and not isinstance(recording, (list, tuple))
+    if dry_run:
+        if fleet is not None:
+            raise InputError("dry_run: goes without fleet")
+        return _checked(name_all(given or [ZERO_LABEL], overrides, recordings, *changes))
     if stream and (fleet is not None or not is_one or folder is None or held_out):
         raise InputError("stream: goes with one experiment, one recording and out")
     way: Way = run_experiment
@@ -192,11 +201,29 @@ def run(  # type: ignore[misc]
     return _run_several(plan, folder, figures, way, jobs, progress)
 
 
-def says(done: Result | DriveTable, given: Mapping[str, Any]) -> str:
-    """Where the results are."""
+def says(done: Result | DriveTable | str, given: Mapping[str, Any]) -> str:
+    """Where the results are; of a dry run what each experiment has."""
+    if isinstance(done, str):
+        return done
     if isinstance(done, Result):
         return f"result: {done.directory}"
     return f"results: {len(done) - len(done.failed)} of {len(done)} in {done.folder}"
+
+
+def _checked(titled: Sequence[tuple[str, Callable[[], Experiment]]]) -> str:
+    """Check experiments without computing anything; a line for each."""
+    # Optuna is loaded for this only.
+    from egolane_pgm.tuning.plan import check_tuning
+
+    lines = []
+    for title, load in titled:
+        experiment = load()
+        model = prepare_model(experiment)
+        check_tuning(experiment, model)
+        if experiment.recording.path != IN_MEMORY:
+            check_sources(experiment)
+        lines.append(f"{title}: ok ({model.n_lanes} lanes, {model.compiled.n_states} joint states)")
+    return "\n".join(lines)
 
 
 def _run_one(

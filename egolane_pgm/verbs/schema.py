@@ -1,11 +1,10 @@
-"""The verb `schema`: JSON Schemas (draft 2020-12) of the YAML files, and of what `--json` writes.
+"""JSON Schemas (draft 2020-12) of the YAML files, and of what `--json` writes.
 Editors complete and check keys by them, and the documentation's reference is made from them."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable, Mapping
-from typing import Annotated, Any, Literal
+from collections.abc import Iterable
+from typing import Any, Literal
 
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
@@ -18,10 +17,6 @@ from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import TuningFile
-from egolane_pgm.verbs.given import Option
-
-EXAMPLES = ("egolane schema > experiment.schema.json",)
-
 Kind = Literal["experiment", "tuning", "comparison", "reproduction"]
 
 #: The files that have a schema: what is in them.
@@ -55,18 +50,12 @@ class _Untitled(GenerateJsonSchema):
         return False
 
 
-def schema(kind: Annotated[Kind, Option("[KIND]")] = "experiment") -> Mapping[str, Any]:
-    """Print the JSON Schema of a YAML file, by which an editor completes and checks its keys.
+def schema(kind: Kind = "experiment") -> dict[str, Any]:
+    """The JSON Schema of a YAML file, by which an editor completes and checks its keys.
 
-    KIND is experiment (the default) or tuning; or comparison or reproduction, which
-    `compare --json` and `reproduce --json` write.
-
-    An editor with YAML's language server reads the schema where the first line of a YAML is
-    `# yaml-language-server: $schema=experiment.schema.json`.
-
-    Returns the schema. Unknown keys are refused; what a plugin of the package is called is checked,
-    files of one's own are not looked at. A file with `include` need not have all keys, and neither
-    a file without `name`, which others include.
+    Unknown keys are refused; what a plugin of the package is called is checked, files of one's own
+    are not looked at. A file with `include` need not have all keys, and neither a file without
+    `name`, which others include.
     """
     found = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
     definitions = found.get("$defs", {})
@@ -86,11 +75,6 @@ def schema(kind: Annotated[Kind, Option("[KIND]")] = "experiment") -> Mapping[st
         **found,
         "title": title,
     }
-
-
-def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
-    """The schema, as it is written into a file."""
-    return json.dumps(done, indent=1)
 
 
 def _name_plugins(keys: dict[str, Any]) -> None:

@@ -42,7 +42,7 @@ def video(
     camera: CameraFile,
     detector: Annotated[
         str | None,
-        Option("NAME|FILE.py", plugins=("detectors",), said="the experiment's, or ml"),
+        Option("NAME|FILE.py", said="the experiment's, or ml"),
     ] = None,
     lines: Annotated[str | None, Option("FILE")] = None,
     right: Annotated[str | None, Option("PICTURES")] = None,
@@ -62,7 +62,7 @@ def video(
     What was drawn before Ctrl-C, or before a picture that cannot be used, is kept.
 
     - camera: the camera's YAML.
-    - detector: what looks at the pictures; `egolane ls` lists them.
+    - detector: what looks at the pictures; `egolane show` lists them.
     - lines: draw this recording of lines instead of what a detector sees.
     - right: pictures of the second camera.
     - experiment: evidence, graph, filter and parameters.

@@ -9,7 +9,7 @@
     ~/probability  std_msgs/Float32  of that lane
     ~/events       std_msgs/String   a lane change as JSON, when it is told
 
-`experiment` is a name that `egolane ls` prints, or a YAML file.
+`experiment` is a name that `egolane show` prints, or a YAML file.
 """
 
 from __future__ import annotations

@@ -147,10 +147,10 @@ def test_commands_are_told_from_what_a_page_shows() -> None:
     def lines(text: str, language: str = "") -> list[str]:
         return commands_of(Block(language, text, 1))
 
-    assert lines("egolane ls   # all of them\n") == ["egolane ls"]
+    assert lines("egolane show   # all of them\n") == ["egolane show"]
     assert lines("egolane run a \\\n  --out b\n") == ["egolane run a --out b"]
     assert lines("echo '{}' |\n  egolane online x\n") == ["echo '{}' | egolane online x"]
     assert lines("frame_id,line\n0,1\n") == []
-    assert lines("egolane ls\n", "text") == []
+    assert lines("egolane show\n", "text") == []
     assert not is_run("make run")
     assert quicker("egolane reproduce --runs 1-10") == "egolane reproduce --runs 2"

@@ -109,7 +109,7 @@ def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(t
         tmp_path, 60, graph="wor_levels", evidence="counting_levels", parameters={"wor_levels": 4}
     )
     done("run", path, "--no-figures", "--out", tmp_path / "out")
-    said = refused("validate", path, "--set", "parameters.wor_levels=1")
+    said = refused("run", "--dry-run", path, "--set", "parameters.wor_levels=1")
     assert "parameters.wor_levels: 1 must be at least 2" in said
     said = refused(
         "run", path, "--no-figures", "--out", tmp_path / "o", "--set", "evidence=counting"

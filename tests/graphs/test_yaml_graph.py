@@ -218,7 +218,7 @@ def test_what_is_wrong_is_said_by_validate_with_the_experiments_name(tmp_path: P
     def said(old: str, new: str) -> str:
         assert old in text
         (tmp_path / "g.yaml").write_text(text.replace(old, new))
-        return refused("validate", experiment, "--set", "n_lanes=4")
+        return refused("run", "--dry-run", experiment, "--set", "n_lanes=4")
 
     assert "the graph observes SensorState, the evidence rule gives only" in said(
         "observed: [DetectorOutput, WOR]", "observed: [DetectorOutput, SensorState]"
@@ -228,5 +228,7 @@ def test_what_is_wrong_is_said_by_validate_with_the_experiments_name(tmp_path: P
         "[[0.6, 0.4], [0.4, 0.6]]", "[[0.6, 0.4]]"
     )
     (tmp_path / "g.yaml").write_text(text)
-    assert "needs a hidden node Lane with 3 values, has 4" in refused("validate", experiment)
-    assert "no file" in refused("validate", experiment, "--set", "graph=./nothing.yaml")
+    assert "needs a hidden node Lane with 3 values, has 4" in refused(
+        "run", "--dry-run", experiment
+    )
+    assert "no file" in refused("run", "--dry-run", experiment, "--set", "graph=./nothing.yaml")

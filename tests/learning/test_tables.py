@@ -354,7 +354,7 @@ def test_a_graph_of_ones_own_is_learned_wherever_the_result_is_written(tmp_path:
         ROOT / "examples" / "my_evidence.py"
     )
     assert content["parameters"]["tempering"] == 0.7
-    done("validate", out)
+    done("run", "--dry-run", out)
 
 
 DISCRETE = [name for name in graph_names() if not name.startswith("position_in")]

@@ -133,7 +133,7 @@ def test_wrong_words_are_refused_in_one_line(
 def test_run_takes_a_video_and_keeps_what_it_needs_to_run_again(
     place: Path, tmp_path: Path
 ) -> None:
-    assert "ok" in done("validate", place / "run.yaml").stdout
+    assert "ok" in done("run", "--dry-run", place / "run.yaml").stdout
     done("run", place / "run.yaml", "--no-figures", "--out", tmp_path / "out")
     kept = yaml.safe_load((tmp_path / "out/experiment.yaml").read_text())
     assert kept["recording"]["path"] == str(place / "drive.avi")
@@ -341,7 +341,9 @@ def test_a_camera_that_looks_at_the_sky_is_refused_before_any_picture(
     said = refused(*words, "-o", tmp_path / "l.csv")
     assert "pitch_deg" in said
     assert "sky" in said
-    said = refused("validate", place / "run.yaml", "--set", f"recording.camera={tmp_path}/sky.yaml")
+    said = refused(
+        "run", "--dry-run", place / "run.yaml", "--set", f"recording.camera={tmp_path}/sky.yaml"
+    )
     assert "sky" in said
 
 

@@ -21,8 +21,6 @@ from tests.kits.synthetic_road import write_place
     ("words", "missing"),
     [
         (("map",), "argument 'FILE'"),
-        (("validate",), "argument 'EXPERIMENTS...'"),
-        (("lines", "x.csv"), "option '--frame'"),
         (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
     ],
 )
@@ -37,9 +35,9 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) ->
     )  # fmt: skip
     assert said.endswith("n_lanes: input should be less than or equal to 50 (got 300)")
     words = (write_drive(labels.parent / "x", 30), "--set", "n_lanes=1000000000")
-    for name in ("run", "validate", "learn", "compare", "tune"):
+    for name in ("run", "learn", "compare", "tune"):
         assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
-    said = refused("network", "lane_only", labels.with_name("n.png"), "--n-lanes", 51)
+    said = refused("show", "lane_only", "--n-lanes", 51)
     assert "'--n-lanes': 51 is not in the range" in said
 
 

@@ -109,7 +109,7 @@ def test_the_papers_tables_fit_the_terminal(
 
 def test_lists_fit_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    for words in (("ls",), ("show", "position_in_lane"), ("show", "ml"), ("show", "counting")):
+    for words in (("show",), ("show", "position_in_lane"), ("show", "ml"), ("show", "counting")):
         found = [line for line in done(*words).stdout.splitlines() if "/" not in line]
         assert max(map(len, found)) <= 80
 

@@ -1,4 +1,4 @@
-"""The commands `data`, `convert` and `lines`."""
+"""The commands `data`, `convert` and `show --frame`."""
 
 from __future__ import annotations
 
@@ -28,17 +28,14 @@ def test_the_topic_of_a_bag_is_a_name(tmp_path: Path) -> None:
     assert "topic 5" in said
 
 
-def test_the_command_prints_it_from_a_recording_and_from_an_experiment(tmp_path: Path) -> None:
+def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> None:
     write_table(tmp_path / "box.parquet", box_log())
-    assert done("lines", tmp_path / "box.parquet", "--frame", 1234).stdout == BOX + "\n"
     recording = {"path": "box.parquet"}
     experiment = write_experiment(tmp_path / "e.yaml", recording=recording, ground_truth=None)
-    assert done("lines", experiment, "--frame", 1234).stdout == BOX + "\n"
-    said = refused("lines", tmp_path / "box.parquet", "--frame", 1235)
+    assert done("show", experiment, "--frame", 1234).stdout == BOX + "\n"
+    said = refused("show", experiment, "--frame", 1235)
     assert said.endswith("has no frame 1235; the nearest is 1234 (frames 1234 to 1237)")
-    said = refused("lines", tmp_path / "box.parquet", "--frame", 1234, "--set", "n_lanes=3")
-    assert said == "--set: go with an experiment"
-    assert "no such file" in refused("lines", tmp_path / "none.csv", "--frame", 1)
+    assert refused("show", "lane_only", "--frame", 1) == "--frame: goes with an experiment"
 
 
 def test_conversions_keep_every_line(tmp_path: Path, drive: Path) -> None:

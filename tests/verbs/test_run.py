@@ -188,7 +188,7 @@ def test_a_figure_is_part_of_the_result_and_plot_draws_more(drive: Path, tmp_pat
 
 def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
     experiment = EXAMPLES / "own_files.yaml"
-    assert "ok (4 lanes, 8 joint states)" in done("validate", experiment).stdout
+    assert "ok (4 lanes, 8 joint states)" in done("run", "--dry-run", experiment).stdout
     done("run", experiment, "--no-figures", "--out", tmp_path / "out")
     result = read_result(tmp_path / "out")
     assert result.config["graph"] == "./graph_my_graph.py"
@@ -286,21 +286,21 @@ def test_what_does_not_fit_is_refused_and_an_earlier_result_stays(
         ("tuned_on=mars", "tuned_on: 'mars' is not one of same_frames"),
     ],
 )
-def test_a_key_or_value_that_does_not_fit_is_refused_by_validate_and_by_run(
+def test_a_key_or_value_that_does_not_fit_is_refused_by_dry_run_and_by_run(
     tmp_path: Path, earlier: Path, override: str, said: str
 ) -> None:
     experiment = write_drive(tmp_path, 20)
     by_run = refused("run", experiment, "--set", override, "--no-figures", "--out", earlier)
-    by_validate = refused("validate", experiment, "--set", override)
+    by_dry_run = refused("run", "--dry-run", experiment, "--set", override)
     assert said in by_run
-    assert said in by_validate
-    assert by_validate.startswith(f"{experiment}: ")
+    assert said in by_dry_run
+    assert by_dry_run.startswith(f"{experiment}: ")
     # The same written in the file.
     key, _, value = override.partition("=")
     changes = {key.replace(".", "__"): yaml.safe_load(value)}
     rewritten(experiment, experiment, **changes)
     if changes != {"recording__path": None}:
-        assert refused("validate", experiment) == by_validate
+        assert refused("run", "--dry-run", experiment) == by_dry_run
 
 
 @pytest.mark.parametrize("what", ["--out", "--json"])

@@ -55,8 +55,8 @@ def test_a_shipped_file_names_its_schema_and_fits_it(path: Path) -> None:
 @pytest.mark.parametrize("kind", ["experiment", "tuning"])
 def test_the_kept_schemas_are_what_the_command_prints(kind: str) -> None:
     kept = (experiments_folder() / f"{kind}.schema.json").read_text()
-    assert done("schema", kind).stdout == kept, (
-        f"egolane schema {kind} > experiments/{kind}.schema.json"
+    assert done("show", f"schema:{kind}").stdout == kept, (
+        f"egolane show schema:{kind} > experiments/{kind}.schema.json"
     )
 
 

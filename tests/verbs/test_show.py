@@ -1,4 +1,4 @@
-"""The commands `ls`, `show`, `validate`, `plot` and `network`."""
+"""The commands `show`, `plot` and `run --dry-run`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 
 from egolane_pgm.experiment import experiments_folder
 from egolane_pgm.paper import paper_experiment
@@ -32,52 +31,55 @@ def test_several_results_make_one_sheet(drive: Path, tmp_path: Path) -> None:
     assert all((tmp_path / "figures" / name).is_file() for name in figures)
 
 
-def test_every_experiment_of_the_paper_validates(recordings: Path) -> None:
+def test_a_dry_run_checks_every_experiment_of_the_paper(recordings: Path) -> None:
     paths = [paper_experiment(number) for number in range(1, 11)]
-    lines = done("validate", *paths).stdout.splitlines()
+    lines = done("run", "--dry-run", *paths).stdout.splitlines()
     assert [line.partition(":")[0] for line in lines] == [str(path) for path in paths]
     assert lines[0].endswith("ok (4 lanes, 8 joint states)")
     assert lines[9].endswith("ok (3 lanes, 6 joint states)")
 
 
-def test_validate_says_which_recording_is_not_there(
+def test_a_dry_run_says_which_recording_is_not_there(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("EGOLANE_DATA", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert "recording.path: rle/special" in refused("validate", paper_experiment(1))
+    said = refused("run", "--dry-run", paper_experiment(1))
+    assert "recording.path: rle/special" in said
 
 
-def test_ls_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(experiments_folder().parent)
-    shown = done("ls").stdout
+    shown = done("show").stdout
     words = " ".join(shown.split())
     assert "wor_direct, wor_levels, wor_on_edge, wor_on_lane" in words
     assert "simulations: a2, a4, quickstart" in words
     assert "experiments/quickstart.yaml simulated drive of two minutes" in words
     assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
     assert "published" not in shown
+    assert done("show", "simulations").stdout == "simulations:  a2, a4, quickstart\n"
 
 
 @pytest.mark.parametrize("graph", ["wor_on_lane", str(EXAMPLES / "my_graph.py")])
 def test_a_graph_is_drawn_by_name_or_file(tmp_path: Path, graph: str) -> None:
     target = tmp_path / "graph.svg"
-    assert done("network", graph, target, "--n-lanes", "2").stdout == f"{target}\n"
+    assert done("show", graph, "--out", target, "--n-lanes", "2").stdout == f"{target}\n"
     assert "SensorState" in target.read_text()
 
 
 def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
     (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
-    said = refused("network", tmp_path / "g.py", tmp_path / "g.svg")
+    said = refused("show", tmp_path / "g.py", "--out", tmp_path / "g.svg")
     assert "g.py, line 3: AttributeError" in said
-    said = refused("network", "no_wor", tmp_path / "g.txt")
+    said = refused("show", "no_wor", "--out", tmp_path / "g.txt")
     assert said.endswith(
         "g.txt: a network is written to a file that ends in .png, .svg, .pdf, .dot, .bif"
     )
-    assert "(did you mean 'no_wor'?)" in refused("network", "no_wro", tmp_path / "g.svg")
+    assert "(did you mean 'no_wor'?)" in refused("show", "no_wro", "--out", tmp_path / "g.svg")
     own = tmp_path / "g.bif"
     own.write_text("")
-    assert "g.bif: is read here" in refused("network", own, own)
+    assert "g.bif: is read here" in refused("show", own, "--out", own)
+    assert "only a graph" in refused("show", "ml", "--out", tmp_path / "g.png")
 
 
 @pytest.mark.parametrize(
@@ -93,10 +95,21 @@ def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
         (str(EXAMPLES / "my_detector.py"), "detector"),
     ],
 )
-def test_whatever_ls_lists_or_one_writes_is_shown(name: str, kind: str) -> None:
+def test_whatever_is_listed_or_one_writes_is_shown(name: str, kind: str) -> None:
     shown = done("show", name).stdout
     assert shown.splitlines()[0] == f"{kind} {name.removeprefix('graph:')}"
     assert "\nparameters" in shown
+
+
+def test_an_experiment_is_shown_with_what_it_includes(drive: Path, tmp_path: Path) -> None:
+    shown = done("show", "run01_italy_ml").stdout
+    assert shown.startswith("experiment run01_italy_ml\n")
+    assert "ground_truth:" in shown
+    keys = json.loads(done("show", drive, "--json", "-").stdout)["keys"]
+    assert keys["recording"]["path"] == "lines.csv"
+    shown = done("show", experiments_folder() / "tuning" / "all_italy.yaml").stdout
+    assert shown.startswith("tuning file all_italy\n")
+    assert "(known: " in refused("show", "schema:x")
 
 
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
@@ -148,43 +161,32 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
 )
 def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "e.yaml").write_text(text)
-    assert refused("validate", tmp_path / "e.yaml").startswith(f"{tmp_path / 'e.yaml'}: {said}")
+    assert refused("run", "--dry-run", tmp_path / "e.yaml").startswith(
+        f"{tmp_path / 'e.yaml'}: {said}"
+    )
 
 
 @pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=[", "n_lanes.x=1"])
 def test_an_override_that_is_none_is_refused(tmp_path: Path, override: str) -> None:
     experiment = write_drive(tmp_path, 20)
-    assert refused("validate", experiment, "--set", override).startswith(f"--set: {override}: ")
+    assert refused("run", "--dry-run", experiment, "--set", override).startswith(
+        f"--set: {override}: "
+    )
 
 
-def test_tuning_files_are_listed_and_checked(tmp_path: Path) -> None:
-    said = done("ls").stdout
-    assert "tuning files" in said
+def test_tuning_files_are_listed_apart() -> None:
+    said = done("show").stdout
     assert "all_italy.yaml" in said.partition("tuning files")[2]
     assert "all_italy.yaml" not in said.partition("tuning files")[0]
-    write_drive(tmp_path, 60)
-    path = tmp_path / "tuning.yaml"
-
-    def write(**tuning: object) -> None:
-        content = {"name": "both", "experiments": ["experiment.yaml"], "tuning": tuning}
-        path.write_text(yaml.safe_dump(content))
-
-    write(parameters={"p1": 0.9})
-    assert f"{path}: ok (1 experiment(s), " in done("validate", path).stdout
-    write(parameters={"p11": 0.9})
-    assert f"{path}: tuning.parameters" in refused("validate", path)
-    write(objective="acuracy")
-    assert "did you mean 'accuracy'" in refused("validate", path)
-    write(parameters={"p1": 0.9})
-    (tmp_path / "lines.csv").unlink()
-    assert "recording.path: lines.csv: no such file" in refused("validate", path)
 
 
 def test_only_a_recording_that_is_missing_is_said_to_be_fetched(tmp_path: Path) -> None:
     path = write_place(tmp_path, 2) / "run.yaml"
-    said = refused("validate", path, "--set", "recording.camera=none.yaml")
+    said = refused("run", "--dry-run", path, "--set", "recording.camera=none.yaml")
     assert "recording.camera: none.yaml: no such file" in said
     assert "data fetch" not in said
-    assert "data fetch" not in refused("validate", path, "--set", "recording.path=none.mp4")
+    assert "data fetch" not in refused("run", "--dry-run", path, "--set", "recording.path=none.mp4")
     bare = write_drive(tmp_path / "x", 30)
-    assert "run `egolane data fetch`" in refused("validate", bare, "--set", "recording.path=no.csv")
+    assert "run `egolane data fetch`" in refused(
+        "run", "--dry-run", bare, "--set", "recording.path=no.csv"
+    )

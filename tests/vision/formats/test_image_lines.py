@@ -200,7 +200,7 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     experiment = write_experiment(
         tmp_path / "e.yaml", recording={"path": "a.jsonl"}, ground_truth=None
     )
-    said = refused("validate", experiment)
+    said = refused("run", "--dry-run", experiment)
     missing = f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
     assert said.startswith(missing)
     target = tmp_path / "b.jsonl"

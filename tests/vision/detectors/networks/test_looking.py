@@ -278,7 +278,7 @@ def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> N
     (seen / "lstr.run.yaml").write_text((seen / "seen.yaml").read_text().replace(NAMED, "lstr"))
     done = command("run", seen / "lstr.run.yaml", "--no-figures", "--out", out)
     assert done.exit_code == 0, done.stderr
-    assert "ok" in command("validate", out / "experiment.yaml").stdout
+    assert "ok" in command("run", "--dry-run", out / "experiment.yaml").stdout
 
 
 def test_a_network_of_the_command_line_is_found_from_where_one_stands(
@@ -318,7 +318,7 @@ def test_lris_of_probabilities_are_written(seen: Path, tmp_path: Path) -> None:
 
 
 def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:
-    assert "ok" in command("validate", seen / "seen.yaml").stdout
+    assert "ok" in command("run", "--dry-run", seen / "seen.yaml").stdout
     for keys, said in (
         ({"layout": "lane"}, "layout: 'lane' is not one of"),
         ({"size": [64, 64]}, "but size [64, 64] makes 1 x 3 x 64 x 64"),
@@ -326,7 +326,7 @@ def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path)
     ):
         path = with_keys(seen / "nets" / "top_hat.yaml", tmp_path / "wrong.yaml", **keys)
         chosen = f"recording.detector_parameters.network={path}"
-        assert said in refused("validate", seen / "seen.yaml", "--set", chosen)
+        assert said in refused("run", "--dry-run", seen / "seen.yaml", "--set", chosen)
 
 
 def test_own_files_are_those_of_the_network(top_hat: Path, tmp_path: Path) -> None:
