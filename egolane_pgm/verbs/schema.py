@@ -17,6 +17,7 @@ from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import TuningFile
+
 Kind = Literal["experiment", "tuning", "comparison", "reproduction"]
 
 #: The files that have a schema: what is in them.
