@@ -12,17 +12,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from egolane_pgm.benchmark.entries import by_experiment
-from egolane_pgm.benchmark.making import make_tracks
-from egolane_pgm.benchmark.scored import score_recording
-from egolane_pgm.benchmark.tracks import Recording, read_tracks
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment
-from egolane_pgm.scoring.probabilistic import N_BINS
+from egolane_pgm.scoring.probabilistic import N_BINS, calibration_curve
 from egolane_pgm.tools.files import temporary_folder
 from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.types import FloatArray
 from egolane_pgm.views.answers import FAINT, INK, MODEL_COLOUR
 from egolane_pgm.views.style import axes_at, new_figure, write_figure
+from makers.benchmark.board import run_on, score_recording
+from makers.benchmark.tracks import Recording, make_tracks, read_tracks
 
 #: A point of fewer frames is hollow, one of fewer than the second is left out.
 FEW_FRAMES, LEAST_FRAMES = 1000, 30
@@ -47,7 +45,7 @@ TEXT = """\
 
 Made by `python -m makers.beyond calibration --out results/beyond`. The model without labels
 (`zero_label.yaml`, causal) on the paper's ten recordings and the public part of the benchmark
-(Rotterdam as `egolane benchmark make` makes it), all drives with the lines of one kind of detector
+(Rotterdam as `make benchmark` makes it), all drives with the lines of one kind of detector
 together. *Sure* is a belief over .95; *believed* is
 the mean of the largest probability; *calibration error* is the mean distance between the two over
 15 bins (ECE); log-loss is of all frames, those of lane changes too. Development scores: the
@@ -75,13 +73,19 @@ def recordings() -> list[Recording]:
     """The paper's recordings and the public part of the benchmark."""
     bench = Path(os.environ["EGOLANE_DATA"]) / "bench"
     with temporary_folder() as made:
-        make_tracks(made / "tracks", None)
-        return read_tracks([made / "tracks", bench / "motion", bench / "two_lines"])
+        make_tracks(made)
+        folders = [made / "paper", made / "rotterdam", bench / "motion", bench / "two_lines"]
+        return read_tracks(folders)
 
 
 def scores(experiment: Experiment, recording: Recording) -> tuple[str, dict[str, Any]]:
-    """The kind of a recording, and the sums of its scores."""
-    return kind_of(recording), score_recording(recording, by_experiment(experiment, recording))
+    """The kind of a recording, the sums of its scores, and per bin of the largest probability the
+    frames, the sum of it, and the right ones."""
+    belief, truth = run_on(recording, experiment).marginals["Lane"], recording.truth
+    curve = calibration_curve(belief, truth.lane, truth.is_crossing)
+    bins = [np.nan_to_num(each) * curve.count for each in (curve.confidence, curve.accuracy)]
+    sums = score_recording(recording, belief)
+    return kind_of(recording), {**sums, "reliability": [curve.count, *bins]}
 
 
 @cache

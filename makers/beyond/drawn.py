@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-import warnings
-import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.benchmark import making
-from egolane_pgm.benchmark.entries import by_experiment
-from egolane_pgm.benchmark.scored import score_recording
-from egolane_pgm.benchmark.tracks import RATE, Recording
 from egolane_pgm.experiment import Experiment, experiments_folder, load_experiment
-from egolane_pgm.simulation.transplanting import Path as Driven
-from egolane_pgm.simulation.transplanting import transplanted
+from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.events import score_events
 from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.types import FloatArray
+from makers.benchmark import tracks as making
+from makers.benchmark.board import run_on, score_recording
+from makers.benchmark.tracks import Recording, rng_of
+from makers.benchmark.transplanting import RATE, transplanted
+from makers.benchmark.transplanting import Path as Driven
 
 #: Donors of each stretch of the trip, and the length of the other drives, frames.
 _DONORS, _FRAMES = 4, 1800
+
+#: How much of the beginning of a drive is scored apart, seconds.
+_BEGINNING_S = 60.0
 
 #: The mean of the seconds between two drawn lane changes, beyond the least.
 _MEAN_S, _LEAST_S = 25.0, 6.0
@@ -46,12 +47,11 @@ are the recordings that they were chosen on.
 
 def rotterdam() -> Iterator[Recording]:
     """The stretches of the benchmark's trip with four donors each."""
-    annotations = Path(making.__file__).parent / "rotterdam/annotations.csv"
-    for k, (begin, end, n_lanes, changes) in enumerate(making.stretches_of(annotations)):
+    for k, (begin, end, n_lanes, changes) in enumerate(making.stretches_of(making.ANNOTATIONS)):
         at = [(when - begin, before, after) for when, before, after in changes]
         for run in ((3 * k + j) % len(making.DONORS) + 1 for j in range(_DONORS)):
             name = f"trip1-{int(begin)}-n{n_lanes}-{making.DONORS[run][0]}-new"
-            path = making.driven(at, round(RATE * (end - begin)), n_lanes, _rng(name, "path"))
+            path = making.driven(at, round(RATE * (end - begin)), n_lanes, rng_of(name, "path"))
             yield _recording("Rotterdam", name, path, run)
 
 
@@ -60,7 +60,7 @@ def drawn() -> Iterator[Recording]:
     for run in making.DONORS:
         for n_lanes in (3, 4, 5):
             name = f"drawn-n{n_lanes}-{making.DONORS[run][0]}"
-            rng = _rng(name, "path")
+            rng = rng_of(name, "path")
             lane, when, changes = int(rng.integers(1, n_lanes + 1)), 0.0, []
             while (when := when + _LEAST_S + rng.exponential(_MEAN_S)) < _FRAMES / RATE:
                 sides = [side for side in (-1, 1) if 1 <= lane + side <= n_lanes]
@@ -71,30 +71,32 @@ def drawn() -> Iterator[Recording]:
 
 
 def _recording(track: str, name: str, path: Driven, run: int) -> Recording:
-    log, donor = transplanted(making.donor(run), path, _rng(name, "lines")), making.DONORS[run][0]
+    log, donor = transplanted(making.donor(run), path, rng_of(name, "lines")), making.DONORS[run][0]
     n_lanes = path.n_lanes
     title = f"{track}, {n_lanes} lanes"
     return Recording(title, name, name, name, donor, n_lanes, log, path.truth())
 
 
-def _rng(*words: str) -> np.random.Generator:
-    return np.random.default_rng([zlib.crc32(word.encode()) for word in words])
-
-
 def scores(experiment: Experiment, recording: Recording) -> dict[str, float]:
     """Shares of the frames of a drive; NaN of none."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        sums = score_recording(recording, by_experiment(experiment, recording))
+    result, truth = run_on(recording, experiment), recording.truth
+    belief, time_s = result.marginals["Lane"], recording.log.time_s
+    sums = score_recording(recording, belief)
+    events = score_events(result.events, truth, RATE)
+    within = events["within"]["2"]
+    right = assigned_lane(belief) == truth.lane
+    first = ~truth.is_crossing & (time_s - time_s[0] < _BEGINNING_S)
     with np.errstate(invalid="ignore"):
         return {
             "right": sums["right"] / sums["scored"],
-            "first": float(np.float64(sums["beginning_right"]) / sums["beginning"]),
+            "first": float(np.divide((right & first).sum(), first.sum())),
             "sure": sums["sure"] / sums["scored"],
             "n_sure": sums["sure"],
             "sure_right": sums["sure_right"],
             "is_mld": float(recording.donor.endswith("mld")),
-            **{key: sums[key] for key in ("changes", "changes_told", "changes_right")},
+            "changes": events["changes"],
+            "changes_told": within["right"] + within["false"],
+            "changes_right": within["right"],
         }
 
 

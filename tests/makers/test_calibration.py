@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from egolane_pgm.benchmark.tracks import Recording
 from egolane_pgm.scoring.probabilistic import N_BINS
 from egolane_pgm.types import LaneTruth
+from makers.benchmark.tracks import Recording
 from makers.beyond.calibration import KINDS, figure, kind_of, reliability
 from tests.evidence.line_geometry.test_rule import line_log
 
