@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 #: The short help of each command, whose verb is the function of its name in verbs/. A verb is
 #: imported only when its command is asked for: `--help` stays quick.
 COMMANDS = {
-    "benchmark": "Score entries on drives nobody tuned on, and set them side by side.",
     "calibrate": "Find out how a camera sees the road.",
     "compare": "Put results, or experiments that are run held out, side by side.",
     "convert": "Convert a recording of lines to .bag, .csv or .parquet.",

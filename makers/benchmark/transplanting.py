@@ -1,10 +1,9 @@
-"""Drives made of real ones: the frames of a donor, as its detector saw them, in lanes that another
-car drove.
+"""Drives made of the frames of a donor, as its detector saw them, in lanes that another car drove.
 
 Each line of a donor's frame has a place on its road: a line of the road, by its number, and what it
 is off that line; or a place beside the road; or, as clutter, one relative to the car. A new drive
 takes stretches of 10 to 60 s from the same kind of lane (leftmost, inner, rightmost), and for its
-lane changes those of the donor. Lines that the new road does not have are dropped; where a line's
+lane changes those of the donor. Lines that the new road does not have are dropped; if a line's
 role changes (edge or not), its continuous flag is drawn anew.
 """
 
@@ -20,30 +19,25 @@ from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.types import FloatArray, IntArray, LaneTruth, LineLog, runs_of
 
+#: Frames per second of every drive.
+RATE = 10.0
+
 #: Frames of a stretch, at least and at most, and of a lane change before and after its middle.
 _STRETCH, _CHANGE = (100, 600), 30
 
-#: How far off a line of the road a report of it is, in lanes.
-_NEAR = 0.25
+#: How far off a line of the road a report of it is, and how far no car moves in a frame, lanes;
+#: lines that are further away are not reported, metres.
+_NEAR, _JUMP, _REACH_M = 0.25, 0.3, 16.5
 
 #: Positions across a lane, how much a car moves from frame to frame (lanes), and the standard
 #: deviation of a line about its place (lanes).
 _PLACES, _MOVES, _SPREAD = 32, 0.02, 0.06
 
-#: No car moves so far in a frame, lanes.
-_JUMP = 0.3
-
-#: Lines that are further away are not reported, metres.
-_REACH_M = 16.5
-
 
 @dataclass(frozen=True)
 class Path:
-    """Where a car drives, T frames.
-
-    - across (T,): its place across the road, lanes from the left edge: lane k is k - 1 to k.
-    - n_lanes: of the road.
-    """
+    """The path of a car on a road of n lanes: `across` (T,) is its place, lanes from the left edge
+    (lane k is k - 1 to k)."""
 
     across: FloatArray
     n_lanes: int
@@ -63,9 +57,8 @@ class Path:
 
 @dataclass(frozen=True)
 class Donor:
-    """A real log, T frames of at most L lines, and where its car was.
+    """A real log, T frames of at most L lines, and the path of its car.
 
-    - path: of the car.
     - width_m: of a lane, in the detector's metres.
     - number (T, L): of a line of the road, 0 (left edge) to n; -1: beside it or clutter.
     - place (T, L): lanes: of a line of the road what it is off it; of another what it is off the
@@ -94,7 +87,7 @@ def donor_of(log: LineLog, truth: LaneTruth, n_lanes: int, width_m: float) -> Do
     left, right = is_line & ~on_road & (where < 0), is_line & ~on_road & (where > n_lanes)
     number = np.where(on_road, nearest, -1).astype(np.int64)
     place = np.select([on_road, left, right], [where - nearest, where, where - n_lanes], np.nan)
-    role = _role(number, n_lanes)
+    role = _side(number, 0, n_lanes)
     flags = [log.is_continuous[on_road & log.is_valid & (role == k)] for k in range(3)]
     continuous = np.array([each.mean() if each.size else 0.0 for each in flags])
     change_at = np.flatnonzero(np.diff(path.lane()) != 0) + 1
@@ -118,14 +111,13 @@ def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
     # Each stretch between two changes of the label gets the whole number that puts it in its lane;
     # a crossing goes with the stretch before it as far as the circle does.
     changes = lane_changes(truth.lane, truth.is_crossing)
-    edges = [0, *changes.end.tolist(), len(steady)]
     across = np.empty(len(steady))
-    for start, stop in itertools.pairwise(edges):
+    for start, stop in itertools.pairwise([0, *changes.end.tolist(), len(steady)]):
         kept = np.flatnonzero(~truth.is_crossing[start:stop]) + start
         lift = np.round(np.median(truth.lane[kept] - 0.5 - steady[kept])) if len(kept) else 0.0
         across[start:stop] = steady[start:stop] + lift
     for start, end in zip(changes.start.tolist(), changes.end.tolist(), strict=True):
-        # Where the lines were lost in a change, the circle may have gone the wrong way round.
+        # If the lines were lost in a change, the circle may have gone the wrong way round.
         if np.abs(np.diff(across[max(start - 1, 0) : end + 1])).max(initial=0.0) > _JUMP:
             across[start:end] = np.linspace(across[max(start - 1, 0)], across[end], end - start)
     return np.clip(across, 0.0, truth.lane.max() - 1e-6)
@@ -139,34 +131,24 @@ def transplanted(donor: Donor, path: Path, rng: np.random.Generator) -> LineLog:
     on_road = number >= 0
     now = number + shift[:, None]
     from_line = np.where(on_road, now, np.where(place < 0, 0, n_lanes))
-    # Clutter has no place and stays where it is.
+    # Clutter has no place and stays at its offset.
     offset = (from_line + place - across) * width
     offset = np.where(np.isnan(place), log.offset_m[frames], offset)
     is_gone = on_road & ((now < 0) | (now > n_lanes))
     is_gone |= ~np.isnan(place) & (np.abs(offset) > _REACH_M)
     is_valid = log.is_valid[frames] & ~is_gone
-    continuous = log.is_continuous[frames]
-    changed = on_road & is_valid & (_role(number, donor.path.n_lanes) != _role(now, n_lanes))
-    anew = rng.random(number.shape) < donor.continuous[_role(now, n_lanes)]
-    return LineLog(
-        np.arange(len(frames)),
-        np.arange(len(frames)) / 10.0,
-        np.where(is_gone, np.nan, offset),
-        is_valid,
-        np.where(changed, anew, continuous) & ~is_gone,
-        np.where(is_gone, np.nan, log.lri[frames]),
-        source="transplanted",
-    )
+    role = _side(now, 0, n_lanes)
+    changed = on_road & is_valid & (_side(number, 0, donor.path.n_lanes) != role)
+    anew = rng.random(number.shape) < donor.continuous[role]
+    continuous = np.where(changed, anew, log.is_continuous[frames]) & ~is_gone
+    offset, lri = (np.where(is_gone, np.nan, each) for each in (offset, log.lri[frames]))
+    frame = np.arange(len(frames))
+    return LineLog(frame, frame / RATE, offset, is_valid, continuous, lri, source="transplanted")
 
 
-def _role(number: IntArray, n_lanes: int) -> IntArray:
-    """0 for the left edge, 2 for the right one, 1 for a line inside."""
-    return np.select([number == 0, number == n_lanes], [0, 2], 1)
-
-
-def _kind(lane: IntArray, n_lanes: int) -> IntArray:
-    """0 for the leftmost lane, 2 for the rightmost, 1 for one between them."""
-    return np.select([lane == 1, lane == n_lanes], [0, 2], 1)
+def _side(value: IntArray, first: int, last: int) -> IntArray:
+    """0 for the first value (left edge or leftmost lane), 2 for the last one, else 1."""
+    return np.select([value == first, value == last], [0, 2], 1)
 
 
 def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
@@ -176,11 +158,13 @@ def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArra
     """
     lane, donor_lane = path.lane(), donor.path.lane()
     n_frames = len(lane)
-    kinds, donor_kinds = _kind(lane, path.n_lanes), _kind(donor_lane, donor.path.n_lanes)
-    frames, shift = np.zeros(n_frames, np.int64), np.zeros(n_frames, np.int64)
+    kinds, donor_kinds = _side(lane, 1, path.n_lanes), _side(donor_lane, 1, donor.path.n_lanes)
+    frames, shift = np.zeros((2, n_frames), np.int64)
     changes = (np.flatnonzero(np.diff(lane)) + 1).tolist()
     for start, stop in itertools.pairwise([0, *changes, n_frames]):
-        alike = _runs_of_kind(donor_kinds, int(kinds[start]))
+        # A road without such a lane gives its nearest, the inner one.
+        alike = runs_of(donor_kinds == kinds[start]) or runs_of(donor_kinds == 1)
+        alike = [run for run in alike if run[1] - run[0] >= _STRETCH[0]] or alike
         lengths = np.diff(alike).ravel()
         while start < stop:
             first, last = alike[rng.choice(len(alike), p=lengths / lengths.sum())]
@@ -189,11 +173,10 @@ def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArra
             frames[start : start + length] = np.arange(begin, begin + length)
             shift[start : start + length] = lane[start] - donor_lane[begin]
             start += length
+    at_change = donor.change_at
     for at in changes:
-        before, after = lane[at - 1], lane[at]
-        step = np.sign(after - before)
-        k = donor.change_at
-        alike_at = k[np.sign(donor_lane[k] - donor_lane[k - 1]) == step]
+        step = np.sign(lane[at] - lane[at - 1])
+        alike_at = at_change[np.sign(donor_lane[at_change] - donor_lane[at_change - 1]) == step]
         same = alike_at[
             (donor_kinds[alike_at - 1] == kinds[at - 1]) & (donor_kinds[alike_at] == kinds[at])
         ]
@@ -204,12 +187,5 @@ def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArra
         reach = reach[(at + reach >= 0) & (at + reach < n_frames)]
         reach = reach[(chosen + reach >= 0) & (chosen + reach < len(donor_lane))]
         frames[at + reach] = chosen + reach
-        shift[at + reach] = before - donor_lane[chosen - 1]
+        shift[at + reach] = lane[at - 1] - donor_lane[chosen - 1]
     return frames, shift
-
-
-def _runs_of_kind(kinds: IntArray, wanted: int) -> list[tuple[int, int]]:
-    """The donor's runs in lanes of a kind; on a road without such a lane its nearest, the inner."""
-    found = runs_of(np.asarray(kinds == wanted)) or runs_of(np.asarray(kinds == 1))
-    long = [run for run in found if run[1] - run[0] >= _STRETCH[0]]
-    return long or found
