@@ -96,7 +96,7 @@ def follower(
     keep = keep_on_road(camera, parameters)
     if road is not None and parameters["camera_drift"] == "correct":
         # The plane of the road corrects the pitch.
-        parameters["camera_drift"] = "warn"
+        parameters = {**parameters, "camera_drift": "warn"}
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct"
     turned, corrected_deg = turned_up(view), 0.0
