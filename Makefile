@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera tuned rendered compared maps benchmark cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond delay events camera tuned maps benchmark cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -140,17 +140,7 @@ fuzz: .venv/.dev
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels lstr --out results/camera > results/camera/pictures.md
-
-# What results/camera/ holds of rendered motorways: tables (25 minutes of one core), a frame.
-rendered: .venv/.dev
-	mkdir -p results/camera
-	$(BIN)/python -m makers.camera rendered --out results/camera > results/camera/rendered.md
-
-# All detectors on one rendered drive through the paper's graph: a table and a figure (7 minutes).
-compared: .venv/.dev
-	mkdir -p results/camera
-	$(BIN)/python -m makers.camera compared --out results/camera > results/camera/detectors.md
+	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly drift lane_change lstr --out results/camera > results/camera/pictures.md
 
 # The tables of docs/maps.md about positions, matching and lanes (a quarter of an hour of one core).
 maps: .venv/.dev

@@ -107,7 +107,7 @@ def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a lane network that was trained on rendered pictures: lanes.yaml and
+    """A folder with a lane network that was trained on drawn pictures: lanes.yaml and
     drivable.yaml."""
     return write_trained(tmp_path_factory.mktemp("network"))
 

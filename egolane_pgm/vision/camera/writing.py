@@ -73,14 +73,13 @@ def video_writer(
 
 @contextlib.contextmanager
 def frame_writer(
-    target: str | Path, frame_rate: float, size: tuple[int, int], name: str = "frame_{:06d}.png"
+    target: str | Path, frame_rate: float, size: tuple[int, int]
 ) -> Iterator[Callable[[int, Image], None]]:
     """A context that gives a function to write a picture and its frame id to a video (`.mp4`) or
     into a folder. Whatever ends the block, the pictures written so far are kept.
 
     - frame_rate: Hz
     - size: width and height, pixels
-    - name: of the files in a folder
 
     Raises InputError if the target cannot be written.
     """
@@ -98,7 +97,7 @@ def frame_writer(
         raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
     check_place(target)
     # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
-    yield lambda frame_id, image: write_picture(target / name.format(frame_id), image)
+    yield lambda frame_id, image: write_picture(target / f"frame_{frame_id:06d}.png", image)
 
 
 @contextlib.contextmanager

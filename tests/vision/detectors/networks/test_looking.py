@@ -17,6 +17,7 @@ from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.recordings import read_lines
+from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
@@ -26,14 +27,13 @@ from egolane_pgm.vision.detectors.networks.finding import keep_on_road
 from egolane_pgm.vision.detectors.runner import detect, find_detector, own_files, start
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
-from egolane_pgm.vision.rendering.render import render_frame
-from egolane_pgm.vision.rendering.scene import make_scene
+from egolane_pgm.vision.simulated import draw_frame
 from tests.kits.drives import command, refused
 from tests.kits.synthetic_road import CAMERA, drive
+from tests.kits.tiny_network import CAMERA as WIDE
 from tests.kits.tiny_network import (
     heavy_traffic,
     labels,
-    vehicles,
     write_answer,
     write_answers,
     write_known,
@@ -88,12 +88,11 @@ def test_with_a_trained_network_the_lines_of_the_own_lane_are_found(
     """On drives that it was not trained on, in most frames."""
     found = []
     for seed in (11, 13):
-        scene = make_scene("a4", seed=seed, frames=40)
-        step = start(find_detector(name, given, tiny_network, "detector"), scene.camera)
+        road = simulated_road("a4", seed, 40)
+        step = start(find_detector(name, given, tiny_network, "detector"), WIDE)
         for k in range(8):
-            frame = render_frame(scene, k)
-            lines = step(Picture(k, frame.image))
-            true = frame.truth.offset_m
+            lines = step(Picture(k, draw_frame(road, k, WIDE)))
+            true = road.line_offset_m[k]
             own = [true[true < 0].max(), true[true > 0].min()]
             away = np.abs(lines.offset_m[:, None] - own).min(axis=0, initial=np.inf)
             found.append((away < 0.35).all())
@@ -170,20 +169,19 @@ def test_nan_is_said_with_the_frame(tmp_path: Path, top_hat: Path) -> None:
 def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
     given = {"on_road": str(tiny_network / "drivable.yaml"), "on_road_margin_m": 0}
     detector = find_detector("mc", given, Path.cwd(), "detector")
-    scene = heavy_traffic(8)
-    view = make_view(scene.camera, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
-    road = keep_on_road(scene.camera, detector.parameters)
+    view = make_view(WIDE, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
+    road = keep_on_road(WIDE, detector.parameters)
     assert road is not None
     counts = np.zeros((2, 2))
-    for k in range(20, 600, 80):
-        frame = render_frame(scene, k)
+    for k in range(8):
+        frame = heavy_traffic(8, k)
         above = look(view, np.ascontiguousarray(frame.image[..., 2]))
         marks = marking_mask(view, above, detector.parameters) > 0
         kept = road(view, Picture(k, frame.image))
-        paint, _, _ = labels(scene, frame.truth, frame.image)
-        size = (scene.camera.width, scene.camera.height)
+        paint, _, _ = labels(frame)
+        size = (WIDE.width, WIDE.height)
         on_paint = look(view, cv2.resize(paint.astype(np.uint8) * 255, size)) > 127
-        on_vehicle = look(view, vehicles(scene, k, frame.image)) > 127
+        on_vehicle = look(view, frame.is_vehicle.astype(np.uint8) * 255) > 127
         for which, there in enumerate((marks & on_paint, on_vehicle)):
             counts[which] += there.sum(), (there & kept).sum()
     paint_kept, vehicle_kept = counts[:, 1] / counts[:, 0]

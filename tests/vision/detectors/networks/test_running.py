@@ -21,8 +21,8 @@ from egolane_pgm.vision.detectors.networks.checking import describe_onnx
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
 from egolane_pgm.vision.detectors.networks.running import Outputs, as_input, fit_of, load
-from egolane_pgm.vision.rendering.render import render_frame
 from tests.kits.tiny_network import (
+    CAMERA,
     SIZE,
     heavy_traffic,
     write_answer,
@@ -58,11 +58,10 @@ def refused(path: Path) -> str:
 def test_opencv_computes_what_onnxruntime_computes(tiny_network: Path, name: str) -> None:
     network = read_network(tiny_network / f"{name}.yaml")
     session = onnxruntime.InferenceSession(str(network.files[1]))
-    scene = heavy_traffic(8, 60)
-    fit = fit_of(network, scene.camera.width, scene.camera.height)
+    fit = fit_of(network, CAMERA.width, CAMERA.height)
     run = load(network, fit)
     for k in (0, 50):
-        image = render_frame(scene, k).image
+        image = heavy_traffic(8, k).image
         (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
         found = run(image)["mask"]
         np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4)
