@@ -23,7 +23,7 @@ from tests.kits.synthetic_road import write_place
         (("map",), "argument 'FILE'"),
         (("validate",), "argument 'EXPERIMENTS...'"),
         (("lines", "x.csv"), "option '--frame'"),
-        (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
+        (("calibrate", "--stills", "x"), "option '--lane-width'"),
     ],
 )
 def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
