@@ -21,7 +21,6 @@ from tests.kits.synthetic_road import write_place
     ("words", "missing"),
     [
         (("map",), "argument 'FILE'"),
-        (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
     ],
 )
 def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
