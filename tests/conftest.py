@@ -89,7 +89,7 @@ def labels(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def labelled(tmp_path: Path) -> Path:
-    """An experiment on a folder of labels of lines, its camera beside it."""
+    """An experiment on labels of lines, its camera beside it."""
     return write_labelled_drive(tmp_path / "drive")
 
 

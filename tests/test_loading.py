@@ -51,7 +51,7 @@ def test_detector_and_camera_go_along_to_every_kind_of_pictures(
 @pytest.mark.parametrize("own", ["drive.avi", "pictures"])
 def test_recordings_of_lines_need_no_detector_and_get_none(place: Path, own: str) -> None:
     (place / "labels").mkdir()
-    (place / "labels" / "1.lines.txt").write_text("")
+    (place / "labels" / "0.mcap").write_text("")
     for other in ("lines.csv", "a.bag", "labels"):
         recording = taken(seen(place, path=own), place / other)
         assert (recording.detector, recording.camera) == (None, None)
@@ -59,13 +59,12 @@ def test_recordings_of_lines_need_no_detector_and_get_none(place: Path, own: str
 
 
 def test_a_folder_of_both_is_asked_about(place: Path) -> None:
-    """As CULane's, whose pictures lie beside their lines."""
-    (place / "pictures" / "0.lines.txt").write_text("")
-    with pytest.raises(InputError, match=r"has pictures and lines \(0\.lines\.txt, \.\.\.\)"):
+    (place / "pictures" / "0.mcap").write_text("")
+    with pytest.raises(InputError, match=r"has pictures and lines \(0\.mcap, \.\.\.\)"):
         taken(seen(place), place / "pictures")
     assert taken(seen(place), place / "pictures", "ml").detector_parameters == {"lri_frames": 7}
     given = ["--recording", place / "pictures", "--set", "recording.detector=null"]
-    assert "its lines are in pixels" in refused("run", place / "run.yaml", *given)
+    assert "pictures: cannot be read as a bag" in refused("run", place / "run.yaml", *given)
 
 
 def test_a_folder_of_recordings_is_not_taken_for_a_drive(place: Path) -> None:

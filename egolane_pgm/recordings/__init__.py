@@ -22,8 +22,6 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "rosbag": ((".bag", ".mcap", ".db3"), "recordings.containers", "read_messages"),
     "table": ((".csv", ".tsv", ".parquet"), "recordings.table", "read_table"),
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
-    "culane": ((), "vision.formats.culane", "read_culane"),
-    "openlane": ((), "vision.formats.openlane", "read_openlane"),
     "can": ((".blf", ".asc", ".trc", ".log"), "recordings.containers", "read_messages"),
     "mdf": ((".mf4", ".mdf"), "recordings.containers", "read_messages"),
     "openpilot": (("rlog", "qlog", ".zst", ".bz2"), "recordings.containers", "read_messages"),
@@ -34,13 +32,10 @@ _FOLDERS = {
     ".mcap": "rosbag",
     ".db3": "rosbag",
     ".zstd": "rosbag",
-    ".lines.txt": "culane",
-    ".json": "openlane",
 }
 
-#: The formats whose lines are in pixels, so that a camera has to say where they are. OpenLane's may
-#: be in metres; its reader asks for a camera if they are not.
-IN_PIXELS = ("tusimple", "culane")
+#: The formats whose lines are in pixels, so that a camera has to say where they are.
+IN_PIXELS = ("tusimple",)
 
 _WRITERS = {
     "rosbag": ("recordings.rosbag_writer", "write_rosbag"),
@@ -67,8 +62,7 @@ def read_lines(
     - lines: where the lines stand in a table or in messages: keys and values of `recording.lines`,
       the name of a preset, or a YAML file with the keys.
     - options: further ones of the format's reader (`read_messages`: topic, definitions;
-      `read_tusimple`, `read_culane`, `read_openlane`: valid, frame_step, ahead_m; `read_tusimple`
-      also continuous).
+      `read_tusimple`: valid, frame_step, ahead_m, continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
 
@@ -82,7 +76,7 @@ def read_lines(
     """
     said = {"frame_rate": frame_rate, "lines": lines}
     given = {**options, **{key: value for key, value in said.items() if value is not None}}
-    # Only a format whose lines are, or may be, in pixels has a reader that takes a camera.
+    # Only a format whose lines are in pixels has a reader that takes a camera.
     if camera is not None and "camera" in reader_of(format or format_of(path)).__kwdefaults__:
         given["camera"] = camera
     return read_with(path, format, given)

@@ -49,7 +49,6 @@ from egolane_pgm.vision.camera.pictures import (
     size_of,
 )
 from egolane_pgm.vision.camera.writing import check_picture_name, write_picture
-from egolane_pgm.vision.formats.openlane import PICTURE_SIZE, read_own_camera
 
 EXAMPLES = (
     "egolane calibrate --stills drive.mp4 --lane-width 3.7 -o cam.yaml",
@@ -69,7 +68,6 @@ def calibrate(
     board: Annotated[str, Option("COLUMNSxROWS")] = "9x6",
     stills: Annotated[str | None, Option("GLOB|VIDEO")] = None,
     lines: Annotated[str | None, Option("FILE")] = None,
-    openlane: Annotated[str | None, Option("FILE")] = None,
     lane_width: Annotated[float | None, Option("M")] = None,
     first: Annotated[int | None, Ge(1), Option("N")] = None,
     size: Annotated[str | None, Option("WxH")] = None,
@@ -90,7 +88,6 @@ def calibrate(
     - board: inner corners of the chessboard.
     - stills: pictures of a straight road, or a video: its lines are found.
     - lines: labelled lines instead: TuSimple JSON lines.
-    - openlane: OpenLane's JSON of a picture instead: the camera that it names.
     - lane_width: of that road's lanes, metres.
     - first: only the first N stills or labels.
     - size: of the labelled pictures, where they are not there.
@@ -110,14 +107,7 @@ def calibrate(
     """
     masks = tuple(_rectangle(each) for each in several_of(ignore))
     of_labels = None if size is None else _size(size, "size")
-    _check_places([out, picture], [chessboards, stills], [lines, openlane])
-    if openlane is not None:
-        if any(given is not None for given in (chessboards, stills, lines, lane_width, picture)):
-            raise InputError("openlane: goes alone, with size; it names the whole camera")
-        width, height = of_labels or PICTURE_SIZE
-        camera = read_own_camera(openlane, (width, height))
-        said = [f"Camera: as {openlane} says, pictures of {width}x{height}."]
-        return _written(_masked(camera, masks, ignore_below), said, out)
+    _check_places([out, picture], [chessboards, stills], [lines])
     if lane_width is None:
         raise InputError("lane_width: is missing; how wide are the lanes of the road, in metres?")
     check_lane_width(lane_width)

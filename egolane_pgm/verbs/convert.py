@@ -28,7 +28,7 @@ def convert(
     """Convert a recording of lines to .csv, .parquet, .bag or .mcap (ROS 2).
 
     SOURCE is one of these, a ROS 2 bag, or what another lane detector wrote, which needs a camera:
-    TuSimple's JSON lines, a folder of CULane's .lines.txt or of OpenLane's .json.
+    TuSimple's JSON lines.
 
     - topic: topic of a bag.
     - format: where the extension does not say it.

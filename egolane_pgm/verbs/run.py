@@ -104,7 +104,7 @@ def run(  # type: ignore[misc]
 
     EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines,
     run by the experiment zero_label, which needs no label. A recording of many clips (TuSimple's
-    test labels, folders of CULane or OpenLane) is run clip by clip, with one table.
+    test labels) is run clip by clip, with one table.
 
     Several experiments, or one on several recordings, share the jobs; each has its own result
     directory, and one that fails does not stop the others. With a fleet one experiment runs on

@@ -218,7 +218,7 @@ def test_how_it_is_fitted_is_no_part_of_what_is_run() -> None:
     assert plain == learned
 
 
-def test_a_model_from_elsewhere_reads_a_recordings_own_folder_and_camera(
+def test_a_model_from_elsewhere_reads_a_recordings_own_file_and_camera(
     labelled: Path, tmp_path: Path
 ) -> None:
     place, model = load_experiment(labelled), load_experiment(write_drive(tmp_path / "m", 30))
@@ -228,8 +228,11 @@ def test_a_model_from_elsewhere_reads_a_recordings_own_folder_and_camera(
     done("compare", labelled, "--blocks", 2, "--out", tmp_path / "out")
     kept = tmp_path / "out" / "labels" / "drive"
     run = json.loads((kept / "run.json").read_text())
-    assert run["data"][0]["files"] == N_LABELLED
-    assert [Path(entry["path"]).name for entry in run["data"]] == ["labels", "cam.yaml", "t.txt"]
+    assert [Path(entry["path"]).name for entry in run["data"]] == [
+        "labels.json",
+        "cam.yaml",
+        "t.txt",
+    ]
     assert len(load_recording(load_experiment(kept / "experiment.yaml")).log) == N_LABELLED
 
 

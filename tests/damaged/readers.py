@@ -29,7 +29,7 @@ from egolane_pgm.vision.camera.model import read_camera, write_camera
 from egolane_pgm.vision.camera.pictures import images_of, open_source
 from tests.kits.bags import write_bag2
 from tests.kits.drives import short_drive, write_drive
-from tests.kits.image_line_files import CAMERA, culane, entry, openlane, saved_camera, tusimple
+from tests.kits.image_line_files import CAMERA, entry, saved_camera, tusimple
 from tests.kits.message_files import can_log, json_mcap, mdf, openpilot_log, protobuf_mcap
 from tests.kits.osm_files import write_osm
 from tests.kits.synthetic_road import images, write_pictures, write_video
@@ -94,14 +94,11 @@ def _truth(folder: Path) -> list[Path]:
 
 
 def _labels(folder: Path) -> list[Path]:
-    tusimple(folder / "a.json", [entry(k, run_time=20) for k in range(1, 8)])
-    lines = openlane(folder / "openlane", [1507670000000000, 1507670000100000])
-    return [folder / "a.json", culane(folder / "culane", range(8)), lines]
+    return [tusimple(folder / "a.json", [entry(k, run_time=20) for k in range(1, 8)])]
 
 
 def _labelled(path: Path) -> None:
-    known = path.name if path.name in ("culane", "openlane") else None
-    read_lines(path, format=known, camera=CAMERA)
+    read_lines(path, camera=CAMERA)
 
 
 _EXPERIMENTS: dict[str, dict[str, Any]] = {

@@ -1,4 +1,4 @@
-"""A road's lines in TuSimple's, CULane's and OpenLane's formats."""
+"""A road's lines in TuSimple's format."""
 
 from __future__ import annotations
 
@@ -41,30 +41,6 @@ def entry(number: int, offsets: Sequence[float] = OFFSETS, **more: Any) -> dict[
 def tusimple(path: Path, entries: Sequence[dict[str, Any]]) -> Path:
     path.write_text("".join(json.dumps(e) + "\n" for e in entries))
     return path
-
-
-def culane(folder: Path, numbers: Sequence[int]) -> Path:
-    folder.mkdir()
-    for number in numbers:
-        text = ""
-        for offset in OFFSETS:
-            pairs = zip(columns(offset), ROWS, strict=True)
-            text += " ".join(f"{u:.3f} {v}" for u, v in pairs if u != -2) + " \n"
-        (folder / f"{number:05d}.lines.txt").write_text(text)
-    return folder
-
-
-def openlane(folder: Path, stamps: Sequence[int], categories: Sequence[int] = (8, 1, 2)) -> Path:
-    folder.mkdir()
-    for stamp in stamps:
-        lanes = []
-        for offset, category in zip(OFFSETS, categories, strict=True):
-            pairs = [(u, v) for u, v in zip(columns(offset), ROWS, strict=True) if u != -2]
-            uv = [[u for u, _ in pairs], [v for _, v in pairs]]
-            lanes.append({"category": category, "uv": uv, "attribute": 1, "visibility": []})
-        content = {"file_path": f"training/segment-7/{stamp}.jpg", "lane_lines": lanes}
-        (folder / f"{stamp}.json").write_text(json.dumps(content))
-    return folder
 
 
 def saved_camera(folder: Path, camera: Camera = CAMERA) -> Path:

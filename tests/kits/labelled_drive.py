@@ -1,7 +1,8 @@
-"""A recording that is a folder of labels, with its camera."""
+"""A recording of labels, with its camera."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -16,21 +17,23 @@ N_LABELLED = 12
 
 
 def write_labelled_drive(folder: Path) -> Path:
-    """An experiment on a folder of CULane's files, its camera beside it."""
-    (folder / "labels").mkdir(parents=True)
-    x = np.linspace(5, 40, 20)
-    text = ""
+    """An experiment on a file of TuSimple's labels, its camera beside it."""
+    folder.mkdir(parents=True)
+    x, rows = np.geomspace(60, 4, 400), list(range(130, 260, 5))
+    lanes = []
     for offset in (-5.2, -1.7, 1.8, 5.3):
         u, v = road_to_image(CAMERA, x, np.full_like(x, offset))
-        text += " ".join(f"{a:.2f} {b:.2f}" for a, b in zip(u, v, strict=True)) + "\n"
-    for k in range(N_LABELLED):
-        (folder / "labels" / f"{k:05d}.lines.txt").write_text(text)
+        lanes.append(np.interp(rows, v, u, left=-2, right=-2).tolist())
+    entries = [
+        {"raw_file": f"{k:05d}.jpg", "lanes": lanes, "h_samples": rows} for k in range(N_LABELLED)
+    ]
+    (folder / "labels.json").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
     write_camera(folder / "cam.yaml", CAMERA)
     lane, is_crossing = np.full(N_LABELLED, 2), np.zeros(N_LABELLED, dtype=bool)
     write_ground_truth(folder / "t.txt", LaneTruth(np.arange(N_LABELLED), lane, is_crossing))
     return write_experiment(
         folder / "x.yaml",
-        recording={"path": "labels", "camera": "cam.yaml", "options": {"valid": "always"}},
+        recording={"path": "labels.json", "camera": "cam.yaml", "options": {"valid": "always"}},
         ground_truth={"path": "t.txt"},
         graph="lane_only",
     )

@@ -10,19 +10,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import done, refused, write_experiment
 from tests.kits.image_line_files import (
-    CAMERA,
     OFFSETS,
     ROWS,
     columns,
-    culane,
     entry,
-    openlane,
     read,
     saved_camera,
     tusimple,
@@ -91,30 +87,6 @@ def test_a_counted_folder_with_several_pictures_is_a_clip_too(tmp_path: Path) ->
     with pytest.warns(UserWarning, match="its 2 clips"):
         log = read(tusimple(tmp_path / "a.json", rows))
     assert clips_of(log) == [("clips/0313-1/60", [0, 1]), ("clips/0313-1", [2])]
-
-
-def test_the_folders_below_a_culane_driver_and_an_openlane_split_are_clips(tmp_path: Path) -> None:
-    driver = tmp_path / "driver_23_30frame"
-    driver.mkdir()
-    for name in ("05151640_0419.MP4", "05151643_0420.MP4"):
-        culane(driver / name, [30, 90, 60])
-        (driver / name / "00030.jpg").write_bytes(b"")
-    with pytest.warns(UserWarning, match="clips"):
-        log = read(driver, frame_step=30)
-    assert clips_of(log) == [
-        ("05151640_0419.MP4", [0, 1, 2]),
-        ("05151643_0420.MP4", [3, 4, 5]),
-    ]
-    split = tmp_path / "validation"
-    split.mkdir()
-    (split / "test_list.txt").write_text("")
-    openlane(split / "segment-7", [1, 2])
-    openlane(split / "segment-8", [1])
-    for file in (split / "segment-8").iterdir():
-        file.write_text(file.read_text().replace("segment-7", "segment-8"))
-    with pytest.warns(UserWarning, match="clips"):
-        log = read(split)
-    assert clips_of(log) == [("training/segment-7", [0, 1]), ("training/segment-8", [2])]
 
 
 def test_no_frame_is_put_in_between_clips(tmp_path: Path) -> None:
@@ -188,96 +160,3 @@ def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
     assert said.endswith("only `egolane run` takes clips; here name the lines of one")
     words = ["--camera", camera, "--n-lanes", 4, "--out", tmp_path / "b"]
     assert refused("label", labels, *words) == said
-
-
-# --- OpenLane's lines in metres ------------------------------------------------------------------
-
-#: From the camera's frame (x forward, y left, z up) to the car's: turned 4 degrees down and 1 to
-#: the right, 2.1 m high and .3 m left of the middle.
-TILT, TURN = np.deg2rad([4.0, -1.0])
-DOWN = np.array([[np.cos(TILT), 0, np.sin(TILT)], [0, 1, 0], [-np.sin(TILT), 0, np.cos(TILT)]])
-RIGHT = np.array([[np.cos(TURN), -np.sin(TURN), 0], [np.sin(TURN), np.cos(TURN), 0], [0, 0, 1]])
-EXTRINSIC = np.eye(4)
-EXTRINSIC[:3, :3] = RIGHT @ DOWN
-EXTRINSIC[:3, 3] = 1.5, 0.3, 2.1
-
-AHEAD = np.linspace(4, 60, 25)
-
-
-def label(offset: float, **more: Any) -> dict[str, Any]:
-    """A straight line that is `offset` to the right of the car's middle, in the camera's frame."""
-    ahead = np.full(len(AHEAD), offset)
-    car = np.stack([AHEAD + 1.5, -ahead, 0 * ahead]) - EXTRINSIC[:3, 3:]
-    xyz = (EXTRINSIC[:3, :3].T @ car).tolist()
-    return {"category": 2, "xyz": xyz, "attribute": 1, "track_id": 4, **more}
-
-
-def result_line(offset: float) -> dict[str, Any]:
-    """The same as a detector's result: points on the road below the camera, x to the right."""
-    return {"category": 2, "xyz": [[offset + 0.3, x, 0.0] for x in AHEAD.tolist()]}
-
-
-def write_segment(folder: Path, lines: list[dict[str, Any]], **more: Any) -> Path:
-    folder.mkdir(exist_ok=True)
-    for stamp in (150767370180138600, 150767370190138600):
-        name = f"validation/segment-1/{stamp}.jpg"
-        content = {"file_path": name, "extrinsic": EXTRINSIC.tolist(), "lane_lines": lines, **more}
-        (folder / f"{stamp}.json").write_text(json.dumps(content))
-    return folder
-
-
-@pytest.mark.parametrize("make", [label, result_line])
-def test_lines_in_metres_need_no_camera(tmp_path: Path, make: Any) -> None:
-    without_points: list[Any] = [{"xyz": []}, {"xyz": [[], [], []], "visibility": []}]
-    given = [make(offset) for offset in OFFSETS]
-    folder = write_segment(tmp_path / "s", given + without_points)
-    log = read_lines(folder, format="openlane")
-    assert log.frame_id.tolist() == [0, 1]
-    np.testing.assert_allclose(log.offset_m, [OFFSETS] * 2, atol=0.01)
-    assert log.is_continuous.all()
-    experiment = write_experiment(
-        tmp_path / "e.yaml", recording={"path": "s"}, ground_truth=None, n_lanes=3
-    )
-    done("run", "--dry-run", experiment)
-    done("run", experiment, "--no-figures", "--out", tmp_path / "r")
-
-
-def test_a_label_with_metres_and_pixels_is_taken_in_metres(tmp_path: Path) -> None:
-    both = [label(offset, uv=[[1, 2], [500, 600]]) for offset in OFFSETS]
-    log = read_lines(write_segment(tmp_path / "s", both), format="openlane", camera=CAMERA)
-    np.testing.assert_allclose(log.offset_m, [OFFSETS] * 2, atol=0.01)
-
-
-def test_points_that_are_not_visible_are_left_out(tmp_path: Path) -> None:
-    line = label(1.8, visibility=[1.0] * 20 + [0.0] * 5)
-    line["xyz"][1][20:] = [99.0] * 5
-    log = read_lines(write_segment(tmp_path / "s", [line]), format="openlane")
-    np.testing.assert_allclose(log.offset_m, 1.8, atol=0.01)
-    hidden = write_segment(tmp_path / "s", [label(1.8, visibility=[0.0] * 25), label(0.5)])
-    assert np.isfinite(read_lines(hidden, format="openlane").offset_m).sum() == 2
-
-
-@pytest.mark.parametrize(
-    ("lines", "more", "said"),
-    [
-        ([label(1.8)], {"extrinsic": None}, "lane_lines 1: xyz are in the camera's frame, and the"),
-        ([label(1.8)], {"extrinsic": [[1, 2], [3, 4]]}, "extrinsic is no 4 x 4 matrix"),
-        ([label(1.8)], {"extrinsic": (2 * np.eye(4)).tolist()}, "extrinsic is no 4 x 4 matrix"),
-        ([label(1.8)], {"extrinsic": "no"}, "extrinsic is no 4 x 4 matrix"),
-        ([label(1.8, xyz=[[1, 2], [3, 4]])], {}, "xyz is neither lists of x, y and z of the same"),
-        ([label(1.8, xyz=[[1, 2], [3], [4]])], {}, "xyz is neither lists of x, y and z of the"),
-        ([label(1.8, xyz=5)], {}, "xyz is neither lists of x, y and z of the same"),
-        ([label(1.8, xyz=[["a"], [1], [2]])], {}, "xyz is not a list of numbers"),
-        ([label(1.8, visibility=[1.0])], {}, "1 visibility for 25 points"),
-        ([5], {}, "lane_lines: each line needs to be an object with uv or xyz"),
-    ],
-)
-def test_bad_lines_in_metres_are_refused(
-    tmp_path: Path, lines: list[Any], more: dict[str, Any], said: str
-) -> None:
-    folder = write_segment(tmp_path / "s", lines, **more)
-    with pytest.raises(InputError) as caught:
-        read_lines(folder, format="openlane")
-    assert said in str(caught.value)
-    assert str(caught.value).startswith(str(folder))
-    assert "\n" not in str(caught.value)

@@ -269,7 +269,7 @@ def test_a_tuned_experiment_runs_from_its_own_folder(labelled: Path, tmp_path: P
     (drive,) = problem.drives
     write_yaml(target, tuned_experiment(drive.experiment, drive.model.parameters, problem))
     tuned = load_experiment(target)
-    assert tuned.recording.path == str(labelled.parent / "labels")
+    assert tuned.recording.path == str(labelled.parent / "labels.json")
     assert tuned.recording.camera == str(labelled.parent / "cam.yaml")
     assert len(load_recording(tuned).log) == N_LABELLED
     assert prepare_model(tuned).compiled.n_states == 3

@@ -238,37 +238,6 @@ def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
     return replace(camera, pitch_deg=math.degrees(pitch), yaw_deg=math.degrees(yaw))
 
 
-def camera_from_matrices(
-    intrinsic: FloatArray, extrinsic: FloatArray, width: int, height: int
-) -> Camera:
-    """A camera from two matrices, as data sets give them. Lens distortion is not part of these.
-
-    - intrinsic: (3, 3) pinhole matrix, pixels
-    - extrinsic: (4, 4), takes points of the camera's frame to the car's, metres. Both frames have x
-      forward, y left and z up; z is 0 on the road
-    - width, height: of the pictures, pixels
-
-    Raises InputError for a camera that none in a car is.
-    """
-    # In the car's coordinates of this module y is to the right.
-    forward, left = (np.array([1.0, -1.0, 1.0]) * extrinsic[:3, k] for k in (0, 1))
-    camera = Camera(
-        width,
-        height,
-        float(intrinsic[0, 0]),
-        float(intrinsic[1, 1]),
-        float(intrinsic[0, 2]),
-        float(intrinsic[1, 2]),
-        height_m=float(extrinsic[2, 3]),
-        pitch_deg=math.degrees(math.asin(min(max(float(forward[2]), -1.0), 1.0))),
-        yaw_deg=math.degrees(math.atan2(forward[1], forward[0])),
-        lateral_m=-float(extrinsic[1, 3]),
-    )
-    level, down, _ = axes(camera)
-    roll = math.degrees(math.atan2(-float(left @ down), -float(left @ level)))
-    return replace(camera, roll_deg=roll)
-
-
 def scaled(camera: Camera, width: int, height: int) -> Camera:
     """The same camera with its pictures made larger or smaller: lens, place and turn stay, pixels
     change. Rectangles to ignore cover at least the same part of the picture.

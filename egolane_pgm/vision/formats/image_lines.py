@@ -1,5 +1,5 @@
-"""The common part of the readers of other lane detectors' output: it turns points in the picture
-into offsets at the car, and the persistence of a line over the frames into its LRI.
+"""Lines in pixels as a recording: points in the picture become offsets at the car, and the
+persistence of a line over the frames its LRI.
 
 The points of a line are put on the road by the camera and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
 to the points at most `FARTHEST_M` ahead. The offset is s0, where the line passes the camera, or
@@ -54,9 +54,6 @@ NEAREST_M = 25.0
 #: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
 POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
 
-#: The focal length that is assumed where points are given in metres and no camera is, pixels.
-FOCAL_PX = 1000.0
-
 #: How far a line may move between two pictures: metres, and metres for each second between them.
 GATE_M, GATE_M_PER_S = 0.3, 1.5
 
@@ -66,8 +63,8 @@ LONGEST_GAP_S = 1.0
 #: How a line becomes valid: by the paper's hysteresis, or always, where the source is trusted.
 VALID = ("hysteresis", "always")
 
-#: Names of pictures that are time stamps: number of digits -> seconds per unit.
-_STAMP_UNITS = {13: 1e-3, 16: 1e-6, 18: 1e-8, 19: 1e-9}
+#: A number in a picture's name with more digits is a time stamp, which counts nothing.
+COUNT_DIGITS = 12
 
 
 @dataclass(frozen=True)
@@ -76,16 +73,6 @@ class ImageLine:
 
     u: FloatArray
     v: FloatArray
-    is_continuous: bool = False
-
-
-@dataclass(frozen=True)
-class RoadLine:
-    """One line whose place on the road is known: its points x, y (P,), metres ahead and to the
-    right of the camera; and what an `ImageLine` says."""
-
-    x: FloatArray
-    y: FloatArray
     is_continuous: bool = False
 
 
@@ -99,7 +86,7 @@ class ImageFrame:
     """
 
     name: str
-    lines: Sequence[ImageLine | RoadLine]
+    lines: Sequence[ImageLine]
     where: str
     clip: str = ""
 
@@ -107,7 +94,7 @@ class ImageFrame:
 def line_log(
     frames: Sequence[ImageFrame],
     *,
-    camera: Camera | None,
+    camera: Camera,
     frame_rate: float,
     valid: str | None,
     frame_step: int,
@@ -116,7 +103,6 @@ def line_log(
 ) -> LineLog:
     """Put the frames in order, clip after clip, and make a LineLog of them, lines left to right.
 
-    - camera: may be None where all lines are `RoadLine`s.
     - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
       frame_step. Of several clips the ids start at 0 and go on from clip to clip.
     - valid: one of VALID; with "always" every line has the highest LRI too. None is "hysteresis",
@@ -128,9 +114,8 @@ def line_log(
     points outside of what the camera takes, and where no point at all lies below the horizon.
     """
     _check_options(valid, frame_step, ahead_m, source)
-    ids, ordered, clip = _in_order(frames, frame_rate, frame_step, source)
-    if camera is not None:
-        _check_rows(ordered, camera)
+    ids, ordered, clip = _in_order(frames, frame_step, source)
+    _check_rows(ordered, camera)
     offsets, flags = [], []
     for frame in ordered:
         offset = np.array([offset_of(line, camera, ahead_m) for line in frame.lines])
@@ -183,17 +168,10 @@ def _warn(message: str) -> None:
     warnings.warn(message, UserWarning, stacklevel=4)
 
 
-def offset_of(line: ImageLine | RoadLine, camera: Camera | None, ahead_m: float = 0.0) -> float:
+def offset_of(line: ImageLine, camera: Camera, ahead_m: float = 0.0) -> float:
     """The offset of the line, metres to the right, `ahead_m` ahead of the camera; NaN if fewer
-    than two of its points lie on the road near enough.
-
-    - camera: whose pixels the points are; of a `RoadLine` only its focal length counts.
-    """
-    if isinstance(line, RoadLine):
-        x, y = line.x, line.y
-    else:
-        assert camera is not None
-        x, y = image_to_road(camera, line.u, line.v)
+    than two of its points lie on the road near enough."""
+    x, y = image_to_road(camera, line.u, line.v)
     with np.errstate(invalid="ignore"):
         near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
     x, y = x[near], y[near]
@@ -201,7 +179,7 @@ def offset_of(line: ImageLine | RoadLine, camera: Camera | None, ahead_m: float 
         return float("nan")
     prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
     with np.errstate(over="ignore", invalid="ignore"):
-        weight = (FOCAL_PX if camera is None else camera.fx) / (POINT_PX * x)
+        weight = camera.fx / (POINT_PX * x)
         rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
         design = np.concatenate([rows, prior])
         values = np.concatenate([y * weight, np.zeros(len(prior))])
@@ -281,28 +259,17 @@ def camera_of(camera: Camera | str | Path | None, source: Path) -> Camera:
     return camera if isinstance(camera, Camera) else read_camera(camera)
 
 
-def frame_numbers(names: Sequence[str], frame_rate: float, source: str) -> list[int]:
-    """The frame number in each name: the last run of digits in it. Time stamps (13, 16, 18 or 19
-    digits: milliseconds, microseconds, tens of nanoseconds, nanoseconds) become frames of the frame
-    rate, the earliest number 0.
-
-    Raises InputError for a name without a number.
-    """
-    found = [re.findall(r"\d+", name) for name in names]
-    for name, digits in zip(names, found, strict=True):
-        if not digits:
-            raise InputError(f"{source}: '{name}' has no frame number in it")
-    last = [digits[-1] for digits in found]
-    if any(len(d) >= min(_STAMP_UNITS) for d in last):
-        lengths = {len(d) for d in last}
-        if len(lengths) > 1 or not lengths <= set(_STAMP_UNITS):
-            raise InputError(
-                f"{source}: frame numbers of {sorted(lengths)} digits, neither counts nor one kind"
-                f" of time stamp ({', '.join(map(str, _STAMP_UNITS))} digits)"
-            )
-        first = min(map(int, last))
-        return [round((int(d) - first) * _STAMP_UNITS[len(d)] * frame_rate) for d in last]
-    return [int(d) for d in last]
+def frame_number(name: str, source: str) -> int:
+    """The frame number in a name: the last run of digits in it. Raises InputError for a name
+    without a number, or with a time stamp."""
+    digits = re.findall(r"\d+", name)
+    if not digits:
+        raise InputError(f"{source}: '{name}' has no frame number in it")
+    if len(digits[-1]) > COUNT_DIGITS:
+        raise InputError(
+            f"{source}: '{name}' is named by a time stamp; name the pictures by frame numbers"
+        )
+    return int(digits[-1])
 
 
 def _check_options(valid: str | None, frame_step: int, ahead_m: float, source: str) -> None:
@@ -316,7 +283,7 @@ def _check_options(valid: str | None, frame_step: int, ahead_m: float, source: s
 
 
 def _in_order(
-    frames: Sequence[ImageFrame], frame_rate: float, frame_step: int, source: str
+    frames: Sequence[ImageFrame], frame_step: int, source: str
 ) -> tuple[IntArray, list[ImageFrame], NDArray[np.str_] | None]:
     """The frame ids, (T,), and the frames; and of several clips the name of each frame's, (T,)."""
     clips: dict[str, list[ImageFrame]] = {}
@@ -327,7 +294,7 @@ def _in_order(
     ids: list[int] = []
     ordered: list[ImageFrame] = []
     for members in clips.values():
-        by_id = _numbered(members, frame_rate, frame_step, source)
+        by_id = _numbered(members, frame_step, source)
         after = ids[-1] + 1 if ids else 0
         shift = after - min(by_id) if len(clips) > 1 else 0
         ids += [k + shift for k in sorted(by_id)]
@@ -336,13 +303,11 @@ def _in_order(
     return np.array(ids, dtype=np.int64), ordered, names
 
 
-def _numbered(
-    frames: Sequence[ImageFrame], frame_rate: float, frame_step: int, source: str
-) -> dict[int, ImageFrame]:
+def _numbered(frames: Sequence[ImageFrame], frame_step: int, source: str) -> dict[int, ImageFrame]:
     """The frames of one clip by their numbers over frame_step."""
     by_id: dict[int, ImageFrame] = {}
-    numbers = frame_numbers([frame.name for frame in frames], frame_rate, source)
-    for number, frame in zip(numbers, frames, strict=True):
+    for frame in frames:
+        number = frame_number(frame.name, source)
         if number % frame_step:
             raise InputError(
                 f"{frame.where}: frame {number} is no multiple of frame_step {frame_step}"
@@ -351,7 +316,7 @@ def _numbered(
         if k in by_id:
             raise InputError(
                 f"{frame.where}: frame {number} is there twice (also {by_id[k].where}); keep"
-                " one of them, or, of time stamps, give the frame_rate of the pictures"
+                " one of them"
             )
         by_id[k] = frame
     return by_id
@@ -361,8 +326,7 @@ def _check_rows(frames: Iterable[ImageFrame], camera: Camera) -> None:
     """Raise InputError if lines reach far below the camera's picture: then they are of another
     camera."""
     for frame in frames:
-        drawn = [ln for ln in frame.lines if isinstance(ln, ImageLine) and len(ln.u)]
-        lowest = max((float(line.v.max()) for line in drawn), default=0.0)
+        lowest = max((float(line.v.max()) for line in frame.lines if len(line.v)), default=0.0)
         if lowest > 1.1 * camera.height:
             raise InputError(
                 f"{frame.where}: a line reaches down to row {lowest:.0f}, the camera's pictures"

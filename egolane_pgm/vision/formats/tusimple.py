@@ -31,6 +31,7 @@ from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import InputError, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.formats.image_lines import (
+    COUNT_DIGITS,
     ImageFrame,
     ImageLine,
     camera_of,
@@ -40,9 +41,6 @@ from egolane_pgm.vision.formats.image_lines import (
 
 #: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.
 _ROWS = {48: list(range(240, 720, 10)), 56: list(range(160, 720, 10))}
-
-#: A folder with more digits is named by a time stamp, which counts nothing.
-_COUNT_DIGITS = 12
 
 #: The largest class of the sets of classes that are in use.
 _LARGEST_CLASS = 20
@@ -108,8 +106,6 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             raise InputError(
                 f"{where}: is not JSON, which TuSimple's format needs in each line: {error}{others}"
             ) from None
-        if isinstance(entry, dict) and "lane_lines" in entry:
-            raise InputError(f"{where}: has lane_lines: that is OpenLane's, format: openlane")
         for key in ("raw_file", "lanes"):
             if not isinstance(entry, dict) or key not in entry:
                 raise InputError(f"{where}: has no {key}, which TuSimple's format needs{others}")
@@ -138,7 +134,7 @@ def _drives_and_names(raw_files: list[str]) -> list[tuple[str, str]]:
     held = Counter(picture.parent for picture in set(pictures))
     return [
         (str(folder.parent), folder.name)
-        if folder.name.isdecimal() and len(folder.name) <= _COUNT_DIGITS and held[folder] == 1
+        if folder.name.isdecimal() and len(folder.name) <= COUNT_DIGITS and held[folder] == 1
         else (str(folder), picture.stem)
         for picture, folder in ((picture, picture.parent) for picture in pictures)
     ]

@@ -16,7 +16,6 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import (
     Camera,
     axes,
-    camera_from_matrices,
     distorted,
     image_to_road,
     matrix,
@@ -251,17 +250,3 @@ def test_a_camera_is_named_by_its_file_and_equal_to_one_of_another_name(tmp_path
     assert read.name == str(tmp_path / "cam.yaml")
     assert read == camera
     assert "name" not in (tmp_path / "cam.yaml").read_text()
-
-
-@given(cameras)
-def test_a_camera_is_recovered_from_its_matrices(camera: Camera) -> None:
-    right, down, forward = axes(camera)
-    mirror = np.array([1.0, -1.0, 1.0])
-    extrinsic = np.eye(4)
-    # The frames of data sets: x forward, y left, z up.
-    extrinsic[:3, :3] = (mirror * np.stack([forward, -right, -down])).T
-    extrinsic[:3, 3] = 1.5, -camera.lateral_m, camera.height_m
-    found = camera_from_matrices(matrix(camera), extrinsic, camera.width, camera.height)
-    for name in ("fx", "fy", "cx", "cy", "height_m", "pitch_deg", "yaw_deg", "roll_deg"):
-        assert getattr(found, name) == pytest.approx(getattr(camera, name), abs=1e-6)
-    assert found.lateral_m == pytest.approx(camera.lateral_m)

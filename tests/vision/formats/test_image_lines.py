@@ -1,9 +1,8 @@
-"""What other lane detectors write: TuSimple's, CULane's and OpenLane's formats as recordings."""
+"""What other lane detectors write: TuSimple's format as a recording."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,21 +17,17 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.formats.image_lines import (
     ImageLine,
-    frame_numbers,
+    frame_number,
     offset_of,
     persistence,
 )
-from egolane_pgm.vision.formats.openlane import CATEGORIES
 from egolane_pgm.vision.formats.tusimple import entry_lines, read_tusimple
 from tests.kits.drives import done, refused, write_experiment
 from tests.kits.image_line_files import (
     CAMERA,
     OFFSETS,
     ROWS,
-    columns,
-    culane,
     entry,
-    openlane,
     read,
     saved_camera,
     tusimple,
@@ -49,19 +44,6 @@ def test_tusimple_lines_get_their_offsets_at_the_car_from_left_to_right(tmp_path
     assert log.is_continuous.tolist() == [[True, False, True]] * 3
 
 
-def test_culane_and_openlane_folders_give_the_same_offsets(tmp_path: Path) -> None:
-    log = read(culane(tmp_path / "c", range(0, 90, 30)), frame_step=30)
-    assert log.frame_id.tolist() == [0, 1, 2]
-    np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (3, 1)), atol=0.01)
-    assert not log.is_continuous.any()
-    first = 152268801497018700  # tens of nanoseconds
-    stamps = [first, first + 10_020_000, first + 30_010_000]
-    log = read(openlane(tmp_path / "o", stamps))
-    assert log.frame_id.tolist() == [0, 1, 3]
-    np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (3, 1)), atol=0.01)
-    assert log.is_continuous.tolist() == [[True, False, True]] * 3
-
-
 def test_which_classes_are_continuous_is_an_option(tmp_path: Path) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1, classes=[6, 1, 2])])
     assert read(path).is_continuous.tolist() == [[False, False, True]]
@@ -72,9 +54,6 @@ def test_a_picture_without_lines_is_a_frame_without_lines(tmp_path: Path) -> Non
     absent = {"raw_file": "clips/0313-1/3/20.jpg", "lanes": [[-2] * len(ROWS)], "h_samples": ROWS}
     log = read(tusimple(tmp_path / "a.jsonl", [entry(2), absent, entry(4)]))
     assert np.isfinite(log.offset_m).sum(axis=1).tolist() == [3, 0, 3]
-    folder = culane(tmp_path / "c", [1, 3])
-    (folder / "00002.lines.txt").write_text("\n")
-    assert np.isfinite(read(folder).offset_m).sum(axis=1).tolist() == [3, 0, 3]
 
 
 def test_a_clip_is_numbered_by_its_folder_and_a_picture_by_its_name(tmp_path: Path) -> None:
@@ -167,14 +146,12 @@ def test_lri_is_between_one_and_ten_and_valid_needs_half_of_it(
         assert (at[flags] >= 5).all()
 
 
-def test_time_stamps_become_frames_of_the_frame_rate() -> None:
-    assert frame_numbers(["1492626270684175793", "1492626271684175793"], 20, "x") == [0, 20]
-    assert frame_numbers(["1522688014970", "1522688015070"], 10, "x") == [0, 1]
-    assert frame_numbers(["a_12", "b7_13"], 10, "x") == [12, 13]
+def test_the_frame_number_is_the_last_number_of_a_name() -> None:
+    assert [frame_number(name, "x") for name in ("a_12", "b7_13")] == [12, 13]
     with pytest.raises(InputError, match="x: 'left' has no frame number"):
-        frame_numbers(["left"], 10, "x")
-    with pytest.raises(InputError, match=r"digits, neither counts nor one kind of time stamp"):
-        frame_numbers(["1492626270684175793", "12"], 10, "x")
+        frame_number("left", "x")
+    with pytest.raises(InputError, match="x: '1492626270684175793' is named by a time stamp"):
+        frame_number("1492626270684175793", "x")
 
 
 def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None:
@@ -196,21 +173,6 @@ def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None
     np.testing.assert_array_equal(by_command.marginals["Lane"], by_yaml.marginals["Lane"])
     # A continuous line two to the left: the car is in lane 2.
     assert by_yaml.assigned_lane[-1] == 2
-
-
-def test_a_folder_of_labels_is_run_and_its_result_can_be_run_again(tmp_path: Path) -> None:
-    folder = culane(tmp_path / "drive", range(12))
-    camera, out = saved_camera(tmp_path), tmp_path / "r"
-    experiment = write_experiment(tmp_path / "e.yaml", ground_truth=None)
-    words = ["--camera", camera, "--no-figures", "--out", out]
-    done("run", experiment, "--recording", folder, *words)
-    data = read_result(out).run["data"][0]
-    assert (data["path"], data["files"]) == (str(folder), 12)
-    done("run", out / "experiment.yaml", "--no-figures", "--out", tmp_path / "again")
-    (folder / "00003.lines.txt").write_text("")
-    done("run", out / "experiment.yaml", "--no-figures", "--out", tmp_path / "changed")
-    sums = [read_result(tmp_path / r).run["data"][0]["sha256"] for r in ("r", "again", "changed")]
-    assert sums[0] == sums[1] != sums[2]
 
 
 def test_options_of_the_format_are_given_in_the_yaml(tmp_path: Path) -> None:
@@ -246,35 +208,22 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
 
 
-WRITERS: dict[str, Callable[[Path, list[int]], Path]] = {
-    "tusimple": lambda folder, ids: tusimple(folder / "labels.json", [entry(k) for k in ids]),
-    "culane": lambda folder, ids: culane(folder / "culane", ids),
-    "openlane": lambda folder, ids: openlane(folder / "openlane", ids),
-}
-
-every_format = pytest.mark.parametrize("name", WRITERS)
-
-
-@every_format
-def test_frames_valid_flags_and_where_it_is_measured_are_as_asked(
-    name: str, tmp_path: Path
-) -> None:
-    path = WRITERS[name](tmp_path, [40, 10, 30])
-    log = read(path, format=name, frame_step=10, frame_rate=4.0, valid="always", ahead_m=12.0)
+def test_frames_valid_flags_and_where_it_is_measured_are_as_asked(tmp_path: Path) -> None:
+    path = tusimple(tmp_path / "labels.json", [entry(k) for k in (40, 10, 30)])
+    log = read(path, frame_step=10, frame_rate=4.0, valid="always", ahead_m=12.0)
     assert log.frame_id.tolist() == [1, 3, 4]
     np.testing.assert_allclose(log.time_s, [0.25, 0.75, 1.0])
     assert log.is_valid.all()
     assert (log.lri == 10).all()
     # The camera is turned to the right: a straight road passes it at the same offset everywhere.
-    at_the_car = read(path, format=name, frame_step=10)
+    at_the_car = read(path, frame_step=10)
     assert not at_the_car.is_valid.any()
     np.testing.assert_allclose(at_the_car.offset_m[0], OFFSETS, atol=0.05)
     np.testing.assert_allclose(log.offset_m[0], OFFSETS, atol=0.05)
 
 
-@every_format
 def test_ahead_of_the_car_a_line_that_turns_away_is_further_off(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """y = offset + 0.02 x: 0.2 m more ten metres ahead."""
     far = np.geomspace(2, 400, 4000)[::-1]
@@ -283,8 +232,8 @@ def test_ahead_of_the_car_a_line_that_turns_away_is_further_off(
         u, v = road_to_image(CAMERA, far, offset + 0.02 * far)
         turned[offset] = np.interp(range(300, 720, 10), v, u, left=-2, right=-2).tolist()
     monkeypatch.setattr("tests.kits.image_line_files.columns", turned.__getitem__)
-    path = WRITERS[name](tmp_path, [1])
-    here, ahead = (read(path, format=name, ahead_m=metres).offset_m[0] for metres in (0.0, 10.0))
+    path = tusimple(tmp_path / "labels.json", [entry(1)])
+    here, ahead = (read(path, ahead_m=metres).offset_m[0] for metres in (0.0, 10.0))
     np.testing.assert_allclose(here, OFFSETS, atol=0.05)
     np.testing.assert_allclose(ahead - here, 0.2, atol=0.03)
 
@@ -294,15 +243,6 @@ def test_the_first_column_is_a_point_and_a_line_without_points_is_none() -> None
     [line] = entry_lines(picture, "here")
     assert line.u.tolist() == [0, 7.5]
     assert line.v.tolist() == [400, 420]
-
-
-def test_solid_lines_and_curbs_are_continuous_in_openlane(tmp_path: Path) -> None:
-    solid = {2, 4, 5, 6, 8, 10, 11, 12, 20, 21}
-    for category in CATEGORIES:
-        path = openlane(tmp_path / str(category), [1], categories=(category,) * 3)
-        log = read(path, format="openlane")
-        assert log.is_continuous.tolist() == [[category in solid] * 3], category
-    assert len(columns(OFFSETS[0])) == 42
 
 
 def seen_from(x: np.ndarray, y: np.ndarray, noise: np.ndarray | float = 0.0) -> ImageLine:
@@ -367,9 +307,6 @@ def test_broken_json_is_refused_with_its_line(tmp_path: Path) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1), entry(2)])
     path.write_text(path.read_text()[:-40])
     assert f"{path}: line 2: is not JSON" in whats_wrong(path)
-    folder = openlane(tmp_path / "o", [1, 2])
-    (folder / "2.json").write_text("{")
-    assert f"{folder}/2.json: is not JSON" in whats_wrong(folder)
 
 
 @pytest.mark.parametrize(
@@ -413,46 +350,8 @@ def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
     empty = tusimple(tmp_path / "a.jsonl", [])
     assert whats_wrong(empty) == f"{empty}: no frame in it"
     (tmp_path / "d").mkdir()
-    said = whats_wrong(tmp_path / "d", format="culane")
-    assert said.endswith("no file *.lines.txt in it")
-    assert "no file *.json in it" in whats_wrong(tmp_path / "d", format="openlane")
     said = whats_wrong(tmp_path / "d")
-    assert (
-        "a folder without lines (*.mcap, *.db3, *.zstd, *.lines.txt, *.json); pictures need" in said
-    )
-
-
-def test_odd_culane_files_are_refused(tmp_path: Path) -> None:
-    folder = culane(tmp_path / "c", [1, 2])
-    file = folder / "00002.lines.txt"
-    for text, said in (
-        ("1 2\n3 4 5\n", "line 2: 3 numbers are no pairs"),
-        ("1 x\n", "line 1: could not convert string to float: 'x'"),
-        ("1 nan\n", "line 1: a coordinate is not finite"),
-    ):
-        file.write_text(text)
-        assert f"{file}: {said}" in whats_wrong(folder)
-    file.rename(folder / "1.lines.txt")
-    (folder / "1.lines.txt").write_text("")
-    assert "frame 1 is there twice" in whats_wrong(folder)
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        ({"category": 77}, "unknown category 77 (known: 0, 1, 2,"),
-        ({"category": [1]}, "unknown category [1]"),
-        ({"uv": [[1, 2], [3]]}, "2 u for 1 v"),
-        ({"uv": [1, 2, 3]}, "uv needs a list of u and a list of v"),
-        ({"uv": [["a"], [1]]}, "u is not a list of numbers"),
-    ],
-)
-def test_an_odd_openlane_line_is_refused(tmp_path: Path, change: dict[str, Any], said: str) -> None:
-    folder = openlane(tmp_path / "o", [1])
-    content = json.loads((folder / "1.json").read_text())
-    content["lane_lines"][1].update(change)
-    (folder / "1.json").write_text(json.dumps(content))
-    assert f"{folder}/1.json: lane_lines 2: {said}" in whats_wrong(folder)
+    assert "a folder without lines (*.mcap, *.db3, *.zstd); pictures need" in said
 
 
 def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Path) -> None:
