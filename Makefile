@@ -121,9 +121,9 @@ compared: .venv/.dev
 	mkdir -p results/camera
 	$(BIN)/python -m makers.camera compared --out results/camera > results/camera/detectors.md
 
-# The tables of docs/maps.md about positions, matching and lanes (a quarter of an hour of one core).
+# The table of docs/maps.md about matching (some minutes).
 maps: .venv/.dev
-	$(BIN)/python -m makers.maps matched located outages recorded
+	$(BIN)/python -m makers.maps matched
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

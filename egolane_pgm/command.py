@@ -45,7 +45,6 @@ COMMANDS = {
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
     "locate": "Find the road of a car on a map, and what is ahead of it.",
-    "map": "Read the lanes of motorways from an extract of OpenStreetMap.",
     "network-check": "Say which layout fits an ONNX file, and the YAML to start from.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
