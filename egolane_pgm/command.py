@@ -38,7 +38,6 @@ COMMANDS = {
     "benchmark": "Score entries on drives nobody tuned on, and set them side by side.",
     "calibrate": "Find out how a camera sees the road.",
     "compare": "Put results, or experiments that are run held out, side by side.",
-    "convert": "Convert a recording of lines to .bag, .csv or .parquet.",
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
     "inspect": "Say what is in a recording, and the command that runs it.",
