@@ -112,9 +112,9 @@ fuzz: .venv/.dev
 camera: .venv/.dev
 	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly drift lane_change lstr --out results/camera > results/camera/pictures.md
 
-# The tables of docs/maps.md about positions, matching and lanes (a quarter of an hour of one core).
+# The table of docs/maps.md about matching (some minutes).
 maps: .venv/.dev
-	$(BIN)/python -m makers.maps matched located outages recorded
+	$(BIN)/python -m makers.maps matched
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

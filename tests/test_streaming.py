@@ -265,7 +265,7 @@ def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:
     done("run", path, "--no-figures", "--out", tmp_path / "whole")
     done("run", path, "--stream", "--out", tmp_path / "parts")
     done("plot", tmp_path / "parts", "--out", tmp_path / "figures")
-    done("report", tmp_path / "parts", "-o", tmp_path / "page.html")
+    done("plot", tmp_path / "parts", "--out", tmp_path / "page.html")
     assert "run in parts" in (tmp_path / "page.html").read_text()
     target = tmp_path / "compared.json"
     done("compare", tmp_path / "whole", tmp_path / "parts", "--json", target)

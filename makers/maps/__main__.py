@@ -1,11 +1,7 @@
 """`python -m makers.maps MODULE ...`: prints tables about positions, matching and lanes.
 
-`changes` is how right the lane is where lanes begin and end, `wrong_counts` how often a map that is
-wrong by a lane is found; `outages` how right the lane is where lines are missing, with and without
-positions; `located` what it costs that the road is found from positions; `matched` how often the
-right segment is found; `recorded` what two recorded drives tell; `receivers` what real positions
-add to lines. All but `wrong_counts` need
-EGOLANE_DATA: maps, or recorded noise.
+`changes` is how right the lane is where lanes begin and end, `matched` how often the right segment
+is found, `receivers` what real positions add to lines. All need EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -13,7 +9,7 @@ from __future__ import annotations
 import argparse
 import importlib
 
-MODULES = ("changes", "wrong_counts", "outages", "located", "matched", "recorded", "receivers")
+MODULES = ("changes", "matched", "receivers")
 
 
 def main() -> None:
