@@ -28,7 +28,7 @@ from egolane_pgm.simulation.detector import DetectorModel
 from egolane_pgm.tools.files import as_csv, make_directory, write_text, write_yaml
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, suggestion
-from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath
+from egolane_pgm.verbs.given import Hidden, Option, Progress, Seed, StrPath
 from egolane_pgm.vision.rendering.files import free_places, write_drive
 from egolane_pgm.vision.rendering.scene import Scene, check_settings, make_scene
 
@@ -47,7 +47,7 @@ def simulate(
     frames: int | None = None,
     overrides: Annotated[Mapping[str, Any] | None, Option(example="change_s=5")] = None,
     map: Annotated[StrPath | None, Option("FILE")] = None,
-    mirror: bool = False,
+    mirror: Annotated[bool, Hidden] = False,
     images: bool = False,
     stereo: bool = False,
     video: bool = False,
