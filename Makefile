@@ -58,8 +58,8 @@ SHORT := sed '/^| recording /,/^$$/d'
 RUNS := results/runs
 NO_BONUS := --set parameters.bonus_value=0 --set name=run03_no_bonus
 paper: .venv/.run
-	$(BIN)/egolane reproduce --out $(RUNS) > results/paper/reproduction.md
-	$(BIN)/egolane compare | $(SHORT) > results/paper/graphs.md
+	$(BIN)/egolane reproduce --wide --out $(RUNS) > results/paper/reproduction.md
+	$(BIN)/egolane compare --wide | $(SHORT) > results/paper/graphs.md
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures --out $(RUNS)/run03_bonus
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures $(NO_BONUS) --out $(RUNS)/run03_no_bonus
 	$(BIN)/egolane plot $(RUNS)/run01_italy_ml --frames 1880 2700 --out results/paper
@@ -77,9 +77,9 @@ SEARCH := --set tuning.trials=420 --jobs 2
 EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregressive_wor.yaml)
 graphs: .venv/.run
 	mkdir -p results/graphs
-	$(BIN)/egolane compare --graphs $(GRAPHS) --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs | $(SHORT) > results/graphs/graphs.md
+	$(BIN)/egolane compare --graphs $(GRAPHS) --wide --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs | $(SHORT) > results/graphs/graphs.md
 	cp $(RUNS)/graphs/differences.png results/graphs/graphs.png
-	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 | $(SHORT) > results/graphs/learned.md
+	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide | $(SHORT) > results/graphs/learned.md
 
 # results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
 # road (a quarter of an hour of two cores; repeated, it goes on where it stopped).

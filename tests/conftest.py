@@ -21,9 +21,6 @@ settings.register_profile("ours", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "ours")
 
-# Tables fit a terminal of 80 columns, as they do not where a command prints into a file.
-os.environ["COLUMNS"] = "80"
-
 # A search shares itself out to all cores by default; processes of its own cost seconds each time.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
 
