@@ -1,4 +1,4 @@
-"""Two recorded drives with GNSS: on which road, and what the offset alone says of the lane."""
+"""A recorded drive with GNSS: on which road it is."""
 
 from __future__ import annotations
 
@@ -16,13 +16,7 @@ from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.matching import match
-from tests.kits.tracks import (
-    munich,
-    munich_more,
-    rotterdam_lanes,
-    rotterdam_receivers,
-    rotterdam_road,
-)
+from tests.kits.tracks import rotterdam_receivers, rotterdam_road
 
 
 @pytest.fixture(scope="module")
@@ -66,30 +60,3 @@ def test_gross_outliers_in_a_recorded_drive_are_rejected(
     as_it_was = np.searchsorted(whole.t_s, drove.t_s[wrong])
     assert (table.segment[at] == whole.segment[as_it_was]).all()
     assert np.median(np.abs(table.along_m[at] - whole.along_m[as_it_was])) < 2
-
-
-def test_the_lane_after_a_change_is_told_better_than_by_the_usual_lane(
-    data: Path, road: tuple[LaneGraph, RoadIndex]
-) -> None:
-    found = [rotterdam_lanes(data, *road, drove) for drove in rotterdam_receivers(data).values()]
-    right = np.mean([f.right.mean() for f in found])
-    usual = np.mean([(f.lane == np.bincount(f.lane).argmax()).mean() for f in found])
-    assert len(found[0].lane) == 55
-    assert usual == pytest.approx(24 / 55)
-    assert right > usual + 0.15
-
-
-def test_a_road_with_more_lanes_than_the_map_says_is_noticed(data: Path) -> None:
-    drive = munich(data)
-    wrong = (drive.road == "A 92") & (drive.lane > drive.n_lanes)
-    assert wrong.sum() == 14
-    stretch = drive[drive.run == drive.run[wrong].iloc[0]]
-    is_wrong = (stretch.lane > stretch.n_lanes).to_numpy()
-    assert munich_more(stretch, smooth=True)[is_wrong].min() > 0.9
-    # Knowing the past only, it is noticed when the car has used the width of three lanes.
-    causal = munich_more(stretch, smooth=False)
-    assert causal[0] < 0.15
-    assert causal[np.flatnonzero(is_wrong)[-1]] > 0.6
-    # Four lanes on the map, and four there.
-    right = drive[(drive.road == "A 9") & (drive.n_lanes == 4)]
-    assert munich_more(right, smooth=False).mean() < 0.2
