@@ -93,10 +93,10 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
 
-# results/benchmark/: the public board (a quarter of an hour of two cores). Needs the paper's
+# results/benchmark/: the public board (some minutes of two cores). Needs the paper's
 # recordings; the tracks of UAH-DriveSet are scored where EGOLANE_DATA/bench has them.
 benchmark: .venv/.dev
-	$(BIN)/python -m makers.benchmark --out results/benchmark
+	$(BIN)/python -m makers.benchmark
 
 # 400 simulated drives on one process, on two, and on a Dask cluster on this machine, one of whose
 # four workers is killed and one added; the summary is the same (some minutes).
@@ -112,9 +112,9 @@ fuzz: .venv/.dev
 camera: .venv/.dev
 	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly drift lane_change lstr --out results/camera > results/camera/pictures.md
 
-# The tables of docs/maps.md about positions, matching and lanes (a quarter of an hour of one core).
+# The table of docs/maps.md about matching (some minutes).
 maps: .venv/.dev
-	$(BIN)/python -m makers.maps matched located outages recorded
+	$(BIN)/python -m makers.maps
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

@@ -35,27 +35,21 @@ if TYPE_CHECKING:
 #: The short help of each command, whose verb is the function of its name in verbs/. A verb is
 #: imported only when its command is asked for: `--help` stays quick.
 COMMANDS = {
-    "benchmark": "Score entries on drives nobody tuned on, and set them side by side.",
     "calibrate": "Find out how a camera sees the road.",
     "compare": "Put results, or experiments that are run held out, side by side.",
-    "convert": "Convert a recording of lines to .bag, .csv or .parquet.",
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
-    "export": "Write a result as MCAP for Foxglove and PlotJuggler.",
     "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
-    "locate": "Find the road of a car on a map, and what is ahead of it.",
-    "map": "Read the lanes of motorways from an extract of OpenStreetMap.",
+    "locate": "Find the road of a car on a map.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
-    "plot": "Draw the figures of result directories and studies.",
+    "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",
-    "report": "Show results as one interactive HTML page.",
     "run": "Filter a recording, score it, write a result directory.",
     "show": "List what there is, or describe it: graphs, rules, detectors, experiments.",
     "simulate": "Simulate a drive, as lines or as pictures.",
     "tune": "Search parameters, and score them on frames they have not seen.",
-    "video": "Draw a drive: pictures, lines, bird's-eye view and belief.",
 }
 
 #: Of one of several that failed, this many are named.

@@ -250,7 +250,7 @@ class Result:
             if len(known):
                 added[piece] = 0 if last is None else last - known[0]
                 last = known[-1] + added[piece.start]
-        return added - added.min(initial=0)
+        return np.asarray(added - added.min(initial=0))
 
     def with_same_lanes(self, events: LaneEvents) -> LaneEvents:
         """Events of this result, with lanes that are `renumbered`."""
@@ -417,7 +417,7 @@ class Result:
         return inline_figure(lambda: strips_figure(self, first, last))
 
     def report(self, file: str | os.PathLike[str]) -> Path:
-        """Write the page that `egolane report` writes: one HTML file with an interactive timeline.
+        """Write the page of `egolane plot --out x.html`: one HTML file, with a timeline.
 
         - file: its name; its folder is made.
 
@@ -729,7 +729,7 @@ def check_writable(directory: Path, is_ours: Callable[[Path], bool] = is_result)
 #: Files owned by a result directory. Saving replaces or deletes them; other files are left alone.
 OURS = (
     *("experiment.yaml", "run.json", "scores.json", BELIEFS, LINES, "events.csv"),
-    *("clips.csv", "labels.txt", "segments.csv", "report.html"),
+    *("clips.csv", "labels.txt", "segments.csv"),
     *(
         f"figures/{name}.{style}"
         for name in ("strips", "confusion", "reliability", "coverage")

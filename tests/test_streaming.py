@@ -187,9 +187,10 @@ def test_what_needs_the_whole_drive_is_refused_naming_the_key(
 
 
 def test_a_road_whose_lanes_change_is_refused(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, n_lanes="map", road="road.parquet")
+    mapped = {"n_lanes": "map", "road": "road.parquet"}
+    experiment = load_experiment(write_drive(tmp_path), mapped)
     with pytest.raises(InputError, match="n_lanes: map: a recording is cut as a whole"):
-        run_in_parts(load_experiment(path), tmp_path / "out")
+        run_in_parts(experiment, tmp_path / "out")
 
 
 @pytest.mark.usefixtures("small_parts")
@@ -265,7 +266,7 @@ def test_a_streamed_result_is_read_as_any_other(tmp_path: Path) -> None:
     done("run", path, "--no-figures", "--out", tmp_path / "whole")
     done("run", path, "--stream", "--out", tmp_path / "parts")
     done("plot", tmp_path / "parts", "--out", tmp_path / "figures")
-    done("report", tmp_path / "parts", "-o", tmp_path / "page.html")
+    done("plot", tmp_path / "parts", "--out", tmp_path / "page.html")
     assert "run in parts" in (tmp_path / "page.html").read_text()
     target = tmp_path / "compared.json"
     done("compare", tmp_path / "whole", tmp_path / "parts", "--json", target)

@@ -20,7 +20,7 @@ from egolane_pgm.types import (
     IntArray,
     LaneEvents,
 )
-from egolane_pgm.vision.camera.pictures import Source, images_of, open_source
+from egolane_pgm.vision.camera.pictures import Source, images_of
 from egolane_pgm.vision.camera.writing import as_jpeg
 from egolane_pgm.vision.detectors.pictures import pictures_of
 
@@ -137,26 +137,23 @@ class Drive:
                 yield row, as_jpeg(image, PICTURE_HEIGHT)
 
 
-def open_drive(
-    directory: str | Path, *, pictures: str | None = None, frames: tuple[int, int] | None = None
-) -> Drive:
+def open_drive(directory: str | Path, frames: tuple[int, int] | None = None) -> Drive:
     """Gather what a result directory, and the recording that it names, have to show.
 
-    - pictures: a video, a folder or a glob; by default those that the result's detector looked at.
-    - frames: the first frame id and the one after the last; by default all.
+    - frames: the first and the last frame id; by default all.
 
     Lines or pictures that are not there any more are left out with a warning. Raises InputError for
-    what is no result directory, pictures that were asked for and are not there, frames of which the
-    result has none, and times that do not increase.
+    what is no result directory, frames of which the result has none, and times that do not
+    increase.
     """
     result = read_result(directory)
     events = result.events
     if frames is not None:
-        chosen = (result.frame_id >= frames[0]) & (result.frame_id < frames[1])
+        chosen = (result.frame_id >= frames[0]) & (result.frame_id <= frames[1])
         if not chosen.any():
             first, last = (int(result.frame_id[k]) for k in (0, -1))
             raise InputError(
-                f"{result.directory}: has no frame from {frames[0]} to before {frames[1]}; its"
+                f"{result.directory}: has no frame from {frames[0]} to {frames[1]}; its"
                 f" frames are {first} to {last}"
             )
         result = result.take(chosen)
@@ -167,8 +164,7 @@ def open_drive(
             UserWarning,
             stacklevel=2,
         )
-    source = open_source(pictures) if pictures is not None else _pictures(result)
-    return Drive(result, events, _clock(result), source)
+    return Drive(result, events, _clock(result), _pictures(result))
 
 
 def _clock(result: Result) -> IntArray:

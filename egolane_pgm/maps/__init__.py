@@ -14,8 +14,10 @@ from egolane_pgm.maps.osm import read_osm
 
 def load_map(path: str | Path) -> LaneGraph:
     """The lanes of a map: of an extract of OpenStreetMap (`.osm`, `.osm.pbf`, needs the extra
-    `maps`), or of a `.parquet` file that `egolane map` wrote.
+    `maps`), or of a `.parquet` file that `lane_graph.save` wrote.
 
     Warns and raises InputError as `read_osm` and `load` do.
     """
-    return load(path) if Path(path).suffix.lower() == ".parquet" else read_osm(path)
+    if Path(path).suffix.lower() != ".parquet":
+        return read_osm(path)
+    return load(path)

@@ -158,7 +158,7 @@ def load(path: str | Path) -> LaneGraph:
     """The graph that `save` wrote, as it was. Raises InputError as `read_stored`."""
     import pyarrow as pa
 
-    table = read_stored(path, "lane graph", VERSION, "egolane map FILE.osm")
+    table = read_stored(path, "lane graph", VERSION)
     whole = {name: table[name].combine_chunks() for name in table.column_names}
 
     def values(name: str) -> Any:

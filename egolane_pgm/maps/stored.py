@@ -22,10 +22,10 @@ def marks(what: str, version: str) -> dict[str, str]:
     return {_key(what): version, "attribution": ATTRIBUTION}
 
 
-def read_stored(path: str | Path, what: str, version: str, command: str) -> Any:
+def read_stored(path: str | Path, what: str, version: str, command: str = "") -> Any:
     """Read a pyarrow table with the marks of `what` and `version`.
 
-    - command: writes such a file.
+    - command: writes such a file, if one does.
 
     Raises InputError for a file that cannot be read, that is something else, or of another version.
     """
@@ -33,7 +33,8 @@ def read_stored(path: str | Path, what: str, version: str, command: str) -> Any:
     found = (table.schema.metadata or {}).get(_key(what).encode(), b"").decode()
     if found != version:
         wrong = f"version {found}, not {version}" if found else f"no {what}"
-        raise InputError(f"{path}: {wrong}; `{command} -o {path}` writes one")
+        cure = f"; `{command} -o {path}` writes one" if command else ""
+        raise InputError(f"{path}: {wrong}{cure}")
     return table
 
 

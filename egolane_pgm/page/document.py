@@ -41,7 +41,7 @@ def write_page(results: Sequence[Result], path: str | Path) -> list[str]:
     InputError for a result without frames, and where the file cannot be written.
     """
     if not results:
-        raise InputError("report: names no result")
+        raise InputError("plot: names no result")
     page, lacking = page_of(results)
     write_text(path, page, make_folder=True)
     return lacking

@@ -22,7 +22,7 @@ from egolane_pgm.recordings.fields import Table
 from egolane_pgm.recordings.mapping import Message
 from egolane_pgm.types import InputError, LineLog, near_word
 
-#: The topics of the lines in the published recordings and in what `egolane export` writes.
+#: The topics of the lines in the published recordings and in what `egolane plot` writes.
 TOPICS = ("/isis_line_detector/lines", "/lines")
 
 #: What a file has on its topics: the type of the messages, and how many there are.

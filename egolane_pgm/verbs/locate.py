@@ -19,7 +19,7 @@ from egolane_pgm.maps.stored import check_path
 from egolane_pgm.tools.files import check_not_read, check_place
 from egolane_pgm.verbs.given import Option, StrPath
 
-EXAMPLES = ("egolane locate lanes.parquet drive.gpx -o road.parquet",)
+EXAMPLES = ("egolane locate roads.osm.pbf drive.gpx -o road.parquet",)
 
 
 def locate(
@@ -36,10 +36,12 @@ def locate(
     topic: str | None = None,
     shift: Annotated[float, Option("SECONDS")] = 0.0,
 ) -> RoadTable:
-    """Find the road of a car: segment, place on it, lanes, what is ahead, and how sure that is.
+    """Find the road of a car: segment, place on it, lanes, and how sure that is.
 
-    MAP is what `egolane map` writes, or an extract itself. POSITIONS is a .csv, .parquet, .gpx,
-    .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the road table.
+    MAP is an extract of OpenStreetMap (.osm, .osm.pbf) or a stored map (.parquet). POSITIONS is a
+    .csv, .parquet, .gpx, .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the
+    road table. Take the roads out of a large extract first:
+    osmium tags-filter FILE w/highway=motorway,motorway_link,trunk,trunk_link -o ROADS.osm.pbf
 
     - out: the road table, .parquet.
     - online: each row knows the positions before it only.

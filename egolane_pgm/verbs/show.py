@@ -72,7 +72,7 @@ def show(
     """
     given = "" if name is None else path_of(name, "name")
     if out is not None:
-        check_ending(out)
+        check_ending(path_of(out, "out"))
     if not given or given in listing.KINDS:
         found = listing.listed(given or None)
     elif given.partition(":")[0] == "schema":
@@ -85,7 +85,7 @@ def show(
         found = _plugin(given, n_lanes, tables, out)
     if out is not None and found.get("kind") != "graph":
         raise InputError(f"out: {out}: only a graph is written to a file")
-    if frame is not None and "lines" not in found:
+    if frame is not None and "text" not in found:
         raise InputError("frame: goes with an experiment")
     return found
 
@@ -100,8 +100,8 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
         return json.dumps(done, indent=1)
     if "kind" not in done:
         return listing.list_text(done)
-    if "lines" in done:
-        return str(done["lines"])
+    if "text" in done:
+        return str(done["text"])
     if "keys" in done:
         return _yaml_text(done)
     return description_text({**done, "file": shown(done["file"])})
@@ -151,7 +151,7 @@ def _yaml(name: str, frame: int | None) -> dict[str, Any]:
         "keys": plain(keys),
     }
     if frame is not None:
-        found["lines"] = box_text(load_recording(load_experiment(path)).log, frame)
+        found["text"] = box_text(load_recording(load_experiment(path)).log, frame)
     return found
 
 
@@ -183,7 +183,7 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
         return found | describe_detector(module)
     compiled = compile_defaults(bare, module, n_lanes)
     if out is not None:
-        write_network(compiled, out)
+        write_network(compiled, path_of(out, "out"))
     return found | describe_graph(module, compiled, numbers=tables)
 
 

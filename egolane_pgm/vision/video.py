@@ -12,20 +12,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.experiment import Experiment
-from egolane_pgm.online import filter_logs
-from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, LaneTruth, LineLog
+from egolane_pgm.types import UNASSIGNED, FloatArray
 from egolane_pgm.vision.camera.model import Camera, road_seen
 from egolane_pgm.vision.camera.picture import Image, Picture
-from egolane_pgm.vision.camera.pictures import Source
-from egolane_pgm.vision.detectors import FrameLines, as_log, powers
+from egolane_pgm.vision.detectors import FrameLines, powers
 from egolane_pgm.vision.detectors.runner import Detector, detect
 
 Colour = tuple[int, int, int]
@@ -165,71 +162,6 @@ def with_detected_lines(
 
     for _, lines in detect(detector, camera, remembered()):
         yield latest[0], lines
-
-
-def with_recorded_lines(
-    pictures: Iterable[Picture], log: LineLog, source: Source
-) -> Iterator[tuple[Picture, FrameLines]]:
-    """Returns each picture with the lines of its frame in a recording. They are drawn straight
-    ahead, because a recording has offsets only.
-
-    Raises InputError if no frame of the recording is one of the source's pictures.
-    """
-    if source.frame_id is not None and not np.isin(source.frame_id, log.frame_id).any():
-        raise InputError(
-            f"{log.source}: no frame of it is a picture's: its frames are {log.frame_id[0]} to"
-            f" {log.frame_id[-1]}, the pictures {source.frame_id[0]} to {source.frame_id[-1]}"
-        )
-    at = {int(frame_id): k for k, frame_id in enumerate(log.frame_id)}
-    return ((p, _straight_lines(log, at.get(p.frame_id))) for p in pictures)
-
-
-def _straight_lines(log: LineLog, k: int | None) -> FrameLines:
-    """The lines in row k of a recording, from left to right; none where k is None."""
-    if k is None:
-        no = np.zeros(0, dtype=bool)
-        return FrameLines(np.zeros((0, 4)), no, no, np.zeros(0))
-    offset = log.offset_m[k]
-    # Some detectors write an offset of exactly 0 if there is no line. A valid 0 is a line under
-    # the car, which the evidence rules count too.
-    is_line = np.isfinite(offset) & ((offset != 0) | log.is_valid[k])
-    order = np.argsort(np.where(is_line, offset, np.inf), kind="stable")[: is_line.sum()]
-    shape = np.zeros((len(order), 4))
-    shape[:, 0] = offset[order]
-    return FrameLines(shape, log.is_valid[k][order], log.is_continuous[k][order], log.lri[k][order])
-
-
-def scenes(
-    pairs: Iterable[tuple[Picture, FrameLines]],
-    experiment: Experiment,
-    truth: LaneTruth | None,
-    source: str,
-) -> Iterator[tuple[Picture, Scene]]:
-    """Filters the lines of a drive, and yields each picture with its lines, belief and truth.
-
-    - experiment: turns lines into beliefs; its own recording is not used.
-    - source: what the pictures are called in messages.
-
-    With a fixed-lag filter as many pictures are kept in memory as it waits for.
-    """
-    rate = experiment.recording.frame_rate
-    waiting: deque[tuple[Picture, FrameLines]] = deque()
-
-    def logs() -> Iterator[LineLog]:
-        for picture, lines in pairs:
-            waiting.append((picture, lines))
-            where = f"{source}: frame {picture.frame_id}"
-            yield as_log([(picture.frame_id, lines)], rate, where)
-
-    at = {} if truth is None else {int(f): k for k, f in enumerate(truth.frame_id)}
-    for answer in filter_logs(experiment, logs(), ["Lane"]):
-        picture, lines = waiting.popleft()
-        belief = np.array(list(answer["beliefs"]["Lane"].values()))
-        scene = Scene(picture.frame_id, answer["time_s"], lines, belief, answer["lane"])
-        if truth is not None and (k := at.get(picture.frame_id)) is not None:
-            lane, is_crossing = int(truth.lane[k]), bool(truth.is_crossing[k])
-            scene = replace(scene, truth=lane, is_crossing=is_crossing)
-        yield picture, scene
 
 
 # --- lines ---------------------------------------------------------------------------------------

@@ -1,4 +1,4 @@
-"""Lines that people have labelled, in TuSimple's format (one JSON object per frame and line)."""
+"""Hand labels of lines in TuSimple's format: points, pictures, and places on the road."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.formats.tusimple import entry_lines, read_entries
 
@@ -16,11 +16,8 @@ _FARTHEST_M = 40.0
 
 
 def read_labels(path: Path) -> list[dict[str, Any]]:
-    """The entry of each labelled frame, without its classes."""
-    return [
-        {key: value for key, value in entry.items() if key != "classes"}
-        for _, entry in read_entries(path)
-    ]
+    """A mapping for each frame of a file."""
+    return [entry for _, entry in read_entries(path)]
 
 
 def line_points(frame: dict[str, Any]) -> list[FloatArray]:
@@ -28,14 +25,18 @@ def line_points(frame: dict[str, Any]) -> list[FloatArray]:
     return [np.stack([line.u, line.v], axis=-1) for line in entry_lines(frame, "labels")]
 
 
+def label_picture(frame: dict[str, Any], labels: Path) -> Path:
+    """The picture of a frame, beside the file of its label."""
+    named = labels.parent / frame.get("image", frame.get("raw_file"))
+    return named if named.is_file() else labels.parent / frame["raw_file"].removeprefix("clips/")
+
+
 def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> FloatArray:
-    """Where the labelled lines of a frame lie on the road, (A,), metres to the right.
+    """Where the lines of a frame lie on the road `ahead_m` metres ahead, (A,), metres to the right.
 
     A label's points are brought onto the road and joined by straight lines. A label that ends
     before `ahead_m` is continued by the straight line through the six nearest points; one with
     fewer than three points on the nearer 40 m of the road is left out.
-
-    - ahead_m: the distance ahead, metres, of the places
     """
     places = []
     for points in line_points(frame):
@@ -52,13 +53,3 @@ def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> Float
             fitted = np.polyfit(x[nearest], y[nearest], 1)
             places.append(float(np.polyval(fitted, ahead_m)))
     return np.array(places, dtype=np.float64)
-
-
-def label_picture(frame: dict[str, Any], labels: Path) -> Path:
-    """The picture of a labelled frame, in the folder of the label file. TuSimple's label files name
-    pictures in `clips/`; the file may also lie in that folder itself."""
-    name = str(frame.get("image", frame.get("raw_file")))
-    for place in (labels.parent / name, labels.parent / name.removeprefix("clips/")):
-        if place.is_file():
-            return place
-    raise InputError(f"{labels.parent / name}: the image of a label is missing")

@@ -120,7 +120,7 @@ def stills(labels: Path, **given: Any) -> Measured:
     )
 
 
-def last_frames(folder: Path, labels: Path, *, tracked: bool) -> Measured:
+def last_frames(folder: Path, *, tracked: bool) -> Measured:
     """The last frames of the ten clips, alone or as valid lines after the frames before."""
     camera = tusimple.CAMERA
     detector = find_detector("aly", {}, Path(), "clips")
@@ -161,6 +161,6 @@ def measure() -> list[str]:
         "|---|---|---|---|---|---|---|",
         stills(labels).row("first 55 stills (in-sample)"),
         stills(labels, grouping_type="hough").row("the same, Hough transform"),
-        last_frames(folder, labels, tracked=False).row("ten clips, last frame alone"),
-        last_frames(folder, labels, tracked=True).row("ten clips, tracked"),
+        last_frames(folder, tracked=False).row("ten clips, last frame alone"),
+        last_frames(folder, tracked=True).row("ten clips, tracked"),
     ]

@@ -33,8 +33,8 @@ from makers.camera._labels import (
 
 FILE = "camera/tusimple_frames/labels.jsonl"
 HALF = 55
-#: The camera that the labelled lines of the first half tell, for lanes of 3.66 m; the lens is
-#: assumed (a field of view of 62 degrees).
+
+#: A lens of 62 degrees, and the pose that the labelled lines of the first half show, 3.66 m apart.
 CAMERA = Camera(
     1280,
     720,
@@ -47,6 +47,7 @@ CAMERA = Camera(
     yaw_deg=-0.8592455836525548,
     lane_width_m=3.66,
 )
+
 AHEAD_M = 10.0
 AHEAD = powers(AHEAD_M)
 TOLERANCE_M = 0.35

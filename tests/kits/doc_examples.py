@@ -14,6 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
+from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.containers import TOPICS
 from egolane_pgm.simulation import simulate
 from egolane_pgm.vision.camera.model import write_camera
@@ -136,7 +137,8 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
         shutil.copy(ROOT / "examples" / name, folder)
     write_drive(folder, 600)
     shutil.copy(folder / "lines.csv", folder / "drive.csv")
-    command("convert", folder / "lines.csv", folder / "long.parquet")
+    for name in ("long.parquet", "drive.mcap"):
+        write_lines(folder / name, read_lines(folder / "lines.csv"))
     head, rows = (folder / "lines.csv").read_text().split("\n", 1)
     assert head.startswith("frame_id,line,offset_m,")
     others = head.replace("frame_id,line,offset_m", "frame,id,lateral")

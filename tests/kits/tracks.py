@@ -1,4 +1,4 @@
-"""The recorded drive with GNSS: Rotterdam, github tomdries/gps-lane-changes (BSD-2)."""
+"""A recorded drive with GNSS near Rotterdam: github tomdries/gps-lane-changes (BSD-2)."""
 
 from __future__ import annotations
 

@@ -14,8 +14,10 @@ from tests.kits.lane_maps import road_rows
 
 def log_of(time_s: Sequence[float]) -> LineLog:
     """A log without lines."""
-    n = len(time_s)
-    return LineLog.make(np.arange(n), np.array(time_s, dtype=float), np.full((n, 1), np.nan))
+    nan = np.full((len(time_s), 1), np.nan)
+    no = np.zeros((len(time_s), 1), dtype=bool)
+    frame_id = np.arange(len(time_s))
+    return LineLog(frame_id, np.array(time_s, dtype=float), nan, no, no, nan, no[:, 0])
 
 
 @pytest.mark.parametrize(

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 
 import numpy as np
 import pyproj
 import pytest
-from click.testing import CliRunner
 
-from egolane_pgm.command import egolane
 from egolane_pgm.maps import load_map
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points
 from egolane_pgm.maps.osm import read_osm
@@ -108,30 +105,3 @@ def test_lengths_are_those_of_a_geodesic() -> None:
     exact = pyproj.Geod(ellps="WGS84").line_length(point[80:, 1], point[80:, 0])
     assert along[80] == 0
     assert along[199] == pytest.approx(exact, rel=1e-6)
-
-
-def test_the_command_writes_lanes_and_draws_them(tmp_path: Path) -> None:
-    ways = [(10, [1, 2], ROAD), (12, [2, 4], {**ROAD, "lanes": 3})]
-    path = write_osm(tmp_path / "a.osm", NODES, ways)
-    lanes, plot = tmp_path / "lanes.parquet", tmp_path / "lanes.png"
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        ran = CliRunner().invoke(egolane, ["map", str(path), "-o", str(lanes), "--plot", str(plot)])
-    assert ran.exit_code == 0, ran.output
-    assert "2 segments, 1.5 km of carriageway (© OpenStreetMap contributors, ODbL)" in ran.output
-    assert "lanes: 0.5 km with 2, 1.0 km with 3" in ran.output
-    assert plot.stat().st_size > 10_000
-    assert len(load_map(lanes)) == 2
-    near = ["--around", "51.0", "14.007", "150"]
-    ran = CliRunner().invoke(egolane, ["map", str(lanes), "--plot", str(plot), *near])
-    assert ran.exit_code == 0, ran.output
-    for words, message in (
-        (["--around", "20", "14", "150", "--plot", str(plot)], "no road lies there"),
-        (near, "--around: needs plot"),
-        (["-o", str(tmp_path / "lanes.csv")], "a lane graph is a .parquet file"),
-        (["--plot", str(tmp_path / "lanes.jpg")], "a figure ends in"),
-        (["-o", str(lanes)], "is read here"),
-    ):
-        ran = CliRunner().invoke(egolane, ["map", str(lanes), *words])
-        assert ran.exit_code == 2
-        assert message in ran.output

@@ -1,4 +1,4 @@
-"""A recorded drive with GNSS: on which road it is."""
+"""A recorded drive with GNSS: on which road it was."""
 
 from __future__ import annotations
 

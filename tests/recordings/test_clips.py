@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError, LineLog
@@ -144,8 +145,9 @@ def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:
 def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.json", [p for c in OFFICIAL for p in pictures(c, range(12))])
     camera = saved_camera(tmp_path)
-    said = refused("convert", labels, tmp_path / "a.csv", "--camera", camera)
-    assert said == (
+    with pytest.raises(InputError) as caught:
+        write_lines(tmp_path / "a.csv", read_lines(labels, camera=camera))
+    assert str(caught.value) == (
         f"{labels}: has 3 clips, the first {OFFICIAL[0]}; a file that is written holds one drive"
     )
     (tmp_path / "truth.txt").write_text("0;1;0\n")

@@ -14,7 +14,7 @@ from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.tuning.search import check_sampler
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.export import export
+from egolane_pgm.verbs.plot import plot
 from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
 from tests.kits.tiny_result import a_result
 
@@ -23,7 +23,7 @@ AT_ONCE = ("page.document", "page.timeline", "export.mcap_file")
 
 
 def exported(file: Path) -> None:
-    export(file.parent, file)
+    plot(file.parent, out=file)
 
 
 def sampler(_: Path) -> None:

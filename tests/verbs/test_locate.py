@@ -50,8 +50,6 @@ def test_a_number_of_lanes_that_the_map_does_not_tell_is_said(files: tuple[str, 
     graph = interchange()
     untold = replace(graph, n_lanes=graph.n_lanes * (graph.way != 101))
     lane_graph.save(untold, files[0])
-    done = CliRunner().invoke(egolane, ["map", files[0]])
-    assert "1.0 km with an unknown number (way 101)" in done.output
     assert "lanes: 2 (a guess in " in run(*files[:2], "-o", files[2], *NAMED).output
 
 

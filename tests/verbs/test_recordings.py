@@ -1,31 +1,21 @@
-"""The commands `data`, `convert` and `show --frame`."""
+"""The commands `data` and `show --frame`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from egolane_pgm.recordings import catalog, read_lines
+from egolane_pgm.recordings import catalog
 from egolane_pgm.recordings.table import write_table
 from tests.kits.box import BOX, box_log
 from tests.kits.drives import (
-    N_FRAMES,
     command,
     done,
     refused,
-    short_drive,
     write_drive,
     write_experiment,
 )
-
-
-def test_the_topic_of_a_bag_is_a_name(tmp_path: Path) -> None:
-    write_table(tmp_path / "a.csv", short_drive(30).log)
-    done("convert", tmp_path / "a.csv", tmp_path / "a.bag")
-    said = refused("convert", tmp_path / "a.bag", tmp_path / "b.csv", "--set", "topic=5")
-    assert "topic 5" in said
 
 
 def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> None:
@@ -36,16 +26,6 @@ def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> 
     said = refused("show", experiment, "--frame", 1235)
     assert said.endswith("has no frame 1235; the nearest is 1234 (frames 1234 to 1237)")
     assert refused("show", "lane_only", "--frame", 1) == "--frame: goes with an experiment"
-
-
-def test_conversions_keep_every_line(tmp_path: Path, drive: Path) -> None:
-    source = drive.parent / "lines.csv"
-    shown = done("convert", source, tmp_path / "a.parquet").stdout
-    assert shown == f"{tmp_path / 'a.parquet'}: {N_FRAMES} frames, ids 0 to {N_FRAMES - 1}\n"
-    done("convert", tmp_path / "a.parquet", tmp_path / "b.csv")
-    assert (tmp_path / "b.csv").read_bytes() == source.read_bytes()
-    one, other = read_lines(tmp_path / "a.parquet"), short_drive().log
-    np.testing.assert_array_equal(one.offset_m, other.offset_m)
 
 
 def test_data_list_shows_the_files_where_a_run_would_find_them(
@@ -86,8 +66,6 @@ def test_data_verify_looks_where_a_run_would_look(
 def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
     write_drive(tmp_path, 20)
     lines = tmp_path / "lines.csv"
-    assert "cannot be written" in refused("convert", lines, tmp_path / "no" / "a.csv")
-    assert "unknown extension '.txt'" in refused("convert", lines, tmp_path / "a.txt")
     assert "cannot be created" in refused("simulate", "--out", lines / "below")
     (tmp_path / "taken" / "experiment.yaml").mkdir(parents=True)
     assert "cannot be written" in refused("simulate", "--out", tmp_path / "taken")

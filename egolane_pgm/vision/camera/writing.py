@@ -13,17 +13,8 @@ from egolane_pgm.tools.files import check_place, temporary_folder, write_bytes
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 
-#: Extensions of the pictures that a user may name.
-PICTURES = (".png", ".jpg", ".jpeg")
-
 #: The codec that every build of OpenCV can write.
 CODEC = "mp4v"
-
-
-def check_picture_name(path: str | Path) -> None:
-    """Raises InputError for a name without an extension in `PICTURES`."""
-    if Path(path).suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
 
 
 def write_picture(file: Path, image: Image) -> None:

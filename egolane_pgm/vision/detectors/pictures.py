@@ -38,9 +38,9 @@ class Pictures:
 
     def check(self) -> None:
         """See `Source`."""
-        self._parts()
+        self.parts()
 
-    def _parts(self) -> tuple[Detector, Camera, PictureFiles, PictureFiles | None]:
+    def parts(self) -> tuple[Detector, Camera, PictureFiles, PictureFiles | None]:
         """The detector, its camera and its pictures (left, and right or None)."""
         experiment = self.experiment
         recording, source = experiment.recording, experiment.source
@@ -73,7 +73,7 @@ class Pictures:
         )
 
         recording = self.experiment.recording
-        detector, camera, left, right = self._parts()
+        detector, camera, left, right = self.parts()
         camera = camera_of_pictures(camera, left)
         pictures = bar(
             read_pictures(left, camera, right, recording.frames),

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.table import read_table
 from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
@@ -157,7 +158,7 @@ def test_the_frame_number_is_the_last_number_of_a_name() -> None:
 def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.jsonl", [entry(k, classes=[4, 1, 1]) for k in range(30)])
     camera = saved_camera(tmp_path)
-    done("convert", labels, tmp_path / "a.parquet", "--camera", camera)
+    write_lines(tmp_path / "a.parquet", read_lines(labels, camera=camera))
     log = read_table(tmp_path / "a.parquet")
     np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (30, 1)), atol=0.01)
     assert log.lri[-1].tolist() == [10, 10, 10]
@@ -192,20 +193,16 @@ def test_options_of_the_format_are_given_in_the_yaml(tmp_path: Path) -> None:
 
 def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.jsonl", [entry(1)])
-    said = refused("convert", labels, tmp_path / "a.csv")
-    assert said.startswith(f"{labels}: its lines are in pixels: name the camera's YAML file")
-    assert not (tmp_path / "a.csv").exists()
-    said = refused("convert", labels, tmp_path / "a.csv", "--camera", tmp_path / "none.yaml")
-    assert "none.yaml: cannot be read: No such file" in said
+    with pytest.raises(InputError, match="its lines are in pixels: name the camera's YAML file"):
+        read_lines(labels)
+    with pytest.raises(InputError, match=r"none\.yaml: cannot be read: No such file"):
+        read_lines(labels, camera=tmp_path / "none.yaml")
     experiment = write_experiment(
         tmp_path / "e.yaml", recording={"path": "a.jsonl"}, ground_truth=None
     )
     said = refused("run", "--dry-run", experiment)
     missing = f"{experiment}: recording.camera: is missing; the lines of a.jsonl are in pixels"
     assert said.startswith(missing)
-    target = tmp_path / "b.jsonl"
-    said = refused("convert", labels, target, "--camera", saved_camera(tmp_path))
-    assert said == f"{target}: a recording is written as .csv, .parquet, .bag or .mcap"
 
 
 def test_frames_valid_flags_and_where_it_is_measured_are_as_asked(tmp_path: Path) -> None:

@@ -94,9 +94,9 @@ def follower(
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
     keep = keep_on_road(camera, parameters)
-    # With two cameras the plane of the road corrects the pitch.
-    action = "warn" if road and parameters["camera_drift"] == "correct" else None
-    parameters = {**parameters, "camera_drift": action or parameters["camera_drift"]}
+    if road is not None and parameters["camera_drift"] == "correct":
+        # The plane of the road corrects the pitch.
+        parameters = {**parameters, "camera_drift": "warn"}
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct"
     turned, corrected_deg = turned_up(view), 0.0
