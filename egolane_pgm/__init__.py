@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     from egolane_pgm.verbs.simulate import simulate as simulate
     from egolane_pgm.verbs.tune import tune as tune
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 #: The module of each public name.
 _PUBLIC = {
