@@ -70,7 +70,7 @@ def show(
     """
     given = "" if name is None else path_of(name, "name")
     if out is not None:
-        check_ending(out)
+        check_ending(Path(out))
     if not given or given in listing.KINDS:
         found = listing.listed(given or None)
     elif given.partition(":")[0] == "schema":
@@ -170,7 +170,7 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
         return found | describe_detector(module)
     compiled = compile_defaults(bare, module, n_lanes)
     if out is not None:
-        write_network(compiled, out)
+        write_network(compiled, Path(out))
     return found | describe_graph(module, compiled, numbers=tables)
 
 

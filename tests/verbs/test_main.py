@@ -20,7 +20,7 @@ from tests.kits.synthetic_road import write_place
 @pytest.mark.parametrize(
     ("words", "missing"),
     [
-        (("map",), "argument 'FILE'"),
+        (("locate", "roads.osm"), "argument 'POSITIONS'"),
         (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
     ],
 )
