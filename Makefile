@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera tuned rendered compared maps benchmark cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera tuned maps benchmark cluster-demo fuzz clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -23,6 +23,7 @@ check: .venv/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python .ci/budget
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
@@ -57,8 +58,8 @@ SHORT := sed '/^| recording /,/^$$/d'
 RUNS := results/runs
 NO_BONUS := --set parameters.bonus_value=0 --set name=run03_no_bonus
 paper: .venv/.run
-	$(BIN)/egolane reproduce --out $(RUNS) > results/paper/reproduction.md
-	$(BIN)/egolane compare | $(SHORT) > results/paper/graphs.md
+	$(BIN)/egolane reproduce --wide --out $(RUNS) > results/paper/reproduction.md
+	$(BIN)/egolane compare --wide | $(SHORT) > results/paper/graphs.md
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures --out $(RUNS)/run03_bonus
 	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures $(NO_BONUS) --out $(RUNS)/run03_no_bonus
 	$(BIN)/egolane plot $(RUNS)/run01_italy_ml --frames 1880 2700 --out results/paper
@@ -76,9 +77,9 @@ SEARCH := --set tuning.trials=420 --jobs 2
 EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregressive_wor.yaml)
 graphs: .venv/.run
 	mkdir -p results/graphs
-	$(BIN)/egolane compare --graphs $(GRAPHS) --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs | $(SHORT) > results/graphs/graphs.md
+	$(BIN)/egolane compare --graphs $(GRAPHS) --wide --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs | $(SHORT) > results/graphs/graphs.md
 	cp $(RUNS)/graphs/differences.png results/graphs/graphs.png
-	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 | $(SHORT) > results/graphs/learned.md
+	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide | $(SHORT) > results/graphs/learned.md
 
 # results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
 # road (a quarter of an hour of two cores; repeated, it goes on where it stopped).
@@ -92,10 +93,10 @@ beyond: .venv/.dev
 	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
 
-# results/benchmark/: the public board (a quarter of an hour of two cores). Needs the paper's
+# results/benchmark/: the public board (some minutes of two cores). Needs the paper's
 # recordings; the tracks of UAH-DriveSet are scored where EGOLANE_DATA/bench has them.
 benchmark: .venv/.dev
-	$(BIN)/python -m makers.benchmark --out results/benchmark
+	$(BIN)/python -m makers.benchmark
 
 # 400 simulated drives on one process, on two, and on a Dask cluster on this machine, one of whose
 # four workers is killed and one added; the summary is the same (some minutes).
@@ -109,17 +110,7 @@ fuzz: .venv/.dev
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly lane_change labels lstr --out results/camera > results/camera/pictures.md
-
-# What results/camera/ holds of rendered motorways: tables (25 minutes of one core), a frame.
-rendered: .venv/.dev
-	mkdir -p results/camera
-	$(BIN)/python -m makers.camera rendered --out results/camera > results/camera/rendered.md
-
-# All detectors on one rendered drive through the paper's graph: a table and a figure (7 minutes).
-compared: .venv/.dev
-	mkdir -p results/camera
-	$(BIN)/python -m makers.camera compared --out results/camera > results/camera/detectors.md
+	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly drift lane_change lstr --out results/camera > results/camera/pictures.md
 
 # The table of docs/maps.md about matching (some minutes).
 maps: .venv/.dev

@@ -3,7 +3,7 @@ its function's signature and docstring.
 
 Parameters before the `*` become arguments, the others options; types give their checks, and
 `verbs.given.Option` says what name and type do not. A verb whose result has `to_text` gets
-`--format`, one whose result has a `document`, or is a `dict[str, Any]`, gets
+`--format` and `--wide`, one whose result has a `document`, or is a `dict[str, Any]`, gets
 `--json`.
 """
 
@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 #: The short help of each command, whose verb is the function of its name in verbs/. A verb is
 #: imported only when its command is asked for: `--help` stays quick.
 COMMANDS = {
-    "benchmark": "Score entries on drives nobody tuned on, and set them side by side.",
     "calibrate": "Find out how a camera sees the road.",
     "compare": "Put results, or experiments that are run held out, side by side.",
     "data": "List, download and check the paper's recordings.",
@@ -44,7 +43,6 @@ COMMANDS = {
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
     "locate": "Find the road of a car on a map, and what is ahead of it.",
-    "network-check": "Say which layout fits an ONNX file, and the YAML to start from.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",
@@ -94,7 +92,7 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
         params += _params(parameter, hints[parameter.name], said.get(parameter.name, ""))
     results, _ = _parts_of(hints["return"])
     if any(hasattr(result, "to_text") for result in results):
-        params.append(_tables())
+        params += _tables()
     if any(_has_document(result) for result in results):
         help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
         params.append(
@@ -229,16 +227,21 @@ def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
     return click.Path() if is_path else str
 
 
-def _tables() -> click.Parameter:
-    """The option of a command that prints tables."""
+def _tables() -> list[click.Parameter]:
+    """The options of a command that prints tables."""
     style = click.Choice(["markdown", "latex", "csv"])
-    help = (
-        "Of the tables, which are whole in a file and fit the terminal (or COLUMNS); csv is the"
-        " first one alone, one number in a cell."
-    )
-    return click.Option(
-        ["--format", "table_style"], type=style, default="markdown", show_default=True, help=help
-    )
+    of_style = "Of the tables; csv is the first one alone, one number in a cell."
+    of_wide = "Whole tables, for a file, not only what fits the terminal (or COLUMNS, or 80)."
+    return [
+        click.Option(
+            ["--format", "table_style"],
+            type=style,
+            default="markdown",
+            show_default=True,
+            help=of_style,
+        ),
+        click.Option(["--wide"], is_flag=True, help=of_wide),
+    ]
 
 
 # --- what a command does -----------------------------------------------------------------------
@@ -249,13 +252,12 @@ def _invoke(
 ) -> None:
     """Call a verb with what the command line gave, and print what it returns.
 
-    - values: by the names of the parameters; also `table_style`, `json_file` and `cluster`.
+    - values: by the names of the parameters; also `table_style`, `wide`, `json_file` and `cluster`.
     """
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
     from egolane_pgm.verbs.given import several_of
 
-    style = values.pop("table_style", "markdown")
-    wide = "COLUMNS" not in os.environ and not sys.stdout.isatty()
+    style, wide = values.pop("table_style", "markdown"), values.pop("wide", False)
     json_file = values.pop("json_file", None)
     given = {name: value for name, value in values.items() if value != ()}
     cluster = given.pop("cluster", None)

@@ -38,7 +38,6 @@ from egolane_pgm.inference.filtering import piece_frames, step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi
-from egolane_pgm.lane_count import doubt_of_lanes
 from egolane_pgm.model import (
     causality,
     online_output,
@@ -180,7 +179,6 @@ def believe(drive: Drive) -> Believed:
         notes += filter(None, [disagreement(path, beliefs)])
     else:
         assigned = assigned_lane(beliefs.lane, experiment.unassigned_below)
-    notes += filter(None, [doubt_of_lanes(experiment, model, log, filtered)])
     return Believed(
         beliefs,
         assigned,
@@ -378,16 +376,14 @@ def run_in_parts(
 
 def _check_parts(experiment: Experiment) -> None:
     """Raise InputError, naming the key, where a belief needs more than the frames up to its own."""
-    keys = []
+    why = ""
     if not experiment.has_causal_filter:
-        keys.append(f"filter: {experiment.filter} uses later frames")
-    if experiment.decode != "marginal":
-        keys.append(f"decode: {experiment.decode} needs the whole drive")
-    if experiment.gnss is not None or experiment.follows_map:
+        why = f"filter: {experiment.filter} uses later frames"
+    elif experiment.gnss is not None or experiment.follows_map:
         key = "gnss" if experiment.gnss is not None else "n_lanes"
-        keys.append(f"{key}: a road table is laid over the whole drive")
-    if keys:
-        raise InputError(f"{experiment.source}: {keys[0]}; that is not run in parts")
+        why = f"{key}: a road table is laid over the whole drive"
+    if why:
+        raise InputError(f"{experiment.source}: {why}; that is not run in parts")
 
 
 def _parts(drive: Drive) -> Iterator[tuple[Recorded, Believed]]:

@@ -53,8 +53,7 @@ NOTE = "note: "
 
 
 class InputError(ValueError):
-    """An error in what the user gave (a file, a YAML key, an option). Each argument is something
-    that is wrong, said in one line; mostly there is one.
+    """An error in what the user gave (a file, a YAML key, an option), in one line.
 
     >>> import egolane_pgm as ego
     >>> try:

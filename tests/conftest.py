@@ -21,9 +21,6 @@ settings.register_profile("ours", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("ci" if os.environ.get("CI") else "ours")
 
-# Tables fit a terminal of 80 columns, as they do not where a command prints into a file.
-os.environ["COLUMNS"] = "80"
-
 # A search shares itself out to all cores by default; processes of its own cost seconds each time.
 os.environ["LOKY_MAX_CPU_COUNT"] = "1"
 
@@ -36,7 +33,7 @@ needs_compiler = pytest.mark.skipif(
 #: What takes longest, begun first: processes that share the tests by files then end together.
 SLOWEST = (
     *("docs/test_examples.py", "vision/detectors/simple/test_clothoids.py", "makers/test_drift.py"),
-    *("docs/test_site.py", "comparing/test_events.py", "test_lane_count.py", "test_notebooks.py"),
+    *("docs/test_site.py", "comparing/test_events.py", "test_notebooks.py"),
     *("tools/test_jobs.py", "vision/detectors/networks/", "makers/test_labels.py", "tuning/"),
     *("vision/detectors/simple/test_drift.py", "test_dist.py", "test_loading.py", "makers/"),
 )
@@ -110,7 +107,7 @@ def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def tiny_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a lane network that was trained on rendered pictures: lanes.yaml and
+    """A folder with a lane network that was trained on drawn pictures: lanes.yaml and
     drivable.yaml."""
     return write_trained(tmp_path_factory.mktemp("network"))
 

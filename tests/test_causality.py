@@ -17,7 +17,7 @@ from egolane_pgm.plugins import plugin_names
 from egolane_pgm.results import read_result
 from egolane_pgm.types import LineLog
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, printed_into_a_file, short_drive, write_drive
+from tests.kits.drives import done, short_drive, write_drive
 
 N_FRAMES = 600
 
@@ -141,7 +141,7 @@ def test_a_rule_of_ones_own_says_that_it_looks_ahead(tmp_path: Path) -> None:
 def test_several_runs_side_by_side_say_it_in_a_narrow_column(tmp_path: Path) -> None:
     one = write_drive(tmp_path / "a", 60, name="one")
     two = write_drive(tmp_path / "b", 60, name="two", filter="smoothed", tuned_on="same_frames")
-    said = printed_into_a_file("run", one, two, "--no-figures", "--out", tmp_path / "out")
+    said = done("run", one, two, "--no-figures", "--wide", "--out", tmp_path / "out").stdout
     table = said.split("\n\n")[0].splitlines()
     rows = [[cell.strip() for cell in row.split("|")] for row in table]
     last = {row[1]: row[-2] for row in rows if len(row) > 2}

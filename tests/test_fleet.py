@@ -17,7 +17,7 @@ from egolane_pgm.running import OneOfSeveral
 from egolane_pgm.scoring.bootstrap import RESAMPLES, over_drives
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
-from tests.kits.drives import command, printed_into_a_file, refused, write_drive
+from tests.kits.drives import command, done, refused, write_drive
 
 QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
 
@@ -199,8 +199,8 @@ def test_compare_pairs_the_drives_of_a_fleet(tmp_path: Path) -> None:
     fleet = table(tmp_path, text)
     other = tmp_path / "exact.yaml"
     other.write_text(f"include: {QUICKSTART}\nname: exact\nfilter: exact\n")
-    out = printed_into_a_file("compare", QUICKSTART, other, "--fleet", fleet)
-    rows = [line.split("|") for line in out.splitlines() if line.startswith("|")][2:]
+    out = done("compare", QUICKSTART, other, "--fleet", fleet, "--wide")
+    rows = [line.split("|") for line in out.stdout.splitlines() if line.startswith("|")][2:]
     said = [[cell.strip() for cell in row[1:4]] for row in rows]
     assert said == [
         [f"{who}", name, n]

@@ -168,7 +168,6 @@ def test_later_frames_change_nothing_of_what_was_believed(tmp_path: Path) -> Non
 NEEDS_ALL = [
     ({"filter": "smoothed"}, "filter: smoothed uses later frames"),
     ({"filter": "fixed_lag", "lag": 3}, "filter: fixed_lag uses later frames"),
-    ({"filter": "smoothed", "decode": "viterbi"}, "decode: viterbi needs the whole drive"),
     (
         {**POSITION, "parameters": {"lane_width_m": "auto"}},
         "evidence: line_geometry: not causal, the lane width and what the detector's flags",
@@ -251,8 +250,8 @@ def test_a_run_that_is_stopped_leaves_nothing(tmp_path: Path, small_parts: None)
 
 def test_the_command_says_what_run_says(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
-    whole = done("run", path, "--no-figures", "--out", tmp_path / "whole")
-    parts = done("run", path, "--stream", "--out", tmp_path / "parts")
+    whole = done("run", path, "--no-figures", "--out", tmp_path / "whole", "--wide")
+    parts = done("run", path, "--stream", "--out", tmp_path / "parts", "--wide")
     assert LEFT_OUT in parts.stderr
     assert parts.stdout.replace("parts", "whole") == whole.stdout
     both = ("--recording", tmp_path / "lines.csv")

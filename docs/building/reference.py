@@ -32,6 +32,7 @@ from egolane_pgm.verbs.schema import schema as json_schema
 from egolane_pgm.verbs.show import compile_defaults
 from egolane_pgm.views.description import describe_detector, describe_graph, describe_rule
 from egolane_pgm.vision.camera import model as camera
+from egolane_pgm.vision.detectors.networks.description import Network
 
 #: The functions that compute scores, by module, in the order of the page.
 METRICS = (
@@ -41,7 +42,6 @@ METRICS = (
     "stability",
     "events",
     "road",
-    "health",
     "bootstrap",
 )
 
@@ -86,7 +86,7 @@ def experiment_page() -> str:
 
 def yaml_page() -> str:
     """Every key of the other YAML files."""
-    tuning, network = json_schema("tuning"), json_schema("network")
+    tuning = json_schema("tuning")
     said = listed(inspect.getdoc(camera.Camera) or "")
     rows = []
     for field in dataclasses.fields(camera.Camera):
@@ -119,10 +119,8 @@ def yaml_page() -> str:
             "What `graph: ./my_graph.yaml` names; `egolane learn` writes one.",
             as_markdown(inspect.getdoc(yaml_graph) or ""),
             "## A lane network",
-            "What the detector `network` takes (`--set model=net.yaml`); `egolane show"
-            " schema:network` prints its schema.",
-            as_markdown(network["description"]),
-            keys_table(network, {}),
+            "What the detector `network` takes (`--set network=net.yaml`).",
+            as_markdown(inspect.getdoc(Network) or ""),
         ]
     )
 

@@ -38,7 +38,6 @@ from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
-from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.vision.detectors.simple.paint import painted_share
 from egolane_pgm.vision.detectors.simple.parameters import TRACKING
@@ -116,18 +115,13 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     side = number(parameters, "side_m")
     # Only the pixels along the lines are looked at, so that a fine view costs nothing.
     near = make_view(camera, *_PAINT_M, -side, side, along_m=0.1, across_m=0.05)
-    count_repeats = repeat_counter()
     tracks = no_tracks(rule)
 
     def step(picture: Picture) -> FrameLines:
         nonlocal tracks
-        repeated = count_repeats(picture)
-        if repeated >= FROZEN_AFTER:
-            tracks = advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
-        elif not repeated:
-            shape = find(picture.image).shape
-            painted = painted_share(near, picture.image, shape, parameters)
-            tracks = advance(tracks, rule, shape, painted)
+        shape = find(picture.image).shape
+        painted = painted_share(near, picture.image, shape, parameters)
+        tracks = advance(tracks, rule, shape, painted)
         return nearest(lines_of(tracks, rule), int(number(parameters, "lines")))
 
     return step

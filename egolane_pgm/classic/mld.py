@@ -31,7 +31,6 @@ from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 
 STEREO = False
 PARAMETERS = held_fixed(
@@ -121,16 +120,9 @@ def follower(
     road = road_of(camera, reach_m, narrowest_m, widest_m)
     exact_up_to, most = int(number(parameters, "exact_up_to")), int(number(parameters, "lines"))
     rng = np.random.default_rng(0)
-    count_repeats = repeat_counter()
-    nothing = np.zeros(0)
 
     def follow(slots: Slots, picture: Picture) -> Slots:
         check_size(picture.image, camera.width, camera.height)
-        repeated = count_repeats(picture)
-        if 0 < repeated < FROZEN_AFTER:
-            return slots
-        if repeated:
-            return advance(slots, road, nothing, nothing, np.zeros((0, 3)), most, rng)
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
         markings = find_markings(grey.astype(np.uint8, copy=False), road)
         t, u = markings.points(road)

@@ -1,10 +1,16 @@
-"""Simulated motorways: seeded drives as lists of lines, in which the truth is known. `rendering`
-draws the same drives as pictures."""
+"""Simulated motorways: seeded drives as lists of lines, in which the truth is known.
+`vision.simulated` draws the same drives as pictures."""
 
 from __future__ import annotations
 
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
-from egolane_pgm.simulation.presets import PRESETS, Preset, SimulatedDrive, simulate
+from egolane_pgm.simulation.presets import (
+    PRESETS,
+    Preset,
+    SimulatedDrive,
+    simulate,
+    simulated_road,
+)
 from egolane_pgm.simulation.world import Road, World, simulate_road
 
 __all__ = [
@@ -18,4 +24,5 @@ __all__ = [
     "sensor_failures",
     "simulate",
     "simulate_road",
+    "simulated_road",
 ]

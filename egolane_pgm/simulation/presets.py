@@ -8,7 +8,7 @@ from typing import Any
 
 from egolane_pgm.parameters import check_names
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
-from egolane_pgm.simulation.world import World, simulate_road
+from egolane_pgm.simulation.world import Road, World, simulate_road
 from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth, LineLog, suggestion
 
 
@@ -148,16 +148,34 @@ def simulate(
     Raises InputError for an unknown preset or key, with a suggestion, and for a value that is out
     of range, naming the key.
     """
-    if preset not in PRESETS:
-        raise InputError(f"simulation: unknown preset '{preset}'{suggestion(preset, PRESETS)}")
-    world_keys = {f.name for f in fields(World)}
-    check_names(world_keys | {f.name for f in fields(DetectorModel)}, overrides, "simulation")
-    given = {"n_frames": frames, "n_lanes": n_lanes}
-    changes: dict[str, Any] = {**overrides, **{k: v for k, v in given.items() if v is not None}}
-    chosen = PRESETS[preset]
-    world = replace(chosen.world, **{k: v for k, v in changes.items() if k in world_keys})
-    detector = replace(chosen.detector, **{k: v for k, v in changes.items() if k not in world_keys})
-    road = simulate_road(world, seed)
+    check_names(_names(World) | _names(DetectorModel), overrides, "simulation")
+    of_world = {k: v for k, v in overrides.items() if k in _names(World)}
+    road = simulated_road(preset, seed, frames, n_lanes, **of_world)
+    of_detector: dict[str, Any] = {k: v for k, v in overrides.items() if k not in of_world}
+    detector = replace(PRESETS[preset].detector, **of_detector)
     is_failing = sensor_failures(detector, road, seed)
     log = detect_lines(road, is_failing, detector, seed)
-    return SimulatedDrive(log, road.truth, world.n_lanes, road.position_m, is_failing)
+    return SimulatedDrive(log, road.truth, road.n_lanes, road.position_m, is_failing)
+
+
+def simulated_road(
+    preset: str = "quickstart",
+    seed: int = 0,
+    frames: int | None = None,
+    n_lanes: int | None = None,
+    **overrides: float,
+) -> Road:
+    """Simulate the road and the drive along it, without lines of a detector; see `simulate`.
+
+    overrides: replace any fields of `World`, by their names
+    """
+    if preset not in PRESETS:
+        raise InputError(f"simulation: unknown preset '{preset}'{suggestion(preset, PRESETS)}")
+    check_names(_names(World), overrides, "simulation")
+    given = {"n_frames": frames, "n_lanes": n_lanes}
+    changes: dict[str, Any] = {**overrides, **{k: v for k, v in given.items() if v is not None}}
+    return simulate_road(replace(PRESETS[preset].world, **changes), seed)
+
+
+def _names(kind: type) -> set[str]:
+    return {field.name for field in fields(kind)}

@@ -34,7 +34,7 @@ from egolane_pgm.verbs.given import (
 
 EXAMPLES = (
     "egolane compare experiments/quickstart.yaml --graphs sensor_failure,lane_only",
-    "egolane compare experiments/zero_label.yaml --runs 1-10 > table.md",
+    "egolane compare experiments/zero_label.yaml --runs 1-10 --wide > table.md",
 )
 
 #: The graphs that are compared where none is named.

@@ -17,15 +17,13 @@ from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import TuningFile
-from egolane_pgm.vision.detectors.networks.description import Network
 
-Kind = Literal["experiment", "tuning", "network", "comparison", "reproduction"]
+Kind = Literal["experiment", "tuning", "comparison", "reproduction"]
 
 #: The files that have a schema: what is in them.
 KINDS: dict[Kind, Any] = {
     "experiment": Experiment,
     "tuning": TuningFile,
-    "network": Network,
     "comparison": Comparison,
     "reproduction": Reproduction,
 }

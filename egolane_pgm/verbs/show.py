@@ -35,6 +35,7 @@ EXAMPLES = (
     "egolane show",
     "egolane show sensor_failure --tables",
     "egolane show sensor_failure --out network.png",
+    "egolane show lstr_360x640.onnx > lanes.yaml",
     "egolane show schema > experiment.schema.json",
 )
 
@@ -58,7 +59,8 @@ def show(
     listed. NAME is one of these or a file of your own: a graph, an evidence rule, a detector or an
     experiment. `graph:NAME`, `evidence:NAME`, `detector:NAME` and `experiment:NAME` tell apart what
     has the same name. `schema` is the JSON Schema of experiments, `schema:tuning` that of tuning
-    files, and so on.
+    files, and so on. Of a lane network (FILE.onnx): its inputs and outputs, the layout that fits,
+    and the YAML to start from.
 
     - n_lanes: number of lanes of the road.
     - tables: print a graph's tables in numbers.
@@ -70,11 +72,13 @@ def show(
     """
     given = "" if name is None else path_of(name, "name")
     if out is not None:
-        check_ending(Path(out))
+        check_ending(path_of(out, "out"))
     if not given or given in listing.KINDS:
         found = listing.listed(given or None)
     elif given.partition(":")[0] == "schema":
         found = _schema(given.partition(":")[2] or "experiment")
+    elif given.endswith(".onnx"):
+        found = _onnx(Path(given))
     elif _is_yaml(given):
         found = _yaml(given.removeprefix("experiment:"), frame)
     else:
@@ -90,6 +94,8 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """The description as text, or the name of the file that was written."""
     if given.get("out") is not None:
         return str(given["out"])
+    if "yaml" in done:
+        return str(done["yaml"])
     if "$schema" in done:
         return json.dumps(done, indent=1)
     if "kind" not in done:
@@ -99,6 +105,13 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     if "keys" in done:
         return _yaml_text(done)
     return description_text({**done, "file": shown(done["file"])})
+
+
+def _onnx(path: Path) -> dict[str, Any]:
+    # OpenCV is imported only if it is needed.
+    from egolane_pgm.vision.detectors.networks.checking import describe_onnx
+
+    return {"schema_version": SCHEMA_VERSION, "name": str(path), "yaml": describe_onnx(path)}
 
 
 def _schema(kind: str) -> dict[str, Any]:
@@ -170,7 +183,7 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
         return found | describe_detector(module)
     compiled = compile_defaults(bare, module, n_lanes)
     if out is not None:
-        write_network(compiled, Path(out))
+        write_network(compiled, path_of(out, "out"))
     return found | describe_graph(module, compiled, numbers=tables)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import fields, replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -22,15 +21,14 @@ from egolane_pgm.maps.interchange import (
 )
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.simulation import SimulatedDrive
+from egolane_pgm.simulation import Road, SimulatedDrive, simulated_road
 from egolane_pgm.simulation import simulate as make_drive
 from egolane_pgm.simulation.detector import DetectorModel
 from egolane_pgm.tools.files import as_csv, make_directory, write_text, write_yaml
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, suggestion
-from egolane_pgm.verbs.given import Hidden, Option, Progress, Seed, StrPath
-from egolane_pgm.vision.rendering.files import free_places, write_drive
-from egolane_pgm.vision.rendering.scene import Scene, check_settings, make_scene
+from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath
+from egolane_pgm.vision.simulated import write_drive
 
 EXAMPLES = (
     "egolane simulate a4 --out drive --frames 600",
@@ -47,34 +45,29 @@ def simulate(
     frames: int | None = None,
     overrides: Annotated[Mapping[str, Any] | None, Option(example="change_s=5")] = None,
     map: Annotated[StrPath | None, Option("FILE")] = None,
-    mirror: Annotated[bool, Hidden] = False,
+    mirror: bool = False,
     images: bool = False,
-    stereo: bool = False,
-    video: bool = False,
-    png: bool = False,
     progress: Progress = None,
-) -> SimulatedDrive | InterchangeDrive | Scene:
+) -> SimulatedDrive | InterchangeDrive | Road:
     """Simulate a drive: lines.csv, ground_truth.txt and an experiment to run on them.
 
     The preset interchange drives over a map of lanes (one of yours, or one that is made up) and
     writes the map, the positions of a receiver and the road table too.
 
-    With images a rendered motorway: pictures, camera.yaml, the truth about every line.
+    With images pictures of the drive instead of its lines: images/, camera.yaml, and an experiment
+    to run on the lines that a detector finds in them.
 
     - out: their folder.
     - seed: of the drive.
     - n_lanes: number of lanes of the road.
     - frames: length of the drive.
-    - overrides: override a value of the preset's world or detector; with images world or failures.
+    - overrides: override a value of the preset's world or detector; with images of the world.
     - map: with interchange: the map that is driven over, .parquet or .osm.
     - mirror: with interchange: over the map's mirror image.
-    - images: render pictures instead of lines.
-    - stereo: with images: of two cameras.
-    - video: with images: as MP4 instead of JPEG files.
-    - png: with images: PNG, exact and large, instead of JPEG.
+    - images: draw pictures instead of lines.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
-    Returns the drive, of pictures what they are rendered from. Without `out` nothing is written.
+    Returns the drive, with images its road. Without `out` nothing is written.
     Raises InputError, one line, for whatever does not fit.
 
     >>> from egolane_pgm.verbs.simulate import simulate
@@ -84,50 +77,43 @@ def simulate(
     """
     values = dict(overrides or {})
     folder = None if out is None else Path(out)
-    for name, is_given in (("stereo", stereo), ("video", video), ("png", png)):
-        if is_given and not images:
-            raise InputError(f"{name}: needs images")
-    if video and png:
-        raise InputError("video: goes without png")
     if preset == INTERCHANGE:
         if images or n_lanes is not None:
             raise InputError(f"{'images' if images else 'n_lanes'}: goes without {INTERCHANGE}")
         return _interchange(folder, seed, frames, values, map, mirror)
     if map is not None or mirror:
         raise InputError(f"{'mirror' if mirror else 'map'}: goes with {INTERCHANGE} only")
+    for key in ("preset", "seed", "frames", "n_lanes"):
+        if key in values:
+            raise InputError(f"overrides: {key} is a parameter beside it")
+    name = f"simulated_{preset}_{seed}"
     if images:
-        if n_lanes is not None:
-            values["n_lanes"] = n_lanes
-        check_settings(values)
+        road = simulated_road(preset, seed, frames, n_lanes, **values)
         if folder is not None:
-            places = free_places(folder, stereo=stereo, video=video)
-        scene = make_scene(preset, seed, frames, stereo=stereo, **values)
-        if folder is not None:
-            shown = partial(bar, progress=progress, unit="frame")
-            write_drive(scene, folder, preset, seed, places, png=png, progress=shown)
-        return scene
-    for name in ("preset", "seed", "frames", "n_lanes"):
-        if name in values:
-            raise InputError(f"overrides: {name} is a parameter beside it")
+            shown = bar(range(len(road)), progress=progress, unit="frame")
+            write_drive(road, folder, name, shown)
+        return road
     drive = make_drive(preset, seed=seed, frames=frames, n_lanes=n_lanes, **values)
     if folder is not None:
-        _write(folder, drive, f"simulated_{preset}_{seed}", {"n_lanes": drive.n_lanes})
+        _write(folder, drive, name, {"n_lanes": drive.n_lanes})
     return drive
 
 
-def says(done: SimulatedDrive | InterchangeDrive | Scene, given: Mapping[str, Any]) -> str:
+def says(done: SimulatedDrive | InterchangeDrive | Road, given: Mapping[str, Any]) -> str:
     """How long the drive is, and what to do with it."""
     folder = Path(given["out"])
-    if isinstance(done, Scene):
-        return f"{len(done)} frames in {folder}; see {folder / 'README.md'}"
-    run = f"try: egolane run {folder / 'experiment.yaml'}"
+    run = f"egolane run {folder / 'experiment.yaml'}"
+    if isinstance(done, Road):
+        seen = f"{folder / 'images'} --camera {folder / 'camera.yaml'}"
+        detect = f"egolane detect {seen} --detector ml -o {folder / 'lines.parquet'}"
+        return f"{len(done)} frames; try: {detect} && {run}"
     if isinstance(done, SimulatedDrive):
-        return f"{len(done)} frames; {run}"
+        return f"{len(done)} frames; try: {run}"
     at = f"{folder / 'lanes.parquet'} {folder / 'positions.csv'} -o {folder / 'road.parquet'}"
     return (
         f"{len(done)} frames, the number of lanes changes"
         f" {np.count_nonzero(np.diff(done.on_map))} times; road.parquet is the truth,"
-        f" `egolane locate {at}` finds it from the positions; {run}"
+        f" `egolane locate {at}` finds it from the positions; try: {run}"
     )
 
 

@@ -1,1 +1,1 @@
-"""Pictures: cameras, their calibration, the detectors on them, rendered motorways, videos."""
+"""Pictures: cameras, their calibration, the detectors on them, simulated ones, videos."""

@@ -21,17 +21,17 @@ import numpy as np
 from egolane_pgm.classic.aly import PARAMETERS, Found, line_finder
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray
-from egolane_pgm.vision.calibration.labels import (
-    label_picture,
-    label_places,
-    line_points,
-    read_labels,
-)
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.detectors.runner import find_detector, start
 from makers.camera import clips, tusimple
+from makers.camera._labels import (
+    label_picture,
+    label_places,
+    line_points,
+    read_labels,
+)
 
 WIDTH_PX = 640
 MEAN_PX, MEDIAN_PX = 15.0, 20.0
@@ -112,7 +112,7 @@ def measured(pictures: Iterable[tuple[Camera, dict[str, Any], Found]]) -> Measur
 
 def stills(labels: Path, **given: Any) -> Measured:
     """The first 55 stills, each for itself."""
-    camera = tusimple.calibrated(labels)
+    camera = tusimple.CAMERA
     find = line_finder(camera, resolve_parameters(PARAMETERS, given, 1))
     return measured(
         (camera, frame, find(cv2.imread(str(label_picture(frame, labels)))))
@@ -120,9 +120,9 @@ def stills(labels: Path, **given: Any) -> Measured:
     )
 
 
-def last_frames(folder: Path, labels: Path, *, tracked: bool) -> Measured:
+def last_frames(folder: Path, *, tracked: bool) -> Measured:
     """The last frames of the ten clips, alone or as valid lines after the frames before."""
-    camera = tusimple.calibrated(labels)
+    camera = tusimple.CAMERA
     detector = find_detector("aly", {}, Path(), "clips")
     find = line_finder(camera, detector.parameters)
 
@@ -161,6 +161,6 @@ def measure() -> list[str]:
         "|---|---|---|---|---|---|---|",
         stills(labels).row("first 55 stills (in-sample)"),
         stills(labels, grouping_type="hough").row("the same, Hough transform"),
-        last_frames(folder, labels, tracked=False).row("ten clips, last frame alone"),
-        last_frames(folder, labels, tracked=True).row("ten clips, tracked"),
+        last_frames(folder, tracked=False).row("ten clips, last frame alone"),
+        last_frames(folder, tracked=True).row("ten clips, tracked"),
     ]

@@ -23,7 +23,6 @@ import numpy as np
 
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.tables import markdown
-from egolane_pgm.vision.calibration.labels import label_places, read_labels
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from egolane_pgm.vision.detectors.runner import find_detector, start
@@ -38,6 +37,7 @@ from makers.camera._following import (
     runs,
     wilson,
 )
+from makers.camera._labels import label_places, read_labels
 from tests.kits import tusimple_metric
 from tests.kits.tusimple_metric import Score
 
@@ -64,8 +64,8 @@ class Clip:
 
 
 def data() -> Path | None:
-    """The folder with the clips, or None where it or that of the stills is absent."""
-    return data_path("camera/tusimple_clips") if tusimple.data_file() else None
+    """The folder with the clips, or None where it is absent."""
+    return data_path("camera/tusimple_clips")
 
 
 def _name(frame: Mapping[str, Any]) -> str:
@@ -82,9 +82,7 @@ def look_at(
 ) -> tuple[Clip, ...]:
     """Every clip, tracked and single-frame. curve: "clothoid" (mc) or "line" (ml). beyond: which
     of BEYOND are tried."""
-    stills = tusimple.data_file()
-    assert stills is not None
-    camera = tusimple.calibrated(stills)
+    camera = tusimple.CAMERA
     theirs = {_name(frame): frame for frame in read_labels(folder / "mld_output.jsonl")}
     return tuple(
         _look(folder, camera, frame, theirs[_name(frame)], curve, beyond)
@@ -130,9 +128,7 @@ def counts(clips: tuple[Clip, ...], which: str) -> IntArray:
 def columns(folder: Path, name: str) -> dict[str, FloatArray]:
     """By clip the valid lines of a detector in its last frame, (L, R), the columns in the labels'
     rows."""
-    stills = tusimple.data_file()
-    assert stills is not None
-    camera = tusimple.calibrated(stills)
+    camera = tusimple.CAMERA
     found = {}
     for frame in read_labels(folder / "labels.jsonl"):
         step = start(find_detector(name, {}, Path(), "clips"), camera)
@@ -186,7 +182,7 @@ def measure() -> list[str]:
     """The figures as Markdown, or one line that says what is absent."""
     folder = data()
     if folder is None:
-        return ["Clips: camera/tusimple_clips or tusimple_frames is absent (EGOLANE_DATA)."]
+        return ["Clips: camera/tusimple_clips is absent (EGOLANE_DATA)."]
     clips, straight = look_at(folder), look_at(folder, "line", BEYOND[:1])
     n_labels = int(counts(clips, "single")[1])
     lines = [

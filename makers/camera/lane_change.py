@@ -10,7 +10,7 @@ The road has three lanes at first, the left one behind the block markings: n = 3
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,11 +19,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from egolane_pgm.types import LineLog
-from egolane_pgm.views.tables import markdown
-from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, USUAL_LANE_M, Camera
+from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from makers._running import run_of
-from makers.camera import clips, tusimple
 from makers.camera._following import (
     ZERO_LABEL,
     Followed,
@@ -73,21 +71,21 @@ def data() -> Path | None:
 
 
 @cache
-def camera_of(folder: Path, first: int = 50) -> Camera:
+def camera_of(folder: Path) -> Camera:
     """Calibrated by the command from the lines it finds in the first pictures."""
     masks = [word for hidden in HIDDEN for word in ("--ignore", hidden)]
     with TemporaryDirectory() as place:
         return calibrate(
             Path(place) / "camera.yaml",
             *("--stills", folder / "*.jpg", "--lane-width", LANE_WIDTH_M, "--roll", -1.5),
-            *("--first", first, *masks),
+            *masks,
         )
 
 
 @cache
-def follow_pictures(folder: Path, curve: str = "clothoid", first: int = 50) -> Followed:
+def follow_pictures(folder: Path, curve: str = "clothoid") -> Followed:
     """The detector over the pictures, the camera calibrated from the first of them."""
-    camera = camera_of(folder, first)
+    camera = camera_of(folder)
     return follow(read_pictures(open_source(folder), camera), camera, curve, **SETTINGS)
 
 
@@ -143,53 +141,4 @@ def measure() -> list[str]:
         )
         cells = changes_and_lanes(followed.log(RATE))
         lines.append(f"| {name} | {crossed} | {' | '.join(cells)} |")
-    return [*lines, "", *_by_defaults(folder)]
-
-
-def _by_defaults(folder: Path) -> list[str]:
-    """The table of what is told by a user who sets nothing."""
-    ten, stills = clips.data(), tusimple.data_file()
-    if ten is None or stills is None:
-        return ["With defaults: camera/tusimple_clips or tusimple_frames is absent (EGOLANE_DATA)."]
-    drives = [(folder, camera_of(folder), RATE)]
-    drives += [(clip, tusimple.calibrated(stills), clips.RATE) for clip in sorted(ten.glob("*/*/"))]
-    own = [(place, _own_camera(place), rate) for place, _, rate in drives]
-    rows = [
-        [name, detector, str(n), *_told(given, curve, n)]
-        for name, given in (("own pictures", own), ("as above", drives))
-        for detector, curve in (("ml", "line"), ("mc", "clothoid"))
-        for n in (2, 3)
-    ]
-    low, most = USUAL_HEIGHTS
-    doubted = sum(not low <= camera.height_m <= most for _, camera, _ in own[1:])
-    header = ["camera", "detector", "lanes"]
-    header += [f"{where}, {graph}" for where in ("here", "clips") for graph in ("paper", "zero")]
-    return [
-        "Lane changes told to the left and to the right with the detectors' defaults, here, where"
-        f" there is one to the right, and in the {len(own) - 1} clips of a second, where there is"
-        " none; the paper's graph and zero labels. Camera: `calibrate` on the drive's own pictures"
-        f" with lanes of {USUAL_LANE_M} m and nothing else said (of those of the clips, {doubted}"
-        f" are not {low:g} to {most:g} m high, which `calibrate` and `detect` say), or that of the"
-        " tables above.",
-        "",
-        *markdown(header, rows).splitlines(),
-    ]
-
-
-def _own_camera(folder: Path) -> Camera:
-    """What `calibrate` makes of a drive's pictures."""
-    with TemporaryDirectory() as place:
-        words = ("--stills", folder / "*.jpg", "--lane-width", USUAL_LANE_M)
-        return calibrate(Path(place) / "camera.yaml", *words)
-
-
-def _told(drives: Sequence[tuple[Path, Camera, float]], curve: str, n_lanes: int) -> list[str]:
-    """The cells of one row: the lane changes told in the first of some drives (its pictures, camera
-    and frame rate) by both graphs, then those in the others."""
-    told = np.zeros((2, 2, 2), dtype=int)
-    for k, (place, camera, rate) in enumerate(drives):
-        log = follow(read_pictures(open_source(place), camera), camera, curve).log(rate)
-        for graph, keys in enumerate(({}, ZERO_LABEL)):
-            side = run_of(log, n_lanes, rate, **keys).events.direction
-            told[min(k, 1), graph] += (side < 0).sum(), (side > 0).sum()
-    return [f"{left}, {right}" for where in told for left, right in where]
+    return lines

@@ -1,15 +1,14 @@
 """A real lane network, LSTR, beside our detectors: on the stills and clips of `tusimple` and
-`clips` and on the two videos of `carnd` and `lane_change`, as these describe them.
+`clips` and on the video of `carnd`, as these describe them.
 
 LSTR was trained on TuSimple's training set, of which the stills and the clips are part: there it is
-in-sample. It has seen nothing of the two videos, whose horizons are lower: beside its answer to the
-whole picture stands that to a picture whose sky is cut off (`cut_top`) until the horizon is as high
-as in TuSimple's. Nothing else was chosen for it.
+in-sample. It has seen nothing of the video, whose horizon is lower: its answer to the whole picture
+is shown with that to a picture whose sky is cut off (`cut_top`) until the horizon is as high as in
+TuSimple's. Nothing else was chosen for it.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
@@ -21,7 +20,6 @@ import numpy as np
 import yaml
 
 from egolane_pgm.views.tables import markdown
-from egolane_pgm.vision.calibration.labels import label_picture, label_places, read_labels
 from egolane_pgm.vision.camera.model import Camera, vanishing_point
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
@@ -30,12 +28,13 @@ from egolane_pgm.vision.detectors.networks.description import READY, read_networ
 from egolane_pgm.vision.detectors.networks.finding import network_finder
 from egolane_pgm.vision.detectors.runner import detect, find_detector
 from egolane_pgm.vision.detectors.simple.fit import view_for
-from makers.camera import carnd, clips, lane_change, tusimple
+from makers.camera import carnd, clips, tusimple
 from makers.camera._following import data_path, runs
+from makers.camera._labels import label_picture, label_places, read_labels
 
 FILE = "networks/lstr_360x640.onnx"
 VIDEO_COLUMNS = ["", "both ego lines", "width", "left, right continuous"]
-VIDEO_COLUMNS += ["the paper's graph", "zero labels", "pictures/s"]
+VIDEO_COLUMNS += ["the paper's graph", "zero labels"]
 
 #: The detectors that are compared; on the videos the network also with the sky cut off.
 NAMES = ("lstr", "ml", "mc")
@@ -61,7 +60,7 @@ def detector(name: str, **given: Any) -> Any:
 
 def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
     """Lines and labels of some of the stills, single frames, as `tusimple.look_at`."""
-    camera, found = tusimple.calibrated(labels), detector("lstr")
+    camera, found = tusimple.CAMERA, detector("lstr")
     parameters = found.parameters
     view = view_for(camera, parameters)
     find = network_finder(camera, read_network(parameters["network"]), parameters)
@@ -92,9 +91,7 @@ def followed(
 @cache
 def on_clips(folder: Path, name: str, beyond: str = clips.BEYOND[0]) -> np.ndarray:
     """(4,): labels found, labels, lines that are labelled, lines, of the last frames, tracked."""
-    labels = tusimple.data_file()
-    assert labels is not None
-    camera, total = tusimple.calibrated(labels), np.zeros(4)
+    camera, total = tusimple.CAMERA, np.zeros(4)
     for frame in read_labels(folder / "labels.jsonl"):
         clip = Path(frame["raw_file"]).parent
         pictures = read_pictures(open_source(folder / str(clip).removeprefix("clips/")), camera)
@@ -133,9 +130,7 @@ def _still_rows(labels: Path) -> list[list[str]]:
 def _video_row(name: str, folder: Path) -> list[str]:
     camera = carnd.camera_of(folder)
     pictures = list(read_pictures(open_source(folder / "test_video.mp4"), camera))
-    began = time.perf_counter()
     log = as_log(followed(name, camera, pictures), carnd.RATE)
-    speed = len(log) / (time.perf_counter() - began)
     lane, first = carnd.ego_lane(log), round(carnd.FROM_S * carnd.RATE)
     both = np.isfinite(lane.width_m)
     width = lane.width_m[both]
@@ -147,30 +142,21 @@ def _video_row(name: str, folder: Path) -> list[str]:
         f"{solid[0]:.0%}, {solid[1]:.0%}",
         runs(lane.lane[first:]),
         runs(lane.lane_zero[first:]),
-        f"{speed:.0f}",
     ]
-
-
-def _change_row(name: str, folder: Path) -> list[str]:
-    camera = lane_change.camera_of(folder)
-    given = lane_change.SETTINGS if name in ("ml", "mc") else {}
-    pictures = read_pictures(open_source(folder), camera)
-    log = as_log(followed(name, camera, pictures, **given), lane_change.RATE)
-    return [name, *lane_change.changes_and_lanes(log)]
 
 
 def measure() -> list[str]:
     """The figures as Markdown, or one line that says what is absent."""
-    labels, folders = tusimple.data_file(), (clips.data(), carnd.data(), lane_change.data())
+    labels, folders = tusimple.data_file(), (clips.data(), carnd.data())
     if data_file() is None or labels is None or None in folders:
         return [f"A real network: {FILE} or the pictures are absent (EGOLANE_DATA)."]
-    of_clips, of_video, of_change = (folder for folder in folders if folder is not None)
+    of_clips, of_video = (folder for folder in folders if folder is not None)
     return [
         "### A real lane network beside our detectors",
         "",
         "LSTR (`network=lstr`; its ONNX of 640 x 360) was trained on TuSimple's training set:"
-        " stills and clips are part of that, so in-sample for it; the two videos are not. The"
-        f" horizon of the videos is lower than TuSimple's; in `{CUT}` it is as high (`cut_top`).",
+        " stills and clips are part of that, so in-sample for it; the video is not. Its"
+        f" horizon is lower than TuSimple's; in `{CUT}` it is as high (`cut_top`).",
         "",
         "Single stills, no tracking, as above; the first 55, then the last 55:",
         "",
@@ -188,18 +174,10 @@ def measure() -> list[str]:
             ],
         ).splitlines(),
         "",
-        "The video in the leftmost lane (out-of-sample), n = 4; lanes from"
-        f" {carnd.FROM_S} s on; pictures a second of this machine:",
+        f"The video in the leftmost lane (out-of-sample), n = 4; lanes from {carnd.FROM_S} s on:",
         "",
         *markdown(
             VIDEO_COLUMNS,
             [_video_row(name, of_video) for name in (CUT, *NAMES)],
-        ).splitlines(),
-        "",
-        "The lane change to the right (out-of-sample), n = 3:",
-        "",
-        *markdown(
-            ["", *lane_change.CHANGES_AND_LANES],
-            [_change_row(name, of_change) for name in (CUT, *NAMES)],
         ).splitlines(),
     ]

@@ -1,7 +1,7 @@
 """What the positions of four real receivers add to lines, on one trip near Rotterdam.
 
 The lane changes, the numbers of lanes and the positions are as they were; the lines are frames of
-the paper's recordings, laid on these lane changes (`egolane_pgm.benchmark.making`). The map does
+the paper's recordings, laid on these lane changes (`makers.benchmark.tracks`). The map does
 not say where the way's line lies across the road. `told` puts it, stretch by stretch, where the
 receivers have it in the median, to half a lane, as a map with placement would; `not told` takes it
 for the middle, as the package does.
@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import egolane_pgm as ego
-from egolane_pgm.benchmark.making import DONORS, RATE, Change, donor, driven, stretches_of
 from egolane_pgm.experiment import Gnss, load_experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.maps.lanes_from_gnss import across
@@ -23,8 +22,9 @@ from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.on_map import with_positions
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.model import make_evidence, prepare_model
-from egolane_pgm.simulation.transplanting import transplanted
 from egolane_pgm.types import BoolArray, FloatArray, LaneTruth, LineLog
+from makers.benchmark.tracks import DONORS, Change, donor, driven, stretches_of
+from makers.benchmark.transplanting import RATE, transplanted
 from makers.maps._drives import data
 from tests.kits.lane_maps import without_lines
 from tests.kits.tracks import ROTTERDAM, rotterdam_receivers, rotterdam_road

@@ -1,7 +1,7 @@
-"""The detectors on a rendered drive at 1280x720: frames per second, and where the time goes.
+"""The detectors on a simulated drive at 1280x720: frames per second, and where the time goes.
 
 `python -m tests.benchmarks.bench_camera` prints these rows alone. CPU time on one thread, pictures
-already decoded. A detector's own row is the median over the last frames of a drive in traffic, with
+already decoded. A detector's own row is the median over the last frames of a drive, with
 tracking. Below it stand its functions, with all that they call, that take a twentieth of its time
 or more: means per frame as Python's profiler tells them, which makes short functions look slower.
 Where the first 55 of the labelled stills are at hand (EGOLANE_DATA), detectors for one camera run
@@ -14,28 +14,30 @@ import cProfile
 import pstats
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import cv2
 
 from egolane_pgm.plugins import plugin_names
+from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision import detectors
-from egolane_pgm.vision.calibration.labels import label_picture, read_labels
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.runner import Detector, find_detector, start
-from egolane_pgm.vision.rendering.render import render_frame
-from egolane_pgm.vision.rendering.scene import make_scene
+from egolane_pgm.vision.simulated import draw_frame
 from makers.camera import tusimple
+from makers.camera._labels import label_picture, read_labels
 
 HEADER = ("camera picture, 1280x720", "per frame", "frames per second")
 FRAMES = 60
 
 #: The first frames do not count: kernels are compiled, and the camera is looked at more closely.
 _WARM_UP = 20
-CAMERA = Camera(1280, 720, 1000.0, 1000.0, 639.5, 300.0, 1.5, pitch_deg=-1.0)
+CAMERA = Camera(1280, 720, 1000.0, 1000.0, 639.5, 300.0, 1.5, pitch_deg=-1.0, baseline_m=0.4)
+PAIR = CAMERA, replace(CAMERA, lateral_m=0.4)
 
 #: The least share of a detector's time at which a function is listed.
 _LEAST_SHARE = 0.05
@@ -49,20 +51,19 @@ def camera_lines(frames: int = FRAMES) -> list[Line]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        scene = make_scene("a4", seed=0, frames=frames, stereo=True, camera=CAMERA)
-        rendered = [render_frame(scene, k) for k in range(frames)]
-        pictures = [Picture(f.frame_id, f.image, f.right) for f in rendered]
+        road = simulated_road("a4", 0, frames)
+        pictures = [Picture(k, *(draw_frame(road, k, c) for c in PAIR)) for k in range(frames)]
         lines = []
         for name in plugin_names("detectors"):
             try:
                 detector = find_detector(name, {}, Path.cwd(), "detector")
-                start(detector, scene.camera)
+                start(detector, CAMERA)
             except InputError:
                 continue
-            lines.append((f"**{name}**", _seconds(detector, scene.camera, pictures)))
+            lines.append((f"**{name}**", _seconds(detector, CAMERA, pictures)))
             if not detector.is_stereo and tusimple.data_file():
                 lines.append((f"**{name}**, real stills", _seconds(detector, *_stills())))
-            lines += _functions(detector, scene.camera, pictures)
+            lines += _functions(detector, CAMERA, pictures)
         return lines
     finally:
         cv2.setNumThreads(threads)
@@ -73,7 +74,7 @@ def _stills() -> tuple[Camera, list[Picture]]:
     assert labels is not None
     files = [label_picture(frame, labels) for frame in read_labels(labels)[: tusimple.HALF]]
     pictures = [Picture(k, cv2.imread(str(file))) for k, file in enumerate(files)]
-    return tusimple.calibrated(labels), pictures
+    return tusimple.CAMERA, pictures
 
 
 def _seconds(detector: Detector, camera: Camera, pictures: Sequence[Picture]) -> float:

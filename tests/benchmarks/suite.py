@@ -25,7 +25,6 @@ from tests.benchmarks import (
     bench_cold,
     bench_fleet,
     bench_memory,
-    bench_planning,
     peers,
 )
 from tests.benchmarks.bench_tune import markdown, tune_lines
@@ -64,11 +63,9 @@ def _all_lines(rounds: int) -> Iterator[str]:
     yield from table(_rows(data, rounds))
     yield f"\n{NOTE}\n"
     yield from markdown(tune_lines())
-    pictures = bench_camera.camera_lines()
-    yield f"\n{bench_camera.markdown(pictures)}"
+    yield f"\n{bench_camera.markdown(bench_camera.camera_lines())}"
     yield bench_cold.markdown(bench_cold.cold_lines())
     yield bench_fleet.markdown(bench_fleet.fleet_lines())
-    yield bench_planning.markdown(bench_planning.planning_lines(), pictures)
     yield from bench_memory.memory_lines()
 
 

@@ -33,15 +33,7 @@ from egolane_pgm.views.comparison_tables import (
 from egolane_pgm.views.events import event_comparison_rows
 from egolane_pgm.views.tables import page
 from tests.conftest import needs_compiler
-from tests.kits.drives import (
-    command,
-    done,
-    geometry,
-    printed_into_a_file,
-    refused,
-    simulated,
-    write_drive,
-)
+from tests.kits.drives import command, done, geometry, refused, simulated, write_drive
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning"),
@@ -351,7 +343,7 @@ def test_changes_in_frames_of_untrusted_labels_are_not_counted() -> None:
 def test_lane_changes_have_a_row_per_recording_and_one_for_all(tmp_path: Path) -> None:
     paths = [write_drive(tmp_path / name, name="one", n_frames=400) for name in ("a", "b")]
     target = tmp_path / "all.json"
-    shown = printed_into_a_file("compare", *paths, "--events", "--json", target)
+    shown = done("compare", *paths, "--events", "--wide", "--json", target).stdout
     found = json.loads(target.read_text())
     header, rows = event_comparison_rows(found)
     assert {len(row) for row in rows} == {len(header)}
@@ -400,7 +392,7 @@ def stored(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
 def test_stored_results_are_scored_as_they_were_and_named_by_their_directories(
     stored: list[Path], tmp_path: Path
 ) -> None:
-    shown = printed_into_a_file("compare", *stored, "--json", tmp_path / "x.json")
+    ran = done("compare", *stored, "--wide", "--json", tmp_path / "x.json")
     found = json.loads((tmp_path / "x.json").read_text())
     assert not found["held_out"]
     (recording,) = found["recordings"]
@@ -411,7 +403,7 @@ def test_stored_results_are_scored_as_they_were_and_named_by_their_directories(
         del scores["mean_log_evidence"]
         assert scores == read_result(place).scores["model"]
         assert entry["name"] == str(place)
-        assert str(place) in shown
+        assert str(place) in ran.stdout
     difference = entries[1]["difference"]["all_frames"]["accuracy"][0]
     of = [entry["scores"]["all_frames"]["accuracy"] for entry in entries]
     assert difference == pytest.approx(of[1] - of[0])

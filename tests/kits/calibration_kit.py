@@ -1,6 +1,5 @@
 """Pictures of chessboards, and labelled lines of roads, as a known camera sees them."""
 
-import json
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -9,7 +8,15 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
+from egolane_pgm.vision.calibration.straight_road import fit_frame, to_level, view_from
+from egolane_pgm.vision.camera.model import (
+    Camera,
+    image_to_road,
+    level_rays,
+    road_to_image,
+    undistorted,
+    vanishing_point,
+)
 from tests.kits.drives import command
 
 LENS = (-0.25, 0.02, -0.0006, 0.0002, 0.0)
@@ -53,6 +60,19 @@ def lines_of(camera: Camera, offsets, heading=0.0, curvature=0.0, noise=0.0, see
     return lines
 
 
+def view_of_lines(true: Camera, camera: Camera, frames, lane_width_m=3.6):
+    """How a camera, of which lens and roll are known, looks at the road of some frames of lines, as
+    the true one sees them."""
+    about = level_rays(camera, *vanishing_point(true))[1]
+    fits = [
+        fit
+        for lines in frames
+        if (fit := fit_frame([to_level(camera, *line.T) for line in lines], about)) is not None
+    ]
+    each = np.stack([fit.vanishing_point for fit in fits])
+    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m, "lines")
+
+
 @cache
 def _rays(camera: Camera):
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
@@ -90,19 +110,6 @@ def draw_road(camera: Camera, offsets, heading=0.0, seed=0):
 
 def calibrate(*arguments):
     return command("calibrate", *arguments)
-
-
-def write_labels(path: Path, camera: Camera, n_frames=4, offsets=(-5.4, -1.8, 1.8, 5.4)):
-    rows = list(range(240, 720, 10))
-    with path.open("w") as file:
-        for k in range(n_frames):
-            lanes = []
-            for line in lines_of(camera, np.array(offsets) + 0.2 * k, 0.003 * (k - 1.5)):
-                line = line[np.argsort(line[:, 1])]
-                at = np.interp(rows, line[:, 1], line[:, 0], left=-2, right=-2)
-                lanes.append([float(value) for value in at])
-            frame = {"lanes": lanes, "h_samples": rows, "raw_file": f"{k}.jpg"}
-            file.write(json.dumps(frame) + "\n")
 
 
 def write_boards(folder: Path) -> Path:

@@ -123,8 +123,6 @@ def run_line(line: str) -> None:
 
 def yaml_kind(content: dict[str, Any]) -> str:
     """Which schema a YAML of the documentation is held against."""
-    if "model" in content and "size" in content:
-        return "network"
     return "tuning" if "pictures" in content or "experiments" in content else "experiment"
 
 
@@ -171,6 +169,9 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     for name in ("mine.onnx", "lstr_360x640.onnx", "models/lstr_360x640.onnx"):
         write_known(folder / name, blind, (640, 360), {"input_mask": (1, 1, 360, 640)})
     (folder / "boards").mkdir()
+    (folder / "road").mkdir()
+    for k, image in enumerate(seen[:3]):
+        cv2.imwrite(str(folder / "road" / f"{k}.jpg"), image)
     for file in boards.glob("*.png"):
         cv2.imwrite(str(folder / "boards" / f"{file.stem}.jpg"), cv2.imread(str(file)))
     tusimple(folder / "tusimple_labels.json", [entry(k) for k in range(12)])

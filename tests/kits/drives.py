@@ -83,13 +83,6 @@ def done(*words: object) -> Result:
     return result
 
 
-def printed_into_a_file(*words: object) -> str:
-    """What `egolane words...` prints where it is no terminal's: whole tables."""
-    result = CliRunner().invoke(egolane, [str(word) for word in words], env={"COLUMNS": None})
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
 def run_json(drive: Path, folder: Path, *words: object) -> dict[str, object]:
     """What `--json` says of `egolane run` with these words."""
     target = folder / "run.json"

@@ -1,68 +1,30 @@
-"""Pictures of a flat road with lines, drawn ray by ray without any code of the detectors or the
-simulation, and files of them."""
+"""Short drives on a flat road with lines, and files of their pictures."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
-import numpy as np
 import yaml
 
-from egolane_pgm.vision.camera.model import Camera, image_to_road, write_camera
+from egolane_pgm.vision.camera.model import write_camera
 from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.simulated import CAMERA, Paint, draw_road
 
-CAMERA = Camera(480, 270, 390.0, 390.0, 239.5, 134.5, height_m=1.4, pitch_deg=-4.0)
 PAIR = replace(CAMERA, baseline_m=0.4)
 
 #: Pictures in the folder of `write_place`.
 N_FRAMES = 16
 
-
-@dataclass(frozen=True)
-class Paint:
-    """A line y(x) = offset + heading x + curvature x^2 / 2 + rate x^3 / 6, dashed where period >
-    dash."""
-
-    offset_m: float
-    dash_m: float = 1.0
-    period_m: float = 1.0
-    heading: float = 0.0
-    curvature: float = 0.0
-    width_m: float = 0.15
-    grey: float = 225.0
-    rate: float = 0.0
-
-
 THREE = (Paint(-5.2), Paint(-1.7, 4.0, 12.0), Paint(1.8))
 
 
-def road(
-    lines: Sequence[Paint] = THREE,
-    travelled_m: float = 0.0,
-    *,
-    camera: Camera = CAMERA,
-    seed: int = 0,
-    noise: float = 3.0,
-) -> Image:
-    """One picture: grey asphalt with noise, painted lines, a lighter sky."""
-    u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
-    x, y = image_to_road(camera, u, v)
-    rng = np.random.default_rng(seed)
-    grey = np.where(np.isnan(x), 180.0, 95.0)
-    for line in lines:
-        middle = line.offset_m + x * (line.heading + x * (line.curvature / 2 + x * line.rate / 6))
-        with np.errstate(invalid="ignore"):
-            is_paint = np.abs(y - middle) < line.width_m / 2
-            is_paint &= np.mod(x + travelled_m, line.period_m) < line.dash_m
-            # What is too far is too thin to be told from the road.
-            is_paint &= x < 80
-        grey = np.where(is_paint, line.grey, grey)
-    grey = grey + rng.normal(0, noise, grey.shape)
-    one: Image = np.clip(grey, 0, 255).astype(np.uint8)
-    return np.repeat(one[:, :, None], 3, axis=2)
+def road(lines: Sequence[Paint] = THREE, travelled_m: float = 0.0, **given: Any) -> Image:
+    """One picture; given: as of `draw_road`."""
+    return draw_road(lines, travelled_m, **given)
 
 
 def drive(

@@ -1,4 +1,4 @@
-"""A small lane network, trained on rendered pictures: fixed filters, a random hidden layer and a
+"""A small lane network, trained on drawn pictures: fixed filters, a random hidden layer and a
 last layer by logistic regression, as an ONNX file with two outputs, `lanes` and `drivable`. Also
 networks of one layer that give what a test puts in."""
 
@@ -9,7 +9,7 @@ import functools
 import shutil
 import tempfile
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,10 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
-from egolane_pgm.vision.camera.model import image_to_road
+from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.rendering.render import FrameTruth, line_y, render_frame
-from egolane_pgm.vision.rendering.scene import Failures, Scene, make_scene
+from egolane_pgm.vision.simulated import DASH_M, PERIOD_M, Paint, draw_road
+from tests.kits.vehicles import car, lorry, with_vehicles
 
 #: Width and height of the network's input.
 SIZE = (656, 272)
@@ -31,53 +31,59 @@ _STRIPS = (1, 3, 7)
 _REACH = 13
 _HIDDEN = 64
 
-#: Traffic everywhere and worn paint, always.
-HEAVY = Failures(occlusion=1, wear=0.9, shadow=0, pitch=0.3, noise=0.3, glare=0, calm=1, bad_s=0)
+CAMERA = Camera(1312, 540, 760.0, 760.0, 655.5, 215.0, 1.5, pitch_deg=-1.0)
 
 
-def heavy_traffic(seed: int, frames: int = 600) -> Scene:
-    """A drive among many vehicles."""
-    return make_scene("a4", seed=seed, frames=frames, failures=HEAVY)
+@dataclass(frozen=True)
+class Shown:
+    """A picture of a road among vehicles. is_vehicle: (H, W)."""
+
+    image: Image
+    lines: tuple[Paint, ...]
+    travelled_m: float
+    is_vehicle: NDArray[np.bool_]
+
+
+def heavy_traffic(seed: int, k: int) -> Shown:
+    """A frame among many vehicles, on a road of four lanes whose paint is worn."""
+    rng = np.random.default_rng([seed, k])
+    own = int(rng.integers(4))
+    edges = (np.arange(5) - own - 0.5) * 3.75 + rng.uniform(-1, 1)
+    worn = rng.uniform(140, 200)
+    lines = [Paint(place, DASH_M, PERIOD_M, width_m=0.2, grey=worn) for place in edges]
+    lines[0], lines[-1] = (replace(lines[k], dash_m=1.0, period_m=1.0) for k in (0, -1))
+    vehicles = []
+    for lane in range(4):
+        middle = edges[lane] + 1.875 + rng.normal(0, 0.15)
+        nearest = 14.0 if lane == own else 4.0
+        kind = lorry if rng.random() < 0.3 else car
+        vehicles.append(kind(rng.uniform(nearest, 45), middle))
+    travelled_m = 2.7 * k
+    road = draw_road(lines, travelled_m, camera=CAMERA, seed=k)
+    image, is_vehicle = with_vehicles(road, CAMERA, vehicles)
+    return Shown(image, tuple(lines), travelled_m, is_vehicle)
 
 
 # --- training -------------------------------------------------------------------------------------
 
 
-def labels(scene: Scene, truth: FrameTruth, image: Image) -> NDArray[np.bool_]:
+def labels(shown: Shown) -> NDArray[np.bool_]:
     """Where a frame shows marking, free road, and vehicles, in pixels of the input: (3, h, w)."""
-    hidden = vehicles(scene, truth.frame_id, image)
+    hidden = shown.is_vehicle.astype(np.uint8) * 255
     is_free = cv2.resize(hidden, SIZE, interpolation=cv2.INTER_AREA) < 40
-    camera = truth.camera
-    u = (np.arange(SIZE[0]) + 0.5) * camera.width / SIZE[0] - 0.5
-    v = (np.arange(SIZE[1]) + 0.5) * camera.height / SIZE[1] - 0.5
-    x, y = image_to_road(camera, u, v[:, None])
-    is_road = np.isfinite(x) & (x > 0) & (x < 100)
-    x = np.where(is_road, x, 100.0)
-    grid = np.linspace(0, 100, 401)
-    lines = [np.interp(x, grid, line) for line in line_y(scene, truth.frame_id, grid)]
-    pixel_m = x * camera.width / SIZE[0] / camera.fx
+    u = (np.arange(SIZE[0]) + 0.5) * CAMERA.width / SIZE[0] - 0.5
+    v = (np.arange(SIZE[1]) + 0.5) * CAMERA.height / SIZE[1] - 0.5
+    x, y = image_to_road(CAMERA, u, v[:, None])
+    is_road = np.isfinite(x) & (x > 0) & (x < 80)
+    x = np.where(is_road, x, 80.0)
+    pixel_m = x * CAMERA.width / SIZE[0] / CAMERA.fx
     is_paint = np.zeros(x.shape, dtype=bool)
-    for k, line in enumerate(lines):
-        near = np.abs(y - line) <= np.maximum(scene.lines.width_m[k], pixel_m) / 2
-        is_paint |= near & scene.lines.is_dash(k, scene.s_m[truth.frame_id] + x)
-    is_between = (y > lines[0] - 0.3) & (y < lines[-1] + 0.3)
+    for line in shown.lines:
+        near = np.abs(y - line.offset_m) <= np.maximum(line.width_m, pixel_m) / 2
+        is_paint |= near & (np.mod(x + shown.travelled_m, line.period_m) < line.dash_m)
+    first, last = shown.lines[0].offset_m, shown.lines[-1].offset_m
+    is_between = (y > first - 0.3) & (y < last + 0.3)
     return np.stack([is_paint & is_road & is_free, is_between & is_road & is_free, ~is_free])
-
-
-def vehicles(scene: Scene, k: int, image: Image) -> Image:
-    """255 where frame k shows a vehicle, (H, W): what its picture without vehicles has not."""
-    none = replace(scene.traffic, **_empty(scene))
-    free = render_frame(replace(scene, traffic=none), k).image
-    differs = np.abs(image.astype(np.int16) - free).max(axis=2) > 12
-    return np.where(differs, 255, 0).astype(np.uint8)
-
-
-def _empty(scene: Scene) -> dict[str, Any]:
-    few = {}
-    for name, value in vars(scene.traffic).items():
-        if isinstance(value, np.ndarray) and len(value) == len(scene.traffic):
-            few[name] = value[:0]
-    return few
 
 
 def _filters(side: int) -> NDArray[np.float32]:
@@ -143,7 +149,7 @@ def _fit(hidden: NDArray[np.float64], is_one: NDArray[np.bool_]) -> NDArray[np.f
 
 
 def write_trained(folder: Path, seed: int = 3, n_frames: int = 12) -> Path:
-    """Trains on some frames of one drive; writes tiny.onnx, lanes.yaml and drivable.yaml."""
+    """Trains on some pictures; writes tiny.onnx, lanes.yaml and drivable.yaml."""
     import onnxruntime
     from onnx import helper
 
@@ -153,14 +159,13 @@ def write_trained(folder: Path, seed: int = 3, n_frames: int = 12) -> Path:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(str(folder / "hidden.onnx"), options)
-    scene = heavy_traffic(seed)
     seen, marked = [], []
-    for k in np.linspace(0, len(scene) - 1, n_frames).astype(int):
-        frame = render_frame(scene, int(k))
-        picture = cv2.resize(frame.image, SIZE, interpolation=cv2.INTER_LINEAR)[..., ::-1]
+    for k in range(n_frames):
+        shown = heavy_traffic(seed, k)
+        picture = cv2.resize(shown.image, SIZE, interpolation=cv2.INTER_LINEAR)[..., ::-1]
         values = (picture.astype(np.float32) / 255).transpose(2, 0, 1)[None]
         hidden = session.run(["hidden"], {"picture": values})[0][0].reshape(_HIDDEN, -1)
-        label = labels(scene, frame.truth, frame.image).reshape(3, -1)
+        label = labels(shown).reshape(3, -1)
         # All of the little marking, much of vehicles, and some of the rest.
         rare = [np.flatnonzero(label[0]), np.flatnonzero(label[2])[::20]]
         pick = np.concatenate([*rare, rng.choice(label.shape[1], 4000, replace=False)])

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from egolane_pgm.vision.calibration.labels import read_labels
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
 from makers.camera import carnd, clips, drift, tusimple
+from makers.camera._labels import read_labels
 from tests.conftest import needs_compiler
 
 
@@ -35,10 +35,10 @@ def test_a_camera_turned_by_a_degree_is_warned_of_unasked(away: float) -> None:
     labels = tusimple.data_file()
     if labels is None:
         pytest.skip(f"stills: needs EGOLANE_DATA with {tusimple.FILE}")
-    camera = tusimple.calibrated(labels)
+    camera = tusimple.CAMERA
     turned = replace(camera, pitch_deg=camera.pitch_deg + away)
     (line,) = drift.warned_of(drift.stills_of(labels)[:30], turned, "mc")
-    assert f"calibrated with pitch_deg {turned.pitch_deg:.2f}; calibrate it again" in line
+    assert f"calibrated with pitch_deg {turned.pitch_deg:.2f}; the pitch is corrected" in line
 
 
 @needs_compiler
@@ -46,7 +46,7 @@ def test_good_calibrations_of_real_roads_are_not_warned_of() -> None:
     folder, labels, video = clips.data(), tusimple.data_file(), carnd.data()
     if folder is None or labels is None or video is None:
         pytest.skip("drives: needs EGOLANE_DATA with camera/carnd and camera/tusimple_*")
-    camera = tusimple.calibrated(labels)
+    camera = tusimple.CAMERA
     assert drift.warned_of(drift.stills_of(labels), camera, "ml") == []
     for frame in read_labels(folder / "labels.jsonl"):
         shown = read_pictures(open_source(folder / clips._name(frame)), camera)

@@ -8,10 +8,10 @@ import onnxruntime
 import pytest
 
 from egolane_pgm.types import FloatArray
-from egolane_pgm.vision.calibration.labels import label_picture, label_places, read_labels
 from egolane_pgm.vision.camera.model import image_to_road
 from egolane_pgm.vision.camera.picture import Image
 from makers.camera import lstr, tusimple
+from makers.camera._labels import label_picture, label_places, read_labels
 
 MEAN, SD = np.array([0.485, 0.456, 0.406]), np.array([0.229, 0.224, 0.225])
 
@@ -41,7 +41,7 @@ def test_its_lines_are_those_of_the_published_decoder() -> None:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(str(onnx), options)
-    camera, theirs = tusimple.calibrated(labels), []
+    camera, theirs = tusimple.CAMERA, []
     for frame in read_labels(labels)[which]:
         places = []
         for points in published(session, cv2.imread(str(label_picture(frame, labels)))):

@@ -120,7 +120,7 @@ def test_the_command_writes_what_the_whole_chain_needs_and_it_runs(tmp_path: Pat
     save(made_up_map(7), tmp_path / "map.parquet")
     folder = tmp_path / "drive"
     said = simulate(
-        *("--map", str(tmp_path / "map.parquet"), "--frames", "1500"),
+        *("--map", str(tmp_path / "map.parquet"), "--mirror", "--frames", "1500"),
         *("--out", str(folder), "--seed", "2"),
     )
     assert "the number of lanes changes" in said

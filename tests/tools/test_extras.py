@@ -15,7 +15,7 @@ from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.tuning.search import check_sampler
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
-from egolane_pgm.vision.detectors.networks.onnx_file import weight_files
+from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
 from tests.kits.tiny_result import a_result
 
 #: The modules that import an extra's packages when they are imported themselves.
@@ -48,7 +48,7 @@ def position(_: Path) -> None:
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),
         ("pynmea2", "a.nmea", read_positions, "{} needs pynmea2|maps"),
         ("pyproj", "", position, "a position on a map needs pyproj|maps"),
-        ("onnx", "a.onnx", lambda p: weight_files(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
+        ("onnx", "a.onnx", lambda p: read_onnx(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
         ("distributed", "", cluster, "a cluster needs distributed|cluster"),
         ("cmaes", "", sampler, "sampler: cma-es needs cmaes|cmaes"),
         ("xarray", "", lambda p: a_result().to_xarray(), "to_xarray needs xarray|notebook"),

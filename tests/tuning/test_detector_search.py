@@ -18,8 +18,8 @@ BOUNDS = {"detector.least_rise": [2, 60], "detector.least_score": [0.1, 0.99]}
 
 @pytest.fixture(scope="module")
 def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A rendered drive, and an experiment that looks at its pictures."""
-    folder = tmp_path_factory.mktemp("rendered") / "drive"
+    """A simulated drive, and an experiment that looks at its pictures."""
+    folder = tmp_path_factory.mktemp("seen") / "drive"
     done("simulate", "a4", "--images", "--frames", str(FRAMES), "--out", folder)
     return write_experiment(
         folder / "pictures.yaml",

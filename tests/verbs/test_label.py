@@ -13,8 +13,6 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.recordings.table import write_table
-from egolane_pgm.simulation import simulate
 from tests.kits.bags import line_bag
 from tests.kits.drives import contents, done, refused, write_drive
 
@@ -110,14 +108,6 @@ def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Pat
     assert "recording: is empty" in refused("label", "", "--n-lanes", 3, *here)
     assert "--below" in refused("label", lines, "--n-lanes", 3, "--below", 2, *here)
     assert not (tmp_path / "x").exists()
-
-
-def test_the_number_of_lanes_is_doubted_where_the_lines_say_otherwise(tmp_path: Path) -> None:
-    write_table(tmp_path / "lines.csv", simulate("quickstart", n_lanes=3).log)
-    for said, is_doubted in ((3, False), (2, True)):
-        words = ("--n-lanes", said, "--out", tmp_path / "x")
-        error = done("label", tmp_path / "lines.csv", *words).stderr
-        assert ("the car moves across 3 lanes or more, n_lanes is 2" in error) == is_doubted
 
 
 def test_a_bag_s_frames_may_be_numbered_by_seq(tmp_path: Path) -> None:

@@ -21,7 +21,6 @@ from tests.kits.synthetic_road import write_place
     ("words", "missing"),
     [
         (("locate", "roads.osm"), "argument 'POSITIONS'"),
-        (("calibrate", "--stills", "x"), "option '-o' / '--out'"),
     ],
 )
 def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
@@ -96,10 +95,8 @@ def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> Non
     """Python callers read it too: it names the parameter or the key of the YAML. A message that
     begins with a parameter's name shows it as an option on the command line."""
     package = Path(str(egolane_pgm.__file__)).parent
-    # The README beside rendered pictures shows commands.
-    files = {*package.rglob("*.py")} - {package / "vision" / "rendering" / "files.py"}
     found = []
-    for path in files - {package / "command.py", *(package / "verbs").iterdir()}:
+    for path in {*package.rglob("*.py")} - {package / "command.py", *(package / "verbs").iterdir()}:
         nodes = [*ast.walk(ast.parse(path.read_text()))]
         docstrings = [node.value for node in nodes if isinstance(node, ast.Expr)]
         for node in nodes:

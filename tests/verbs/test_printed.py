@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.kits.drives import done, printed_into_a_file, write_drive
+from tests.kits.drives import done, write_drive
 
 #: Commands that print tables, on {one} and {two}, two short drives.
 PRINTING = {
@@ -61,7 +61,7 @@ def test_more_columns_are_shown_where_there_is_room(
     monkeypatch.setenv("COLUMNS", "120")
     found = lines_of(name, words)
     assert 80 < max(map(len, found)) <= 120
-    whole = printed_into_a_file(*words[name]).splitlines()
+    whole = lines_of(name, words, "--wide")
     assert max(map(len, whole)) > 120
     assert any("Wide tables add: " in line for line in found)
     assert not any("Wide tables add: " in line for line in whole)

@@ -18,11 +18,10 @@ import cv2
 import numpy as np
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
-from egolane_pgm.vision.calibration.standing_still import edge_counter
 from egolane_pgm.vision.calibration.straight_road import (
     NEAREST_TO_HORIZON,
     FrameFit,
-    SeenRoad,
+    RoadView,
     fit_frame,
     from_level,
     from_level_to_image,
@@ -157,17 +156,17 @@ def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
 
 
 def meeting_of_stills(
-    stills: Sequence[FloatArray], seed: int = 0, tries: int = 3000
+    stills: Sequence[FloatArray], tries: int = 3000
 ) -> tuple[FloatArray, FloatArray]:
     """The point (2,) where most edges of all stills meet, and the points (F, 2) near it where the
     edges of each still meet (NaN where they do not).
 
     - stills: the edges (M, 4) of each of the F stills
-    - seed, tries: of the random pairs, and how many there are over all stills
+    - tries: how many random pairs there are over all stills
 
     Raises InputError if the edges do not meet in one point.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     n = max(60, tries // max(len(stills), 1))
     crossings = [
         _crossings(lines, n, rng) if len(lines) >= 2 else np.zeros((0, 2)) for lines in stills
@@ -189,16 +188,6 @@ def meeting_of_stills(
         if votes.any():
             each[i] = _winner(near, votes)
     return every, each
-
-
-def clearness(lines: FloatArray, seed: int = 0, tries: int = 200) -> float:
-    """A measure of how clearly the edges (M, 4) of a still meet in one point: the length of those
-    that point at it, times their share of the length of all edges. seed, tries: of the random
-    pairs."""
-    if len(lines) < 2:
-        return 0.0
-    votes = _votes(_crossings(lines, tries, np.random.default_rng(seed)), lines)
-    return float(votes.max(initial=0.0) ** 2 / _length(lines).sum())
 
 
 def fan(
@@ -327,22 +316,16 @@ class FoundLines:
 def find_in_stills(
     camera: Camera,
     paths: Iterable[Path],
-    seed: int = 0,
     progress: Callable[[Iterable[Path]], Iterable[Path]] = iter,
-    most: int | None = None,
 ) -> FoundLines:
     """Finds the lines in stills that one camera took of a road.
 
     - paths: the stills; `camera.ignore` says which parts never show road
-    - seed: of the random pairs of edges
     - progress: wraps the stills while they are read, e.g. tqdm
-    - most: use only this many stills, those whose edges meet most clearly in one point, as they do
-      where the road is straight and free; None for all
 
     Raises InputError if no still can be used, or if the edges do not meet in one point.
     """
     mask = seen_mask(camera)
-    count_edges, moving = edge_counter(camera.width, camera.height)
     skipped: list[str] = []
     used, straight = [], []
     for path, image in read_images(progress(paths), skipped):
@@ -352,14 +335,9 @@ def find_in_stills(
             continue
         used.append(path)
         straight.append(edges(camera, image, mask))
-        count_edges(image)
     if not used:
         raise InputError(f"stills: none of them can be used; {skipped[0]}")
-    if most is not None and len(used) > most:
-        clear = np.argsort([-clearness(lines, seed) for lines in straight], kind="stable")[:most]
-        used, straight = ([given[k] for k in sorted(clear)] for given in (used, straight))
-    ahead, each = meeting_of_stills(straight, seed)
-    mask = moving(np.stack(from_level_to_image(camera, ahead)), mask)
+    ahead, each = meeting_of_stills(straight)
     fits, lines = [], []
     for path, point in zip(progress(used), each, strict=True):
         about = point if np.isfinite(point).all() else ahead
@@ -373,10 +351,7 @@ def find_in_stills(
     return FoundLines(ahead, each, tuple(used), tuple(lines), tuple(fits), tuple(skipped))
 
 
-def view_from_stills(camera: Camera, found: FoundLines, lane_width_m: float) -> SeenRoad:
+def view_from_stills(camera: Camera, found: FoundLines, lane_width_m: float) -> RoadView:
     """Finds how a camera looks at the road, from the lines that `find_in_stills` found with it.
     Raises InputError as `view_from` does."""
-    view = view_from(camera, found.ahead, found.each, found.fits, lane_width_m, "stills")
-    n_lines = sum(len(lines) for lines in found.lines)
-    what = f"{n_lines} lines found in {len(found.paths)} stills"
-    return SeenRoad(view, what, tuple(zip(found.paths, found.lines, strict=True)))
+    return view_from(camera, found.ahead, found.each, found.fits, lane_width_m, "stills")

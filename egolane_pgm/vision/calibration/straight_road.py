@@ -16,9 +16,8 @@ curvature times the height; it is the same for all lines, so that a bend does no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -58,9 +57,6 @@ _NOISE, _BEND = 0.001, 0.0015
 
 _MIN_POINTS = 5
 
-#: The number of frames that give the horizon well enough to fit all of them about it.
-_ENOUGH_FRAMES = 200
-
 
 @dataclass(frozen=True)
 class FrameFit:
@@ -97,24 +93,6 @@ class RoadView:
     gaps_m: FloatArray
     is_lane: BoolArray
     lane_width_m: float
-
-
-@dataclass(frozen=True)
-class SeenRoad:
-    """A view of a road, and the lines that it was found from.
-
-    - what: these lines in words
-    - pictures: each picture's file, None where it is not there, and the points (N, 2) of each of
-      its lines, pixels
-    """
-
-    view: RoadView
-    what: str
-    pictures: tuple[tuple[Path | None, list[FloatArray]], ...]
-
-    def straightest(self) -> tuple[Path | None, list[FloatArray]]:
-        """The picture whose lines run straightest ahead, of those that are there."""
-        return min(self.pictures, key=lambda one: (one[0] is None, deviation_m(self.view, one[1])))
 
 
 def assumed_camera(
@@ -157,22 +135,6 @@ def check_lane_width(lane_width_m: float) -> None:
     low, high, _ = RANGES["lane_width_m"]
     if not low <= lane_width_m <= high:
         raise InputError(f"lane width {lane_width_m:g}: lanes are {low:g} to {high:g} m wide")
-
-
-def meeting_point(lines: Sequence[FloatArray]) -> FloatArray | None:
-    """The point (2,) where straight lines through the points (N, 2) of each line meet, by least
-    squares; None if they are parallel."""
-    normals, distances = [], []
-    for points in lines:
-        middle = points.mean(axis=0)
-        direction = np.linalg.svd(points - middle)[2][0]
-        normal = np.array([-direction[1], direction[0]])
-        normals.append(normal)
-        distances.append(normal @ middle)
-    matrix = np.stack(normals)
-    if np.linalg.svd(matrix, compute_uv=False)[-1] < 0.05:
-        return None
-    return np.asarray(np.linalg.lstsq(matrix, np.array(distances), rcond=None)[0])
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
@@ -232,22 +194,6 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
     return FrameFit(np.array([solved[0], b0]), slope, float(solved[-1]))
 
 
-def rough_horizon(frames: Sequence[Sequence[FloatArray]]) -> float | None:
-    """A rough b0: the median over frames of where straight lines through the lower halves of the
-    lines meet; None if they meet in no frame."""
-    meetings = []
-    for lines in frames:
-        halves = []
-        for points in lines:
-            lower = points[points[:, 1] >= np.median(points[:, 1])] if len(points) else points
-            if len(lower) >= 3:
-                halves.append(lower)
-        found = meeting_point(halves) if len(halves) >= 2 else None
-        if found is not None:
-            meetings.append(found[1])
-    return float(np.median(meetings)) if meetings else None
-
-
 def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
     """Which of the gaps (G,) are near the most common one, counted by their weights (G,)."""
     if not gaps.size:
@@ -271,46 +217,6 @@ def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
     return np.asarray(below + above + (tilt / gaps - below + above) / _SAME_GAP)
 
 
-def view_of_road(
-    camera: Camera,
-    frames: Sequence[Sequence[FloatArray]],
-    lane_width_m: float,
-    what: str = "lines",
-    progress: Callable[[Sequence[Sequence[FloatArray]]], Iterable[Sequence[FloatArray]]] = iter,
-) -> RoadView:
-    """Finds the pitch, yaw and height of a camera from lines of the road.
-
-    - camera: gives the pinhole, distortion and roll; pitch, yaw and height are replaced
-    - frames: for each frame the points (N, 2) of its lines, pixels
-    - lane_width_m: the width of the road's lanes
-    - what: how error messages name the lines
-    - progress: wraps the frames while they are fitted, e.g. tqdm
-
-    Raises InputError if the lines do not meet or do not give a height.
-    """
-    rays = [[to_level(camera, line[:, 0], line[:, 1]) for line in lines] for lines in frames]
-    with_lines = [lines for lines in rays if len(lines) >= 2]
-    if not with_lines:
-        raise InputError(
-            f"{what}: none of {len(frames)} frames has two lines; needs at least two in one frame"
-        )
-    horizon = rough_horizon(with_lines)
-    if horizon is None:
-        raise InputError(f"{what}: the lines do not meet; needs parallel lines of the road ahead")
-    fits: list[FrameFit] = []
-    # Some frames, spread over all of them, give the horizon well enough to begin with.
-    some = with_lines[:: math.ceil(len(with_lines) / _ENOUGH_FRAMES)]
-    for lines_of_frames in (some, progress(with_lines)):
-        fits = [fit for lines in lines_of_frames if (fit := fit_frame(lines, horizon)) is not None]
-        if not fits:
-            raise InputError(
-                f"{what}: no frame has two lines that meet; needs parallel lines of the road ahead"
-            )
-        horizon = float(np.median([fit.vanishing_point[1] for fit in fits]))
-    each = np.stack([fit.vanishing_point for fit in fits])
-    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m, what)
-
-
 def view_from(
     camera: Camera,
     ahead: FloatArray,
@@ -319,11 +225,16 @@ def view_from(
     lane_width_m: float,
     what: str,
 ) -> RoadView:
-    """As `view_of_road`, from lines that are fitted already.
+    """Finds the pitch, yaw and height of a camera from fitted lines of the road.
 
+    - camera: gives the pinhole, distortion and roll; pitch, yaw and height are replaced
     - ahead: (2,) a, b of the vanishing point of all frames
     - each: (F, 2) a, b of the vanishing points of single frames
     - fits: the fits of single frames
+    - lane_width_m: the width of the road's lanes
+    - what: how error messages name the lines
+
+    Raises InputError if the lines do not meet or do not give a height.
     """
     check_lane_width(lane_width_m)
     pixels = np.stack(from_level(camera, each), axis=-1)
@@ -376,23 +287,6 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
 
 
-def near_y(view: RoadView, points: FloatArray) -> FloatArray:
-    """The places to the right, metres, of those points (N, 2), pixels, that are at most 40 m
-    ahead."""
-    x, y = image_to_road(view.camera, points[:, 0], points[:, 1])
-    return y[np.isfinite(y) & (x < 40)]
-
-
-def deviation_m(view: RoadView, lines: Sequence[FloatArray]) -> float:
-    """The distance by which the lines of a still leave the direction of travel: the median over its
-    lines, metres; infinite with fewer than two lines."""
-    strays = []
-    for y in (near_y(view, points) for points in lines):
-        if len(y) >= 5:
-            strays.append(float(np.median(np.abs(y - np.median(y)))))
-    return float(np.median(strays)) if len(strays) >= 2 else float("inf")
-
-
 def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
     """Describes a lens that was not measured in lines of text."""
     return [
@@ -416,13 +310,12 @@ def doubts_of(view: RoadView) -> list[str]:
     return [
         f"doubtful: with lanes of {one:g} m {said_height(view.camera)} ({n_lanes} gaps between"
         f" lines are lanes, {n_double} twice as wide). If {taken} taken for a lane, it is at"
-        f" {other:.2f} m: look at the picture of it, leave out what is no line of a lane (ignore),"
-        " or give other stills"
+        f" {other:.2f} m: leave out what is no line of a lane (ignore), or give other stills"
     ]
 
 
 def describe_view(view: RoadView, what: str) -> list[str]:
-    """Describes a view in lines of text. what: the lines used, e.g. "55 labelled frames"."""
+    """Describes a view in lines of text. what: the lines used."""
     u, v = view.vanishing_point
     du, dv = view.spread_px
     lanes = view.gaps_m[view.is_lane]

@@ -13,17 +13,8 @@ from egolane_pgm.tools.files import check_place, temporary_folder, write_bytes
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 
-#: Extensions of the pictures that a user may name.
-PICTURES = (".png", ".jpg", ".jpeg")
-
 #: The codec that every build of OpenCV can write.
 CODEC = "mp4v"
-
-
-def check_picture_name(path: str | Path) -> None:
-    """Raises InputError for a name without an extension in `PICTURES`."""
-    if Path(path).suffix.lower() not in PICTURES:
-        raise InputError(f"{path}: a picture's name ends in {' or '.join(PICTURES)}")
 
 
 def write_picture(file: Path, image: Image) -> None:
@@ -82,14 +73,13 @@ def video_writer(
 
 @contextlib.contextmanager
 def frame_writer(
-    target: str | Path, frame_rate: float, size: tuple[int, int], name: str = "frame_{:06d}.png"
+    target: str | Path, frame_rate: float, size: tuple[int, int]
 ) -> Iterator[Callable[[int, Image], None]]:
     """A context that gives a function to write a picture and its frame id to a video (`.mp4`) or
     into a folder. Whatever ends the block, the pictures written so far are kept.
 
     - frame_rate: Hz
     - size: width and height, pixels
-    - name: of the files in a folder
 
     Raises InputError if the target cannot be written.
     """
@@ -107,7 +97,7 @@ def frame_writer(
         raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
     check_place(target)
     # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
-    yield lambda frame_id, image: write_picture(target / name.format(frame_id), image)
+    yield lambda frame_id, image: write_picture(target / f"frame_{frame_id:06d}.png", image)
 
 
 @contextlib.contextmanager

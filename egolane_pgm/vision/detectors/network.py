@@ -39,7 +39,7 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     network = read_network(str(parameters["network"]))
     if network.layout == "drivable":
         raise InputError(
-            f"{network.file}: layout drivable has no lines; name it as on_road, a parameter of"
+            f"{network.files[0]}: layout drivable has no lines; name it as on_road, a parameter of"
             " another detector such as ml, or take an output with lines"
         )
     return finder.start(

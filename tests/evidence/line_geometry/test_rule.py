@@ -17,6 +17,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm import paper
+from egolane_pgm.drive import load_recording
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
@@ -28,9 +30,11 @@ from egolane_pgm.evidence.line_geometry.model import (
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.sight import kinds_of, new_sight, sight_tables
+from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.model import make_evidence, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import read_result
@@ -528,6 +532,17 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
             assert re.search(
                 r"3\.\d+ m in the first half of the recording, 2\.\d+ m in the second: does", line
             )
+
+
+@needs_compiler
+@pytest.mark.parametrize("run", [1, 8])
+def test_a_change_of_scale_in_the_paper_s_recordings_is_said(run: int, recordings: Path) -> None:
+    there = load_experiment(paper.paper_experiment(run))
+    model = prepare_model(load_experiment(ZERO_LABEL, {"n_lanes": there.n_lanes}))
+    log = load_recording(there).log
+    for lines, n_warnings in ((log, 0), (scale_changes(log, 0.6), 1)):
+        notes = make_evidence(model, lines).notes
+        assert sum("first half" in note for note in notes) == n_warnings
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.chessboard import calibrate_lens, find_board
-from egolane_pgm.vision.calibration.straight_road import assumed_camera, view_of_road
+from egolane_pgm.vision.calibration.straight_road import assumed_camera
 from egolane_pgm.vision.camera.model import (
     image_to_road,
     matrix,
     undistorted,
     vanishing_point,
 )
-from tests.kits.calibration_kit import TRUE, cameras, draw_board, lines_of, unturned
+from tests.kits.calibration_kit import TRUE, cameras, draw_board, lines_of, unturned, view_of_lines
 
 # --- the lens ---
 
@@ -86,18 +86,18 @@ def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
         calibrate_lens(sorted(stills.iterdir()))
 
 
-# --- labelled lines ---
+# --- lines of the road ---
 
 
 @settings(deadline=None, max_examples=25)
 @given(cameras, st.floats(-0.02, 0.02), st.floats(-0.001, 0.001), st.integers(0, 99))
-def test_any_camera_is_recovered_from_labelled_lines(camera, heading, curvature, seed):
+def test_any_camera_is_recovered_from_lines(camera, heading, curvature, seed):
     offsets = np.array([-5.4, -1.8, 1.8, 5.4])
     frames = [
         lines_of(camera, offsets + shift, heading * sign, curvature * sign, 0.3, seed + k)
         for k, (shift, sign) in enumerate(((0.0, 1), (0.3, -1), (-0.3, 1), (0.1, -1)))
     ]
-    view = view_of_road(unturned(camera), frames, 3.6)
+    view = view_of_lines(camera, unturned(camera), frames)
     assert view.camera.height_m == pytest.approx(camera.height_m, rel=0.02)
     assert view.camera.pitch_deg == pytest.approx(camera.pitch_deg, abs=0.15)
     assert view.camera.yaw_deg == pytest.approx(camera.yaw_deg, abs=0.3)
@@ -110,21 +110,21 @@ def test_offsets_hardly_depend_on_the_focal_length_assumed():
     points = np.concatenate(lines_of(camera, [-2.0, 1.5]))
     offsets = []
     for degrees in (45.0, 60.0, 80.0):
-        view = view_of_road(assumed_camera(1280, 720, degrees), frames, 3.6)
+        view = view_of_lines(camera, assumed_camera(1280, 720, degrees), frames)
         offsets.append(image_to_road(view.camera, *points.T)[1])
     assert np.abs(offsets[0] - offsets[2]).max() < 0.05
 
 
 def test_a_bend_moves_the_vanishing_point_but_not_the_horizon():
     frames = [lines_of(TRUE, [-5.4, -1.8, 1.8], curvature=1 / 600)] * 2
-    view = view_of_road(unturned(TRUE), frames, 3.6)
+    view = view_of_lines(TRUE, unturned(TRUE), frames)
     assert view.vanishing_point[1] == pytest.approx(vanishing_point(TRUE)[1], abs=1.0)
     assert view.vanishing_point[0] == pytest.approx(vanishing_point(TRUE)[0], abs=8.0)
 
 
-def test_a_line_left_unlabelled_does_not_double_the_height():
+def test_a_line_that_is_missed_does_not_double_the_height():
     frames = [lines_of(TRUE, offsets) for offsets in ([-5.4, -1.8, 1.8], [-1.8, 1.8], [-5.4, 1.8])]
-    view = view_of_road(unturned(TRUE), frames, 3.6)
+    view = view_of_lines(TRUE, unturned(TRUE), frames)
     assert view.camera.height_m == pytest.approx(TRUE.height_m, rel=0.01)
     assert (~view.is_lane).sum() == 1
 
@@ -132,23 +132,7 @@ def test_a_line_left_unlabelled_does_not_double_the_height():
 def test_the_spread_of_the_vanishing_point_is_reported():
     def spread(size):
         frames = [lines_of(TRUE, [-1.8, 1.8], size * k) for k in (-2, -1, 0, 1, 2)]
-        return view_of_road(unturned(TRUE), frames, 3.6).spread_px[0]
+        return view_of_lines(TRUE, unturned(TRUE), frames).spread_px[0]
 
     assert spread(0.0) < 0.1
     assert spread(0.01) == pytest.approx(0.01 * TRUE.fx * 1.36, rel=0.05)
-
-
-def test_too_few_lines_are_refused():
-    with pytest.raises(InputError, match="none of 2 frames has two lines"):
-        view_of_road(unturned(TRUE), [lines_of(TRUE, [1.8])] * 2, 3.6)
-
-
-def test_lines_that_do_not_meet_are_refused():
-    v = np.linspace(300, 700, 40)
-    upright = [np.stack([np.full_like(v, u), v], axis=-1) for u in (300.0, 600.0, 900.0)]
-    camera = assumed_camera(1280, 720)
-    with pytest.raises(InputError, match=r"do not meet|no frame has two lines that meet"):
-        view_of_road(camera, [upright], 3.6)
-
-
-# --- the camera ---

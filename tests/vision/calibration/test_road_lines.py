@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import replace
 from itertools import pairwise
 
@@ -112,11 +111,11 @@ def test_edges_vote_for_points_above_them_that_they_point_at() -> None:
 def test_the_point_where_most_edges_meet_is_found_and_is_the_same_every_time() -> None:
     points = [(0.03, -0.05), (0.05, -0.04), (0.01, -0.06)]
     stills = [edges_to(point, seed) for seed, point in enumerate(points)]
-    every, each = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))], seed=4)
+    every, each = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))])
     assert every == pytest.approx((0.03, -0.05), abs=0.01)
     np.testing.assert_allclose(each[:3], points, atol=0.01)
     assert np.isnan(each[3]).all()
-    again = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))], seed=4)
+    again = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))])
     np.testing.assert_array_equal(every, again[0])
     np.testing.assert_array_equal(each, again[1])
 
@@ -249,19 +248,6 @@ def test_a_still_without_lines_says_nothing(stills, tmp_path):
     assert len(found.fits) == 1
 
 
-def test_of_many_stills_those_with_the_clearest_lines_are_used(stills, tmp_path):
-    rng = np.random.default_rng(0)
-    for k, path in enumerate(sorted(stills.glob("*.png"))):
-        shutil.copy(path, tmp_path / f"{k}_road.png")
-        crossing = np.full((720, 1280, 3), 90, np.uint8)
-        for u, v in rng.integers(0, (1280, 720), (60, 2)).tolist():
-            du, dv = rng.integers(-120, 120, 2).tolist()
-            cv2.line(crossing, (u, v), (u + du, v + dv), (200, 200, 200), 3)
-        cv2.imwrite(str(tmp_path / f"{k}_crossing.png"), crossing)
-    found = find_in_stills(TRUE, sorted(tmp_path.glob("*.png")), most=3)
-    assert [path.name for path in found.paths] == ["0_road.png", "1_road.png", "2_road.png"]
-
-
 def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((100, 100, 3), np.uint8))
@@ -322,5 +308,5 @@ def test_the_road_between_two_tar_seams_is_no_line(tmp_path) -> None:
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
     lens = unturned(CAMERA)
     found = find_in_stills(lens, files_matching(str(tmp_path)))
-    view = road_lines.view_from_stills(lens, found, 3.6).view
+    view = road_lines.view_from_stills(lens, found, 3.6)
     assert view.camera.height_m == pytest.approx(CAMERA.height_m, rel=0.05)

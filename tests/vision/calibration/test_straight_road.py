@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.calibration import straight_road
 from egolane_pgm.vision.calibration.chessboard import _solve, calibrate_lens
-from egolane_pgm.vision.calibration.labels import line_points, read_labels
 from egolane_pgm.vision.calibration.straight_road import (
     FrameFit,
     RoadView,
@@ -26,15 +25,12 @@ from egolane_pgm.vision.calibration.straight_road import (
     fit_frame,
     from_level,
     from_level_to_image,
-    meeting_point,
     one_lane,
-    rough_horizon,
     to_level,
     view_from,
-    view_of_road,
 )
 from egolane_pgm.vision.camera.model import Camera, vanishing_point
-from tests.kits.calibration_kit import TRUE, lines_of, unturned
+from tests.kits.calibration_kit import TRUE, lines_of, unturned, view_of_lines
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25)
 
@@ -75,28 +71,9 @@ def test_rays_freed_of_lens_and_roll_come_back() -> None:
     np.testing.assert_allclose(level[:, 1], 0, atol=1e-12)
 
 
-def test_lines_meet_where_they_cross_and_parallel_ones_nowhere() -> None:
-    t = np.linspace(0.1, 1, 9)[:, None]
-    at = np.array([0.03, -0.05])
-    lines = [at + t * np.array(way) for way in ((1.0, 1.0), (-1.2, 1.0), (0.1, 1.0))]
-    np.testing.assert_allclose(meeting_point(lines), at, atol=1e-9)
-    aside = [np.array([k, 0.0]) + t * np.array([0.3, 1.0]) for k in (0.0, 1.0)]
-    assert meeting_point(aside) is None
-
-
 def rays_of(a0: float, b0: float, slopes: list[float], c: float = 0.0) -> list[FloatArray]:
     below = np.geomspace(0.05, 0.5, 40)
     return [np.stack([a0 + s * below + c / below, b0 + below], axis=-1) for s in slopes]
-
-
-def test_the_rough_horizon_is_from_the_near_half_of_each_line_and_the_middle_frame() -> None:
-    bent = rays_of(0.02, -0.03, [-1.3, 1.2])
-    for line in bent:
-        line[:20, 0] += 0.03 * np.sign(line[:20, 0])  # behind a crest
-    assert rough_horizon([bent]) == pytest.approx(-0.03, abs=1e-6)
-    others = [rays_of(0.0, b0, [-1.3, 1.2]) for b0 in (-0.035, -0.03, 0.3)]
-    assert rough_horizon([*others[:2], others[2]]) == pytest.approx(-0.03, abs=1e-6)
-    assert rough_horizon([[bent[0]], [bent[0], bent[1][:2]]]) is None
 
 
 def test_bent_lines_with_an_outlier_have_the_common_point_and_bend() -> None:
@@ -216,12 +193,6 @@ def test_a_vanishing_point_beyond_any_rim_is_refused(ahead: tuple[float, float])
         view_of([[-1.0, 1.5]], [ahead] * 2, ahead)
 
 
-def test_one_frame_of_a_lane_change_does_not_turn_the_camera() -> None:
-    frames = [lines_of(PLAIN, [-1.8, 1.8], heading) for heading in (0.0, 0.0, 0.001, 0.0, 0.1)]
-    view = view_of_road(PLAIN, frames, 3.6)
-    assert view.vanishing_point == pytest.approx(vanishing_point(PLAIN), abs=0.5)
-
-
 def test_the_camera_is_turned_to_where_the_lines_meet() -> None:
     camera = replace(PLAIN, roll_deg=3.0)
     view = view_of([[-1.0, 1.5]], [(0.05, -0.02)] * 2, (0.05, -0.02), camera)
@@ -284,17 +255,6 @@ def test_boards_that_there_are_not_are_refused(board: tuple[int, int]) -> None:
         calibrate_lens([], *board)
 
 
-def test_the_camera_of_the_real_labels(real_pictures):
-    if not (real_pictures / "tusimple_frames").is_dir():
-        pytest.skip("real pictures: EGOLANE_DATA has no folder camera/tusimple_frames")
-    # The last 55 stay unseen, for detectors.
-    frames = read_labels(real_pictures / "tusimple_frames" / "labels.jsonl")[:55]
-    lines = [line_points(frame) for frame in frames]
-    view = view_of_road(assumed_camera(1280, 720), lines, 3.66)
-    assert view.vanishing_point == pytest.approx((658, 236), abs=6)
-    assert view.camera.height_m == pytest.approx(1.68, abs=0.04)
-
-
 @pytest.mark.parametrize(
     ("width", "said"),
     [
@@ -309,11 +269,8 @@ def test_the_camera_of_the_real_labels(real_pictures):
 )
 def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(width: float, said: str) -> None:
     """The lanes are 3.6 m wide, the camera is 1.4 m above the road."""
-    view = view_of_road(
-        PLAIN,
-        [lines_of(replace(PLAIN, height_m=1.4, pitch_deg=-2.0), (-5.4, -1.8, 1.8, 5.4))] * 3,
-        width,
-    )
+    true = replace(PLAIN, height_m=1.4, pitch_deg=-2.0)
+    view = view_of_lines(true, PLAIN, [lines_of(true, (-5.4, -1.8, 1.8, 5.4))] * 3, width)
     assert view.camera.lane_width_m == width
     doubts = doubts_of(view)
     assert len(doubts) == bool(said)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ast
-import math
+import re
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from itertools import permutations
 from pathlib import Path
 from typing import Any
@@ -20,26 +18,18 @@ from egolane_pgm.vision.detectors.networks.description import (
     ready_networks,
 )
 from egolane_pgm.vision.detectors.networks.onnx_file import Shape, read_onnx
-from egolane_pgm.vision.detectors.networks.running import (
-    impossible,
-    lengths,
-    named,
-    said,
-    wrong_length,
-)
+from egolane_pgm.vision.detectors.networks.running import lengths, misfit, said
 
-#: How many x the polylines of CLRNet and LaneATT have.
-_POINTS = 72
-
-#: Row anchors have no more lines, and masks are wider.
-_MOST_LINES = 12
+#: How many x the polylines of CLRNet and LaneATT have; row anchors have no more lines than the
+#: second number, and masks are wider.
+_POINTS, _MOST_LINES = 72, 12
 
 #: How well a layout fits, the network that comes along, the output for each thing that its layout
 #: reads, and how many classes there are. The lowest fits best.
 _Fit = tuple[tuple[bool, bool, int, int], str, dict[str, str], int | None]
 
 
-def check_onnx(onnx: Path) -> str:
+def describe_onnx(onnx: Path) -> str:
     """What an ONNX file takes and gives, which layouts fit, and the YAML to start from; the first
     of these as comments of the last. Raises InputError for a file that is no ONNX."""
     declared = read_onnx(onnx, "network")
@@ -48,18 +38,19 @@ def check_onnx(onnx: Path) -> str:
     lines = [
         *(f"# {name}: takes {said(shape)}" for name, shape in declared.inputs.items()),
         *(f"# {name}: gives {said(shape)}" for name, shape in declared.outputs.items()),
+        *(f"# {key}: {note}" for key, note in declared.notes.items() if key == "names"),
         f"# layouts that fit: {layouts or 'none (docs/networks.md shows what each reads)'}",
     ]
     if not fits:
         return "\n".join(lines)
     _, name, output, n_classes = fits[0]
-    given = Network(**_ready(name)).inputs
     keys = {**_ready(name), "model": onnx.name, "output": output}
+    given = keys.pop("inputs", {})
     picture, *others = sorted(declared.inputs, key=lambda each: each in given)
     shape = declared.inputs[picture] or ()
     if len(shape) == 4 and shape[2] and shape[3]:
         keys["size"] = [shape[3], shape[2]]
-    if picture in declared.whole:
+    if declared.types[picture].kind in "iu":
         keys |= {"mean": 0, "scale": 1}
     if others:
         keys["inputs"] = {each: given.get(each, 0) for each in others}
@@ -68,37 +59,20 @@ def check_onnx(onnx: Path) -> str:
         keys.pop("channels", None)
         if n_classes == 1:
             keys.pop("activation", None)
-    if keys["layout"] in ("prototypes", "queries"):
-        kinds = _class_names(declared.notes)
-        lines += [f"# class {k}: {kind}" for k, kind in kinds.items()]
-        if kinds:
-            keys["classes"] = _lines_by_name(kinds)
-        if not kinds or not keys["classes"]:
-            lines.append("# which classes are solid and which dashed lines is for you to say")
+    kinds = re.findall(r"(\d+): ['\"](.*?)['\"]", declared.notes.get("names", ""))
+    if kinds and keys["layout"] == "prototypes":
+        words = {"solid": "solid", "dashed": "dash"}
+        told = {key: [int(k) for k, kind in kinds if words[key] in kind.lower()] for key in words}
+        keys["classes"] = {key: found for key, found in told.items() if found}
     lines.append(
-        f"# as {name}, which comes along: are size, mean, scale, colours and activation yours?"
+        f"# as {name}, which comes along: are size, mean, scale, colours, activation and classes"
+        " yours?"
     )
     return "\n".join([*lines, yaml.safe_dump(keys, sort_keys=False, default_flow_style=None)])
 
 
 def _ready(name: str) -> dict[str, Any]:
     return read_yaml(READY / f"{name}.yaml", "model: lanes.onnx")
-
-
-def _class_names(notes: Mapping[str, str]) -> dict[int, str]:
-    """The names of classes, as Ultralytics writes them into a file; empty where it has none."""
-    with suppress(ValueError, SyntaxError):
-        names = ast.literal_eval(notes.get("names", ""))
-        if isinstance(names, dict):
-            return names
-    return {}
-
-
-def _lines_by_name(names: Mapping[int, str]) -> dict[str, list[int]]:
-    """The key `classes` where names of classes tell: solid yellow, dashed."""
-    told = {"solid": "solid", "dashed": "dash"}
-    found = {key: [k for k in names if word in str(names[k]).lower()] for key, word in told.items()}
-    return {key: kinds for key, kinds in found.items() if kinds}
 
 
 def _fitting(declared: Mapping[str, Shape]) -> Iterator[_Fit]:
@@ -113,21 +87,20 @@ def _fitting(declared: Mapping[str, Shape]) -> Iterator[_Fit]:
         if layout == "row_anchors" and len(short) > 1:
             continue
         n_read = sum(role[0] != "(" for role in OUTPUTS[layout])
-        names = () if layout == "road_lines" else permutations(declared, len(own))
-        for output in (own, *(dict(zip(own, each, strict=True)) for each in names)):
-            parts = {role: named(text)[0] for role, text in output.items()}
-            if not set(parts.values()) <= set(declared):
+        for names in ((*own.values(),), *permutations(declared, len(own))):
+            output = dict(zip(own, names, strict=True))
+            sizes: dict[str, int] | str = "absent"
+            if set(names) <= set(declared):
+                sizes = lengths(OUTPUTS[layout], {role: declared[n] for role, n in output.items()})
+            if isinstance(sizes, str) or sizes.get("w", 99) <= _MOST_LINES:
                 continue
-            shapes = {role: declared[part] for role, part in parts.items()}
-            sizes = lengths(OUTPUTS[layout], shapes)
-            if isinstance(sizes, str) or sizes.get("w", math.inf) <= _MOST_LINES:
-                continue
-            if impossible(layout, sizes):
-                continue
-            if network.first_x and sizes.get("k") != network.first_x + _POINTS:
-                continue
-            if layout != "row_anchors" or sizes.get("n", 0) <= _MOST_LINES:
-                differs = wrong_length(network, sizes) is not None
-                fit = (output != own, differs, -n_read, -list(OUTPUTS).index(layout))
+            problem = misfit(network, sizes)
+            is_wrong = layout == "prototypes" and problem
+            if layout == "polylines":
+                is_wrong = sizes.get("k") != (network.first_x or 0) + _POINTS
+            if layout == "row_anchors":
+                is_wrong = sizes.get("n", 0) > _MOST_LINES
+            if not is_wrong:
+                fit = (output != own, problem is not None, -n_read, -list(OUTPUTS).index(layout))
                 yield fit, name, output, sizes.get("k")
                 break

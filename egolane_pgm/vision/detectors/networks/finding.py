@@ -1,30 +1,54 @@
-"""The lines of a frame, as a network sees them: those that it gives itself, each fitted alone, or
-those that are found in its mask."""
+"""What a network sees over a drive: lines, or the part of the road that other detectors look at."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+import cv2
 import numpy as np
 
-from egolane_pgm.parameters import Parameters, number
-from egolane_pgm.types import BoolArray, FloatArray
-from egolane_pgm.vision.camera.model import Camera
+from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import powers
-from egolane_pgm.vision.detectors.networks.answers import Answer, Line
-from egolane_pgm.vision.detectors.networks.description import Network
-from egolane_pgm.vision.detectors.networks.layouts import from_above, on_road
-from egolane_pgm.vision.detectors.networks.looking import looker
-from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
+from egolane_pgm.vision.detectors.networks.description import (
+    NO_NETWORK,
+    Network,
+    NetworkFile,
+    read_network,
+)
+from egolane_pgm.vision.detectors.networks.layouts import Answer, Line, answer
+from egolane_pgm.vision.detectors.networks.running import fit_of, load
+from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look
 from egolane_pgm.vision.detectors.simple.fit import Found, find_lines
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
-#: The shortest line that is fitted, metres ahead, and the distance of its places.
-_LEAST_M, _STEP_M = 3.0, 1.0
+PARAMETERS = (
+    NetworkFile(
+        "on_road",
+        "choice",
+        NO_NETWORK,
+        "no network, or the YAML file of one with a mask: marking where it sees neither road nor"
+        " lines is dropped (docs/networks.md)",
+        choices=(NO_NETWORK,),
+    ),
+    Parameter(
+        "on_road_margin_m",
+        "non_negative",
+        0.3,
+        "how far beside what the network sees marking is kept, metres, as many networks leave the"
+        " paint out of the road's area",
+        highest=10,
+    ),
+)
 
-#: Where lines are compared, metres ahead.
-_COMPARED_M = 10.0
+#: Points of lines that are farther ahead, or to the side, are left out, metres.
+_FARTHEST_M, _ASIDE_M = 150.0, 100.0
+
+#: The shortest line that is fitted, metres ahead, the distance of its places, and where lines are
+#: compared.
+_LEAST_M, _STEP_M, _COMPARED_M = 3.0, 1.0, 10.0
 
 #: Weights of 0 for offset, heading (m/m), curvature (1/m) and its rate (1/m^2): one over the square
 #: of what is usual.
@@ -33,25 +57,69 @@ _USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
 #: Standard deviation of a place, metres, and how much more for each metre ahead.
 _NEAR_SD_M, _SD_PER_M = 0.05, 0.01
 
-
 #: Takes a bird's-eye view, a picture, the lines expected in it (P, 4) or None, and which pixels of
 #: the view count, (R, C) or None; gives None for a picture that is not looked at.
 Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Found | None]
 
 
+def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | None]:
+    """Make a function that takes the pictures of a drive in order and gives what the network sees;
+    None in frames that the network skips (`every`). Raises InputError as `load` does."""
+    fit = fit_of(network, camera.width, camera.height)
+    run = load(network, fit)
+    count = 0
+
+    def see(picture: Picture) -> Answer | None:
+        nonlocal count
+        is_spared, count = count % network.every > 0, count + 1
+        return None if is_spared else answer(network, fit, run(picture.image))
+
+    return see
+
+
+def from_above(view: BirdsEye, seen: Answer) -> BoolArray:
+    """Where the bird's-eye view shows what a mask marks, (R, C)."""
+    assert seen.mask is not None
+    return np.asarray((look(view, seen.mask) > 127) & view.valid)
+
+
+def keep_on_road(
+    camera: Camera, parameters: Parameters
+) -> Callable[[BirdsEye, Picture], BoolArray] | None:
+    """Make a function that takes the bird's-eye view of a frame and its picture, and gives where
+    marking is kept, (R, C): where the network of the parameter `on_road` sees the road or lines, or
+    beside. In frames that the network skips, its last answer holds. None without a network."""
+    if parameters["on_road"] == NO_NETWORK:
+        return None
+    network = read_network(str(parameters["on_road"]))
+    if network.layout not in ("drivable", "lanes"):
+        raise InputError(f"{network.files[0]}: on_road needs a mask: layout drivable or lanes")
+    see, margin = looker(network, camera), number(parameters, "on_road_margin_m")
+    last = Answer(None)
+
+    def kept(view: BirdsEye, picture: Picture) -> BoolArray:
+        nonlocal last
+        last = see(picture) or last
+        # The margin is to the side only.
+        around = np.ones((1, 2 * round(margin / view.across_m) + 1), dtype=np.uint8)
+        return np.asarray(cv2.dilate(from_above(view, last).astype(np.uint8), around) > 0)
+
+    return kept
+
+
 def network_finder(camera: Camera, network: Network, parameters: Parameters) -> Finder:
-    """Makes the function that finds the lines of a network. Raises InputError as `load` does."""
-    look = looker(network, camera)
+    """Make the function that finds the lines of a network. Raises InputError as `load` does."""
+    see = looker(network, camera)
 
     def find(
         view: BirdsEye, picture: Picture, prior: FloatArray | None, counts: BoolArray | None
     ) -> Found | None:
-        seen = look(picture)
+        seen = see(picture)
         if seen is None:
             return None
         if seen.mask is None:
-            return fitted(view, network, seen, parameters, counts)
-        mask = from_above(view, seen)
+            return _fitted(view, network, seen.lines, parameters, counts)
+        mask = from_above(view, seen).astype(np.uint8)
         return find_lines(
             view, picture.image, parameters, prior_shape=prior, on_road=counts, mask=mask
         )
@@ -59,23 +127,20 @@ def network_finder(camera: Camera, network: Network, parameters: Parameters) -> 
     return find
 
 
-def fitted(
+def _fitted(
     view: BirdsEye,
     network: Network,
-    seen: Answer,
+    lines: tuple[Line, ...],
     parameters: Parameters,
-    counts: BoolArray | None = None,
+    counts: BoolArray | None,
 ) -> Found:
-    """Fits each line of an answer by least squares over its places in the view. Of lines nearer to
-    each other than `apart_m`, the most probable is kept.
-
-    - counts: (R, C) the pixels of the view that count; None for all
-    """
+    """Fit each line by least squares over its places in the view. Of lines nearer to each other
+    than `apart_m`, the most probable is kept."""
     valid = view.valid if counts is None else view.valid & counts
     shapes: list[FloatArray] = []
     kept: list[Line] = []
-    for line in sorted(seen.lines, key=lambda line: -line.probability):
-        shape = _fitted(view, valid, *on_road(view.camera, seen, line), str(parameters["curve"]))
+    for line in sorted(lines, key=lambda line: -line.probability):
+        shape = _shape(view, valid, line, CURVES[str(parameters["curve"])])
         if shape is None or abs(shape[0]) > number(parameters, "side_m"):
             continue
         gaps = (np.array(shapes).reshape(-1, 4) - shape) @ powers(_COMPARED_M)
@@ -84,16 +149,20 @@ def fitted(
             kept.append(line)
     found = np.array(shapes).reshape(-1, 4)
     order = np.argsort(found[:, 0], kind="stable")
-    told = [network.continuous.get(-1 if line.kind is None else line.kind) for line in kept]
-    solid = np.array([np.nan if each is None else each for each in told], dtype=np.float64)
+    # NaN where no class says whether the line is continuous.
+    told = [network.continuous.get(-1 if line.kind is None else line.kind, np.nan) for line in kept]
+    solid = np.array(told, dtype=np.float64)[order]
     likely = np.array([line.probability for line in kept])[order]
-    return Found(found[order], likely, likely=likely, solid=solid[order])
+    return Found(found[order], likely, likely=likely, solid=solid)
 
 
-def _fitted(
-    view: BirdsEye, valid: BoolArray, x: FloatArray, y: FloatArray, curve: str
-) -> FloatArray | None:
-    """The shape (4,) of the line through places (P,), None if too few of them are in the view."""
+def _shape(view: BirdsEye, valid: BoolArray, line: Line, n: int) -> FloatArray | None:
+    """The shape (4,) of a line, with n values that are not 0; None if too little of it is in the
+    view."""
+    x, y = image_to_road(view.camera, *line.points.T)
+    # What is above the horizon or much farther than a view has no place in it.
+    near = np.isfinite(x) & (x > 0) & (x < _FARTHEST_M) & (np.abs(y) < _ASIDE_M)
+    x, y = x[near], y[near]
     order = np.argsort(x)
     at = np.arange(view.x_m[-1], view.x_m[0], _STEP_M)
     at = at[(at >= x.min(initial=np.inf)) & (at <= x.max(initial=-np.inf))]
@@ -104,7 +173,6 @@ def _fitted(
     inside &= valid[row, np.where(inside, column, 0)]
     if inside.sum() * _STEP_M < _LEAST_M:
         return None
-    n = CURVES[curve]
     weight = (_NEAR_SD_M + _SD_PER_M * at[inside]) ** -2
     design = powers(at[inside])[:, :n]
     normal = design.T @ (design * weight[:, None]) + np.diag(_USUAL[:n])

@@ -1,91 +1,227 @@
-"""Reads the outputs of a network as its layout says, and brings what it sees onto the road.
+"""Reads the outputs of a network as its layout says.
 
-To add a layout: its outputs in `description.OUTPUTS`, a file that reads them, and its function in
-`_LINES`.
-
-A mask is looked at from above as a picture is. Lines, which come as points, are drawn from above
-into a mask, so that both are found by the same code afterwards.
+To add a layout: its outputs in `description.OUTPUTS`, and its function in `_LINES`. A function
+gives lines in pixels of the network's input.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from scipy.special import expit, softmax
 
 from egolane_pgm.types import FloatArray
-from egolane_pgm.vision.camera.model import Camera, image_to_road
-from egolane_pgm.vision.detectors.networks.anchors import hybrid_anchors, row_anchors
-from egolane_pgm.vision.detectors.networks.answers import Answer, Line, points
-from egolane_pgm.vision.detectors.networks.curves import beziers, lstr_curves, polynomials
-from egolane_pgm.vision.detectors.networks.description import Network
-from egolane_pgm.vision.detectors.networks.masks import instances, mask
-from egolane_pgm.vision.detectors.networks.polylines import polylines
-from egolane_pgm.vision.detectors.networks.road_lines import road_lines
+from egolane_pgm.vision.camera.picture import Image
+from egolane_pgm.vision.detectors.networks.description import ROWS, Network
 from egolane_pgm.vision.detectors.networks.running import Fit, Outputs
-from egolane_pgm.vision.detectors.networks.segments import prototypes, queries
-from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look
 
-#: The width of a line that is drawn from above, metres.
-_LINE_M = 0.1
+#: First and last row of `hybrid_anchors`, shares of the picture's height (its utils/common.py).
+_SHARES = {"tusimple": (160 / 720, 710 / 720), "culane": (0.42, 1.0)}
 
-#: Fractional bits of the places that cv2.polylines draws at.
-_BITS = 4
+#: Of the four lines of `hybrid_anchors`, those beside the car are found in rows, the outer ones in
+#: columns; the least share of anchors that see one (`pred2coords` of its demo.py).
+_ANCHORS = (("row", (1, 2), 1 / 2), ("col", (0, 3), 1 / 4))
 
-#: Points of lines that are farther ahead are left out, metres.
-_FARTHEST_M = 150.0
+#: Of boxes of one class that share more than this of their area, the most probable is kept; and the
+#: least probability of a pixel of a mask.
+_OVERLAP, _INSIDE = 0.7, 0.5
 
-#: The function that reads each layout with lines.
-_LINES: dict[str, Callable[[Network, Outputs], list[Line]]] = {
-    "instances": instances,
-    "row_anchors": row_anchors,
-    "hybrid_anchors": hybrid_anchors,
-    "polylines": polylines,
-    "prototypes": prototypes,
-    "queries": queries,
-    "lstr_curves": lstr_curves,
-    "polynomials": polynomials,
-    "beziers": beziers,
-    "road_lines": road_lines,
-}
+
+@dataclass(frozen=True)
+class Line:
+    """One line: its points (P, 2), pixels, its probability, and its class, None if it has none."""
+
+    points: FloatArray
+    probability: float = 1.0
+    kind: int | None = None
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a network sees: a mask (H, W) of the picture, 255 where it sees the area or the
+    markings; or lines, in pixels of the picture."""
+
+    mask: Image | None
+    lines: tuple[Line, ...] = ()
 
 
 def answer(network: Network, fit: Fit, outputs: Outputs) -> Answer:
-    """Reads the outputs of a network."""
-    if network.layout in ("drivable", "lanes"):
-        return mask(network, fit, outputs)
-    is_on_road = network.layout == "road_lines"
+    """Read the outputs of a network."""
+    if network.layout not in _LINES:
+        return Answer(_mask(network, fit, outputs))
     lines = [line for line in _LINES[network.layout](network, outputs) if len(line.points) > 1]
     if network.continuous:
         lines = [line for line in lines if line.kind in network.continuous]
-    if not is_on_road:
-        lines = [replace(line, points=points(*fit.to_picture(*line.points.T))) for line in lines]
-    return Answer(None, lines=tuple(lines), on_road=is_on_road)
+    placed = (np.stack(fit.to_picture(*line.points.T), axis=1) for line in lines)
+    return Answer(None, tuple(replace(ln, points=p) for ln, p in zip(lines, placed, strict=True)))
 
 
-def from_above(view: BirdsEye, seen: Answer) -> NDArray[np.uint8]:
-    """1 where the bird's-eye view shows what the network sees, else 0; (R, C)."""
-    if seen.mask is not None:
-        above = (look(view, seen.mask) > 127).astype(np.uint8)
+def _probabilities(network: Network, output: FloatArray) -> FloatArray:
+    """The probabilities (K, h, w) of the channels that are looked at."""
+    share: FloatArray = output
+    if network.activation != "none":
+        share = softmax(output, axis=0) if network.activation == "softmax" else expit(output)
+    return share[list(network.looked_at)]
+
+
+def _mask(network: Network, fit: Fit, outputs: Outputs) -> Image:
+    """The mask of all lines, or of the road, which lines are part of."""
+    masks = [_probabilities(network, output).sum(axis=0) for output in outputs.values()]
+    # Where it has the size already, OpenCV copies it only.
+    share = np.max([cv2.resize(one, network.size) for one in masks], axis=0)
+    share = share[fit.upper : fit.upper + fit.high, fit.left : fit.left + fit.wide]
+    seen = np.zeros((fit.height, fit.width), dtype=np.uint8)
+    lower = cv2.resize(share, (fit.width, fit.height - fit.top))
+    seen[fit.top :] = np.where(lower >= network.threshold, 255, 0)
+    return seen
+
+
+def _instances(network: Network, outputs: Outputs) -> list[Line]:
+    """A mask for each line, which is as probable as its pixels on average."""
+    shares = _probabilities(network, outputs["mask"])
+    kinds = network.looked_at if network.continuous else (None,) * len(shares)
+    return [
+        Line(_middle(network, share, network.threshold), float(share[there].mean()), kind)
+        for share, kind in zip(shares, kinds, strict=True)
+        if (there := share >= network.threshold).any()
+    ]
+
+
+def _middle(network: Network, share: FloatArray, least: float) -> FloatArray:
+    """The weighted middle (P, 2) of a mask's (h, w) pixels with the least probability, by row."""
+    weight = np.where(share >= least, share, 0)
+    total = weight.sum(axis=1)
+    rows = np.flatnonzero(total)
+    at = (weight[rows] @ np.arange(weight.shape[1])) / total[rows]
+    across, down = network.size[0] / weight.shape[1], network.size[1] / weight.shape[0]
+    return np.stack([(at + 0.5) * across - 0.5, (rows + 0.5) * down - 0.5], axis=1)
+
+
+def _prototypes(network: Network, outputs: Outputs) -> list[Line]:
+    """YOLO: each box has a class and the coefficients of common masks. Boxes come as
+    (4 + classes + masks, boxes), or, if the file ends in its own suppression, as
+    (boxes, 6 + masks): corners, probability, class."""
+    common, boxes = outputs["prototypes"], outputs["boxes"]
+    n_masks = len(common)
+    if boxes.shape[1] == 6 + n_masks:
+        corners, share, kind = boxes[:, :4], boxes[:, 4], boxes[:, 5].astype(np.int64)
+        kept = np.flatnonzero(share >= network.threshold)
     else:
-        above = np.zeros(view.valid.shape, dtype=np.uint8)
-        wide = max(round(_LINE_M / view.across_m), 1)
-        for line in seen.lines:
-            x, y = on_road(view.camera, seen, line)
-            column = (y - view.y_m[0]) / view.across_m
-            row = (view.x_m[0] - x) / view.along_m
-            corners = np.round(points(column, row) * 2**_BITS).astype(np.int32)
-            cv2.polylines(above, [corners], False, 1, wide, cv2.LINE_8, _BITS)
-    above[~view.valid] = 0
-    return above
+        boxes = boxes.T
+        share, kind = boxes[:, 4:-n_masks].max(axis=1), boxes[:, 4:-n_masks].argmax(axis=1)
+        first, size = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, 2:4]
+        corners = np.concatenate([first, boxes[:, :2] + size / 2], axis=1)
+        places = np.concatenate([first, size], axis=1).tolist()
+        found = cv2.dnn.NMSBoxesBatched(
+            places, share.tolist(), kind.tolist(), network.threshold, _OVERLAP
+        )
+        kept = np.array(found, dtype=np.int64).ravel()
+    height, width = common.shape[1:]
+    scale = np.tile([width, height], 2) / np.tile(network.size, 2)
+    rows, columns = np.mgrid[:height, :width]
+    lines = []
+    for k in kept:
+        left, upper, right, lower = corners[k] * scale
+        inside = (columns >= left) & (columns < right) & (rows >= upper) & (rows < lower)
+        seen = expit(np.tensordot(boxes[k, -n_masks:], common, axes=1)) * inside
+        lines.append(Line(_middle(network, seen, _INSIDE), share[k], int(kind[k])))
+    return lines
 
 
-def on_road(camera: Camera, seen: Answer, line: Line) -> tuple[FloatArray, FloatArray]:
-    """The points of a line on the road, x ahead and y to the right, (P,), metres."""
-    x, y = line.points.T if seen.on_road else image_to_road(camera, *line.points.T)
-    # What is above the horizon or much farther than a view has no place in it.
-    near = np.isfinite(x) & (x > 0) & (x < _FARTHEST_M) & (np.abs(y) < 100)
-    return x[near], y[near]
+def _row_anchors(network: Network, outputs: Outputs) -> list[Line]:
+    """Ultra-Fast-Lane-Detection: the expected column in each row where the likeliest class is not
+    "no line" (equation 5 of its paper). A column is as wide as the input over columns - 1."""
+    output = outputs["columns"]
+    n_columns = output.shape[0] - 1
+    column = np.tensordot(np.arange(n_columns), softmax(output[:-1], axis=0), axes=1)
+    u = (column + 0.5) * (network.size[0] - 1) / (n_columns - 1)
+    is_there = output.argmax(axis=0) < n_columns
+    likely = 1 - softmax(output, axis=0)[-1]
+    rows = ROWS[network.rows] if isinstance(network.rows, str) else np.asarray(network.rows)
+    return [
+        Line(np.stack([u[there, k], rows[there]], axis=1), float(likely[there, k].mean()))
+        for k, there in enumerate(is_there.T)
+        if there.any()
+    ]
+
+
+def _hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:
+    """Its second version: the cell of each anchor that sees a line, to a fraction by its
+    neighbours (`pred2coords`)."""
+    width, height = network.size
+
+    def row_of(share: FloatArray) -> FloatArray:
+        """Rows of the input, by shares of the picture's height."""
+        return (share - network.cut_top) / (1 - network.cut_top) * height - 0.5
+
+    lines = []
+    for way, which, least in _ANCHORS:
+        cells, exists = outputs[f"loc_{way}"], outputs[f"exist_{way}"]
+        there, likely = exists.argmax(axis=0) == 1, softmax(exists, axis=0)[1]
+        away = np.abs(np.arange(len(cells))[:, None, None] - cells.argmax(axis=0))
+        weight = softmax(np.where(away <= 1, cells, -np.inf), axis=0)
+        at = (np.tensordot(np.arange(len(cells)), weight, axes=1) + 0.5) / (len(cells) - 1)
+        if way == "col":
+            anchors = np.linspace(0, 1, cells.shape[1]) * width - 0.5
+        elif isinstance(network.rows, str):
+            anchors = row_of(np.linspace(*_SHARES[network.rows], cells.shape[1]))
+        else:
+            anchors = np.asarray(network.rows)
+        for line in which:
+            seen = there[:, line]
+            if seen.sum() <= len(seen) * least:
+                continue
+            across, along = at[seen, line], anchors[seen]
+            u, v = (across * width - 0.5, along) if way == "row" else (along, row_of(across))
+            lines.append(Line(np.stack([u, v], axis=1), float(likely[seen, line].mean())))
+    return lines
+
+
+def _polylines(network: Network, outputs: Outputs) -> list[Line]:
+    """CLRNet, LaneATT: x in rows that are evenly spaced from the bottom to the top, of each
+    candidate that is likely enough, from where it starts over its length."""
+    first_x, start, length = network.first_x or 0, network.start or 0, network.length or 0
+    values = outputs["candidates"]
+    share = softmax(values[:, :2], axis=1)[:, 1]
+    x_scale = 1.0 if network.in_pixels else network.size[0] - 1
+    steps = values.shape[1] - first_x - 1
+    v = np.linspace(1, 0, steps + 1) * (network.size[1] - 1)
+    lines = []
+    for k in np.flatnonzero(share >= network.threshold):
+        first = int(np.clip(round(values[k, start] * steps), 0, steps))
+        n = round(values[k, length] * (1 if network.in_pixels else steps))
+        there = slice(first, first + max(n, 0))
+        x = values[k, first_x:][there] * x_scale
+        lines.append(Line(np.stack([x, v[there]], axis=1), share[k]))
+    return lines
+
+
+def _lstr_curves(network: Network, outputs: Outputs) -> list[Line]:
+    """LSTR, in shares of the input: from the lower to the upper y,
+    k'' / (y - f'')^2 + m'' / (y - f'') + n' + b'' y - b''' (equation 5 of Liu 2021)."""
+    share = softmax(outputs["scores"], axis=1)[:, 1]
+    kept = share >= network.threshold
+    lower, upper, k, f, m, n, b, c = outputs["curves"][kept].T[:, :, None]
+    y = lower + (upper - lower) * np.linspace(0, 1, 100)
+    # A curve may have its pole in view.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        x = k / (y - f) ** 2 + m / (y - f) + n + b * y - c
+    points = np.stack([x * network.size[0] - 0.5, y * network.size[1] - 0.5], axis=2)
+    return [
+        Line(line[np.isfinite(line[:, 0])], likely)
+        for line, likely in zip(points, share[kept], strict=True)
+    ]
+
+
+#: The function that reads each layout with lines.
+_LINES: dict[str, Callable[[Network, Outputs], list[Line]]] = {
+    "instances": _instances,
+    "row_anchors": _row_anchors,
+    "hybrid_anchors": _hybrid_anchors,
+    "polylines": _polylines,
+    "prototypes": _prototypes,
+    "lstr_curves": _lstr_curves,
+}

@@ -16,7 +16,7 @@ from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
-    from onnx import ModelProto, ValueInfoProto
+    from onnx import ValueInfoProto
 
 #: A size that is not fixed is None. Shape None: none is declared.
 Shape = tuple[int | None, ...] | None
@@ -27,67 +27,45 @@ class Declared:
     """A network as its file has it.
 
     - inputs, outputs: their names and shapes, in their order
-    - whole: the types of the inputs that are whole numbers
+    - types: the types of the inputs
     - content: the file, with the weights that it keeps in others
     - notes: what its author wrote into it, such as the `names` of classes
     """
 
     inputs: dict[str, Shape]
     outputs: dict[str, Shape]
-    whole: dict[str, np.dtype[np.integer[Any]]]
+    types: dict[str, np.dtype[Any]]
     content: bytes
     notes: dict[str, str]
 
 
 def read_onnx(path: Path, where: str) -> Declared:
-    """Reads a network with its weights. Raises InputError, starting with `where`, for a file that
-    cannot be read or is no ONNX, and where weights are missing."""
-    model = _model(path, where)
-    import onnx
-
-    try:
-        onnx.load_external_data_for_model(model, str(path.parent))
-    except (ValueError, OSError, onnx.checker.ValidationError) as error:
-        said = " ".join(str(error).split())
-        raise InputError(f"{where}: the weights of {path} cannot be read: {said[:240]}") from None
-    # Older files list the weights among the inputs.
-    weights = {tensor.name for tensor in model.graph.initializer}
-    inputs = [port for port in model.graph.input if port.name not in weights]
-    types = {port.name: port.type.tensor_type.elem_type for port in inputs}
-    types = {name: onnx.helper.tensor_dtype_to_np_dtype(kind) for name, kind in types.items()}
-    return Declared(
-        {port.name: _shape(port) for port in inputs},
-        {port.name: _shape(port) for port in model.graph.output},
-        {name: kind for name, kind in types.items() if kind.kind in "iu"},
-        model.SerializeToString(),
-        {note.key: note.value for note in model.metadata_props},
-    )
-
-
-def weight_files(path: Path, where: str) -> list[Path]:
-    """The files beside an ONNX file that hold its weights; none where it holds them itself. Raises
-    InputError, starting with `where`, for a file that is no ONNX."""
-    tensors = _model(path, where).graph.initializer
-    entries = (entry for tensor in tensors for entry in tensor.external_data)
-    names = {entry.value for entry in entries if entry.key == "location"}
-    return [path.parent / name for name in sorted(names)]
-
-
-def _model(path: Path, where: str) -> ModelProto:
-    """The file, without weights that are elsewhere."""
+    """Read a network with its weights. Raises InputError, starting with `where`, for a file that
+    cannot be read or is no ONNX, and if weights are missing."""
     with needed(f"{where}: {path}", "vision"):
         import onnx
         from google.protobuf.message import DecodeError
     try:
         # Without a format onnx would take a file that ends in .json or .txt for text.
-        model = onnx.load(str(path), format="protobuf", load_external_data=False)
+        model = onnx.load(str(path), format="protobuf")
     except OSError as error:
         raise InputError(f"{where}: {path}: {error.strerror or error}") from None
-    except DecodeError:
-        model = onnx.ModelProto()
+    except (DecodeError, ValueError, onnx.checker.ValidationError) as error:
+        said = " ".join(str(error).split())[:240]
+        raise InputError(f"{where}: {path}: is no ONNX file that can be read: {said}") from None
     if not model.graph.output:
-        raise InputError(f"{where}: {path} is no ONNX file")
-    return model
+        raise InputError(f"{where}: {path}: is no ONNX file")
+    # Older files list the weights among the inputs.
+    weights = {tensor.name for tensor in model.graph.initializer}
+    inputs = [port for port in model.graph.input if port.name not in weights]
+    kinds = {port.name: port.type.tensor_type.elem_type for port in inputs}
+    return Declared(
+        {port.name: _shape(port) for port in inputs},
+        {port.name: _shape(port) for port in model.graph.output},
+        {name: onnx.helper.tensor_dtype_to_np_dtype(kind) for name, kind in kinds.items()},
+        model.SerializeToString(),
+        {note.key: note.value for note in model.metadata_props},
+    )
 
 
 def _shape(port: ValueInfoProto) -> Shape:

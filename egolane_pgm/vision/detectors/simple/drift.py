@@ -35,11 +35,11 @@ PARAMETERS = (
     Parameter(
         "camera_drift",
         "choice",
-        "warn",
-        "what is done if the camera is no longer pitched as it was calibrated: `warn` once,"
-        " `correct` the pitch as well (with two cameras the plane of the road does), or `ignore` it"
-        " and save the time to look",
-        choices=("warn", "correct", "ignore"),
+        "correct",
+        "what is done if the camera is no longer pitched as it was calibrated: `correct` the pitch"
+        " and warn once (with two cameras the plane of the road corrects it), `warn` only, or"
+        " `ignore` it and save the time to look",
+        choices=("correct", "warn", "ignore"),
     ),
     Parameter(
         "drift_every",
@@ -114,12 +114,14 @@ class Drift:
     - frames: how many pictures the drive has had so far
     - looks: how many of them were looked at and showed a line
     - gaps_m: (N,) the last distances of neighbouring lines, metres
+    - is_off: whether the pitch has differed from the calibrated one for sure
     """
 
     weight: FloatArray
     frames: int
     looks: int
     gaps_m: FloatArray
+    is_off: bool = False
 
     @property
     def pitch_deg(self) -> float:
@@ -242,6 +244,7 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
         for what, said in _complaints(view.camera, drift, parameters).items():
             if not has_warned[what]:
                 has_warned[what] = True
+                drift = replace(drift, is_off=has_warned["pitch"])
                 warnings.warn(f"frame {picture.frame_id}: {said}", UserWarning, stacklevel=2)
         return drift
 
@@ -257,7 +260,10 @@ def _gap(n_looks: int, parameters: Parameters) -> float:
 
 def correction_deg(drift: Drift) -> float:
     """The correction of the pitch, degrees, in steps, because a new view of the road takes longer
-    than a picture."""
+    than a picture. A camera whose pitch has never been off for sure is left as it is: the belief
+    after a second would correct a good one for the worse."""
+    if not drift.is_off:
+        return 0.0
     return round(drift.pitch_deg / _CORRECTION_DEG) * _CORRECTION_DEG
 
 

@@ -15,12 +15,11 @@ from egolane_pgm.types import BoolArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.networks import looking
-from egolane_pgm.vision.detectors.networks.finding import Finder
+from egolane_pgm.vision.detectors.networks.finding import PARAMETERS as _NETWORK
+from egolane_pgm.vision.detectors.networks.finding import Finder, keep_on_road
 from egolane_pgm.vision.detectors.simple import drift
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
-from egolane_pgm.vision.detectors.simple.frozen import FROZEN_AFTER, repeat_counter
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.vision.detectors.simple.paint import painted_share
 from egolane_pgm.vision.detectors.simple.parameters import FINDING, TRACKING
@@ -41,7 +40,7 @@ PARAMETERS = (
     *_PAINT,
     *TRACKING,
     *drift.PARAMETERS,
-    *looking.PARAMETERS,
+    *_NETWORK,
 )
 
 #: It is said if vehicles seem to hide more than this share of the road in this number of pictures
@@ -94,19 +93,16 @@ def follower(
     rule = rules(parameters, curve=curve)
     view = view_for(camera, parameters)
     road = None if on_road is None else on_road(view)
-    keep = looking.keep(camera, parameters)
-    count_repeats = repeat_counter()
+    keep = keep_on_road(camera, parameters)
+    if road is not None and parameters["camera_drift"] == "correct":
+        # The plane of the road corrects the pitch.
+        parameters = {**parameters, "camera_drift": "warn"}
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
-    corrects = parameters["camera_drift"] == "correct" and road is None
+    corrects = parameters["camera_drift"] == "correct"
     turned, corrected_deg = turned_up(view), 0.0
     n_hidden = 0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
-        repeated = count_repeats(picture)
-        if 0 < repeated < FROZEN_AFTER:
-            return tracks
-        if repeated:
-            return advance(tracks, rule, np.zeros((0, 4)), np.zeros(0))
         nonlocal corrected_deg, n_hidden
         # A stereo pair is checked first, so that its own errors name the picture that is wrong.
         seen, is_road = (view, None) if road is None else road(picture)

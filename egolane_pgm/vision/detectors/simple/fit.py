@@ -22,7 +22,6 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
-from egolane_pgm.vision.detectors.simple.blur import is_nothing_but_noise, sharpened
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
 from egolane_pgm.vision.detectors.simple.kernels import (
     common_scores,
@@ -30,7 +29,13 @@ from egolane_pgm.vision.detectors.simple.kernels import (
 )
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
-from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
+from egolane_pgm.vision.detectors.simple.streaks import (
+    NOISE,
+    RAIN,
+    is_nothing_but_noise,
+    streak_cover,
+    without_streaks,
+)
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
 #: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
@@ -55,10 +60,6 @@ _STREAKY_RISE = 3.0
 #: stills with noise of a standard deviation of 15 to 60.
 _NOISY_BLUR, _NOISY_ALONG_M = (5, 5), 0.9
 _NOISY = {"least_rise": 3.4, "smooth_along_m": 1.5, "least_score": 0.22}
-
-#: A picture that was smeared up and down shows lines farther ahead than this as bands, metres, and
-#: the others with less contrast. Chosen on the first 55 stills with a blur of 15 rows.
-_SMEARED_TO_M, _SMEARED_RISE = 20.0, 3.0
 
 #: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
 #: the best point.
@@ -187,17 +188,13 @@ def find_lines(
             if is_nothing_but_noise(image):
                 return _nothing()
             # Bends and what is far away drown first.
-            view = _nearer(view, number(parameters, "straight_to_m"))
+            near = view.x_m <= number(parameters, "straight_to_m")
+            view = replace(view, valid=view.valid & near[:, None])
             image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
             parameters = {**parameters, **_NOISY, "curve": "line"}
         elif cover > RAIN:
             image = without_streaks(image, parameters)
             parameters = {**parameters, "least_rise": _STREAKY_RISE}
-        else:
-            image, is_smeared = sharpened(image)
-            if is_smeared:
-                view = _nearer(view, _SMEARED_TO_M)
-                parameters = {**parameters, "least_rise": _SMEARED_RISE}
         above = from_above(view, image)
         if cover > NOISE:
             rows = max(round(_NOISY_ALONG_M / view.along_m), 1)
@@ -215,11 +212,6 @@ def find_lines(
         usual = np.full_like(strips.width_m, number(parameters, "stripe_m"))
         strips = replace(strips, width_m=usual)
     return replace(fit_lines(view, strips, parameters, prior_shape), hidden=hidden)
-
-
-def _nearer(view: BirdsEye, far_m: float) -> BirdsEye:
-    """The view without what is farther ahead."""
-    return replace(view, valid=view.valid & (view.x_m <= far_m)[:, None])
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:

@@ -30,6 +30,14 @@ from egolane_pgm.vision.detectors.simple.plane import Plane
 
 PARAMETERS = (
     Parameter(
+        "matcher",
+        "choice",
+        "sgbm",
+        "what finds the disparities: sgbm (semi-global matching, of OpenCV) or elas (Geiger, Roser"
+        " and Urtasun 2010; the extra elas)",
+        choices=("sgbm", "elas"),
+    ),
+    Parameter(
         "match_scale",
         "integer",
         2,
@@ -69,8 +77,21 @@ PARAMETERS = (
     ),
 )
 
-#: Side of the blocks that are compared (semi-global matching, `cv2.StereoSGBM`), pixels as matched.
+#: Takes two small grey pictures (H, W) and the number of disparities that are searched, and gives
+#: the disparity of each pixel of the left one, (H, W); negative where it cannot tell.
+Match = Callable[[Image, Image, int], FloatArray]
+
+#: Side of the blocks that are compared by `cv2.StereoSGBM`, pixels as matched.
 _BLOCK_PX = 5
+
+#: ELAS falls over pictures with fewer rows than about 40.
+_ELAS_ROWS = 48
+
+#: The package has no wheel, and its build does not say where NumPy's headers are.
+_INSTALL_ELAS = (
+    'CPLUS_INCLUDE_PATH=$(python -c "import numpy; print(numpy.get_include())")'
+    " pip install 'egolane-pgm[elas]'"
+)
 
 #: The largest distance of a disparity from a plane that it lies on, the least difference of an
 #: object's disparity from the plane's, the margin around objects that is no road either, and the
@@ -99,6 +120,7 @@ class Pair:
     - n_disparities: number of disparities that are searched
     - edge_px: how far inside the right picture a match must be, pixels of the full picture
     - warp: (2, 3) affine map that moves the rows of the right picture by the plane
+    - match: the matcher
     """
 
     camera: Camera
@@ -115,6 +137,7 @@ class Pair:
     n_disparities: int
     edge_px: int
     warp: FloatArray
+    match: Match
 
 
 def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRoad]:
@@ -172,6 +195,10 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
             f"match_scale: {scale} and match_rows: {rows} leave {width}x{height} pixels of the road"
             " to match; make them smaller"
         )
+    if parameters["matcher"] == "elas" and height < _ELAS_ROWS:
+        raise InputError(
+            f"match_rows: {rows} leaves {height} rows, and elas needs {_ELAS_ROWS}; make it smaller"
+        )
     half, half_row = (scale - 1) / 2, (rows - 1) / 2
     u, v = np.meshgrid(np.arange(width) * scale + half, np.arange(height) * rows + half_row + top)
     flat = planes.disparity_at(road, u, v)
@@ -198,8 +225,61 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     warp = np.array([[1 - a, -b * rows / scale, below - first / scale], [0, 1, 0]])
     points = np.flatnonzero(looked & grid)
     return Pair(
-        camera, scale, rows, top, road, flat, u, v, looked, points, below, n_disparities, edge, warp
+        camera,
+        scale,
+        rows,
+        top,
+        road,
+        flat,
+        u,
+        v,
+        looked,
+        points,
+        below,
+        n_disparities,
+        edge,
+        warp,
+        _elas() if parameters["matcher"] == "elas" else _sgbm,
     )
+
+
+def _sgbm(left: Image, right: Image, n_disparities: int) -> FloatArray:
+    area = _BLOCK_PX**2
+    matcher = cv2.StereoSGBM.create(
+        minDisparity=0,
+        numDisparities=n_disparities,
+        blockSize=_BLOCK_PX,
+        P1=8 * area,
+        P2=32 * area,
+        disp12MaxDiff=1,
+        preFilterCap=31,
+        uniquenessRatio=5,
+        speckleWindowSize=60,
+        speckleRange=1,
+        mode=cv2.STEREO_SGBM_MODE_SGBM,
+    )
+    # OpenCV counts in sixteenths of a pixel.
+    return np.asarray(matcher.compute(left, right) / 16)
+
+
+def _elas() -> Match:
+    """The matcher ELAS. Raises InputError if its package is not installed."""
+    try:
+        from elas import Elas
+    except ImportError:
+        raise InputError(f"matcher: elas is not installed: {_INSTALL_ELAS}") from None
+    kept: list[Image] = []
+
+    def match(left: Image, right: Image, n_disparities: int) -> FloatArray:
+        # pyelas never lets go of an array that it was given, so it gets the same two each time.
+        if not kept or kept[0].shape != left.shape:
+            kept[:] = np.empty_like(left, order="C"), np.empty_like(right, order="C")
+        kept[0][:], kept[1][:] = left, right
+        matcher = Elas()
+        matcher.disp_max = n_disparities - 1
+        return np.asarray(matcher.process(*kept)[0], dtype=np.float64)
+
+    return match
 
 
 def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameters) -> BoolArray:
@@ -268,22 +348,7 @@ def disparities(pair: Pair, left: Image, right: Image) -> FloatArray:
         cv2.copyMakeBorder(image, 0, 0, more, 0, cv2.BORDER_REPLICATE).astype(np.uint8, copy=False)
         for image in (left, moved)
     ]
-    area = _BLOCK_PX**2
-    matcher = cv2.StereoSGBM.create(
-        minDisparity=0,
-        numDisparities=more,
-        blockSize=_BLOCK_PX,
-        P1=8 * area,
-        P2=32 * area,
-        disp12MaxDiff=1,
-        preFilterCap=31,
-        uniquenessRatio=5,
-        speckleWindowSize=60,
-        speckleRange=1,
-        mode=cv2.STEREO_SGBM_MODE_SGBM,
-    )
-    # OpenCV counts in sixteenths of a pixel.
-    found = matcher.compute(*wide)[:, more:] / 16
+    found = pair.match(wide[0], wide[1], more)[:, more:]
     disparity = pair.scale * (found - pair.below_px) + pair.flat
     is_shown = pair.u - np.maximum(disparity, pair.flat) >= pair.edge_px
     is_found = (found >= 0) & (found < pair.n_disparities)

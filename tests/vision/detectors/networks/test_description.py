@@ -75,8 +75,8 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
     detector = find_detector("network", {"network": "lstr"}, folder, "detector")
     named = folder.resolve() / "lstr.yaml"
     assert detector.parameters["network"] == str(named)
-    assert read_network(named).onnx == folder.resolve() / "lstr_360x640.onnx"
-    assert network_files(detector.parameters) == [READY / "lstr.yaml", read_network(named).onnx]
+    assert read_network(named).files[1] == folder.resolve() / "lstr_360x640.onnx"
+    assert network_files(detector.parameters) == [READY / "lstr.yaml", read_network(named).files[1]]
     with pytest.raises(InputError, match=r"scnn.yaml: model: no file .*scnn.onnx"):
         read_network(folder / "scnn.yaml")
     write_network(named, **{**GOOD, "model": "lstr_360x640.onnx"})

@@ -12,9 +12,9 @@ import pytest
 
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.detectors.networks.answers import Line
 from egolane_pgm.vision.detectors.networks.description import read_network
-from egolane_pgm.vision.detectors.networks.looking import looker
+from egolane_pgm.vision.detectors.networks.finding import looker
+from egolane_pgm.vision.detectors.networks.layouts import Line
 from tests.kits.synthetic_road import CAMERA, road
 from tests.kits.tiny_network import write_answers
 
@@ -123,40 +123,6 @@ def test_the_pole_of_a_curve_is_left_out(tmp_path: Path) -> None:
     assert line.points.shape == (99, 2)
 
 
-@seeds
-def test_polylanenet(tmp_path: Path, seed: int) -> None:
-    """`decode` of lib/models.py, the upper end shared as `share_top_y` trains it."""
-    output = np.random.default_rng(seed).uniform(0.1, 0.9, (1, 35))
-    output[:, ::7] -= 0.5
-    wanted = []
-    for line in output.reshape(-1, 7):
-        if sigmoid(line[0]) >= 0.5:
-            y = np.linspace(output[0, 1], line[2], 100)
-            x = line[3] * y**3 + line[4] * y**2 + line[5] * y + line[6]
-            wanted.append(np.stack([x * WIDTH, y * HEIGHT], axis=1))
-    check(lines_of(write_answers(tmp_path, {"fc": output}, layout="polynomials")), wanted)
-
-
-@seeds
-def test_bezierlanenet(tmp_path: Path, seed: int) -> None:
-    """`inference` of bezier_base.py: local maxima of nine, de Casteljau's points."""
-    rng = np.random.default_rng(seed)
-    scores, curves = rng.normal(0, 2, (1, 40)), rng.uniform(0, 1, (1, 40, 4, 2))
-    wanted = []
-    for k, score in enumerate(scores[0]):
-        if sigmoid(score) > 0.5 and score == scores[0, max(k - 4, 0) : k + 5].max():
-            points = []
-            for t in np.linspace(0, 1, 100):
-                left = curves[0, k]
-                while len(left) > 1:
-                    left = (1 - t) * left[:-1] + t * left[1:]
-                points.append(left[0] * (WIDTH, HEIGHT))
-            wanted.append(points)
-    outputs = {"logits": scores, "curves": curves}
-    names = {"scores": "logits", "curves": "curves"}
-    check(lines_of(write_answers(tmp_path, outputs, layout="beziers", output=names)), wanted)
-
-
 # --- segments ---------------------------------------------------------------------------------
 
 
@@ -228,76 +194,3 @@ def test_yolo_with_prototypes(tmp_path: Path, seed: int, is_whole: bool) -> None
         mask[:, (columns < x - 10) | (columns >= x + 10)] = 0
         mask[:7] = mask[37:] = 0
     check_middles(found, masks)
-
-
-@seeds
-def test_rf_detr(tmp_path: Path, seed: int) -> None:
-    """`PostProcess`: sigmoid of the logits of classes and masks, no suppression."""
-    rng = np.random.default_rng(seed)
-    masks = drawn_masks(rng)
-    scores = np.full((1, 4, 3), -4.0)
-    scores[0, range(4), (1, 2, 0, 1)] = (2, 1, 3, -1)
-    outputs = {"dets": np.zeros((1, 4, 4)), "labels": scores, "masks": masks[None]}
-    keys = {"layout": "queries", "output": {"scores": "labels", "masks": "masks"}}
-    classes = {"dashed": [1], "solid": [2]}
-    found = lines_of(write_answers(tmp_path, outputs, classes=classes, **keys))
-    assert [line.kind for line in found] == [1, 2]
-    check_middles(found, [sigmoid(masks[0]), sigmoid(masks[1])])
-
-
-# --- on the road ------------------------------------------------------------------------------
-
-
-@seeds
-def test_openpilot(tmp_path: Path, seed: int) -> None:
-    """`parse_mdn` and `parse_binary_crossentropy` of parse_model_outputs.py: four lines of 33
-    places with two numbers, then their deviations, then two logits for each."""
-    rng = np.random.default_rng(seed)
-    output = rng.normal(0, 2, (1, 700))
-    mu, sd = output[0, 50:314].reshape(4, 33, 2), np.exp(output[0, 314:578].reshape(4, 33, 2))
-    likely = sigmoid(output[0, 578:586])[1::2]
-    ahead = [192 * (k / 32) ** 2 for k in range(33)]
-    wanted = []
-    for line in np.flatnonzero(likely >= 0.3):
-        wanted.append([(ahead[k], mu[line, k, 0]) for k in range(33) if sd[line, k, 0] <= 0.5])
-    parts = {
-        "places": "outputs[50:314:2]",
-        "deviations": "outputs[314:578:2]",
-        "scores": "outputs[579:586:2]",
-    }
-    keys = {"layout": "road_lines", "output": parts, "activation": "sigmoid", "threshold": 0.3}
-    found = lines_of(write_answers(tmp_path, {"outputs": output}, ahead=ahead, **keys))
-    check(found, wanted, 0)
-    np.testing.assert_allclose(
-        [line.probability for line in found], likely[likely >= 0.3], rtol=1e-5
-    )
-
-
-@seeds
-def test_anchor3dlane(tmp_path: Path, seed: int) -> None:
-    """`nms` of anchor_3dlane.py: 1 - softmax of the first class, places that are seen."""
-    rng = np.random.default_rng(seed)
-    output = rng.normal(0, 2, (1, 30, 5 + 3 * 20 + 21))
-    output[..., 45:65] = sigmoid(output[..., 45:65])
-    ahead = np.arange(5, 105, 5)
-    output[..., 65] += 4
-    classes = {"dashed": [1, 3], "solid": [2, 4, 20]}
-    wanted, kinds = [], []
-    for line in output[0]:
-        share = softmax(line[65:])
-        kind = 1 + int(share[1:].argmax())
-        if 1 - share[0] >= 0.5 and kind in (1, 2, 3, 4, 20):
-            wanted.append([(ahead[k], line[5 + k]) for k in range(20) if line[45 + k] >= 0.5])
-            kinds.append(kind)
-    parts = {
-        "places": "reg_proposals[5:25]",
-        "visible": "reg_proposals[45:65]",
-        "scores": "reg_proposals[65:86]",
-    }
-    keys = {"layout": "road_lines", "output": parts, "activation": "softmax"}
-    path = write_answers(
-        tmp_path, {"reg_proposals": output}, ahead=ahead.tolist(), classes=classes, **keys
-    )
-    found = lines_of(path)
-    check(found, wanted, 0)
-    assert [line.kind for line in found] == kinds

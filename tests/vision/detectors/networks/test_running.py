@@ -3,6 +3,7 @@ does not fit is refused in one line."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,12 @@ from onnx import helper
 
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.networks.checking import check_onnx
+from egolane_pgm.vision.detectors.networks.checking import describe_onnx
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
-from egolane_pgm.vision.detectors.networks.masks import probabilities
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, read_onnx
-from egolane_pgm.vision.detectors.networks.running import Run, as_input, fit_of, load
-from egolane_pgm.vision.rendering.render import render_frame
+from egolane_pgm.vision.detectors.networks.running import Outputs, as_input, fit_of, load
 from tests.kits.tiny_network import (
+    CAMERA,
     SIZE,
     heavy_traffic,
     write_answer,
@@ -36,7 +36,7 @@ def noise(width: int, height: int) -> Image:
     return np.random.default_rng(0).integers(0, 256, (height, width, 3), dtype=np.uint8)
 
 
-def started(path: Path, width: int = 160, height: int = 120) -> Run:
+def started(path: Path, width: int = 160, height: int = 120) -> Callable[[Image], Outputs]:
     network = read_network(path)
     return load(network, fit_of(network, width, height))
 
@@ -57,88 +57,14 @@ def refused(path: Path) -> str:
 @pytest.mark.parametrize("name", ["lanes", "drivable"])
 def test_opencv_computes_what_onnxruntime_computes(tiny_network: Path, name: str) -> None:
     network = read_network(tiny_network / f"{name}.yaml")
-    session = onnxruntime.InferenceSession(str(network.onnx))
-    scene = heavy_traffic(8, 60)
-    fit = fit_of(network, scene.camera.width, scene.camera.height)
+    session = onnxruntime.InferenceSession(str(network.files[1]))
+    fit = fit_of(network, CAMERA.width, CAMERA.height)
     run = load(network, fit)
     for k in (0, 50):
-        image = render_frame(scene, k).image
+        image = heavy_traffic(8, k).image
         (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
         found = run(image)["mask"]
         np.testing.assert_allclose(found, wanted[0], rtol=1e-4, atol=1e-4)
-        share, same = probabilities(network, found), probabilities(network, wanted[0])
-        assert np.abs(share - same).max() < 1e-4
-
-
-def test_opencv_computes_the_layers_of_lane_networks_as_onnxruntime_does(tmp_path: Path) -> None:
-    """Encoder and decoder with a skip, a mask by a transposed convolution and one by resizing, row
-    anchors by a dense layer, samples along lines: random weights."""
-    rng = np.random.default_rng(1)
-
-    def weight(*shape: int) -> np.ndarray:
-        return (rng.normal(size=shape) / np.sqrt(np.prod(shape[1:]))).astype(np.float32)
-
-    weights = [
-        ("w1", weight(16, 3, 3, 3)),
-        ("w2", weight(32, 8, 3, 3)),
-        ("w3", weight(32, 2, 2, 2)),
-        ("w4", weight(2, 32, 1, 1)),
-        ("w5", weight(51 * 6 * 2, 8 * 10 * 20)),
-        ("slim", weight(8, 32, 1, 1)),
-        ("b5", weight(51 * 6 * 2)),
-        *((name, np.abs(weight(16)) + 0.5) for name in ("gamma", "beta", "mean", "var")),
-        ("slope", weight(16, 1, 1)),
-        ("flat", np.array([1, -1], dtype=np.int64)),
-        ("cells", np.array([1, 51, 6, 2], dtype=np.int64)),
-        ("twice", np.array([1, 1, 2, 2], dtype=np.float32)),
-        ("at", rng.uniform(-1, 1, (1, 6, 7, 2)).astype(np.float32)),
-    ]
-    three = {"kernel_shape": [3, 3], "pads": [1, 1, 1, 1]}
-    node = helper.make_node
-    linear = {"mode": "linear", "coordinate_transformation_mode": "pytorch_half_pixel"}
-    layers = [
-        node("Conv", ["picture", "w1"], ["a"], strides=[2, 2], **three),
-        node("BatchNormalization", ["a", "gamma", "beta", "mean", "var"], ["b"]),
-        node("PRelu", ["b", "slope"], ["c"]),
-        node("Conv", ["c", "w2"], ["d"], strides=[2, 2], group=2, **three),
-        node("GlobalAveragePool", ["d"], ["squeezed"]),
-        node("HardSigmoid", ["squeezed"], ["excited"]),
-        node("Mul", ["d", "excited"], ["e"]),
-        node("ConvTranspose", ["e", "w3"], ["f"], strides=[2, 2], kernel_shape=[2, 2], group=1),
-        node("Sigmoid", ["f"], ["masks"]),
-        node("Resize", ["e", "", "twice"], ["g"], **linear),
-        node("MaxPool", ["c"], ["h"], **three),
-        node("Concat", ["h", "c"], ["i"], axis=1),
-        node("Add", ["g", "i"], ["j"]),
-        node("Conv", ["j", "w4"], ["k"], kernel_shape=[1, 1]),
-        node("Softmax", ["k"], ["classes"], axis=1),
-        node("Conv", ["e", "slim"], ["l"], kernel_shape=[1, 1]),
-        node("Reshape", ["l", "flat"], ["m"]),
-        node("Gemm", ["m", "w5", "b5"], ["n"], transB=1),
-        node("Reshape", ["n", "cells"], ["anchors"]),
-        node("GridSample", ["e", "at"], ["samples"], mode="bilinear", align_corners=1),
-    ]
-    outputs: dict[str, tuple[int, ...]] = {
-        "masks": (1, 2, 20, 40),
-        "classes": (1, 2, 20, 40),
-        "anchors": (1, 51, 6, 2),
-        "samples": (1, 32, 6, 7),
-    }
-    file = write_onnx(
-        tmp_path / "x.onnx", layers, weights, outputs, {"picture": (1, 3, 40, 80)}, opset=16
-    )
-    session = onnxruntime.InferenceSession(str(file))
-    image = noise(80, 40)
-    for name, shape in outputs.items():
-        keys: dict[str, Any] = {"layout": "lanes", "classes": shape[1], "output": name}
-        path = write_network(tmp_path / "x.yaml", model="x.onnx", size=[80, 40], **keys)
-        network = read_network(path)
-        fit = fit_of(network, 80, 40)
-        (wanted,) = session.run([name], {"picture": as_input(network, fit, image)})
-        assert np.ptp(wanted) > 1e-2
-        np.testing.assert_allclose(
-            load(network, fit)(image)["mask"], wanted[0], rtol=1e-4, atol=1e-4
-        )
 
 
 def test_colours_are_scaled_in_the_order_of_the_network() -> None:
@@ -206,7 +132,7 @@ def test_a_file_that_is_no_onnx_is_named(tmp_path: Path) -> None:
     contents = [b"", b"no network at all, " * 30, bytes(range(256)), whole.read_bytes()[:-40]]
     for content in contents:
         (tmp_path / "x.onnx").write_bytes(content)
-        assert "x.onnx is no ONNX file" in refused(path)
+        assert "x.onnx: is no ONNX file" in refused(path)
 
 
 def test_an_operation_that_opencv_does_not_know_is_said(tmp_path: Path) -> None:
@@ -279,15 +205,11 @@ def test_a_picture_goes_in_as_the_numbers_that_the_network_takes(tmp_path: Path,
     found = started(tmp_path / "net.yaml")(noise(160, 120))["mask"]
     assert np.abs(found - wanted).max() <= 1.5
     if kind != "float16":
-        assert yaml.safe_load(check_onnx(tmp_path / "x.onnx"))["scale"] == 1
-        keys = {"model": "x.onnx", "size": [80, 40], "layout": "lanes", "classes": 2}
-        said = refused(write_network(tmp_path / "net.yaml", output="area", **keys))
-        assert said.endswith(f"model: x.onnx takes whole numbers ({kind}); say scale: 1")
+        assert yaml.safe_load(describe_onnx(tmp_path / "x.onnx"))["scale"] == 1
 
 
 def sums(tmp_path: Path, **keys: Any) -> Path:
-    """A network that adds a constant input and the mean of its state to the picture's mean, and
-    gives the sum, three times: `out`."""
+    """A network that adds the sums of two other inputs to the picture's mean: `out`."""
     nodes = [
         helper.make_node("ReduceMean", ["picture"], ["p"], axes=[1, 2, 3], keepdims=0),
         helper.make_node("ReduceSum", ["state", "axes"], ["s"], keepdims=0),
@@ -302,19 +224,10 @@ def sums(tmp_path: Path, **keys: Any) -> Path:
     return write_network(tmp_path / "net.yaml", model="x.onnx", **keys)
 
 
-def test_other_inputs_are_constant_or_outputs_of_the_picture_before(tmp_path: Path) -> None:
-    """The state has four numbers: those that came last, the newest behind the others."""
+def test_other_inputs_are_constant(tmp_path: Path) -> None:
     black = np.zeros((120, 160, 3), dtype=np.uint8)
-
-    def answers(inputs: dict[str, Any]) -> list[float]:
-        run = started(sums(tmp_path, inputs=inputs))
-        return [float(run(black)["mask"][0, 0, 0]) for _ in range(5)]
-
-    assert answers({"state": 0, "more": 2}) == [4, 4, 4, 4, 4]
-    assert answers({"state": [1, 2, 3, 4], "more": [5, 0]}) == [15, 15, 15, 15, 15]
-    # 1, then 1 + 1, 1 + 2 + 1, and 1 + 4 + 2 + 1; then the first one has left the state.
-    assert answers({"state": "out[0:1]", "more": [0, 1]}) == [1, 2, 4, 8, 16]
-    assert answers({"state": "out", "more": [0, 1]}) == [1, 4, 14, 47, 156]
+    run = started(sums(tmp_path, inputs={"state": 0.5, "more": 2}))
+    assert [float(run(black)["mask"][0, 0, 0]) for _ in range(2)] == [6, 6]
 
 
 @pytest.mark.parametrize(
@@ -322,8 +235,6 @@ def test_other_inputs_are_constant_or_outputs_of_the_picture_before(tmp_path: Pa
     [
         ({"state": 0}, "say in inputs what the others get, e.g. inputs: {more: 0}"),
         ({"state": 0, "mroe": 0}, "inputs: unknown name 'mroe' (did you mean 'more'?)"),
-        ({"state": "oat", "more": 0}, "inputs: unknown name 'oat' (did you mean 'out'?)"),
-        ({"state": [1, 2, 3], "more": 0}, "inputs.state: 3 numbers, not 1 x 2 x 2"),
     ],
 )
 def test_inputs_that_do_not_fit_are_refused(
@@ -395,14 +306,6 @@ def test_an_output_of_another_shape_than_the_yaml_says_is_refused(
          "has boxes 999 x 4; with 3 prototypes these are 4 + classes + 3 numbers x boxes, or"),
         ({"scores": (1, 9, 2)}, {"layout": "lstr_curves"},
          "output: is missing; known.onnx gives scores"),
-        ({"places": (1, 3, 5), "scores": (1, 3)}, {"layout": "road_lines", "ahead": [1, 2]},
-         "has 15 places, not a multiple of 2 distances"),
-        ({"places": (1, 3, 2), "scores": (1, 4)}, {"layout": "road_lines", "ahead": [1, 2]},
-         "has 4 scores for 3 lines"),
-        ({"places": (1, 6), "scores": (1, 3), "sd": (1, 3)},
-         {"layout": "road_lines", "ahead": [1, 2],
-          "output": {"places": "places", "scores": "scores", "deviations": "sd"}},
-         "has 3 deviations for 6 places"),
     ],
 )  # fmt: skip
 def test_outputs_that_do_not_fit_each_other_are_refused(
@@ -463,10 +366,7 @@ def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> No
     apart = {"save_as_external_data": True, "location": weights.name, "size_threshold": 0}
     onnx.save(onnx.load(str(file)), str(file), **apart)
     assert np.array_equal(started(path)(noise(160, 120))["mask"], whole)
-    assert network_files({"on_road": str(path)}) == [path, file, weights]
     weights.write_bytes(weights.read_bytes()[:10])
-    assert f"net.yaml: model: the weights of {file} cannot be read: " in refused(path)
+    assert f"net.yaml: model: {file}: is no ONNX file that can be read: " in refused(path)
     weights.unlink()
-    said = refused(path)
-    assert f"net.yaml: model: the weights of {file} cannot be read: " in said
-    assert str(weights) in said
+    assert str(weights) in refused(path)

@@ -1,4 +1,4 @@
-"""The road plane from two cameras, and the objects on it, on rendered pairs."""
+"""The road plane from two cameras, and the objects on it, on drawn pairs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import BoolArray, InputError
 from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import ml, sl
@@ -22,20 +22,8 @@ from egolane_pgm.vision.detectors.runner import collect, detect, find_detector, 
 from egolane_pgm.vision.detectors.simple import fit as _fit
 from egolane_pgm.vision.detectors.simple import plane as _plane
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
-from egolane_pgm.vision.rendering import traffic as traffics
-from egolane_pgm.vision.rendering.render import Frame, render_frame
-from egolane_pgm.vision.rendering.scene import Scene, make_scene
-from tests.kits.stereo_pairs import (
-    CLEAR,
-    PAIR,
-    K,
-    empty,
-    picture,
-    plane_of,
-    scene,
-    settled,
-    with_vehicle,
-)
+from tests.kits.stereo_pairs import DRAWN, OFFSETS, PAIR, K, drawn, plane_of, settled
+from tests.kits.vehicles import Vehicle, car, lorry
 
 pitches = st.floats(-8, 4)
 rolls = st.floats(-4, 4)
@@ -125,8 +113,8 @@ def test_rows_nearer_than_the_view_are_not_matched() -> None:
 
 @pytest.mark.parametrize(("scale", "rows"), [(2, 4), (2, 1), (4, 4)])
 def test_the_plane_of_an_empty_road_is_the_cameras(scale: int, rows: int) -> None:
-    camera = empty().truth.camera
-    pair, plane, disparity = plane_of(empty(), camera, match_scale=scale, match_rows=rows)
+    camera = DRAWN
+    pair, plane, disparity = plane_of(drawn(), camera, match_scale=scale, match_rows=rows)
     assert plane.is_sure
     height, pitch, roll = _plane.pose(camera, plane.abc)
     assert height == pytest.approx(camera.height_m, rel=0.02)
@@ -142,40 +130,31 @@ def test_the_plane_of_an_empty_road_is_the_cameras(scale: int, rows: int) -> Non
 
 
 def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> None:
-    still = scene()
-    nodding = replace(still, pitch_deg=np.full(len(still), 1.2))
-    frame = render_frame(nodding, K)
-    _, plane, _ = plane_of(frame, still.camera)
+    frame = drawn(more_pitch_deg=1.2)
+    _, plane, _ = plane_of(frame, DRAWN)
     assert plane.is_sure
-    pitch = float(_plane.pose(still.camera, plane.abc)[1])
-    assert pitch == pytest.approx(frame.truth.camera.pitch_deg, abs=0.15)
+    pitch = float(_plane.pose(DRAWN, plane.abc)[1])
+    assert pitch == pytest.approx(frame.camera.pitch_deg, abs=0.15)
 
     def worst(**more: Any) -> float:
         parameters = settled(**more)
-        view = _fit.view_for(still.camera, parameters)
-        seen, is_road = _stereo.on_road(still.camera, parameters)(view)(picture(frame))
+        view = _fit.view_for(DRAWN, parameters)
+        seen, is_road = _stereo.on_road(DRAWN, parameters)(view)(frame.picture)
         found = _fit.find_lines(seen, frame.image, parameters, on_road=is_road).shape[:, 0]
-        near = frame.truth.offset_m[np.abs(frame.truth.offset_m) < 6]
+        near = OFFSETS[np.abs(OFFSETS) < 6]
         return float(np.abs(found - near[:, None]).min(axis=1).max())
 
     assert worst() < 0.1
     assert worst() < worst(pitch_from="calibration")
 
 
-def _flank(frame: Frame, where: Scene, pair: _stereo.Pair, low_m: float) -> BoolArray:
-    """Pixels (H, W) of the left flank of the vehicle from low_m above the road up."""
-    camera = frame.truth.camera
-    box = traffics.boxes(
-        where.traffic, K / 10, float(where.road.position_m[K]), lambda x: np.zeros_like(x)
-    )[0]
-    u, v = road_to_image(
-        camera,
-        box.x[[0, 3, 3, 0]],
-        box.y[[0, 3, 3, 0]],
-        np.array([low_m, low_m, box.height_m, box.height_m]),
-    )
+def _flank(one: Vehicle, pair: _stereo.Pair, low_m: float) -> BoolArray:
+    """Pixels (H, W) of the left flank of a vehicle from low_m above the road up."""
+    x = one.rear_m + np.array([0.0, one.length_m, one.length_m, 0.0])
+    z = np.array([low_m, low_m, one.height_m, one.height_m])
+    u, v = road_to_image(DRAWN, x, np.full(4, one.middle_m - one.width_m / 2), z)
     points = np.stack([u, v], -1).astype(np.float32)
-    mask = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    mask = np.zeros((DRAWN.height, DRAWN.width), dtype=np.uint8)
     cv2.fillConvexPoly(mask, cv2.convexHull(points).astype(np.int32), 1)
     rows, columns = pair.v.astype(int), pair.u.astype(int)
     shown: BoolArray = mask[rows, columns] > 0
@@ -183,17 +162,15 @@ def _flank(frame: Frame, where: Scene, pair: _stereo.Pair, low_m: float) -> Bool
 
 
 def test_an_upright_vehicle_is_off_the_plane_and_the_road_is_on_it() -> None:
-    where = make_scene("a4", 3, 60, stereo=True, **CLEAR, curvature=0)
-    where = replace(with_vehicle(6.0, 1, lorry=True), course=where.course, s_m=where.s_m)
-    frame = render_frame(where, K)
+    beside = lorry(6.0, 3.75)
     parameters = settled()
-    pair, plane, disparity = plane_of(frame, where.camera)
+    pair, plane, disparity = plane_of(drawn(vehicles=(beside,)), DRAWN)
     off = _stereo.off_plane(pair, disparity, plane, parameters)
-    lorry = _flank(frame, where, pair, 0.55) & pair.looked
-    assert lorry.sum() > 1000
-    assert off[lorry].mean() > 0.95
-    # Left of the car's own lane there is nothing but road up to the barrier.
-    x, y = image_to_road(where.camera, pair.u, pair.v)
+    flank = _flank(beside, pair, 0.55) & pair.looked
+    assert flank.sum() > 1000
+    assert off[flank].mean() > 0.95
+    # Left of the lorry there is nothing but road.
+    x, y = image_to_road(DRAWN, pair.u, pair.v)
     with np.errstate(invalid="ignore"):
         road = (y < 1) & (y > -8) & (x < 30) & pair.looked
     assert road.sum() > 5000
@@ -201,34 +178,32 @@ def test_an_upright_vehicle_is_off_the_plane_and_the_road_is_on_it() -> None:
 
 
 def test_without_a_sure_plane_a_pitching_camera_keeps_its_road_and_loses_near_cars() -> None:
-    where = with_vehicle(3.0, -1, lorry=False)
-    nodding = replace(where, pitch_deg=np.full(len(where), 1.5))
+    nodding = drawn(vehicles=(car(3.0, -3.75),), more_pitch_deg=1.5)
     parameters = settled(plane_share=1.0)
-    pair, plane, disparity = plane_of(render_frame(nodding, K), scene().camera, plane_share=1.0)
+    pair, plane, disparity = plane_of(nodding, DRAWN, plane_share=1.0)
     assert not plane.is_sure
     off = _stereo.off_plane(pair, disparity, plane, parameters)
-    x, y = image_to_road(scene().camera, pair.u, pair.v)
+    x, y = image_to_road(DRAWN, pair.u, pair.v)
     with np.errstate(invalid="ignore"):
         road = (y > -1) & (y < 3) & (x < 30) & pair.looked
-        car = (y > -7) & (y < -5) & (x < 10) & pair.looked
+        flank = (y > -7) & (y < -5) & (x < 10) & pair.looked
     assert off[road].mean() < 0.01
-    assert off[car].mean() > 0.4
+    assert off[flank].mean() > 0.4
 
 
 def test_lines_on_flanks_are_dropped() -> None:
     parameters = settled()
-    camera = scene().camera
-    view = _fit.view_for(camera, parameters)
-    look = _stereo.on_road(camera, parameters)(view)
+    view = _fit.view_for(DRAWN, parameters)
+    look = _stereo.on_road(DRAWN, parameters)(view)
     one, two = 0, 0
-    for x, lane, lorry in [(3.0, -1, False), (6.0, 1, False), (12.0, 1, True)]:
-        frame = render_frame(with_vehicle(x, lane, lorry=lorry), K)
-        seen, is_road = look(picture(frame))
+    for vehicle in (lorry(3.0, -4.1), lorry(5.0, -4.1), car(6.0, 3.75)):
+        frame = drawn(vehicles=(vehicle,))
+        seen, is_road = look(frame.picture)
         mono = _fit.find_lines(view, frame.image, parameters)
         stereo = _fit.find_lines(seen, frame.image, parameters, on_road=is_road)
 
-        def false(found: _fit.Found, true: FloatArray = frame.truth.offset_m) -> int:
-            return int((np.abs(found.shape[:, :1] - true).min(axis=1) > 0.35).sum())
+        def false(found: _fit.Found) -> int:
+            return int((np.abs(found.shape[:, :1] - OFFSETS).min(axis=1) > 0.35).sum())
 
         one, two = one + false(mono), two + false(stereo)
     assert one >= 2
@@ -237,15 +212,13 @@ def test_lines_on_flanks_are_dropped() -> None:
 
 @pytest.mark.parametrize(("mono", "stereo"), [("ml", "sl"), ("mc", "sc")])
 def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) -> None:
-    camera = scene().camera
     same = {"pitch_from": "calibration"}
-    # The barriers on both sides are no road, so one camera's view ends before them as well.
     steps = [
-        start(find_detector(name, {**more, "side_m": 5.5}, Path.cwd(), "x"), camera)
+        start(find_detector(name, more, Path.cwd(), "x"), DRAWN)
         for name, more in ((mono, {}), (stereo, same), (stereo, {}))
     ]
     for k in range(K, K + 4):
-        pair = picture(render_frame(scene(), k))
+        pair = drawn(k).picture
         one, two, pitched = (step(pair) for step in steps)
         assert len(one.lri) >= 2
         assert two.shape == pytest.approx(one.shape, abs=1e-3)
@@ -265,7 +238,7 @@ def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) 
 )
 def test_bad_parameters_are_named(given_: dict[str, object], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        start(find_detector("sl", given_, Path.cwd(), "detector"), scene().camera)
+        start(find_detector("sl", given_, Path.cwd(), "detector"), DRAWN)
 
 
 @pytest.mark.parametrize(
@@ -294,8 +267,7 @@ def test_a_camera_that_is_no_rectified_pair_on_a_road_is_named(
     ],
 )
 def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str) -> None:
-    image, right = empty().image, empty().right
-    assert right is not None
+    image, right = drawn().image, drawn().right
     left, other = {
         "no right one": (image, None),
         "right one smaller": (image, right[:500]),
@@ -304,7 +276,7 @@ def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str
     }[wrong]
     detector = find_detector(name, {}, Path.cwd(), "detector")
     with pytest.raises(InputError) as error:
-        list(detect(detector, scene().camera, [Picture(7, left, other)]))
+        list(detect(detector, DRAWN, [Picture(7, left, other)]))
     assert str(error.value).startswith(f"detector: {name}: frame 7: {message}")
 
 
@@ -312,21 +284,20 @@ def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str
 def test_a_second_camera_that_fails_in_mid_drive_is_told_of_once_and_the_lines_stay(
     kind: str,
 ) -> None:
-    two = sl.start(scene().camera, resolve_parameters(sl.PARAMETERS, {"unsure_after": 3}, 1))
-    one = ml.start(scene().camera, resolve_parameters(ml.PARAMETERS, {}, 1))
+    two = sl.start(DRAWN, resolve_parameters(sl.PARAMETERS, {"unsure_after": 3}, 1))
+    one = ml.start(DRAWN, resolve_parameters(ml.PARAMETERS, {}, 1))
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         for k in range(K, K + 8):
-            frame = render_frame(scene(), k)
+            frame = drawn(k)
             right = frame.right
-            assert right is not None
             bad = {
                 "black": np.zeros_like(right),
                 "the same picture twice": frame.image,
                 "another place": np.ascontiguousarray(right[:, ::-1]),
             }
             right = bad[kind] if k >= K + 3 else right
-            seen, alone = two(Picture(k, frame.image, right)), one(picture(frame))
+            seen, alone = two(Picture(k, frame.image, right)), one(frame.picture)
     assert [str(w.message)[:36] for w in said] == ["frame 25: no road plane found in 3 f"]
     near, near_alone = (lines.offset_m[np.abs(lines.offset_m) < 5.5] for lines in (seen, alone))
     assert len(near) == 3
@@ -340,11 +311,10 @@ def test_a_second_camera_that_fails_in_mid_drive_is_told_of_once_and_the_lines_s
 def test_a_drive_whose_second_picture_is_lost_in_the_middle_keeps_the_frames_before(
     missing: bool, message: str
 ) -> None:
-    pair, frame = picture(empty()), render_frame(scene(), K + 1)
-    assert frame.right is not None
+    pair, frame = drawn().picture, drawn(K + 1)
     lost = Picture(K + 1, frame.image, None if missing else frame.right[:, ::2])
     detector = find_detector("sl", {}, Path.cwd(), "detector")
-    kept = collect(detect(detector, scene().camera, [pair, lost, pair]), 10.0, "x")
+    kept = collect(detect(detector, DRAWN, [pair, lost, pair]), 10.0, "x")
     assert kept.log is not None
     assert len(kept.log) == 1
     assert str(kept.stopped).startswith(f"detector: sl: frame 21: {message}")

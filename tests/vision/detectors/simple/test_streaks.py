@@ -1,4 +1,4 @@
-"""Pictures full of thin bright streaks, as of rain, of noise, and smeared ones."""
+"""Pictures full of thin bright streaks, as of rain, and of noise."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import pytest
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.simple.blur import sharpened, sharpness
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
@@ -86,19 +85,3 @@ def test_lines_are_found_in_noise(curve: str, seed: int) -> None:
     assert len(found.shape) <= len(LINES) + 2
     for line in LINES:
         assert np.abs(found.shape @ TEN_METRES - line.offset_m).min() < 0.15
-
-
-@pytest.mark.parametrize("axis", [0, 1])
-def test_lines_beside_the_own_lane_are_found_in_a_smeared_picture(axis: int) -> None:
-    beside = (Paint(-5.4), *LINES, Paint(5.55))
-    image = cv2.blur(road(beside, camera=CAMERA, noise=2), (1, 11) if axis == 0 else (11, 1))
-    assert sharpness(image, axis) < 0.2 < sharpness(image, 1 - axis)
-    assert sharpened(image)[1] == (axis == 0)
-    found = find_lines(view_for(CAMERA, DEFAULTS), image, DEFAULTS)
-    for line in beside:
-        assert np.abs(found.shape @ TEN_METRES - line.offset_m).min() < 0.25
-
-
-def test_a_sharp_picture_stays_as_it_is() -> None:
-    image = road(LINES, camera=CAMERA, noise=2)
-    assert sharpened(image)[0] is image

@@ -1,1 +1,0 @@
-"""Draws simulated motorways as pictures."""
