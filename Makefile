@@ -114,7 +114,7 @@ camera: .venv/.dev
 
 # The table of docs/maps.md about matching (some minutes).
 maps: .venv/.dev
-	$(BIN)/python -m makers.maps matched
+	$(BIN)/python -m makers.maps
 
 .venv/.venv:
 	$(PYTHON) -m venv .venv

@@ -42,7 +42,7 @@ COMMANDS = {
     "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
-    "locate": "Find the road of a car on a map, and what is ahead of it.",
+    "locate": "Find the road of a car on a map.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",

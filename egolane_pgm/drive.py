@@ -13,21 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import INTERCHANGE, Experiment, Overrides, make_experiment, overridden
+from egolane_pgm.experiment import FROM_MAP, Experiment, Overrides, make_experiment, overridden
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.maps.lanes_from_gnss import Across
-from egolane_pgm.maps.on_map import across_road, road_along, untold_lanes, with_positions
-from egolane_pgm.maps.steps import LanesAlong
-from egolane_pgm.model import (
-    Model,
-    RuleOutput,
-    make_evidence,
-    prepare_model,
-    road_of,
-    with_map,
-    with_parameters,
-)
+from egolane_pgm.maps.cutting import cut, lanes_along, untold_lanes
+from egolane_pgm.maps.road_table import load as load_road
+from egolane_pgm.model import Model, RuleOutput, make_evidence, prepare_model, with_parameters
 from egolane_pgm.parameters import Value
 from egolane_pgm.recordings import check_one_drive
 from egolane_pgm.recordings.catalog import find_file
@@ -41,7 +32,7 @@ from egolane_pgm.recordings.select import (
     sign_warning,
 )
 from egolane_pgm.recordings.source import IN_MEMORY, LinesFile, Read, Source, find_named
-from egolane_pgm.simulation.drives import OverMap, Simulated
+from egolane_pgm.simulation.drives import Simulated
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import (
     Beliefs,
@@ -69,7 +60,7 @@ def source_of(experiment: Experiment) -> Source:
     """Where the lines of an experiment come from."""
     recording = experiment.recording
     if recording.simulate is not None:
-        return (OverMap if recording.simulate == INTERCHANGE else Simulated)(experiment)
+        return Simulated(experiment)
     return (LinesFile if recording.detector is None else Pictures)(experiment)
 
 
@@ -85,8 +76,8 @@ class Recorded:
     scored (K,): which frames of the log these are.
     files: what was read (a folder of pictures, or a glob, stands for all of them).
     notes: warnings, a line each.
-    road: the lanes of the road in each frame of the log, where a map tells them.
-    across: where positions put the car in each frame of the log, where they count (`gnss`).
+    road_lanes (T,): lanes of the road, of a recording whose clips are where they stay the same
+        (`n_lanes: map`).
     frame_rate: frames per second that were counted with; None where nothing was read.
     """
 
@@ -95,16 +86,17 @@ class Recorded:
     scored: IntArray
     files: tuple[Path, ...]
     notes: tuple[str, ...]
-    road: LanesAlong | None = None
-    across: Across | None = None
+    road_lanes: IntArray | None = None
     frame_rate: float | None = None
 
     def take(self, frames: slice) -> Recorded:
-        """Frames that follow each other, of one drive without a map or of clips."""
+        """Frames that follow each other."""
         low, high = np.searchsorted(self.scored, [frames.start, frames.stop])
         truth = None if self.truth is None else self.truth.take(slice(low, high))
         scored = self.scored[low:high] - frames.start
-        return replace(self, log=self.log.take(frames), truth=truth, scored=scored)
+        lanes = None if self.road_lanes is None else self.road_lanes[frames]
+        log = self.log.take(frames)
+        return replace(self, log=log, truth=truth, scored=scored, road_lanes=lanes)
 
     def clips(self) -> list[Recorded]:
         """Each clip as a drive of its own; of one drive that."""
@@ -142,29 +134,29 @@ def load_recording(
     notes += [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     if not clips:
         check_one_drive(found.log, ONE_DRIVE)
+    if truth is not None:
+        check_one_drive(found.log, "clips are run without ground truth (ground_truth: none)")
     first, stop = recording.frames or (None, None)
     log = select_frames(found.log, first, stop)
     log = fill_missing(log, recording.missing_frames, recording.frame_rate)
     max_lri = float(values.get("max_lri", 10))
     if recording.lri == "clip":
         log = clip_lri(log, max_lri)
-    notes += recording_warnings(log, experiment.n_lanes, max_lri, recording.frame_rate)
-    road = seen = None
-    if experiment.follows_map or experiment.gnss is not None:
+    n_lanes, road_lanes = experiment.n_lanes, None
+    if n_lanes == FROM_MAP:
         check_one_drive(log, "clips are run without a road table")
-        if experiment.road is not None:
-            files.append(find_named(experiment, "road"))
-        table = road_of(experiment)
-        road = road_along(experiment, table, values, log)
-        notes += [] if road is None else untold_lanes(table, log)
-        seen = across_road(experiment, table, road, log)
+        files.append(find_named(experiment, "road"))
+        table = load_road(files[-1])
+        road_lanes = lanes_along(table, log)
+        n_lanes, notes = int(table.n_lanes.max()), [*notes, *untold_lanes(table, log)]
+        log = cut(log, road_lanes, experiment.name)
+    notes += recording_warnings(log, n_lanes, max_lri, recording.frame_rate)
     none = np.zeros(0, dtype=np.int64)
     rate = recording.frame_rate
-    recorded = Recorded(log, None, none, tuple(files), tuple(notes), road, seen, rate)
+    recorded = Recorded(log, None, none, tuple(files), tuple(notes), road_lanes, rate)
     if truth is None:
         return recorded
-    check_one_drive(log, "clips are run without ground truth (ground_truth: none)")
-    truth.check_lanes(experiment.n_lanes)
+    truth.check_lanes(n_lanes)
     scored, annotated = join(log, truth)
     notes += sign_warning(log.take(scored), truth.take(annotated))
     if len(scored) < len(log):
@@ -300,15 +292,17 @@ def with_recording(
         )
     if recording is not None:
         is_said = n_lanes is not None or "n_lanes" in overridden({}, overrides)
-        if experiment.recording.simulate is not None and not is_said:
+        simulated = experiment.recording.simulate is not None
+        if (simulated or experiment.n_lanes == FROM_MAP) and not is_said:
+            whose = "is its simulated drive's" if simulated else "is of its own road"
             raise InputError(
                 "n_lanes: is missing: say how many lanes the road of this recording has (the"
-                f" {experiment.n_lanes or 'map'} of {experiment.source} is its simulated drive's)"
+                f" {experiment.n_lanes or 'map'} of {experiment.source} {whose})"
             )
         kept = _KEPT | source_of(experiment).kept_for(recording, detector)
         path = recording if recording == IN_MEMORY else str(Path(recording).absolute())
         content["recording"] = {**{k: v for k, v in section.items() if k in kept}, "path": path}
-        content |= dict.fromkeys(("ground_truth", "road", "gnss", "tuning"))
+        content |= dict.fromkeys(("ground_truth", "road", "tuning"))
         content["name"] = name_of(recording)
         if experiment.tuned_on == "same_frames" and not _is_own(recording, experiment):
             content["tuned_on"] = "other_frames"
@@ -387,7 +381,7 @@ class Drive:
     @property
     def n_lanes(self) -> int:
         """Lanes of the road."""
-        return self.experiment.n_lanes
+        return self.model.n_lanes
 
     @property
     def truth(self) -> LaneTruth:
@@ -450,8 +444,7 @@ def open_drive(
     does.
     """
     check(experiment)
-    experiment = with_map(experiment)
-    model = prepare_model(experiment)
+    model = prepare_model(experiment, most_lanes(experiment) if clips else None)
     if recorded is None:
         source = source_of(experiment)
         if read is None and isinstance(source, LinesFile):
@@ -460,12 +453,15 @@ def open_drive(
         recorded = load_recording(experiment, model.parameters, clips=clips, read=read)
     else:
         experiment = _with_rate(experiment, recorded.frame_rate)
-        if experiment.follows_map:
-            # Another graph may take the same road in another form.
-            road = road_along(experiment, road_of(experiment), model.parameters, recorded.log)
-            recorded = replace(recorded, road=road)
     never_fit = () if experiment.tuning is None else experiment.tuning.never_fit
     return Drive(experiment, model, recorded, never_fit)
+
+
+def most_lanes(experiment: Experiment) -> int:
+    """The number of lanes of an experiment's road; where a map tells it, the most that it has."""
+    if experiment.n_lanes != FROM_MAP:
+        return experiment.n_lanes
+    return max(1, int(load_road(find_named(experiment, "road")).n_lanes.max(initial=1)))
 
 
 def load_drive(
@@ -482,8 +478,8 @@ def load_drive(
     recorded, read: as in `open_drive`.
     never_fit: ranges in addition to those of the experiment's own `tuning.never_fit`.
 
-    Raises InputError as `open_drive` does, for an experiment with positions or that decodes a path,
-    and, where ground truth is needed, for a recording without it or without a frame to score.
+    Raises InputError as `open_drive` does, for an experiment that decodes a path, and, where ground
+    truth is needed, for a recording without it or without a frame to score.
     """
     if recorded is not None:
         has_truth = recorded.truth is not None
@@ -493,10 +489,6 @@ def load_drive(
 
     def check(experiment: Experiment) -> None:
         source = experiment.source
-        if experiment.gnss is not None:
-            raise InputError(
-                f"{source}: gnss: positions are for `egolane run`; here leave them out (gnss: null)"
-            )
         if experiment.decode != "marginal":
             raise InputError(
                 f"{source}: decode: {experiment.decode} is for `egolane run`; here beliefs are"
@@ -513,20 +505,8 @@ def load_drive(
 
 
 def evidence_on(drive: Drive, model: Model) -> RuleOutput:
-    """The evidence of all T frames of a drive for a model, on the lanes of its road, and with its
-    positions where they count."""
-    recorded, experiment = drive.recorded, drive.experiment
-    output = make_evidence(model, recorded.log, experiment.evidence_reading, recorded.road)
-    if recorded.across is None or experiment.gnss is None:
-        return output
-    joint = with_positions(
-        model.compiled,
-        recorded.log,
-        output.filtered,
-        recorded.across,
-        experiment.gnss,
-    )
-    return replace(output, filtered=joint)
+    """The evidence of all T frames of a drive for a model."""
+    return make_evidence(model, drive.recorded.log, drive.experiment.evidence_reading)
 
 
 def beliefs_of(drive: Drive, model: Model) -> tuple[Beliefs, tuple[str, ...]]:

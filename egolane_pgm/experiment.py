@@ -37,11 +37,8 @@ from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import MAX_LANES, InputError, near_word, not_one_of, suggestion
 
-#: What an experiment keeps for `n_lanes: map`, until the map was looked at.
+#: What an experiment keeps for `n_lanes: map`.
 FROM_MAP = 0
-
-#: The simulated drive that brings a road table of its own.
-INTERCHANGE = "interchange"
 
 #: What replaces some of an experiment's keys, as `load_experiment` takes it.
 Overrides = Mapping[str, Any] | Sequence[str] | None
@@ -268,7 +265,7 @@ class Recording(Section):
     )
     options: _Keys = Field(
         default_factory=FrozenDict,
-        description="further options of the format's reader, or of the simulated interchange",
+        description="further options of the format's reader",
         examples=[{"valid": "always"}],
     )
     lines: LinesMapping | None = Field(
@@ -389,28 +386,6 @@ class Learning(Section):
     iterations: int = Field(default=200, ge=1, le=10**6, description="largest number of EM steps")
 
 
-class Gnss(Section):
-    """The noise of positions, which are evidence of the lane in addition to the lines. The defaults
-    are as telephones' receivers and maps had it on recorded drives."""
-
-    lane_width_m: Positive = Field(default=3.75, description="width of a lane, metres")
-    sigma_m: Positive = Field(
-        default=0.5,
-        description="standard deviation from one position to the next, metres, the car's wandering"
-        " in its lane included",
-    )
-    drift_sigma_m: float = Field(
-        default=4.0,
-        ge=0,
-        allow_inf_nan=False,
-        description="standard deviation of the drift, metres, the map's own errors included",
-    )
-    drift_s: Positive = Field(default=300.0, description="correlation time of the drift, seconds")
-    off_share: float = Field(
-        default=0.05, gt=0, lt=1, description="share of positions that say nothing of the lane"
-    )
-
-
 class Experiment(Section):
     """One experiment: a recording, how its lines become evidence, the graph, the parameters."""
 
@@ -428,20 +403,14 @@ class Experiment(Section):
     )
     road: str | None = Field(
         default=None,
-        description="the road table of the drive (`egolane locate` writes it), for n_lanes: map and"
-        " for gnss",
+        description="the road table of the drive (`egolane locate` writes it), for n_lanes: map",
         examples=["road.parquet"],
-    )
-    gnss: Gnss | None = Field(
-        default=None,
-        description="take the positions of the road table as evidence of the lane too; {} for the"
-        " usual receiver",
-        examples=[{}],
     )
     n_lanes: int = Field(
         le=MAX_LANES,
         strict=True,
-        description="lanes of the road, or `map`: as the road table says",
+        description="lanes of the road, or `map`: the road table tells them, and where their number"
+        " changes the recording is cut into drives",
         examples=[4],
         json_schema_extra=_or_map,
     )
@@ -511,37 +480,32 @@ class Experiment(Section):
     )
     tuning: Tuning | None = Field(default=None, description="settings of `egolane tune`")
 
-    @model_validator(mode="after")
-    def _road_where_needed(self) -> Experiment:
-        has_road = self.road is not None or self.recording.simulate == INTERCHANGE
-        if self.gnss is not None and not has_road:
-            raise ValueError("gnss needs a road table (road: FILE, `egolane locate` writes it)")
-        if self.road is not None and self.gnss is None and not self.follows_map:
-            raise ValueError("road goes with n_lanes: map, or with gnss")
-        return self
-
     @field_validator("n_lanes", mode="before")
     @classmethod
     def _number_or_map(cls, value: Any, info: ValidationInfo) -> Any:
-        recording = info.data.get("recording")
-        is_simulated = recording is not None and recording.simulate == INTERCHANGE
-        has_road = is_simulated or info.data.get("road") is not None
-        if value == "map":
+        has_road = info.data.get("road") is not None
+        if value == "map" or (has_road and value == FROM_MAP):
             if not has_road:
                 raise ValueError("map needs a road table (road: FILE, `egolane locate` writes it)")
             return FROM_MAP
-        if type(value) is int and value < 1 and not (has_road and value == FROM_MAP):
+        if has_road:
+            raise ValueError("a road table gives the number of lanes (n_lanes: map)")
+        if type(value) is int and value < 1:
             raise ValueError("input should be greater than or equal to 1")
         return value
 
     @field_validator("start_lane")
     @classmethod
     def _lane_of_the_road(cls, value: Any, info: ValidationInfo) -> Any:
-        n_lanes = info.data.get("n_lanes", FROM_MAP)
-        if isinstance(value, int) and (value < 1 or (n_lanes != FROM_MAP and value > n_lanes)):
-            raise ValueError(f"the road has lanes 1 (leftmost) to {n_lanes or 'n'}")
+        if value is None or "n_lanes" not in info.data:
+            return value
+        n_lanes = info.data["n_lanes"]
+        if n_lanes == FROM_MAP:
+            raise ValueError("does not go with n_lanes: map, each drive starts from the prior")
+        if isinstance(value, int) and not 1 <= value <= n_lanes:
+            raise ValueError(f"the road has lanes 1 (leftmost) to {n_lanes}")
         if isinstance(value, tuple):
-            if n_lanes != FROM_MAP and len(value) != n_lanes:
+            if len(value) != n_lanes:
                 raise ValueError(f"needs a lane, or a number for each of the {n_lanes} lanes")
             if not all(0 <= each < math.inf for each in value) or not any(value):
                 raise ValueError("the lanes' probabilities are not negative, and not all 0")
@@ -578,12 +542,6 @@ class Experiment(Section):
     def folder(self) -> Path:
         """The folder of the YAML file: its relative paths start here."""
         return self._folder
-
-    @property
-    def follows_map(self) -> bool:
-        """Whether the lanes of the road change along the drive, as a map says."""
-        has_road = self.road is not None or self.recording.simulate == INTERCHANGE
-        return has_road and (self.n_lanes == FROM_MAP or "steps" in self.parameters)
 
     @property
     def has_causal_filter(self) -> bool:
@@ -780,10 +738,12 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
     content = experiment.model_dump(mode="json", exclude=_FITTING)
     # A config without one of these is the same config as ever, and so is its hash.
     recording = content["recording"]
-    for section, keys in (content, ("road", "gnss")), (recording, ("definitions", "lines")):
+    for section, keys in (content, ("road",)), (recording, ("definitions", "lines")):
         for key in keys:
             if section[key] is None:
                 del section[key]
+    if experiment.n_lanes == FROM_MAP:
+        content["n_lanes"] = "map"
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())

@@ -23,16 +23,7 @@ from egolane_pgm.inference.compile import (
     with_tables,
 )
 from egolane_pgm.inference.filtering import read_evidence
-from egolane_pgm.inference.layout import check_keys, joint_input
-from egolane_pgm.maps.on_map import (
-    check_on_map,
-    evidence_along,
-    is_of_changing_roads,
-    with_lanes_of,
-)
-from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.maps.road_table import load as load_road
-from egolane_pgm.maps.steps import LanesAlong
+from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.parameters import Value, looking_back, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
@@ -42,8 +33,6 @@ from egolane_pgm.plugins import (
     plugin_names,
     plugin_place,
 )
-from egolane_pgm.recordings.source import find_named
-from egolane_pgm.simulation.drives import OverMap
 from egolane_pgm.types import (
     Evidence,
     FloatArray,
@@ -104,14 +93,21 @@ class Model:
         return self.compiled.network
 
 
-def prepare_model(experiment: Experiment) -> Model:
+def prepare_model(experiment: Experiment, n_lanes: int | None = None) -> Model:
     """Load and compile the experiment's plugins.
+
+    - n_lanes: lanes of the road, in place of the experiment's.
 
     Raises InputError naming the YAML file and key for unknown plugins and parameters, values out
     of range, and an evidence rule that does not fit the graph.
     """
-    experiment = with_map(experiment)
     source = experiment.source
+    n_lanes = experiment.n_lanes if n_lanes is None else n_lanes
+    if n_lanes == FROM_MAP:
+        raise InputError(
+            f"{source}: n_lanes: map: only `egolane run` cuts a recording by its road; here give"
+            " the number of one road (road: null, n_lanes: 3)"
+        )
     rule, graph = load_rule_and_graph(
         experiment.evidence, experiment.graph, experiment.folder, source
     )
@@ -119,21 +115,21 @@ def prepare_model(experiment: Experiment) -> Model:
     parameters = resolve_parameters(
         looking_back(specs) if experiment.filter == "smoothed" else specs,
         experiment.parameters,
-        experiment.n_lanes,
+        n_lanes,
         f"{source}: parameters",
     )
     _check_names(rule, graph, source)
     with problems_in(f"{source}: graph {experiment.graph}"):
-        roles, compiled = _compiled(graph, rule, experiment.n_lanes, parameters, f"{source}: graph")
+        roles, compiled = _compiled(graph, rule, n_lanes, parameters, f"{source}: graph")
     lanes = compiled.cardinality.get("Lane")
-    if lanes != experiment.n_lanes:
+    if lanes != n_lanes:
         raise InputError(
             f"{source}: graph {experiment.graph}: needs a hidden node Lane with"
-            f" {experiment.n_lanes} values, has {lanes or 'none'}"
+            f" {n_lanes} values, has {lanes or 'none'}"
         )
     if experiment.start_lane is not None:
         compiled = starting_in(compiled, _start_of(experiment))
-    return Model(rule, graph, parameters, compiled, experiment.n_lanes, roles)
+    return Model(rule, graph, parameters, compiled, n_lanes, roles)
 
 
 def _start_of(experiment: Experiment) -> FloatArray:
@@ -162,30 +158,6 @@ def _compiled(
         inputs=roles.inputs,
         values=getattr(graph, "VALUES", {}),
     )
-
-
-def with_map(experiment: Experiment) -> Experiment:
-    """The experiment with the lanes and the steps of its road, where it has a road table.
-
-    Raises InputError for a road table that cannot be used, and for a graph or a reading of the
-    evidence that knows no changing road.
-    """
-    if not experiment.follows_map and experiment.gnss is None:
-        return experiment
-    where = f"{experiment.source}: graph"
-    graph = load_plugin("graphs", experiment.graph, experiment.folder, where)
-    check_on_map(experiment, graph)
-    if experiment.n_lanes != FROM_MAP:
-        return experiment
-    return with_lanes_of(road_of(experiment), experiment, graph)
-
-
-def road_of(experiment: Experiment) -> RoadTable:
-    """The road table of an experiment that has one. Raises InputError for a file that cannot
-    be used."""
-    if experiment.road is None:
-        return OverMap(experiment).road()
-    return load_road(find_named(experiment, "road"))
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
@@ -268,12 +240,6 @@ def graph_roles(graph: ModuleType, rule: ModuleType, network: DynamicBayesianNet
     return Roles(hidden, observed, inputs, tuple(k for k in rule.PROVIDES if k not in observed))
 
 
-def taken_of_rule(graph: ModuleType) -> tuple[Observed, ...]:
-    """The evidence keys that a graph needs from the rule: its TAKES, or else its OBSERVED."""
-    taken: tuple[Observed, ...] = getattr(graph, "TAKES", graph.OBSERVED)
-    return taken
-
-
 def observed_under(rule: ModuleType, network: DynamicBayesianNetwork) -> tuple[Observed, ...]:
     """The keys of a rule's evidence whose nodes are in the network."""
     nodes = node_names(network)
@@ -295,7 +261,7 @@ def fitting_rule(graph: ModuleType, n_lanes: int, first: str, folder: Path, wher
         parameters = resolve_parameters(specs, {}, n_lanes)
         network = build_network(graph, n_lanes, parameters, where)
         return max(rules, key=lambda name: len(observed_under(rules[name], network)))
-    seen = set(taken_of_rule(graph))
+    seen = set(graph.OBSERVED)
     known = {*seen, *getattr(graph, "UNUSED", ())}
     shapes = {p.name for p in specs if p.kind == "integer"}
     missing = {
@@ -336,7 +302,7 @@ def _check_names(rule: ModuleType, graph: ModuleType, source: str) -> None:
     provides = getattr(rule, "PROVIDES", None)
     if provides is None or not hasattr(graph, "OBSERVED"):
         return
-    taken = taken_of_rule(graph)
+    taken = graph.OBSERVED
     for key in taken:
         if key not in provides:
             raise InputError(
@@ -394,11 +360,6 @@ def place_by_lines(model: Model) -> Callable[[LineLog], FloatArray | None]:
 
 
 def _online_rule(model: Model) -> Callable[[LineLog], Evidence]:
-    if is_of_changing_roads(model.graph):
-        raise InputError(
-            "a graph of a road whose lanes change is not run online; run the drive with `egolane"
-            " run`, or take a graph of a fixed number of lanes (graph: sensor_failure, n_lanes: 3)"
-        )
     rule = model.rule
     with plugin_errors(rule, "evidence"):
         if hasattr(rule, "online"):
@@ -420,37 +381,21 @@ def _evidence_alone(rule: ModuleType, model: Model, log: LineLog) -> Any:
         return rule.evidence(log, model.n_lanes, model.parameters)
 
 
-def make_evidence(
-    model: Model, log: LineLog, reading: str = "soft", road: LanesAlong | None = None
-) -> RuleOutput:
+def make_evidence(model: Model, log: LineLog, reading: str = "soft") -> RuleOutput:
     """Make the evidence of a log of T frames for the model's graph.
 
     - reading: the experiment's `evidence_reading`.
-    - road: the lanes of the road in each frame; None for a road on which they do not change.
 
     The evidence of frames that `missing_frames: predict` put in is 1 for every value of a node.
     Raises InputError, naming the rule's file, for what is no evidence of T frames.
     """
     rule = model.rule
-    tentative = None
     with plugin_errors(rule, "evidence"), warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        if is_of_changing_roads(model.graph):
-            plugins = (rule, model.graph, model.n_lanes, model.parameters)
-            given, tentative = evidence_along(*plugins, log, road)
-        else:
-            given = rule.evidence(log, model.n_lanes, model.parameters)
+        given = rule.evidence(log, model.n_lanes, model.parameters)
     filtered = _filtered(model, log, given, reading)
-    if road is not None:
-        first = joint_input(model.compiled, filtered)[:1]
-        if not model.compiled.prior[first].any(axis=1).all():
-            raise InputError(
-                f"{log.source}: start_lane: where the drive begins the road has"
-                f" {road.n_lanes[0]} lanes"
-            )
     notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
-    if tentative is None:
-        tentative = _tentative(rule, given, model.n_lanes)
+    tentative = _tentative(rule, given, model.n_lanes)
     return RuleOutput(filtered, tentative, tuple(dict.fromkeys(notes)))
 
 

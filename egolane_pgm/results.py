@@ -12,7 +12,8 @@ A directory is complete, so that a report can be made from it alone:
   told_time_s.
 - clips.csv: of a recording of several clips one row for each: clip, first_frame_id, frames,
   assigned_lane and probability (of the most probable lane) in its last frame, changes (their
-  number), log_evidence (mean).
+  number), log_evidence (mean); with n_lanes: map n_lanes; with ground truth frames_scored and
+  accuracy.
 - figures/: the belief over time, strips.png, and what `plot` drew.
 
 What was believed held out (`held_out.run_held_out`) is written so too: beliefs.parquet has the
@@ -46,10 +47,7 @@ from pydantic_core import from_json
 
 from egolane_pgm.experiment import Experiment, config_hash, make_experiment, validated
 from egolane_pgm.inference.events import (
-    in_tracks,
     lane_events,
-    numbered,
-    tracks_of,
 )
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.model import Model, prepare_model
@@ -114,8 +112,8 @@ class Result:
       (`line_geometry.place`).
     - block (T,): the held-out block of each frame; None of a result that held out none.
     - clip (T,): the name of each frame's clip, where there are several, as in `LineLog`.
-    - road_lanes, origin (T,): lanes of the road as the map says, and where their numbers begin, see
-      `maps.steps.LanesAlong`; None for a road on which lanes do not change.
+    - road_lanes (T,): lanes of the road as the map says, with n_lanes: map; clips are then where
+      they stay the same, and lanes beyond have probability 0.
     - lines: of the T frames; None in a directory that was written before lines were kept.
     - evidence: what was filtered; None where the result was read.
     - learned: what was learned from the whole recording, of a result of `ego.learn`.
@@ -155,7 +153,6 @@ class Result:
     block: IntArray | None = None
     clip: NDArray[np.str_] | None = None
     road_lanes: IntArray | None = None
-    origin: IntArray | None = None
     lines: LineLog | None = None
     evidence: Evidence | None = None
     compiled: Model | None = None
@@ -187,7 +184,7 @@ class Result:
     @functools.cached_property
     def model(self) -> Model:
         """The graph and the evidence rule, compiled."""
-        return self.compiled or prepare_model(self.experiment)
+        return self.compiled or prepare_model(self.experiment, self.n_lanes)
 
     @functools.cached_property
     def beliefs(self) -> Beliefs:
@@ -216,16 +213,12 @@ class Result:
 
     @functools.cached_property
     def told(self) -> LaneEvents:
-        """The lane changes that the beliefs show, with lanes that keep their numbers all along
-        the drive (`inference.events.in_tracks`)."""
+        """The lane changes that the beliefs show."""
         rate, lag = float(self.run["frame_rate"]), self.config.get("lag")
-        beliefs = self.beliefs
-        if self.origin is not None:
-            beliefs = in_tracks(beliefs, self.origin)
         pieces = pieces_of(self.clip, len(self))
         found = [
             lane_events(
-                beliefs.take(piece),
+                self.beliefs.take(piece),
                 rate,
                 lag=lag,
                 time_s=self.time_s[piece],
@@ -239,13 +232,31 @@ class Result:
     def events(self) -> LaneEvents:
         """The lane changes that the beliefs show, see `egolane_pgm.inference.events`; with
         ground truth, the delay of each."""
-        events, truth, origin = self.told, self.truth, self.origin
-        if truth is not None:
-            if origin is not None:
-                truth = replace(truth, lane=truth.lane + tracks_of(origin)[self.scored])
-            delay = event_delays(events, truth, float(self.run["frame_rate"]))
-            events = replace(events, delay_s=delay)
-        return events if origin is None else numbered(events, self.frame_id, origin)
+        truth = self.truth
+        if truth is None:
+            return self.told
+        truth = replace(truth, lane=truth.lane + self.renumbered[self.scored])
+        same = self.with_same_lanes(self.told)
+        return replace(self.told, delay_s=event_delays(same, truth, float(self.run["frame_rate"])))
+
+    @functools.cached_property
+    def renumbered(self) -> IntArray:
+        """(T,): what to add to lanes so that the true one keeps its number from clip to clip of a
+        road from a map: lanes that begin at the left are no change of lane."""
+        added, last = np.zeros(len(self), dtype=np.int64), None
+        for piece in [] if self.road_lanes is None else pieces_of(self.clip, len(self)):
+            lanes = self.true_lane[piece]
+            known = lanes[(lanes != UNASSIGNED) & ~self.is_crossing[piece]]
+            if len(known):
+                added[piece] = 0 if last is None else last - known[0]
+                last = known[-1] + added[piece.start]
+        return np.asarray(added - added.min(initial=0))
+
+    def with_same_lanes(self, events: LaneEvents) -> LaneEvents:
+        """Events of this result, with lanes that are `renumbered`."""
+        added = self.renumbered[np.searchsorted(self.frame_id, events.told_frame_id)]
+        added[events.from_lane == UNASSIGNED] = 0
+        return replace(events, from_lane=events.from_lane + added, to_lane=events.to_lane + added)
 
     def take(self, frames: slice | IntArray | BoolArray) -> Result:
         """The result of some frames, in order."""
@@ -277,6 +288,11 @@ class Result:
         first = np.array([piece.start for piece in pieces])
         last = np.array([piece.stop - 1 for piece in pieces])
         told = np.searchsorted(self.frame_id[first], self.events.frame_id, side="right") - 1
+        is_scored = (self.true_lane != UNASSIGNED) & ~self.is_crossing
+        is_right = is_scored & (self.assigned_lane == self.true_lane)
+        n_scored, n_right = (np.add.reduceat(each, first) for each in (is_scored, is_right))
+        of_road = {} if self.road_lanes is None else {"n_lanes": self.road_lanes[first]}
+        of_truth = {"frames_scored": n_scored, "accuracy": n_right / np.maximum(n_scored, 1)}
         return {
             "clip": self.clip[first],
             "first_frame_id": self.frame_id[first],
@@ -285,6 +301,8 @@ class Result:
             "probability": self.marginals["Lane"][last].max(axis=1),
             "changes": np.bincount(told, minlength=len(pieces)),
             "log_evidence": np.array([self.log_evidence[piece].mean() for piece in pieces]),
+            **of_road,
+            **(of_truth if n_scored.any() else {}),
         }
 
     # --- shown; pandas, xarray, matplotlib and the page are imported when they are asked for ----
@@ -521,7 +539,6 @@ COLUMNS = (
     ),
     Column("clip", "string", "sometimes", "name of the clip, where several"),
     Column("road_lanes", "int64", "sometimes", "lanes of the road, with n_lanes: map"),
-    Column("origin", "int64", "road_lanes", "lane k is lane k - origin of the first frame"),
     Column("block", "int64", "sometimes", "the block that was held out"),
 )
 

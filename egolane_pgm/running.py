@@ -21,30 +21,35 @@ from egolane_pgm.drive import (
     drive_key,
     evidence_on,
     file_entry,
+    most_lanes,
     name_of,
     open_drive,
     source_of,
     with_own_rate,
 )
-from egolane_pgm.experiment import Experiment, config_hash, load_experiment, resolved
+from egolane_pgm.experiment import (
+    FROM_MAP,
+    Experiment,
+    config_hash,
+    load_experiment,
+    resolved,
+)
 from egolane_pgm.inference.events import (
     SURE,
     across_lanes,
-    in_tracks,
     lane_stretches,
-    tracks_of,
 )
 from egolane_pgm.inference.filtering import piece_frames, step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.inference.viterbi import disagreement, viterbi
 from egolane_pgm.model import (
+    Model,
     causality,
     online_output,
     place_by_lines,
     prepare_model,
     value_names,
-    with_map,
 )
 from egolane_pgm.recordings.source import Read
 from egolane_pgm.results import (
@@ -61,7 +66,6 @@ from egolane_pgm.results import (
 )
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.events import event_scores
-from egolane_pgm.scoring.road import road_scores
 from egolane_pgm.scoring.summary import score_with_intervals, stability_scores
 from egolane_pgm.tools.files import arrow_table, parquet_writer, plain
 from egolane_pgm.tools.jobs import Jobs, in_order
@@ -101,7 +105,7 @@ class Believed:
     - assigned (T,): the lane that is answered, 1..n or UNASSIGNED.
     - tentative (T, n): the evidence rule's own answer, or None.
     - crossing, place_in_lane (T,): see `Result`.
-    - evidence: what was filtered; None where it was not kept.
+    - evidence: what was filtered; None where it was not kept, or is of several numbers of lanes.
     - notes: warnings, a line each.
     """
 
@@ -159,15 +163,36 @@ def run_experiment(
     drive = open_drive(experiment, recorded=recorded, read=read, clips=True)
     # Each clip is filtered from the prior on, as a drive of its own.
     clips = drive.recorded.clips()
-    parts = [
-        believe(replace(drive, recorded=clip))
-        for clip in bar(clips, None if len(clips) > 1 else False, unit="clip")
-    ]
+    shown = bar(clips, None if len(clips) > 1 else False, unit="clip")
+    parts = [believe(replace(drive, recorded=clip)) for clip in shown]
     return scored_result(drive, Believed.joined(parts), begun)
 
 
 def believe(drive: Drive) -> Believed:
     """Filter a drive of T frames: what the experiment's model makes of its lines."""
+    if drive.recorded.road_lanes is not None:
+        n_lanes = int(drive.recorded.road_lanes[0])
+        if n_lanes != drive.n_lanes:
+            narrow = replace(drive, model=prepare_model(drive.experiment, n_lanes))
+            return _widened(_believe(narrow), drive.model)
+    return _believe(drive)
+
+
+def _widened(believed: Believed, model: Model) -> Believed:
+    """What was made of a road with fewer lanes than a model's: those that it lacks, and other
+    values that it lacks, have probability 0."""
+
+    def wide(values: FloatArray, size: int) -> FloatArray:
+        return np.pad(values, ((0, 0), (0, size - values.shape[1])))
+
+    size, beliefs = model.compiled.cardinality, believed.beliefs
+    marginals = {node: wide(each, size[node]) for node, each in beliefs.marginals.items()}
+    tentative = None if believed.tentative is None else wide(believed.tentative, model.n_lanes)
+    beliefs = replace(beliefs, marginals=marginals, values={})
+    return replace(believed, beliefs=beliefs, tentative=tentative, evidence=None)
+
+
+def _believe(drive: Drive) -> Believed:
     experiment, model, log = drive.experiment, drive.model, drive.recorded.log
     output = evidence_on(drive, model)
     filtered, method = output.filtered, experiment.filter
@@ -217,7 +242,7 @@ def scored_result(drive: Drive, believed: Believed, begun: float) -> Result:
 def result_rows(drive: Drive, believed: Believed) -> Result:
     """A result with the columns only: of config, run.json and scores.json it has n_lanes."""
     recorded, beliefs = drive.recorded, believed.beliefs
-    log, truth, road = recorded.log, recorded.truth, recorded.road
+    log, truth = recorded.log, recorded.truth
     lane = np.full(len(log), UNASSIGNED)
     crossing = np.zeros(len(log), dtype=bool)
     if truth is not None:
@@ -243,8 +268,7 @@ def result_rows(drive: Drive, believed: Believed) -> Result:
         crossing=believed.crossing,
         place_in_lane=believed.place_in_lane,
         clip=log.clip,
-        road_lanes=None if road is None else road.n_lanes,
-        origin=None if road is None else road.origin,
+        road_lanes=recorded.road_lanes,
         lines=log,
         evidence=believed.evidence,
         compiled=drive.model,
@@ -284,32 +308,27 @@ def scores_document(result: Result, drive: Drive, kept: BoolArray | None = None)
     - kept (K,): the annotated frames that are scored; all by default.
     """
     rate, told, lane = float(result.run["frame_rate"]), result.told, result.marginals["Lane"]
-    road, truth, rows = drive.recorded.road, result.truth, result.scored
+    truth, rows = result.truth, result.scored
     scores: dict[str, Any] = {}
     events: dict[str, Any] = {"told": len(told)}
     if truth is not None and kept is not None:
         truth, rows = truth.take(kept), rows[kept]
     if truth is not None:
-        # Lanes that begin and end at the left change numbers, and that is no change of lane.
-        moved, unsure = np.zeros(len(rows), dtype=np.int64), truth.is_crossing
-        if road is not None:
-            moved, unsure = tracks_of(road.origin)[rows], unsure | road.is_renumbering[rows]
-        of_tracks = replace(truth, lane=truth.lane + moved, is_crossing=unsure)
+        moved = result.renumbered[rows]
+        same = replace(truth, lane=truth.lane + moved)
         crossing = None if result.crossing is None else result.crossing[rows]
-        events = event_scores(told, crossing, of_tracks, rate)
+        events = event_scores(result.with_same_lanes(told), crossing, same, rate)
         assigned = result.assigned_lane[rows]
         if result.tentative is not None:
             # A tentative vector is no belief: the reject option and the path are the model's.
             scores["detector"] = score_with_intervals(result.tentative[rows], truth, rate)
         scores["model"] = score_with_intervals(lane[rows], truth, rate, assigned=assigned)
-        if road is not None:
+        if result.road_lanes is not None:
             answered = np.where(assigned == UNASSIGNED, UNASSIGNED, assigned + moved)
-            scores["model"] |= stability_scores(
-                answered, of_tracks.lane, unsure, truth.frame_id, rate
-            )
-            scores["model"]["road"] = road_scores(
-                assigned, truth, road.n_lanes[rows], road.changes, log_frames=rows, frame_rate=rate
-            )
+            crosses, ids = truth.is_crossing, truth.frame_id
+            scores["model"] |= stability_scores(answered, same.lane, crosses, ids, rate)
+    is_one = result.clip is None
+    stretches = lane_stretches(result.beliefs, told, result.time_s) if is_one else []
     content = {
         "schema_version": SCHEMA_VERSION,
         "name": drive.experiment.name,
@@ -317,25 +336,12 @@ def scores_document(result: Result, drive: Drive, kept: BoolArray | None = None)
         "frames_scored": 0 if truth is None else int(np.count_nonzero(~truth.is_crossing)),
         **scores,
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
-        "lanes": [] if result.clip is not None else _lanes_over_time(result),
+        "lanes": stretches,
         "events": events,
     }
-    if result.clip is not None:
+    if not is_one:
         content["clips"] = len(drive.recorded.log.pieces())
     return content
-
-
-def _lanes_over_time(result: Result) -> list[tuple[int, float, float]]:
-    """The lane over time; on a road whose lanes change by its number when the stretch begins."""
-    if result.origin is None:
-        return lane_stretches(result.beliefs, result.told, result.time_s)
-    tracks = tracks_of(result.origin)
-    stretches = lane_stretches(in_tracks(result.beliefs, result.origin), result.told, result.time_s)
-    frames = np.searchsorted(result.time_s, [begin for _, begin, _ in stretches])
-    return [
-        (lane - int(tracks[k]), begin, end)
-        for k, (lane, begin, end) in zip(frames, stretches, strict=True)
-    ]
 
 
 # --- a long drive ------------------------------------------------------------------------------
@@ -379,9 +385,8 @@ def _check_parts(experiment: Experiment) -> None:
     why = ""
     if not experiment.has_causal_filter:
         why = f"filter: {experiment.filter} uses later frames"
-    elif experiment.gnss is not None or experiment.follows_map:
-        key = "gnss" if experiment.gnss is not None else "n_lanes"
-        why = f"{key}: a road table is laid over the whole drive"
+    elif experiment.n_lanes == FROM_MAP:
+        why = "n_lanes: map: a recording is cut as a whole"
     if why:
         raise InputError(f"{experiment.source}: {why}; that is not run in parts")
 
@@ -557,8 +562,8 @@ def stored_result(
     made with this config and these versions, from these files as they are now; else None."""
     try:
         said, scores = read_said(directory)
-        experiment = with_own_rate(with_map(experiment))
-        model = prepare_model(experiment)
+        experiment = with_own_rate(experiment)
+        model = prepare_model(experiment, most_lanes(experiment))
         made_by: dict[str, Any] = {
             "config_hash": config_hash(resolved(experiment, model.parameters)),
             "versions": versions(),

@@ -187,8 +187,9 @@ def test_what_needs_the_whole_drive_is_refused_naming_the_key(
 
 
 def test_a_road_whose_lanes_change_is_refused(tmp_path: Path) -> None:
-    experiment = load_experiment(ROOT / "experiments" / "maps" / "interchange.yaml")
-    with pytest.raises(InputError, match="n_lanes: a road table is laid over the whole drive"):
+    mapped = {"n_lanes": "map", "road": "road.parquet"}
+    experiment = load_experiment(write_drive(tmp_path), mapped)
+    with pytest.raises(InputError, match="n_lanes: map: a recording is cut as a whole"):
         run_in_parts(experiment, tmp_path / "out")
 
 

@@ -275,33 +275,6 @@ def _follow(
         ahead[k] = leads
 
 
-def tracks_of(origin: IntArray) -> IntArray:
-    """(T,): the numbers to add to a frame's lanes, so that a lane keeps its number for a drive.
-
-    - origin (T,): lane k of a frame is lane k - origin of the first one (`maps.steps.LanesAlong`).
-    """
-    return np.asarray(origin.max(initial=0) - origin)
-
-
-def in_tracks(beliefs: Beliefs, origin: IntArray) -> Beliefs:
-    """Beliefs whose lanes keep their numbers all along a drive: where lanes begin and end at the
-    left, lanes get other numbers without any car changing lane."""
-    added, lane = tracks_of(origin), beliefs.lane
-    tracks = np.zeros((len(lane), lane.shape[1] + int(added.max(initial=0))))
-    np.put_along_axis(tracks, added[:, None] + np.arange(lane.shape[1]), lane, axis=1)
-    return replace(beliefs, marginals={**beliefs.marginals, "Lane": tracks})
-
-
-def numbered(events: LaneEvents, frame_id: IntArray, origin: IntArray) -> LaneEvents:
-    """Events of beliefs `in_tracks`, with the lanes' numbers in the frame of the report.
-
-    - frame_id, origin (T,): of the beliefs.
-    """
-    added = tracks_of(origin)[np.searchsorted(frame_id, events.told_frame_id)]
-    added[events.from_lane == UNASSIGNED] = 0
-    return replace(events, from_lane=events.from_lane - added, to_lane=events.to_lane - added)
-
-
 def lane_stretches(
     beliefs: Beliefs, events: LaneEvents, time_s: FloatArray
 ) -> list[tuple[int, float, float]]:

@@ -28,7 +28,7 @@ from egolane_pgm.learning.held_out import (
     trusted_frames,
 )
 from egolane_pgm.learning.tables import nested_tables, with_found
-from egolane_pgm.model import Model, prepare_model, with_map
+from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import InputError, problems_in
 
@@ -98,8 +98,8 @@ def learn_fleet(
 
 
 def _check_alike(experiments: Sequence[Experiment]) -> None:
-    first = with_map(experiments[0])
-    for experiment in map(with_map, experiments[1:]):
+    first = experiments[0]
+    for experiment in experiments[1:]:
         for key in SHARED:
             if getattr(experiment, key) != getattr(first, key):
                 raise InputError(

@@ -1,6 +1,6 @@
-"""A road map as a graph of lanes: segments with a number of lanes, and joins between them.
+"""A road map as a graph: segments with a number of lanes, and joins between them.
 
-Lane 1 is the leftmost in the direction of travel. The graph is stored as one Parquet table, so that
+The graph is stored as one Parquet table, so that
 a map is read from OpenStreetMap once.
 """
 
@@ -17,10 +17,6 @@ from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.tools.files import write_parquet
 from egolane_pgm.types import FloatArray, IntArray
 
-#: The kinds of joins. At an exit a link leaves the road, at an entry a link comes to it; at a fork
-#: and a merge both roads are of one kind.
-JOINS = ("same", "exit", "fork", "merge", "entry")
-
 #: The version of the stored table. It changes where a column gets another meaning.
 VERSION = "1"
 
@@ -36,45 +32,22 @@ class LaneGraph:
     - kind (S,): its tag `highway`, such as "motorway" or "motorway_link".
     - name (S,): the road's number (tag `ref`) or name; "" where it has none. Python strings.
     - n_lanes (S,): 0 where unknown.
-    - placement (S, 2): how many lanes lie between the left edge and the way's line, at the
-      segment's start and end; NaN unknown.
     - point (P, 2): latitude and longitude, degrees, in the direction of travel.
     - first (S + 1,): where each segment's points begin; those of segment k are
       `point[first[k]:first[k + 1]]`, at least two.
     - length_m (S,): along the points.
-    - turn, change, width (S,): the tags `turn:lanes`, `change:lanes` and `width:lanes` of the
-      direction of travel, lane by lane from the left; "" without. Python strings.
     - before, after (J,): the segments that a join leads from and to, sorted by before, then after.
-    - shift (J,): lane i continues as lane i + shift; lanes that would be outside of 1..n end, or go
-      to the other road. NaN unknown.
-    - join (J,): one of JOINS. It says what kind of place this is: at an exit both the join onto the
-      link and the one that stays on the road say "exit" (the kind of `after` tells which is
-      which); at an entry both the join from the link and the one along the road say "entry".
-    - side (J,): -1 left, 1 right, 0 unknown or none. For "same" where lanes begin or end, for
-      "exit" and "entry" where the link is, for "fork" and "merge" which of the roads is this
-      join's.
-    - source (J,): what the shift was taken from: "placement", "turn:lanes", "lane count" (the lanes
-      of the roads that meet add up) or "driving side" (lanes are taken to begin and end at the
-      side of the slow traffic); "" unknown.
     """
 
     way: IntArray
     kind: NDArray[np.str_]
     name: NDArray[np.object_]
     n_lanes: IntArray
-    placement: FloatArray
     point: FloatArray
     first: IntArray
     length_m: FloatArray
-    turn: NDArray[np.object_]
-    change: NDArray[np.object_]
-    width: NDArray[np.object_]
     before: IntArray
     after: IntArray
-    shift: FloatArray
-    join: NDArray[np.str_]
-    side: IntArray
-    source: NDArray[np.str_]
 
     def __len__(self) -> int:
         return len(self.way)
@@ -90,17 +63,9 @@ class LaneGraph:
         return self.point[self.first[segment] : self.first[segment + 1]]
 
 
-def way_line(graph: LaneGraph, segment: IntArray, along_m: FloatArray) -> FloatArray:
-    """The number of lanes between the left edge and the way's line, (T,), at places `along_m`
-    metres along segments; NaN unknown."""
-    start, end = graph.placement[segment].T
-    share = along_m / np.maximum(graph.length_m[segment], 1e-9)
-    return np.asarray(start + share * (end - start))
-
-
 def joins_from(graph: LaneGraph) -> IntArray:
     """Where the joins that leave each segment begin, (S + 1,): those of segment k are the rows
-    `start[k]:start[k + 1]` of `before`, `after`, `shift`, ..."""
+    `start[k]:start[k + 1]` of `before` and `after`."""
     return np.searchsorted(graph.before, np.arange(len(graph) + 1)).astype(np.int64)
 
 
@@ -145,21 +110,10 @@ _OF_SEGMENT = (
     ("kind", "string"),
     ("name", "string"),
     ("n_lanes", "int64"),
-    ("placement_start", "float64"),
-    ("placement_end", "float64"),
     ("length_m", "float64"),
-    ("turn", "string"),
-    ("change", "string"),
-    ("width", "string"),
 )
 _OF_POINT = (("latitude", "float64"), ("longitude", "float64"))
-_OF_JOIN = (
-    ("after", "int64"),
-    ("shift", "float64"),
-    ("join", "string"),
-    ("side", "int64"),
-    ("source", "string"),
-)
+_OF_JOIN = (("after", "int64"),)
 
 
 def _schema() -> Any:
@@ -175,7 +129,7 @@ def _schema() -> Any:
 def save(graph: LaneGraph, path: str | Path) -> None:
     """Write a graph as one Parquet table with a row per segment, which holds lists of its points
     (`latitude`, `longitude`) and of the joins that leave it (`after`: the row of the next segment,
-    from 0; `shift`, `join`, `side`, `source`).
+    from 0).
 
     Raises InputError for a name that does not end in .parquet, and where it cannot be written.
     """
@@ -183,7 +137,6 @@ def save(graph: LaneGraph, path: str | Path) -> None:
 
     check_path(path, "lane graph")
     given = {name: getattr(graph, name, None) for name, _ in (*_OF_SEGMENT, *_OF_JOIN)}
-    given["placement_start"], given["placement_end"] = graph.placement.T
     given["latitude"], given["longitude"] = graph.point.T
     start = joins_from(graph)
 
@@ -231,19 +184,11 @@ def load(path: str | Path) -> LaneGraph:
         kind=codes("kind"),
         name=words("name"),
         n_lanes=values("n_lanes"),
-        placement=np.stack([values("placement_start"), values("placement_end")], axis=1),
         point=np.stack([values("latitude"), values("longitude")], axis=1),
         first=starts("latitude"),
         length_m=values("length_m"),
-        turn=words("turn"),
-        change=words("change"),
-        width=words("width"),
         before=np.repeat(np.arange(table.num_rows, dtype=np.int64), np.diff(starts("after"))),
         after=values("after"),
-        shift=values("shift"),
-        join=codes("join"),
-        side=values("side"),
-        source=codes("source"),
     )
 
 

@@ -1,4 +1,4 @@
-"""From positions and a map to a road table: which segment, how far along it, and what is ahead.
+"""From positions and a map to a road table: which segment, and how far along it.
 
 The matched positions become metres driven along the route, which a Kalman filter with constant
 speed smooths (offline forward and backward, Rauch, Tung and Striebel 1965; online forward only).
@@ -8,24 +8,17 @@ Outliers and gaps, as a tunnel leaves them, are bridged along the route, with a 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.maps.index import RoadIndex
-from egolane_pgm.maps.joins import optional_lanes
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, way_line, with_guesses
+from egolane_pgm.maps.lane_graph import LaneGraph, joins_from, with_guesses
 from egolane_pgm.maps.matching import Matched, match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
-
-#: The table looks this far ahead for the next join.
-AHEAD_M = 2000.0
 
 #: A longer gap between two positions is not bridged.
 LONGEST_GAP_S = 300.0
@@ -67,8 +60,7 @@ def locate(
 ) -> RoadTable:
     """A row for each position, and one each second in gaps that can be bridged.
 
-    - online: each row knows the positions up to its time only. The branch that the car will take is
-      not known then: what is ahead is what lies on the road itself.
+    - online: each row knows the positions up to its time only.
     - matched: the road of each position, by default that of `matching.match`
 
     Where the map tells no number of lanes, it is a guess (`with_guesses`).
@@ -113,14 +105,20 @@ def locate(
     place[on] = np.clip(here, low, entry[row[on]] if online else high)
     segment[on] = route.segment[place[on]]
     along[on] = at[on] - route.begin_m[place[on]]
-    ahead = _Ahead(graph)
     if online:
-        _go_on(ahead, segment, along, sure, on)
-    return _table(
-        graph, ahead, route, time, place, segment, along, sure,
-        _of_positions(matched.offset_m, is_position), _of_positions(positions.sigma_m, is_position),
-        online, positions.source, untold,
-    )  # fmt: skip
+        _go_on(graph, segment, along, sure, on)
+    here = np.maximum(segment, 0)
+    offset = np.where(is_position >= 0, matched.offset_m[np.maximum(is_position, 0)], np.nan)
+    return RoadTable(
+        t_s=time,
+        segment=segment,
+        along_m=along,
+        offset_m=np.where(on, offset, np.nan),
+        sure=sure,
+        n_lanes=np.where(on, graph.n_lanes[here], 0),
+        source=positions.source,
+        untold=np.where(on & untold[here], graph.way[here], 0),
+    )
 
 
 def _span(latitude: FloatArray, longitude: FloatArray) -> str:
@@ -128,11 +126,6 @@ def _span(latitude: FloatArray, longitude: FloatArray) -> str:
         f"latitude {latitude.min():.4f} to {latitude.max():.4f},"
         f" longitude {longitude.min():.4f} to {longitude.max():.4f}"
     )
-
-
-def _of_positions(values: FloatArray, is_position: IntArray) -> FloatArray:
-    """The values of each row's position; NaN in rows without one."""
-    return np.where(is_position >= 0, values[np.maximum(is_position, 0)], np.nan)
 
 
 # --- the route -------------------------------------------------------------------------------
@@ -309,137 +302,36 @@ def _bridged(
     return np.where(dt == 0, a, between)
 
 
-# --- what is ahead ---------------------------------------------------------------------------
-
-
-class _Ahead:
-    """The joins that a car comes to if it stays on its road, from the end of each segment."""
-
-    def __init__(self, graph: LaneGraph) -> None:
-        self.graph = graph
-        self.joins = joins_from(graph)
-        self._found: dict[int, tuple[float, int]] = {}
-
-    def onward(self, segment: int) -> int:
-        """The join by which the road goes on: onto a segment of the same kind and name, if there
-        is one; -1 where the map ends."""
-        graph, rows = self.graph, range(self.joins[segment], self.joins[segment + 1])
-        return max(
-            rows,
-            key=lambda row: (
-                graph.kind[graph.after[row]] == graph.kind[segment],
-                graph.name[graph.after[row]] == graph.name[segment],
-            ),
-            default=-1,
-        )
-
-    def join(self, before: int, after: int) -> int:
-        rows = slice(self.joins[before], self.joins[before + 1])
-        return int(self.joins[before] + np.flatnonzero(self.graph.after[rows] == after)[0])
-
-    def matters(self, row: int) -> bool:
-        """Whether lanes begin, end or get other numbers at a join, or the road splits or merges."""
-        graph = self.graph
-        n, n_next = graph.n_lanes[graph.before[row]], graph.n_lanes[graph.after[row]]
-        return bool(n != n_next or graph.shift[row] != 0 or graph.join[row] != "same")
-
-    def beyond(self, segment: int) -> tuple[float, int]:
-        """Metres from the segment's end to the next join that matters, and that join; (inf, -1)
-        where there is none within AHEAD_M."""
-        if segment not in self._found:
-            metres, row = 0.0, self.onward(segment)
-            while row >= 0 and not self.matters(row) and metres <= AHEAD_M:
-                after = int(self.graph.after[row])
-                metres += float(self.graph.length_m[after])
-                row = self.onward(after)
-            is_near = row >= 0 and metres <= AHEAD_M
-            self._found[segment] = (metres, row) if is_near else (np.inf, -1)
-        return self._found[segment]
+# --- behind the last position ------------------------------------------------------------------
 
 
 def _go_on(
-    ahead: _Ahead, segment: IntArray, along: FloatArray, sure: FloatArray, on: BoolArray
+    graph: LaneGraph, segment: IntArray, along: FloatArray, sure: FloatArray, on: BoolArray
 ) -> None:
     """Moves the places (N,) that lie behind the end of their segment along the road, in place.
     Where it splits, each branch is as likely."""
-    graph = ahead.graph
+    joins = joins_from(graph)
     for k in np.flatnonzero(on & (along > graph.length_m[np.maximum(segment, 0)])):
         while along[k] > graph.length_m[segment[k]]:
-            row = ahead.onward(int(segment[k]))
-            if row < 0:
+            rows = range(joins[segment[k]], joins[segment[k] + 1])
+            if not rows:
                 along[k] = graph.length_m[segment[k]]
                 break
-            sure[k] /= ahead.joins[segment[k] + 1] - ahead.joins[segment[k]]
+            sure[k] /= len(rows)
             along[k] -= graph.length_m[segment[k]]
-            segment[k] = graph.after[row]
+            segment[k] = graph.after[_onward(graph, int(segment[k]), rows)]
 
 
-def _table(
-    graph: LaneGraph,
-    ahead: _Ahead,
-    route: Route,
-    time: FloatArray,
-    place: IntArray,
-    segment: IntArray,
-    along: FloatArray,
-    sure: FloatArray,
-    offset: FloatArray,
-    sigma: FloatArray,
-    online: bool,
-    source: str,
-    untold: BoolArray,
-) -> RoadTable:
-    metres, join = np.full(len(time), np.inf), np.full(len(time), -1, dtype=np.int64)
-    on = segment >= 0
-    if online:
-        for s in np.unique(segment[on]):
-            metres[segment == s], join[segment == s] = ahead.beyond(int(s))
-    else:
-        from_entry = _ahead_on_route(ahead, route)
-        metres[on], join[on] = from_entry[0][place[on]], from_entry[1][place[on]]
-    here = np.maximum(segment, 0)
-    metres += np.where(on, graph.length_m[here] - along, 0.0)
-    is_near = (join >= 0) & (metres <= AHEAD_M)
-    row = np.where(is_near, join, 0)
-    # A map whose roads do not meet has no join at all.
-    after = graph.after[row] if is_near.any() else here
+def _onward(graph: LaneGraph, segment: int, rows: range) -> int:
+    """The join by which the road goes on: onto a segment of the same kind and name, if there is
+    one.
 
-    def of_next(values: Callable[[], NDArray[Any]], blank: Any) -> NDArray[Any]:
-        return np.where(is_near, values(), blank) if is_near.any() else np.full(len(time), blank)
-
-    return RoadTable(
-        t_s=time,
-        segment=segment,
-        along_m=along,
-        offset_m=np.where(on, offset, np.nan),
-        sigma_m=sigma,
-        way_line=np.where(on, way_line(graph, here, along), np.nan),
-        sure=sure,
-        n_lanes=np.where(on, graph.n_lanes[here], 0),
-        next_n_lanes=np.where(is_near, graph.n_lanes[after], 0),
-        next_in_m=np.where(is_near, metres, np.nan),
-        next_shift=of_next(lambda: graph.shift[row], np.nan),
-        next_join=of_next(lambda: graph.join[row], ""),
-        next_side=of_next(lambda: graph.side[row], 0),
-        next_optional=of_next(lambda: optional_lanes(graph, row), ""),
-        source=source,
-        untold=np.where(on & untold[here], graph.way[here], 0),
+    - rows: the joins that leave the segment.
+    """
+    return max(
+        rows,
+        key=lambda row: (
+            graph.kind[graph.after[row]] == graph.kind[segment],
+            graph.name[graph.after[row]] == graph.name[segment],
+        ),
     )
-
-
-def _ahead_on_route(ahead: _Ahead, route: Route) -> tuple[FloatArray, IntArray]:
-    """For each entry of the route: metres from its end to the next join that matters, and that
-    join; (inf, -1) without one. After the end of a run the road itself goes on."""
-    metres, join = np.full(len(route.segment), np.inf), np.full(len(route.segment), -1)
-    for k in range(len(route.segment) - 1, -1, -1):
-        here = int(route.segment[k])
-        if k + 1 == len(route.segment) or route.run[k + 1] != route.run[k]:
-            metres[k], join[k] = ahead.beyond(here)
-            continue
-        row = ahead.join(here, int(route.segment[k + 1]))
-        if ahead.matters(row):
-            metres[k], join[k] = 0.0, row
-        else:
-            length = ahead.graph.length_m[route.segment[k + 1]]
-            metres[k], join[k] = length + metres[k + 1], join[k + 1]
-    return metres, join

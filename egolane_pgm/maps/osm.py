@@ -11,22 +11,21 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.maps.joins import with_joins
 from egolane_pgm.maps.lane_graph import LaneGraph, along_points, metres_per_degree
 from egolane_pgm.maps.tags import KEYS, KINDS, Direction, directions
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.types import NOTE, BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: The largest number of warnings about the tags of a map.
 MOST_WARNINGS = 8
 
+#: No road leads on where one would turn back by more than this; measured over TURN_M metres.
+MOST_TURN_DEG, TURN_M = 135.0, 15.0
 
-def read_osm(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
+
+def read_osm(path: str | Path) -> LaneGraph:
     """The lanes of the motorways and trunk roads of an `.osm` or `.osm.pbf` extract, and how they
     continue. Needs the extra `maps`.
-
-    - drives_left: traffic keeps to the left. By default it follows from the carriageways of the
-      motorways: where traffic keeps to the right, the opposite one lies at the left.
 
     The places of all nodes of the file are kept in memory while it is read (16 bytes each): take
     the roads out of a large extract first (`osmium tags-filter`).
@@ -35,34 +34,19 @@ def read_osm(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
     coordinates, which are left out. Raises InputError for a file that cannot be read as a map, one
     without such a road, and where osmium is not installed.
     """
-    return joined(of_ways(path, drives_left=drives_left))
+    return joined(of_ways(path))
 
 
-def of_ways(path: str | Path, *, drives_left: bool | None = None) -> LaneGraph:
+def of_ways(path: str | Path) -> LaneGraph:
     """As `read_osm`, before ways are joined: each is a segment, or several where another shares a
     point with it."""
     raw = _read(path)
-    if drives_left is None:
-        drives_left = _seems_to_drive_left(raw)
-        if drives_left:
-            warnings.warn(
-                f"{NOTE}{path}: opposite carriageways lie at the right, so traffic is taken to keep"
-                " to the left",
-                UserWarning,
-                stacklevel=3,
-            )
-    tags = [directions(values, drives_left) for values in raw.tags]
+    tags = [directions(values) for values in raw.tags]
     _warn(path, raw, [problems for _, problems in tags])
-    ways, is_placed = _segments(raw, [ways for ways, _ in tags])
-    return with_joins(ways, is_placed, drives_left=drives_left)
+    return with_joins(_segments(raw, [ways for ways, _ in tags]))
 
 
 # --- the file ----------------------------------------------------------------------------------
-
-
-#: The number of places at which the side of traffic is found, and the largest distance, metres, of
-#: a carriageway there.
-SIDE_PLACES, SIDE_M = 100, 80.0
 
 
 @dataclass(frozen=True)
@@ -164,46 +148,10 @@ def _warn(path: str | Path, raw: _Raw, problems: list[tuple[str, ...]]) -> None:
             break
 
 
-def _seems_to_drive_left(raw: _Raw) -> bool:
-    """Whether more of the motorways have their opposite carriageway at the right than at the left,
-    at places all over the map."""
-    get = KEYS.index
-    drawn_as_driven = [
-        values[get("highway")] == "motorway" and values[get("oneway")] in (None, "yes", "true", "1")
-        for values in raw.tags
-    ]
-    chosen = np.repeat(np.array(drawn_as_driven)[raw.tag_set], np.diff(raw.first))
-    chosen[raw.first[1:] - 1] = False
-    start = np.flatnonzero(chosen)
-    if not len(start):
-        return False
-    # From south to north, so that what is near is found by two searches.
-    start = start[np.argsort(raw.point[start, 0])]
-    south = raw.point[start, 0]
-    right = left = 0
-    for k in np.unique(np.linspace(0, len(start) - 1, SIDE_PLACES).astype(np.int64)):
-        metres = np.stack(metres_per_degree(south[k]))
-        # A piece whose middle is near begins at most this far away, unless it is very long.
-        reach = 5 * SIDE_M / metres[0]
-        low, high = np.searchsorted(south, [south[k] - reach, south[k] + reach])
-        line = np.stack([raw.point[start[low:high]], raw.point[start[low:high] + 1]])
-        middle, ahead = line.mean(axis=0) * metres, (line[1] - line[0]) * metres
-        off = middle - middle[k - low]
-        near = (np.abs(off) < SIDE_M).all(axis=1)
-        (north, east), a, b = off[near].T, ahead[k - low], ahead[near]
-        size = np.hypot(*a) * np.hypot(*b.T)
-        to_left = (a[1] * north - a[0] * east) / np.hypot(*a)
-        opposite = (b @ a < -0.95 * size) & (np.abs(to_left) > 3.0)
-        if opposite.any():
-            nearest = to_left[opposite][np.argmin(np.abs(to_left[opposite]))]
-            left, right = left + int(nearest > 0), right + int(nearest < 0)
-    return right > left
-
-
 # --- segments ----------------------------------------------------------------------------------
 
 
-def _segments(raw: _Raw, ways: list[tuple[Direction, ...]]) -> tuple[LaneGraph, BoolArray]:
+def _segments(raw: _Raw, ways: list[tuple[Direction, ...]]) -> LaneGraph:
     """The pieces of the ways, in each direction in which they are driven."""
     cut = _shared(raw)
     cut[raw.first[:-1]] = True
@@ -225,13 +173,7 @@ def _segments(raw: _Raw, ways: list[tuple[Direction, ...]]) -> tuple[LaneGraph, 
         return np.array([get(direction) for direction in table], dtype=dtype)[row]
 
     is_backward = column(lambda d: d.is_backward, bool)
-    placement = column(lambda d: d.placement, float)
     start, stop, way = start[piece], stop[piece], way[piece]
-    # The tags of a way's ends do not hold at a point between them.
-    varies = placement[:, 0] != placement[:, 1]
-    for end, is_first in ((0, ~is_backward), (1, is_backward)):
-        inner = np.where(is_first, start != raw.first[way], stop != raw.first[way + 1] - 1)
-        placement[varies & inner, end] = np.nan
 
     size = stop - start + 1
     first = np.concatenate([[0], np.cumsum(size)])
@@ -241,33 +183,18 @@ def _segments(raw: _Raw, ways: list[tuple[Direction, ...]]) -> tuple[LaneGraph, 
         + nth * np.repeat(np.where(is_backward, -1, 1), size)
     ]
     kind = np.array([values[0] for values in raw.tags])
-    return (
-        LaneGraph(
-            way=raw.way[way],
-            kind=kind[raw.tag_set[way]],
-            name=np.array(raw.names, dtype=object)[raw.name[way]],
-            n_lanes=column(lambda d: d.n_lanes, np.int64),
-            placement=placement,
-            point=point,
-            first=first,
-            length_m=along_points(point, first)[first[1:] - 1],
-            turn=column(lambda d: d.turn, object),
-            change=column(lambda d: d.change, object),
-            width=column(lambda d: d.width, object),
-            **_NO_JOINS,
-        ),
-        column(lambda d: d.is_placed, bool),
+    none = np.zeros(0, dtype=np.int64)
+    return LaneGraph(
+        way=raw.way[way],
+        kind=kind[raw.tag_set[way]],
+        name=np.array(raw.names, dtype=object)[raw.name[way]],
+        n_lanes=column(lambda d: d.n_lanes, np.int64),
+        point=point,
+        first=first,
+        length_m=along_points(point, first)[first[1:] - 1],
+        before=none,
+        after=none,
     )
-
-
-_NO_JOINS: dict[str, Any] = {
-    "before": np.zeros(0, dtype=np.int64),
-    "after": np.zeros(0, dtype=np.int64),
-    "shift": np.zeros(0),
-    "join": np.zeros(0, dtype="<U5"),
-    "side": np.zeros(0, dtype=np.int64),
-    "source": np.zeros(0, dtype="<U12"),
-}
 
 
 def _shared(raw: _Raw) -> BoolArray:
@@ -283,26 +210,80 @@ def _shared(raw: _Raw) -> BoolArray:
     return shared
 
 
+# --- what meets what ---------------------------------------------------------------------------
+
+
+def with_joins(ways: LaneGraph) -> LaneGraph:
+    """The same S segments with the joins between them: J, where one ends and another begins.
+
+    - ways: its own joins are not looked at.
+    """
+    before, after = _pairs(ways)
+    leaving, arriving = _headings(ways, TURN_M)
+    turn = (leaving[after] - arriving[before] + 180.0) % 360.0 - 180.0
+    goes_on = np.abs(turn) <= MOST_TURN_DEG
+    return replace(ways, before=before[goes_on], after=after[goes_on])
+
+
+def _pairs(ways: LaneGraph) -> tuple[IntArray, IntArray]:
+    """The segments of which one ends at the very point where the other begins, sorted."""
+    n = len(ways)
+    ends = np.rint(
+        np.concatenate([ways.point[ways.first[:-1]], ways.point[ways.first[1:] - 1]]) * 1e7
+    ).astype(np.int64)
+    place = np.unique(ends[:, 0] * 4_000_000_000 + ends[:, 1], return_inverse=True)[1]
+    order = np.argsort(place[:n], kind="stable")
+    begins = place[:n][order]
+    low, high = (np.searchsorted(begins, place[n:], side) for side in ("left", "right"))
+    count = high - low
+    before = np.repeat(np.arange(n), count)
+    nth = np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
+    return before, order[low[before] + nth]
+
+
+def _headings(ways: LaneGraph, metres: float) -> tuple[FloatArray, FloatArray]:
+    """The direction over the first and over the last metres of each segment, (S,) both: degrees
+    from east, to the left."""
+    first, last = ways.first[:-1], ways.first[1:] - 1
+    length = along_points(ways.point, ways.first)
+    # Every point's place on all segments laid one behind the other, so that one search finds all.
+    ends = np.cumsum(length[last])
+    total = length + np.repeat(ends - length[last], np.diff(ways.first))
+    north, east = metres_per_degree(ways.point[first, 0])
+
+    def point_at(target: FloatArray) -> FloatArray:
+        after = np.clip(np.searchsorted(total, target), first + 1, last)
+        piece = total[after] - total[after - 1]
+        share = np.clip((target - total[after - 1]) / np.where(piece > 0, piece, 1.0), 0.0, 1.0)
+        start = ways.point[after - 1]
+        place: FloatArray = start + share[:, None] * (ways.point[after] - start)
+        return place
+
+    def heading(start: FloatArray, stop: FloatArray) -> FloatArray:
+        across = (stop - start) * np.stack([north, east], axis=1)
+        angle: FloatArray = np.degrees(np.arctan2(across[:, 0], across[:, 1]))
+        return angle
+
+    reach = np.minimum(metres, total[last] - total[first])
+    return (
+        heading(ways.point[first], point_at(total[first] + reach)),
+        heading(point_at(total[last] - reach), ways.point[last]),
+    )
+
+
 # --- ways joined across splits that change nothing ---------------------------------------------
 
 
 def joined(graph: LaneGraph) -> LaneGraph:
     """The same roads with segments joined where one follows the other and nothing changes: kind,
-    name, number of lanes, placement, tags lane by lane. A segment keeps the way of its first."""
+    name, number of lanes. A segment keeps the way of its first."""
     before, after = graph.before, graph.after
     alone = (np.bincount(before, minlength=len(graph))[before] == 1) & (
         np.bincount(after, minlength=len(graph))[after] == 1
     )
-    alone &= (before != after) & ((graph.shift == 0) | (graph.n_lanes[before] == 0))
-    for values in (graph.kind, graph.name, graph.n_lanes, graph.turn, graph.change, graph.width):
+    alone &= before != after
+    for values in (graph.kind, graph.name, graph.n_lanes):
         alone &= values[before] == values[after]
-    place = graph.placement
-    for a, b in (
-        (place[before, 0], place[before, 1]),
-        (place[before, 1], place[after, 0]),
-        (place[after, 0], place[after, 1]),
-    ):
-        alone &= (a == b) | (np.isnan(a) & np.isnan(b))
     following = np.full(len(graph), -1)
     following[before[alone]] = after[alone]
     order, begins = _chains(following)
@@ -322,17 +303,12 @@ def joined(graph: LaneGraph) -> LaneGraph:
     kept = np.flatnonzero(stays)[sort]
     return replace(
         graph,
-        **{
-            name: getattr(graph, name)[heads]
-            for name in ("way", "kind", "name", "n_lanes", "turn", "change", "width")
-        },
-        placement=np.stack([place[heads, 0], place[tails, 1]], axis=1),
+        **{name: getattr(graph, name)[heads] for name in ("way", "kind", "name", "n_lanes")},
         point=graph.point[index],
         first=np.concatenate([[0], ends[np.append(begins[1:], True)]]),
         length_m=np.bincount(chain, weights=graph.length_m[order]).astype(np.float64),
         before=chain_of[before[kept]],
         after=chain_of[after[kept]],
-        **{name: getattr(graph, name)[kept] for name in ("shift", "join", "side", "source")},
     )
 
 

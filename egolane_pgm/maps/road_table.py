@@ -1,4 +1,4 @@
-"""A road table: where on the map a car was, row by row in time, and what is ahead of it.
+"""A road table: where on the map a car was, row by row in time.
 
 It is one Parquet table with the columns of `RoadTable`. Matching writes it, and an experiment with
 `n_lanes: map` reads it.
@@ -10,7 +10,6 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.maps.stored import check_path, marks, read_stored
 from egolane_pgm.tools.files import arrow_table, write_parquet
@@ -18,8 +17,6 @@ from egolane_pgm.types import FloatArray, InputError, IntArray
 
 #: The version of the stored table. It changes where a column gets another meaning.
 VERSION = "2"
-
-_WORDS = ("next_join", "next_optional")
 
 
 @dataclass(frozen=True)
@@ -31,17 +28,8 @@ class RoadTable:
     - along_m (T,): metres from the segment's start; NaN off the map.
     - offset_m (T,): metres of the position from the way's line, negative to its left; NaN off the
       map and in rows without a position.
-    - sigma_m (T,): the receiver's own standard deviation of its position, metres; NaN where it
-      gives none.
-    - way_line (T,): number of lanes between the left edge and the way's line; NaN unknown.
     - sure (T,): the probability of the segment, 0 to 1.
     - n_lanes (T,): lanes of the segment, a guess where the way is `untold`; 0 unknown.
-    - next_in_m (T,): metres to the next join at which lanes begin, end or get other numbers, or the
-      road splits or merges; NaN where there is none within 2 km.
-    - next_n_lanes, next_shift, next_join, next_side (T,): of that join, as in `LaneGraph`, towards
-      the segment that the car takes. 0, NaN, "" and 0 where there is none.
-    - next_optional (T,): the lanes before that join, with blanks between, that lead to the segment
-      that the car takes and to another; "" none.
     - untold (T,): the way of a segment whose number of lanes the map does not tell; 0 where it
       does, and off the map. A table that was written without this column has zeros.
 
@@ -52,16 +40,8 @@ class RoadTable:
     segment: IntArray
     along_m: FloatArray
     offset_m: FloatArray
-    sigma_m: FloatArray
-    way_line: FloatArray
     sure: FloatArray
     n_lanes: IntArray
-    next_n_lanes: IntArray
-    next_in_m: FloatArray
-    next_shift: FloatArray
-    next_join: NDArray[np.str_]
-    next_side: IntArray
-    next_optional: NDArray[np.str_]
     source: str = "road table"
     untold: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
@@ -100,5 +80,4 @@ def load(path: str | Path) -> RoadTable:
     table = read_stored(path, "road table", VERSION, "egolane locate MAP POSITIONS")
     known = [name for name in COLUMNS if name != "untold" or name in table.column_names]
     columns = {name: table[name].to_numpy() for name in known}
-    columns |= {name: columns[name].astype(np.str_) for name in _WORDS}
     return RoadTable(**columns, source=str(path))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.inference.events import SURE, tracks_of
+from egolane_pgm.inference.events import SURE
 from egolane_pgm.page.packed import is_wrong
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.events import TOLERANCES_S, is_judged, match_events
@@ -131,13 +131,7 @@ def changes_of(result: Result) -> Changes:
 
 def _true_changes(result: Result, truth: LaneTruth) -> tuple[list[Change], list[bool]]:
     """The true changes, and for each told one whether it is right."""
-    events, added = result.events, np.zeros(len(result.frame_id), dtype=np.int64)
-    if result.origin is not None:
-        # Lanes get other numbers where lanes begin and end at the left, and that is no change.
-        added = tracks_of(result.origin)
-        by = added[np.searchsorted(result.frame_id, events.told_frame_id)]
-        by[events.from_lane == UNASSIGNED] = 0
-        events = replace(events, from_lane=events.from_lane + by, to_lane=events.to_lane + by)
+    events, added = result.with_same_lanes(result.events), result.renumbered
     rows = np.searchsorted(result.frame_id, truth.frame_id)
     lanes = replace(truth, lane=truth.lane + added[rows])
     matched = match_events(events, lanes, float(result.run["frame_rate"]), max(TOLERANCES_S))

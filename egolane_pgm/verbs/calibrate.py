@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from annotated_types import Ge
-
 from egolane_pgm.tools.files import check_not_read, check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
@@ -53,7 +51,6 @@ def calibrate(
     lateral: Annotated[float, Option("M")] = 0.0,
     baseline: Annotated[float | None, Option("M")] = None,
     ignore: Annotated[str | Sequence[str], Option("LEFT,TOP,RIGHT,BOTTOM", many=True)] = (),
-    ignore_below: Annotated[int | None, Ge(1), Option("ROW")] = None,
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     progress: Progress = None,
 ) -> Camera:
@@ -68,7 +65,6 @@ def calibrate(
     - lateral: right of the vehicle's middle.
     - baseline: of a rectified stereo pair.
     - ignore: pixels that never show road (mirror, dashboard); kept in the YAML. Repeatable.
-    - ignore_below: the same: bonnet.
     - out: the camera's YAML.
     - progress: whether bars show how far it is; None for in a terminal.
 
@@ -98,7 +94,7 @@ def calibrate(
         degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
         camera, said = assumed_camera(*size, degrees), describe_assumed_lens(degrees)
     camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline)
-    camera = _masked(camera, masks, ignore_below)
+    camera = _masked(camera, masks)
     found = find_in_stills(camera, pictures, shown("stills"))
     _warn_of(found.skipped)
     view = view_from_stills(camera, found, lane_width)
@@ -140,13 +136,9 @@ def _rectangle(text: str) -> Rectangle:
     return left, top, right, bottom
 
 
-def _masked(camera: Camera, masks: tuple[Rectangle, ...], below: int | None) -> Camera:
+def _masked(camera: Camera, masks: tuple[Rectangle, ...]) -> Camera:
     """The camera with the parts of its pictures that show no road. Raises InputError for one that
     is outside of them."""
-    if below is not None:
-        if below >= camera.height:
-            raise InputError(f"ignore_below: a picture has {camera.height} rows only")
-        masks = (*masks, (0, below, camera.width, camera.height))
     for mask in masks:
         if mask[0] >= camera.width or mask[1] >= camera.height:
             said = ",".join(map(str, mask))

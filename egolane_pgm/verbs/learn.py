@@ -52,7 +52,6 @@ def learn(  # type: ignore[misc]
     experiment: Given,
     *,
     overrides: Overrides = (),
-    unlabelled: bool = False,
     out: Annotated[StrPath | None, Option("FILE", default="learned_*.yaml")] = None,
     blocks: Blocks = 5,
     fleet: Fleet = None,
@@ -71,8 +70,7 @@ def learn(  # type: ignore[misc]
     scored with what was learned from the others.
 
     - experiment: an experiment, or its YAML file.
-    - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
-    - unlabelled: look at no label (learning.labels=false); for tables.
+    - overrides: override a key of the YAML, e.g. learning.labels=false, which looks at no label.
     - out: the new experiment. A `*` in it is the name of the old one.
     - blocks: blocks held out in turn; of a fleet parts of its drives.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
@@ -86,7 +84,7 @@ def learn(  # type: ignore[misc]
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 600]})
-    >>> held_out = ego.learn(experiment, unlabelled=True, blocks=2)
+    >>> held_out = ego.learn(experiment, overrides={"learning.labels": False}, blocks=2)
     >>> held_out
     Result('quickstart': 600 frames, accuracy 0.880 ...; held out, causal)
     >>> sorted(held_out.learned.parameters)[:1]
@@ -95,8 +93,6 @@ def learn(  # type: ignore[misc]
     if isinstance(experiment, (list, tuple)):
         raise InputError("experiment: takes one; fleet takes a table of drives")
     given = load_experiment(experiment, overrides)
-    if unlabelled:
-        given = load_experiment(given, {"learning.labels": False})
     target = None if out is None else _target(path_of(out, "out"), given.name)
     for file in () if target is None else output_files(given, target):
         check_not_read(file, [] if fleet is None else [Path(fleet)])

@@ -36,7 +36,7 @@ def locate(
     topic: str | None = None,
     shift: Annotated[float, Option("SECONDS")] = 0.0,
 ) -> RoadTable:
-    """Find the road of a car: segment, place on it, lanes, what is ahead, and how sure that is.
+    """Find the road of a car: segment, place on it, lanes, and how sure that is.
 
     MAP is an extract of OpenStreetMap (.osm, .osm.pbf) or a stored map (.parquet). POSITIONS is a
     .csv, .parquet, .gpx, .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the

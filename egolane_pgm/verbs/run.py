@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, overload
 
-from egolane_pgm.drive import check_sources, source_of, with_recording
+from egolane_pgm.drive import check_sources, most_lanes, source_of, with_recording
 from egolane_pgm.drive_table import DriveTable
 from egolane_pgm.experiment import Experiment, Given, Overrides, experiment_path, load_experiment
 from egolane_pgm.fleet import numbers_of, plan_fleet, read_fleet, summary_rows, write_summary
@@ -218,7 +218,7 @@ def _checked(titled: Sequence[tuple[str, Callable[[], Experiment]]]) -> str:
     lines = []
     for title, load in titled:
         experiment = load()
-        model = prepare_model(experiment)
+        model = prepare_model(experiment, most_lanes(experiment))
         check_tuning(experiment, model)
         if experiment.recording.path != IN_MEMORY:
             check_sources(experiment)

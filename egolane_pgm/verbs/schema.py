@@ -10,7 +10,7 @@ from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
 from egolane_pgm.comparing.document import Comparison
-from egolane_pgm.experiment import INTERCHANGE, Experiment
+from egolane_pgm.experiment import Experiment
 from egolane_pgm.paper import Reproduction
 from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
@@ -83,7 +83,7 @@ def _name_plugins(keys: dict[str, Any]) -> None:
     for key, names, endings in (
         ("graph", plugin_names("graphs"), OWN_FILES),
         ("evidence", plugin_names("evidence"), (".py",)),
-        ("simulate", [*PRESETS, INTERCHANGE], ()),
+        ("simulate", [*PRESETS], ()),
         ("format", [*FORMATS, *plugin_names("recordings")], (".py",)),
         ("detector", plugin_names("detectors"), (".py",)),
     ):

@@ -13,6 +13,9 @@ from egolane_pgm.views.tables import Table
 #: How many of the least sure clips are named.
 WORST = 5
 
+#: How many drives of a road whose lanes change are listed.
+LISTED = 20
+
 _SHARES = (0, 10, 50, 90, 100)
 
 
@@ -40,6 +43,19 @@ def clip_parts(result: Result) -> list[str | Table]:
         Table(header, rows),
         "least sure: " + ", ".join(f"{clip[k]} ({probability[k]:.2f})" for k in worst),
     ]
+
+
+def drive_parts(result: Result) -> list[str | Table]:
+    """A table of the drives into which a road from a map cuts a recording, with their scores."""
+    columns = result.clip_columns()
+    header = ["drive", "lanes", "frames", "scored", "accuracy"]
+    names = ("clip", "n_lanes", "frames", "frames_scored", "accuracy")
+    rows = [
+        [name, str(n), str(frames), str(scored), f"{right:.3f}" if scored else "-"]
+        for name, n, frames, scored, right in zip(*(columns[name] for name in names), strict=True)
+    ]
+    parts: list[str | Table] = [Table(header, rows[:LISTED])]
+    return parts + ([f"and {len(rows) - LISTED} more in clips.csv"] if len(rows) > LISTED else [])
 
 
 def _quantiles(values: FloatArray, form: str) -> list[str]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.views.clips import clip_parts
+from egolane_pgm.views.clips import clip_parts, drive_parts
 from egolane_pgm.views.events import event_lines, event_rows, lane_words, sure_words
 from egolane_pgm.views.tables import (
     TUNED_ON,
@@ -116,8 +116,11 @@ _FOUND = {
 
 
 def _more_parts(result: Result) -> list[str | Table]:
-    """What is said of results that held something out in addition to those of others."""
+    """What is said of roads whose lanes change, and of results that held something out, in addition
+    to those of others."""
     parts: list[str | Table] = []
+    if result.road_lanes is not None and result.truth is not None:
+        parts += drive_parts(result)
     everywhere = result.scores.get("model_all_frames")
     if everywhere:
         count = everywhere["frames_scored"]
@@ -148,7 +151,7 @@ def _lane_parts(result: Result) -> list[str | Table]:
 
 
 def _event_parts(result: Result) -> list[str | Table]:
-    if result.clip is not None:
+    if result.clip is not None and result.road_lanes is None:
         return []
     events, scores = result.events, result.scores["events"]
     header, rows = event_rows(events)

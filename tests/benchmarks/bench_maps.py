@@ -23,7 +23,7 @@ ROAD, NODES = 200, 8
 
 #: Numbers of lanes along a road, and the tags that go with three of them.
 LANES = (4, 3, 3, 4, 3, 2, 4, 2)
-THREE = {"placement": "right_of:1", "turn:lanes": "none|none|merge_to_left"}
+THREE = {"turn:lanes": "none|none|merge_to_left"}
 
 
 def write_country(path: Path, n_ways: int) -> None:

@@ -28,7 +28,6 @@ from tests.benchmarks import (
     peers,
 )
 from tests.benchmarks.bench_tune import markdown, tune_lines
-from tests.benchmarks.changing import changing_rows
 from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
 from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
@@ -78,7 +77,6 @@ def _rows(data: Data, rounds: int) -> Iterator[Row]:
         scoring_rows,
         together_rows,
         position_rows,
-        changing_rows,
         pgmpy_rows,
         reading_rows,
         command_rows,

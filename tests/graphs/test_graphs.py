@@ -238,10 +238,7 @@ def mirror(key: object, values: np.ndarray) -> np.ndarray:
 
 
 def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.ndarray:
-    """LineMotion as seen in a mirror; after a gap the lines coasted to the other side. A road that
-    does not change is the same in a mirror; where Step has the motion too, that is mirrored."""
-    if name == "Step" and "motion_bins" not in parameters:
-        return index
+    """LineMotion as seen in a mirror; after a gap the lines coasted to the other side."""
     bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
     gap, coasted = np.divmod(index - bins, n)
     return np.where(index < bins, bins - 1 - index, bins + gap * n + n - 1 - coasted)

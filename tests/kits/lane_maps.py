@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,42 +10,35 @@ from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
 from egolane_pgm.maps.local import Plane
 from egolane_pgm.maps.positions import Positions
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.types import FloatArray, IntArray
 
 #: Where the drawn roads are.
 PLANE = Plane(50.0, 11.5)
 
-#: A join: before, after, shift, what it is, side.
-Join = tuple[int, int, float, str, int]
-
 
 def lane_map(
-    lines: Sequence[Sequence[tuple[float, float]]], n_lanes: Sequence[int], joins: Sequence[Join]
+    lines: Sequence[Sequence[tuple[float, float]]],
+    n_lanes: Sequence[int],
+    joins: Sequence[tuple[int, int]] = (),
 ) -> LaneGraph:
-    """A graph of segments along lines in metres, east and north of PLANE's centre."""
+    """A graph of segments along lines in metres, east and north of PLANE's centre.
+
+    - joins: the segments that each leads from and to.
+    """
     points = [np.array(line, dtype=float) for line in lines]
     n = len(lines)
-    nothing = np.full(n, "", dtype=object)
-    joins = sorted(joins)
-    before, after, shift, join, side = zip(*joins, strict=True) if joins else ((),) * 5
+    before, after = np.array(sorted(joins), dtype=np.int64).reshape(-1, 2).T
     return LaneGraph(
         way=np.arange(n) + 100,
         kind=np.full(n, "motorway"),
         name=np.array([f"A {k}" for k in range(n)], dtype=object),
         n_lanes=np.array(n_lanes),
-        placement=np.stack([np.array(n_lanes) / 2] * 2, axis=1),
         point=PLANE.degrees(np.concatenate(points)),
         first=np.concatenate([[0], np.cumsum([len(p) for p in points])]),
         length_m=np.array([np.hypot(*np.diff(p, axis=0).T).sum() for p in points]),
-        turn=nothing,
-        change=nothing,
-        width=nothing,
-        before=np.array(before, dtype=np.int64),
-        after=np.array(after, dtype=np.int64),
-        shift=np.array(shift, dtype=float),
-        join=np.array(join, dtype=np.str_),
-        side=np.array(side, dtype=np.int64),
-        source=np.full(len(joins), "placement"),
+        before=before,
+        after=after,
     )
 
 
@@ -63,13 +55,7 @@ def interchange() -> LaneGraph:
             [(6000, 15), (0, 15)],
         ],
         [2, 3, 2, 2, 1, 2],
-        [
-            (0, 1, 0, "same", 1),
-            (1, 2, 0, "exit", 1),
-            (1, 4, -2, "exit", 1),
-            (2, 3, 0, "entry", 1),
-            (4, 3, 1, "entry", 1),
-        ],
+        [(0, 1), (1, 2), (1, 4), (2, 3), (4, 3)],
     )
 
 
@@ -127,10 +113,30 @@ def slow(rng: np.random.Generator, n: int, seconds: float) -> FloatArray:
     return np.array(values)
 
 
-def without_lines(log: LineLog, hidden: BoolArray) -> LineLog:
-    """The log (T,) with no lines in some frames."""
-    return replace(
-        log,
-        offset_m=np.where(hidden[:, None], np.nan, log.offset_m),
-        is_valid=log.is_valid & ~hidden[:, None],
+def road_rows(
+    n_lanes: Sequence[int],
+    first_s: float = 0.0,
+    *,
+    off: Sequence[int] = (),
+    untold: Mapping[int, int] | None = None,
+) -> RoadTable:
+    """A road table with a row a second.
+
+    - off: rows that are off the map.
+    - untold: rows whose way tells no number of lanes, and that way.
+    """
+    n = len(n_lanes)
+    segment, way = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    segment[list(off)] = -1
+    for row, number in (untold or {}).items():
+        way[row] = number
+    nothing, seconds = np.zeros(n), first_s + np.arange(n)
+    return RoadTable(
+        t_s=seconds,
+        segment=segment,
+        along_m=nothing,
+        offset_m=nothing,
+        sure=np.ones(n),
+        n_lanes=np.array(n_lanes),
+        untold=way,
     )

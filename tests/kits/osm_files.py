@@ -1,8 +1,7 @@
-"""Small files of OpenStreetMap: roads that are drawn in metres, and real ones mirrored."""
+"""Small files of OpenStreetMap: roads that are drawn in metres."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
@@ -36,27 +35,3 @@ def write_osm(
             ElementTree.SubElement(way, "tag", k=key, v=str(value))
     ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
     return path
-
-
-def write_mirrored(source: Path, path: Path) -> Path:
-    """Write the mirror image of an extract: east is west, left is right."""
-    tree = ElementTree.parse(source)
-    for node in tree.iter("node"):
-        node.set("lon", f"{-float(node.attrib['lon']):.7f}")
-    for way in tree.iter("way"):
-        tags = {tag.attrib["k"]: tag for tag in way.iter("tag")}
-        for key, tag in tags.items():
-            if ":lanes" in key:
-                listed = tag.attrib["v"].split("|")[::-1]
-                tag.set("v", "|".join(mirrored_words(lane) for lane in listed))
-            elif key == "placement":
-                side, lane = tag.attrib["v"].split("_of:")
-                n = int(tags["lanes"].attrib["v"])
-                tag.set("v", f"{mirrored_words(side)}_of:{n + 1 - int(lane)}")
-    tree.write(path, encoding="utf-8", xml_declaration=True)
-    return path
-
-
-def mirrored_words(text: str) -> str:
-    """Left for right, and right for left."""
-    return re.sub("left|right", lambda word: {"left": "right"}.get(word[0], "left"), text)

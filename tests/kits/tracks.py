@@ -23,7 +23,7 @@ def rotterdam_road(data: Path) -> tuple[LaneGraph, RoadIndex]:
     metres = around(route.lat.to_numpy(), route.lon.to_numpy()).metres(route.lat, route.lon)
     cuts = [0, *np.flatnonzero(route.distance > 150), len(route)]
     parts = [slice(a, b) for a, b in itertools.pairwise(cuts) if b - a > 1]
-    drawn = lane_map([[tuple(p) for p in metres[part]] for part in parts], [0] * len(parts), [])
+    drawn = lane_map([[tuple(p) for p in metres[part]] for part in parts], [0] * len(parts))
     places = np.concatenate([route[["lat", "lon"]].to_numpy()[part] for part in parts])
     graph = LaneGraph(**(vars(drawn) | {"point": places}))
     return graph, index_of(graph)

@@ -233,6 +233,6 @@ def test_learning_needs_ground_truth(tmp_path: Path) -> None:
 
 
 def test_settings_for_tables_are_refused_where_the_rule_learns(tmp_path: Path) -> None:
-    said = refused("learn", write_drive(tmp_path, **GEOMETRY), "--unlabelled")
+    said = refused("learn", write_drive(tmp_path, **GEOMETRY), "--set", "learning.labels=false")
     assert "learning: is about the tables of a graph" in said
     assert "line_geometry learns its own parameters, from labels" in said

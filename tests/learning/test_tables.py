@@ -255,7 +255,7 @@ def test_a_rule_that_learns_what_it_does_not_name_is_refused(tmp_path: Path) -> 
 
 
 @needs_compiler
-@pytest.mark.parametrize("words", [(), ("--unlabelled",)])
+@pytest.mark.parametrize("words", [(), ("--set", "learning.labels=false")])
 def test_what_was_learned_can_be_run_and_compared(tmp_path: Path, words: tuple[str, ...]) -> None:
     write_drive(tmp_path / "in", 600)
     (tmp_path / "out").mkdir()
@@ -298,7 +298,9 @@ def test_without_ground_truth_only_the_evidence_is_learned_from(tmp_path: Path) 
     path = write_drive(tmp_path, 300, ground_truth=None)
     said = refused("learn", path, "--out", tmp_path / "a.yaml")
     assert "ground_truth: is missing, learning needs it, or learning.labels: false" in said
-    shown = done("learn", path, "--unlabelled", "--out", tmp_path / "a.yaml").stdout
+    shown = done(
+        "learn", path, "--set", "learning.labels=false", "--out", tmp_path / "a.yaml"
+    ).stdout
     assert "held out, 5 blocks" in shown
     assert "no ground truth" in shown
     assert "log evidence per frame" in shown

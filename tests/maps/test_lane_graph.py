@@ -20,21 +20,13 @@ def small_graph() -> LaneGraph:
         kind=np.array(["motorway", "motorway", "motorway_link"]),
         name=np.array(["A 9", "A 9", ""], dtype=object),
         n_lanes=np.array([3, 2, 0]),
-        placement=np.array([[1.5, 1.5], [1.5, 1.0], [np.nan, np.nan]]),
         point=np.array(
             [[50.0, 11.0], [50.1, 11.0], [50.1, 11.0], [50.2, 11.0]] + [[50.1, 11.1]] * 2
         ),
         first=np.array([0, 2, 4, 6]),
         length_m=np.array([11_000.0, 11_000.0, 0.0]),
-        turn=np.array(["through|through|slight_right", "", ""], dtype=object),
-        change=np.array(["", "yes|no", ""], dtype=object),
-        width=np.array(["", "", "3.5"], dtype=object),
         before=np.array([0, 0]),
         after=np.array([1, 2]),
-        shift=np.array([0.0, np.nan]),
-        join=np.array(["exit", "exit"]),
-        side=np.array([1, 1]),
-        source=np.array(["placement", ""]),
     )
 
 

@@ -114,28 +114,12 @@ def test_the_branch_that_the_car_took_is_known_afterwards_from_where_it_splits(
     assert set(table.segment) == {0, 1, 4, 3}
 
 
-def test_the_table_says_what_is_ahead(graph: LaneGraph, index: RoadIndex) -> None:
+def test_the_table_has_the_lanes_of_each_row(graph: LaneGraph, index: RoadIndex) -> None:
     table = locate(graph, index, drive(EASTWARD, 0.0))
+    expected = np.where((EASTWARD >= 2000) & (EASTWARD < 3000), 3, 2)
+    assert (table.n_lanes == expected).mean() > 0.98
     row = int(np.argmax(EASTWARD >= 1500))
-    assert table.n_lanes[row] == 2
-    assert table.next_n_lanes[row] == 3
-    assert table.next_join[row] == "same"
-    assert table.next_side[row] == 1
-    assert table.next_shift[row] == 0
     np.testing.assert_allclose(table.along_m[row], EASTWARD[row], atol=1)
-    np.testing.assert_allclose(table.next_in_m[row], 2000 - EASTWARD[row], atol=1)
-    row = int(np.argmax(EASTWARD >= 2500))
-    assert (table.next_join[row], table.next_n_lanes[row]) == ("exit", 2)
-    # Behind the entry there is nothing more.
-    assert np.isnan(table.next_in_m[-1])
-    assert table.next_join[-1] == ""
-
-
-def test_what_is_far_ahead_is_not_told(graph: LaneGraph) -> None:
-    long = lane_map([[(0, 0), (3000, 0)], [(3000, 0), (3500, 0)]], [2, 3], [(0, 1, 0, "same", 1)])
-    table = locate(long, index_of(long), drive(EASTWARD[:110], 0.0))
-    assert np.isnan(table.next_in_m[EASTWARD[:110] < 980]).all()
-    assert np.isfinite(table.next_in_m[(EASTWARD[:110] > 1020) & (EASTWARD[:110] < 2990)]).all()
 
 
 @pytest.mark.parametrize("online", [False, True])
@@ -169,7 +153,7 @@ def test_a_car_that_is_elsewhere_after_a_jump_is_found_there(
 @pytest.mark.parametrize("online", [False, True])
 def test_a_tunnel_of_two_minutes_is_bridged_with_a_row_each_second(online: bool) -> None:
     points = [(0, 0), (2000, 0), (3000, 500), (5000, 500), (8000, 500)]
-    long = lane_map([points[:3], points[2:]], [2, 3], [(0, 1, 0, "same", 1)])
+    long = lane_map([points[:3], points[2:]], [2, 3], [(0, 1)])
     index = index_of(long)
     way = np.arange(10.0, 7900, 30)
     corner = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(points, axis=0).T))])
@@ -205,14 +189,13 @@ def test_a_car_that_leaves_the_map_is_off_it(
 
 
 def test_a_map_in_which_the_road_is_cut_is_followed_on_both_sides() -> None:
-    cut = lane_map([[(0, 0), (3000, 0)], [(3000, 0), (6000, 0)]], [2, 2], [])
+    cut = lane_map([[(0, 0), (3000, 0)], [(3000, 0), (6000, 0)]], [2, 2])
     found = locate(cut, index_of(cut), drive(EASTWARD, 0.0))
     assert (found.segment == np.where(EASTWARD < 3000, 0, 1)).all()
-    assert np.isnan(found.next_in_m).all()
 
 
 def test_against_a_oneway_that_is_drawn_backwards_a_car_is_off_the_map() -> None:
-    wrong = lane_map([[(6000, 0), (0, 0)]], [2], [])
+    wrong = lane_map([[(6000, 0), (0, 0)]], [2])
     index = index_of(wrong)
     assert (match(wrong, index, drive(EASTWARD[::-1], 0.0)).segment == 0).all()
     assert (match(wrong, index, drive(EASTWARD, 0.0)).segment == -1).mean() > 0.9
@@ -226,7 +209,7 @@ def test_online_knows_the_past_only(graph: LaneGraph, index: RoadIndex) -> None:
     columns = ("t_s", "latitude", "longitude", "speed_mps", "heading_deg", "sigma_m")
     part = replace(positions, **{c: getattr(positions, c)[:n] for c in columns})
     shorter = locate(graph, index, part, online=True)
-    for name in ("segment", "along_m", "offset_m", "sure", "n_lanes", "next_in_m"):
+    for name in ("segment", "along_m", "offset_m", "sure", "n_lanes"):
         np.testing.assert_array_equal(getattr(shorter, name), getattr(whole, name)[:n])
 
 
@@ -271,7 +254,7 @@ def test_lanes_that_a_map_does_not_tell_are_guessed_from_the_road(
     n_lanes: list[int], guess: list[int]
 ) -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
-    road = lane_map(lines, n_lanes, [(k, k + 1, np.nan, "same", 0) for k in range(3)])
+    road = lane_map(lines, n_lanes, [(k, k + 1) for k in range(3)])
     assert with_guesses(road).n_lanes.tolist() == guess
     places = drive(np.arange(10.0, 3990, 30), 0.0)
     table = locate(road, index_of(road), places)
@@ -282,7 +265,7 @@ def test_lanes_that_a_map_does_not_tell_are_guessed_from_the_road(
 
 def test_a_number_is_not_guessed_from_a_link() -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
-    road = lane_map(lines, [1, 0, 4, 3], [(0, 1, np.nan, "entry", 0)])
+    road = lane_map(lines, [1, 0, 4, 3], [(0, 1)])
     road = replace(road, kind=np.array(["motorway_link", *["motorway"] * 3]))
     road = replace(road, length_m=np.array([1.0, 1.0, 1.0, 2.0]))
     assert with_guesses(road).n_lanes.tolist() == [1, 3, 4, 3]

@@ -30,8 +30,8 @@ def test_ways_become_one_segment_where_nothing_changes(tmp_path: Path) -> None:
 
 
 def test_a_oneway_drawn_backwards_is_the_road_that_it_is(tmp_path: Path) -> None:
-    way = (11, [2, 3], {**ROAD, "placement": "right_of:1"})
-    turned = (11, [3, 2], {**ROAD, "placement": "right_of:1", "oneway": "-1"})
+    way = (11, [2, 3], ROAD)
+    turned = (11, [3, 2], {**ROAD, "oneway": "-1"})
     there, here = (
         read_osm(write_osm(tmp_path / "a.osm", NODES, [(10, [1, 2], ROAD), middle]))
         for middle in (way, turned)
@@ -45,8 +45,7 @@ def test_a_way_is_cut_where_another_leaves_from_its_middle(tmp_path: Path) -> No
     ways = [(10, [1, 2, 3, 4], ROAD), (11, [3, 5], {"highway": "motorway_link", "lanes": 1})]
     graph = read_osm(write_osm(tmp_path / "a.osm", nodes, ways))
     assert graph.way.tolist() == [10, 10, 11]
-    assert graph.join.tolist() == ["exit", "exit"]
-    assert graph.side.tolist() == [1, 1]
+    assert (graph.before.tolist(), graph.after.tolist()) == ([0, 0], [1, 2])
 
 
 def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> None:
@@ -62,15 +61,14 @@ def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None
     ways = [
         (10, [1, 2], {**ROAD, "lanes": "two"}),
         (11, [2, 3], {**ROAD, "lanes": "two"}),
-        (12, [3, 4], {**ROAD, "placement": "right_of:3"}),
+        (12, [3, 4], {**ROAD, "turn:lanes": "through"}),
     ]
     path = write_osm(tmp_path / "a.osm", NODES, ways)
-    with pytest.warns(UserWarning, match="lanes=two|right_of:3") as said:
+    with pytest.warns(UserWarning, match="lanes=two|turn:lanes") as said:
         graph = read_osm(path)
     assert "way 10 and 1 more: lanes=two is no number" in str(said[0].message)
-    assert "way 12: placement=right_of:3 of 2 lanes is no place" in str(said[1].message)
+    assert "way 12: turn:lanes lists 1 lanes of 2, it is ignored" in str(said[1].message)
     assert graph.n_lanes.tolist() == [0, 2]
-    assert np.isnan(graph.placement).all()
 
 
 @pytest.mark.parametrize(

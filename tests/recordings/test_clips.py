@@ -158,7 +158,7 @@ def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
     said = refused("run", path, "--no-figures", "--out", tmp_path / "r")
     assert said.endswith("clips are run without ground truth (ground_truth: none)")
     path = write_experiment(tmp_path / "f.yaml", recording=recording, ground_truth=None)
-    said = refused("learn", path, "--unlabelled", "--out", tmp_path / "l")
+    said = refused("learn", path, "--set", "learning.labels=false", "--out", tmp_path / "l")
     assert said.endswith("only `egolane run` takes clips; here name the lines of one")
     words = ["--camera", camera, "--n-lanes", 4, "--out", tmp_path / "b"]
     assert refused("label", labels, *words) == said

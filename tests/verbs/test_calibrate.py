@@ -17,7 +17,7 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
     out = tmp_path / "a" / "cam.yaml"
     done = calibrate(
         "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
-        "--ignore-below", 700, "--baseline", 0.5, "-o", out,
+        "--ignore", "0,700,1280,720", "--baseline", 0.5, "-o", out,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     camera = read_camera(out)

@@ -232,7 +232,8 @@ def test_one_run_that_fails_does_not_stop_the_others(drive: Path, tmp_path: Path
 
 @pytest.fixture(scope="module")
 def learned() -> ego.Result:
-    return ego.learn(ego.load_experiment(QUICKSTART, SHORT), unlabelled=True, blocks=2)
+    experiment = ego.load_experiment(QUICKSTART, SHORT)
+    return ego.learn(experiment, overrides={"learning.labels": False}, blocks=2)
 
 
 def test_the_frames_that_were_held_out_can_be_looked_at_and_saved(

@@ -72,28 +72,3 @@ def test_bad_files_are_refused_in_one_line(
     assert done.exit_code == 2
     assert said in done.output
     assert done.output.count("\n") == 1
-
-
-@pytest.mark.parametrize("online", [False, True])
-def test_the_road_of_a_simulated_drive_is_found_from_its_positions(
-    tmp_path: Path, online: bool
-) -> None:
-    simulated = ["simulate", "interchange", "--out", str(tmp_path), "--frames", "2000"]
-    done = CliRunner().invoke(egolane, simulated)
-    assert done.exit_code == 0, done.output
-    a_map, positions, out = (
-        str(tmp_path / name) for name in ("lanes.parquet", "positions.csv", "found.parquet")
-    )
-    done = run(a_map, positions, "-o", out, *(["--online"] if online else []))
-    assert done.exit_code == 0, done.output
-    true, found = road_table.load(tmp_path / "road.parquet"), road_table.load(out)
-    at = np.isin(true.t_s, found.t_s)
-    assert at.sum() == len(found)
-    # Which branch lies ahead of the drive's end is not in the positions.
-    last = np.flatnonzero(np.diff(true.segment[at]))[-1]
-    for name in ("segment", "n_lanes", "next_n_lanes", "next_join", "next_side"):
-        same = (getattr(true, name)[at] == getattr(found, name))[:last]
-        assert same.mean() >= (0.97 if online else 0.99), name
-    both = np.isfinite(true.next_in_m[at]) & np.isfinite(found.next_in_m)
-    off = np.abs(true.next_in_m[at] - found.next_in_m)[both]
-    assert np.median(off) < 5

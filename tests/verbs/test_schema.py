@@ -85,7 +85,7 @@ GOOD = {
         ("evidence", "my_evidence.py"),
         ("tuning", {"objective": "accuracy", "never_fit": {"from_frame": 9}}),
         ("tuning", {"objective": ["accuracy", "log_loss"], "never_fit": [[0, 9], [20, None]]}),
-        ("recording", {"simulate": "interchange"}),
+        ("recording", {"simulate": "quickstart"}),
         ("ground_truth", None),
     ],
 )

@@ -72,35 +72,6 @@ def video_writer(
 
 
 @contextlib.contextmanager
-def frame_writer(
-    target: str | Path, frame_rate: float, size: tuple[int, int]
-) -> Iterator[Callable[[int, Image], None]]:
-    """A context that gives a function to write a picture and its frame id to a video (`.mp4`) or
-    into a folder. Whatever ends the block, the pictures written so far are kept.
-
-    - frame_rate: Hz
-    - size: width and height, pixels
-
-    Raises InputError if the target cannot be written.
-    """
-    target = Path(target)
-    if target.suffix.lower() == ".mp4":
-        if target.is_dir():
-            raise InputError(
-                f"{target}: is a folder; a video is a file, PNG pictures need a folder"
-                " whose name does not end in .mp4"
-            )
-        with video_writer(target, frame_rate, size) as write:
-            yield lambda _, image: write(image)
-        return
-    if (target.suffix or target.exists()) and not target.is_dir():
-        raise InputError(f"{target}: a video ends in .mp4; for PNG pictures name a folder")
-    check_place(target)
-    # The folder is made with the first picture: a drive that cannot be drawn leaves no empty one.
-    yield lambda frame_id, image: write_picture(target / f"frame_{frame_id:06d}.png", image)
-
-
-@contextlib.contextmanager
 def silent() -> Iterator[None]:
     """Silences OpenCV's own messages, for which we raise a one-line error."""
     # The function's place differs between OpenCV's major versions.

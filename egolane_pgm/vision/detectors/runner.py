@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.evidence.lines_beside import own_lane_m
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import FloatArray, InputError, LineLog
@@ -125,7 +124,9 @@ def _check(lines: FrameLines, where: str) -> None:
 
 def _warn_of_own_lane(log: LineLog, camera: Camera) -> None:
     """Warns if the valid lines beside the car are two lanes apart in most frames that have both."""
-    width = own_lane_m(log)
+    offset = np.where(log.is_valid, log.offset_m, np.nan)
+    left = np.where(offset < 0, -offset, np.inf).min(axis=1, initial=np.inf)
+    width = left + np.where(offset > 0, offset, np.inf).min(axis=1, initial=np.inf)
     width = width[np.isfinite(width)]
     one = camera.lane_width_m or USUAL_LANE_M
     is_double = (width > _TWO_LANES[0] * one) & (width < _TWO_LANES[1] * one)

@@ -1,0 +1,68 @@
+"""Cuts a recording where its road changes: a drive for each stretch with one number of lanes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from egolane_pgm.maps.lane_graph import ways_named
+from egolane_pgm.maps.road_table import RoadTable
+from egolane_pgm.types import MAX_LANES, InputError, IntArray, LineLog
+
+
+def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
+    """The number of lanes in each of T frames, (T,).
+
+    A frame has the lanes of the last row before it, and where the table does not know them (off the
+    map, or a segment without a number) those known last. Frames before the first row that knows
+    them have its lanes.
+
+    Raises InputError where the clocks do not overlap, where no row knows the lanes, and for more
+    than MAX_LANES.
+    """
+    time_s = log.time_s
+    if not len(log) or time_s[-1] < table.t_s[0] or time_s[0] > table.t_s[-1]:
+        span = f"{time_s[0]:g} to {time_s[-1]:g} s" if len(log) else "no frames"
+        raise InputError(
+            f"{table.source}: has the times {table.t_s[0]:g} to {table.t_s[-1]:g} s, and"
+            f" {log.source} has {span}: they do not overlap"
+        )
+    rows = np.flatnonzero(table.n_lanes > 0)
+    if not len(rows):
+        raise InputError(f"{table.source}: no row knows how many lanes the road has")
+    last = np.maximum(np.searchsorted(table.t_s[rows], time_s, side="right") - 1, 0)
+    n_lanes: IntArray = table.n_lanes[rows][last]
+    if n_lanes.max() > MAX_LANES:
+        row = int(rows[last[n_lanes.argmax()]])
+        raise InputError(
+            f"{table.source}: row {row}: a road of {int(n_lanes.max())} lanes; at most"
+            f" {MAX_LANES} are taken"
+        )
+    return n_lanes
+
+
+def untold_lanes(table: RoadTable, log: LineLog) -> list[str]:
+    """Lines for the frames of a log in which the map does not tell the number of lanes, whether it
+    was guessed or not, and for those that are off the map."""
+    row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
+    off, way = table.segment[row] < 0, table.untold[row]
+    untold, guessed = ~off & (table.n_lanes[row] == 0), (table.n_lanes[row] > 0) & (way > 0)
+    what, goes_on = "the map does not tell how many lanes the road has", "the number before goes on"
+    said = (
+        (guessed, f"{what} ({ways_named(way[guessed])}); the number is a guess"),
+        (untold, f"{what}; {goes_on}"),
+        (off, f"the car is off the map; {goes_on}"),
+    )
+    return [
+        f"{table.source}: in {here.sum()} of {len(log)} frames {what}"
+        for here, what in said
+        if here.any()
+    ]
+
+
+def cut(log: LineLog, n_lanes: IntArray, name: str) -> LineLog:
+    """The log of T frames as clips: NAME_1, NAME_2, ..., one for each stretch of a road whose
+    number of lanes, (T,), stays."""
+    stretch = np.cumsum(np.diff(n_lanes, prepend=n_lanes[:1]) != 0) + 1
+    return replace(log, clip=np.array([f"{name}_{k}" for k in stretch.tolist()]))

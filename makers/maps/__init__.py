@@ -1,1 +1,0 @@
-"""Figures about maps, positions and lanes: what docs/maps.md says of them."""
