@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -31,7 +32,7 @@ def fetch(*, base_url: str | None = None, folder: Folder = None) -> str:
     - base_url: a mirror that has the files under their names.
     - folder: where to put them.
 
-    Returns how many files are good. Raises InputError, a line for each, where one is not.
+    Returns how many files are good. Raises InputError where one is not.
     """
     return _good(catalog.fetch(base_url=base_url, folder=folder))
 
@@ -41,7 +42,7 @@ def verify(*, folder: Folder = None) -> str:
 
     - folder: where they are; by default as a run finds them.
 
-    Returns how many files are good. Raises InputError, a line for each, where one is not.
+    Returns how many files are good. Raises InputError where one is not.
     """
     return _good(catalog.verify(folder))
 
@@ -50,7 +51,9 @@ def _good(outcomes: list[catalog.Outcome]) -> str:
     said = f"{sum(each.ok for each in outcomes)} of {len(outcomes)} files are there and good"
     problems = catalog.problems(outcomes)
     if problems:
-        raise InputError(said, *problems)
+        for line in problems:
+            sys.stderr.write(f"egolane: {line}\n")
+        raise InputError(said)
     return said
 
 

@@ -20,7 +20,7 @@ from tests.kits.synthetic_road import write_place
 @pytest.mark.parametrize(
     ("words", "missing"),
     [
-        (("map",), "argument 'FILE'"),
+        (("locate", "roads.osm"), "argument 'POSITIONS'"),
     ],
 )
 def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
