@@ -42,7 +42,6 @@ COMMANDS = {
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
     "export": "Write a result for a viewer: Foxglove, PlotJuggler, rerun.",
-    "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
     "lines": "Print the lines of one frame as in the paper's Box 1.",

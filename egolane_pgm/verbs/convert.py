@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from egolane_pgm.recordings import read_with, write_lines
 from egolane_pgm.types import LineLog
-from egolane_pgm.verbs.given import Mapped, Option, StrPath, path_of
+from egolane_pgm.verbs.given import ColumnNames, Option, StrPath, path_of
 
 EXAMPLES = ("egolane convert drive/lines.csv lines.parquet",)
 
@@ -20,7 +20,7 @@ def convert(
     format: Annotated[str | None, Option("NAME")] = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     frame_rate: float | None = None,
-    lines: Mapped = None,
+    columns: ColumnNames = None,
     options: Annotated[
         Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="valid=always")
     ] = None,
@@ -34,13 +34,12 @@ def convert(
     - format: where the extension does not say it.
     - camera: the camera's YAML, for lines given in pixels.
     - frame_rate: frames per second.
-    - lines: where the lines stand in a table or in messages: the name of a preset, key=value, or a
-      YAML file with such keys.
+    - columns: what a table or messages call our columns, as for `run`.
     - options: a further option of the format, e.g. valid=always for labels.
 
     Returns the lines. Raises InputError, one line, for whatever does not fit.
     """
-    given = {"topic": topic, "camera": camera, "frame_rate": frame_rate, "lines": lines}
+    given = {"topic": topic, "camera": camera, "frame_rate": frame_rate, "columns": columns}
     chosen = {key: value for key, value in given.items() if value is not None}
     log = read_with(path_of(source, "source"), format, {**(options or {}), **chosen})
     write_lines(path_of(target, "target"), log)

@@ -7,7 +7,6 @@ import click
 from egolane_pgm.experiment import experiments_folder, load_experiment, load_yaml
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
-from egolane_pgm.recordings.mapping import presets
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.verbs.given import shown
 from egolane_pgm.views.tables import line_width
@@ -29,7 +28,6 @@ def ls() -> str:
             ("detectors:", ", ".join(plugin_names("detectors"))),
             ("networks:", ", ".join(ready_networks())),
             ("recordings:", ", ".join([*FORMATS, *plugin_names("recordings")])),
-            ("lines:", ", ".join(presets())),
             ("simulations:", ", ".join(sorted(PRESETS))),
         ]
     )

@@ -13,6 +13,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.model import Roles, build_network, compile_graph, fitting_rule, graph_roles
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin
+from egolane_pgm.recordings import format_of
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.types import MAX_LANES, InputError
 from egolane_pgm.verbs.given import Option, StrPath, path_of, shown
@@ -23,7 +24,7 @@ from egolane_pgm.views.description import (
     description_text,
 )
 
-EXAMPLES = ("egolane show sensor_failure --tables", "egolane show detector:ml --json -")
+EXAMPLES = ("egolane show sensor_failure --tables", "egolane show drive.csv")
 
 NLanes = Annotated[int, Ge(1), Le(MAX_LANES)]
 
@@ -33,7 +34,7 @@ _KINDS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
 
 def show(
     name: Annotated[
-        StrPath, Option("GRAPH|EVIDENCE|DETECTOR", plugins=("graphs", "evidence", "detectors"))
+        StrPath, Option("GRAPH|EVIDENCE|DETECTOR|FILE", plugins=("graphs", "evidence", "detectors"))
     ],
     *,
     n_lanes: NLanes = 3,
@@ -41,14 +42,23 @@ def show(
 ) -> dict[str, Any]:
     """Show what a graph, an evidence rule or a detector is: nodes, edges, tables, parameters.
 
-    A name of `egolane ls`, or a file of your own; `graph:NAME`, `evidence:NAME` or `detector:NAME`
-    says which where it is not clear.
+    NAME is one of `egolane ls`, or a file of your own; `graph:NAME`, `evidence:NAME` or
+    `detector:NAME` says which where it is not clear. Of a recording, a table or a bag, show what is
+    in it and, where that is plain, the command that runs it.
 
     - n_lanes: number of lanes of the road.
     - tables: print a graph's tables in numbers.
 
     Returns its description. Raises InputError, one line, for whatever does not fit.
     """
+    if _is_recording(Path(path_of(name, "name"))):
+        from egolane_pgm.recordings.showing import show_recording
+
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "name": str(name),
+            "text": show_recording(Path(name)),
+        }
     kind, bare = find_plugin(path_of(name, "name"), _KINDS, Path.cwd())
     module = load_plugin(_KINDS[kind], bare, Path.cwd(), kind)
     found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": bare}
@@ -63,7 +73,17 @@ def show(
 
 def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """The description as text."""
+    if "text" in done:
+        return str(done["text"])
     return description_text({**done, "file": shown(done["file"])})
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a name is that of a table or a bag."""
+    try:
+        return format_of(path) in ("table", "rosbag")
+    except InputError:
+        return False
 
 
 def compile_defaults(name: str, module: ModuleType, n_lanes: int) -> Compiled:

@@ -22,7 +22,6 @@ from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.model import prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.recordings import read_lines, write_lines
-from egolane_pgm.recordings.containers import messages
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.verbs.show import compile_defaults
 from egolane_pgm.vision.camera.model import read_camera, write_camera
@@ -30,7 +29,6 @@ from egolane_pgm.vision.camera.pictures import images_of, open_source
 from tests.kits.bags import write_bag2
 from tests.kits.drives import short_drive, write_drive
 from tests.kits.image_line_files import CAMERA, culane, entry, openlane, saved_camera, tusimple
-from tests.kits.message_files import can_log, json_mcap, mdf, openpilot_log, protobuf_mcap
 from tests.kits.osm_files import write_osm
 from tests.kits.synthetic_road import images, write_pictures, write_video
 
@@ -58,24 +56,6 @@ def _bags(folder: Path) -> list[Path]:
     for name in ("a.bag", "a.mcap"):
         write_lines(folder / name, _LOG)
     return [folder / "a.bag", folder / "a.mcap", write_bag2(folder / "sqlite", _LOG)]
-
-
-def _logs(folder: Path) -> list[Path]:
-    made = {"a.mcap": json_mcap, "b.mcap": protobuf_mcap, "a.blf": can_log, "a.asc": can_log}
-    made |= {"a.mf4": mdf, "rlog": openpilot_log, "rlog.zst": openpilot_log}
-    for name, make in made.items():
-        make(folder / name)
-    # What defines the messages is not damaged.
-    for name in ("lanes.dbc", "log.capnp"):
-        (folder / name).rename(folder.parent / name)
-    return [folder / name for name in made]
-
-
-def _logged(path: Path) -> object:
-    is_can, is_model = path.suffix in (".blf", ".asc"), path.name.startswith("rlog")
-    name = "lanes.dbc" if is_can else "log.capnp" if is_model else None
-    found = next((p / str(name) for p in path.parents if (p / str(name)).exists()), None)
-    return list(messages(path, definitions=found))
 
 
 def _tables(folder: Path) -> list[Path]:
@@ -106,7 +86,7 @@ def _labelled(path: Path) -> None:
 
 _EXPERIMENTS: dict[str, dict[str, Any]] = {
     "plain": {
-        "recording": {"path": "lines.csv", "frame_rate": 10, "lines": {"offset": "offset_m"}},
+        "recording": {"path": "lines.csv", "frame_rate": 10, "columns": {"offset_m": "offset_m"}},
         "ground_truth": {"path": "ground_truth.txt", "extra_rows": [[10000, 1, 0]]},
         "parameters": {"sigma1": 0.3, "p1": 0.9, "bonus_value": 4},
         "tuning": {"trials": 5, "parameters": {"p1": [0.5, 1]}, "never_fit": [[0, 10]]},
@@ -233,7 +213,6 @@ def _maps(folder: Path) -> list[Path]:
 
 READERS = {
     "bags": Reader(_bags, read_lines),
-    "logs": Reader(_logs, _logged),
     "tables": Reader(_tables, read_lines),
     "ground truth": Reader(_truth, read_ground_truth),
     "labels": Reader(_labels, _labelled),

@@ -112,6 +112,8 @@ def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> Non
     # The README beside rendered pictures shows commands.
     files = {*package.rglob("*.py")} - {package / "vision" / "rendering" / "files.py"}
     found = []
+    # What is in a recording ends with the command that runs it.
+    files -= {package / "recordings" / "showing.py"}
     for path in files - {package / "command.py", *(package / "verbs").iterdir()}:
         nodes = [*ast.walk(ast.parse(path.read_text()))]
         docstrings = [node.value for node in nodes if isinstance(node, ast.Expr)]
