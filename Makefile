@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera tuned maps benchmark cluster-demo fuzz clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera tuned maps benchmark cluster-demo clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -103,11 +103,6 @@ benchmark: .venv/.dev
 cluster-demo: .venv/.dev
 	$(BIN)/python -m tests.cluster_demo
 
-# Each reader on 300 files that were damaged at random: what was neither read nor refused in one line
-# (some minutes). ONLY="--only bags --seed 7" tries that one again.
-fuzz: .venv/.dev
-	$(BIN)/python -m tests.damaged $(ONLY)
-
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
 	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly drift lane_change lstr --out results/camera > results/camera/pictures.md
@@ -133,4 +128,4 @@ maps: .venv/.dev
 	@touch $@
 
 clean:
-	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage .fuzz
+	rm -rf .venv .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage

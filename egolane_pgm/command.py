@@ -39,7 +39,6 @@ COMMANDS = {
     "compare": "Put results, or experiments that are run held out, side by side.",
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
-    "inspect": "Say what is in a recording, and the command that runs it.",
     "label": "Label a recording's lanes, and list what a human should look at.",
     "learn": "Learn an experiment from its recording.",
     "locate": "Find the road of a car on a map.",

@@ -116,83 +116,56 @@ class Section(BaseModel):
 AnySection = TypeVar("AnySection", bound=Section)
 
 
-class LinesMapping(Section):
-    """Where the lines stand in tables and messages. What is left out has the name that it has in
-    our own tables (`recordings.mapping`)."""
+#: A column of a table, or one for each line in a table with a row per frame.
+_Theirs = str | tuple[str, ...]
 
-    preset: str | None = Field(
-        default=None,
-        description="a known kind of recording (`egolane show`), for the keys that are left out",
-        examples=["openpilot"],
+
+class Columns(Section):
+    """The columns of a table, or the fields of messages, by our names, where theirs are other ones;
+    and how they are written."""
+
+    frame_id: str | None = Field(
+        default=None, description="number of the frame; null: frames are numbered by their times"
     )
-    topic: str | None = Field(
-        default=None,
-        description="of the messages; of JSON lines the field that they are in",
-        examples=["/lane/{}"],
-    )
-    frame_id: str | None = Field(default=None, description="number of the frame")
-    time: str | None = Field(
-        default=None,
-        description="when the frame was seen: a number, a date, or a stamp; also in place of frame"
-        " ids",
-        examples=["header.stamp"],
-    )
-    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
-        default=None, description="unit of `time`, where that is a number; left out, seconds"
-    )
+    time_s: str | None = Field(default=None, description="when the frame was seen")
     line: str | None = Field(default=None, description="number of the line, from 1 or from 0")
-    offset: str | tuple[str, ...] | None = Field(
+    offset_m: _Theirs | None = Field(
         default=None,
-        description="where the line passes the car, or the coefficients c0, c1, ... of a curve",
-        examples=["lanes[].c0", "{}_c0", ["c0", "c1", "c2", "c3"]],
+        description="where the line passes the car; a list of columns, from left to right, in a"
+        " table with a row per frame",
+        examples=["lateral", ["left", "right"]],
     )
-    along: str | None = Field(
-        default=None, description="how far ahead the points are, where `offset` is a list of them"
+    is_valid: _Theirs | None = Field(
+        default=None, description="whether the detector trusts the line: true or false, 1 or 0"
     )
-    at_m: float | None = Field(
-        default=None,
-        allow_inf_nan=False,
-        description="how far ahead points or a polynomial are looked at; left out, 0",
+    is_continuous: _Theirs | None = Field(
+        default=None, description="whether the line is not dashed, as `is_valid`"
     )
-    is_valid: bool | str | None = Field(
-        default=None,
-        description="whether the detector trusts the line: a field, or a condition on one",
-        examples=["confidence > 0.5", "quality in [2, 3]"],
+    lri: _Theirs | None = Field(default=None, description="the line reliability index")
+    left_positive: bool = Field(
+        default=False, description="whether offsets are positive to the left (ISO 8855, ROS)"
     )
-    is_continuous: bool | str | None = Field(
-        default=None,
-        description="whether the line is not dashed, as `is_valid`",
-        examples=["type in [solid, double]"],
-    )
-    lri: str | None = Field(default=None, description="the line reliability index")
-    left_positive: bool | None = Field(
-        default=None, description="whether offsets are positive to the left (ISO 8855, ROS)"
-    )
-    unit: Literal["m", "cm", "mm"] | None = Field(
-        default=None, description="unit of `offset`; left out, metres"
-    )
-    each: tuple[Annotated[str, Field(coerce_numbers_to_str=True)], ...] = Field(
-        default=(),
-        description="names from left to right that take the place of `{}` in the other keys",
-        examples=[["left", "right"]],
-    )
-    also: tuple[_Keys, ...] = Field(
-        default=(), description="further lines of the same frames: the keys that differ"
-    )
+    unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of the offsets")
+    time_unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of the times")
     separator: str | None = Field(
         default=None, pattern=r"^(.|\\t)$", description="what separates the cells of a CSV"
-    )
-    decimal: str | None = Field(
-        default=None, pattern="^.$", description="the decimal point of a CSV"
-    )
-    null_values: tuple[str, ...] = Field(
-        default=(), description="further texts of a CSV that stand for an empty cell"
     )
 
     @model_serializer(mode="wrap")
     def said(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """The keys that are not left out: one that is null takes that of a preset away."""
+        """The keys that are not left out."""
         return {key: value for key, value in dump(self).items() if key in self.model_fields_set}
+
+    @model_validator(mode="after")
+    def _one_column_per_line(self) -> Columns:
+        n_lines = len(self.offset_m) if isinstance(self.offset_m, tuple) else None
+        for name in ("is_valid", "is_continuous", "lri"):
+            theirs = getattr(self, name)
+            if theirs is not None and n_lines != (
+                len(theirs) if isinstance(theirs, tuple) else None
+            ):
+                raise ValueError(f"{name}: needs as many columns as offset_m")
+        return self
 
 
 class Recording(Section):
@@ -214,12 +187,6 @@ class Recording(Section):
         default=None,
         description="topic of a bag; left out, that of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
-    )
-    definitions: str | None = Field(
-        default=None,
-        description="what defines the messages of `path`, where these do not: the .dbc of a CAN"
-        " log, openpilot's cereal/log.capnp, the folder of a ROS 2 bag's .msg files",
-        examples=["lanes.dbc", "openpilot/cereal/log.capnp"],
     )
     frames: tuple[int, int] | None = Field(
         default=None,
@@ -268,16 +235,11 @@ class Recording(Section):
         description="further options of the format's reader",
         examples=[{"valid": "always"}],
     )
-    lines: LinesMapping | None = Field(
+    columns: Columns | None = Field(
         default=None,
-        description="where the lines stand in a table or in messages, or the name of a preset",
-        examples=["mobileye", {"offset": "lateral", "left_positive": True}],
+        description="the columns of a table, or the fields of a topic's messages, by our names",
+        examples=[{"offset_m": "lateral", "left_positive": True}],
     )
-
-    @field_validator("lines", mode="before")
-    @classmethod
-    def _preset(cls, value: Any) -> Any:
-        return {"preset": value} if isinstance(value, str) else value
 
     @model_validator(mode="after")
     def _one_source(self) -> Recording:
@@ -738,7 +700,7 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
     content = experiment.model_dump(mode="json", exclude=_FITTING)
     # A config without one of these is the same config as ever, and so is its hash.
     recording = content["recording"]
-    for section, keys in (content, ("road",)), (recording, ("definitions", "lines")):
+    for section, keys in (content, ("road",)), (recording, ("columns",)):
         for key in keys:
             if section[key] is None:
                 del section[key]

@@ -5,20 +5,18 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from pydantic import ConfigDict, Field
 from pydantic_core import from_json
 
-from egolane_pgm.experiment import Experiment, LinesMapping, Section, validated
+from egolane_pgm.experiment import Columns, Experiment, Section, validated
 from egolane_pgm.inference.events import NO_EVENTS, across_lanes, next_events
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.layout import FilterState
 from egolane_pgm.inference.smoothing import LagState, lag_rest, lag_step
 from egolane_pgm.model import online_output, place_by_lines, prepare_model, value_names
-from egolane_pgm.recordings.mapping import columns_of, lines_of_table
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs, FloatArray, InputError, LaneEvents, LineLog, not_one_of
@@ -54,8 +52,8 @@ def filter_stream(
       "is_valid": true, "is_continuous": false, "lri": 10}, ...]}`. `is_valid` is true by default,
       `is_continuous` false, `lri` unknown. `time_s`, seconds, says when the frame was; without it
       that is the frame id over the frame rate. A message with `time_s` may lack the frame id: it is
-      then the frame after the last. Blank lines are skipped. `recording.lines` says where the lines
-      stand in other messages.
+      then the frame after the last. Blank lines are skipped. `recording.columns` says what other
+      messages call these fields.
     - nodes: hidden nodes whose whole belief is part of the answer.
 
     Yields `{frame_id, time_s, lane (0: Unassigned), probability (of that lane, or of the most
@@ -75,7 +73,7 @@ def filter_stream(
         for number, text in enumerate(messages, start=1):
             if text.strip():
                 where = f"message {number}"
-                log = parse_message(text, where, frame_rate, after, experiment.recording.lines)
+                log = parse_message(text, where, frame_rate, after, experiment.recording.columns)
                 after = int(log.frame_id[0]) + 1
                 yield log
 
@@ -179,20 +177,24 @@ def _answer(
 
 
 def parse_message(
-    text: str, where: str, frame_rate: float, after: int = 0, mapping: LinesMapping | None = None
+    text: str, where: str, frame_rate: float, after: int = 0, said: Columns | None = None
 ) -> LineLog:
     """One message as a LineLog of one frame; see `filter_stream`.
 
     - after: the id of a frame without one.
-    - mapping: where the lines stand in other messages.
+    - said: what other messages call our fields.
     """
     try:
         content = from_json(text)
     except ValueError as error:
         raise InputError(f"{where}: is not JSON: {error}") from error
-    if mapping is not None:
-        columns = columns_of([content], where)
-        return lines_of_table(columns, mapping, Path(where), frame_rate, first=after)
+    if said is not None:
+        # Bags are read with it, too, which takes long to load.
+        from egolane_pgm.recordings.topics import fields, lines_of_messages
+
+        if not isinstance(content, dict):
+            raise InputError(f"{where}: is no JSON object")
+        return lines_of_messages([fields(content)], said, where, frame_rate, after)
     message = validated(_Message, content, where)
     lines, time_s = message.lines, message.time_s
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id

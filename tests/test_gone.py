@@ -26,7 +26,7 @@ GONE = {
     "tune": r"--(?:test-on|whole-recordings|from-scratch)\b|^pictures: ",
     "evidence": r"(?i)\bjeffrey\b",
     "number of lanes": r"\blane_count\b",
-    "formats of labels": r"\bformat: (?:culane|openlane)\b|(?:labels|folders) of (?:CULane|OpenLane)\b",
+    "formats of labels": r"\bformat: (?:cu|open)lane\b|(?:labels|folders) of (?:CULane|OpenLane)\b",
     "viewers": r"(?i)\brerun(?:-sdk|\.io|\b(?= file))|--layouts?\b",
     "extras": r"egolane-pgm\[(?:benchmark|can|openpilot|rerun)\b",
     "recordings": r"recording\.lines\b|--lines\b|--definitions\b|--preset\b",

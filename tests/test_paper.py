@@ -17,8 +17,8 @@ from egolane_pgm import paper as paper
 from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import SCORES, Reproduced
-from egolane_pgm.recordings.containers import read_messages
 from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.recordings.topics import read_topic
 from egolane_pgm.running import run_experiment
 from tests.conftest import needs_compiler
 from tests.kits.drives import done, refused, short_drive, write_drive
@@ -127,7 +127,7 @@ def test_the_recovered_values_of_run_5_are_those_of_the_authors_code() -> None:
 
 def test_the_missing_frame_of_run_6_is_held(recordings: Path) -> None:
     experiment = load_experiment(paper.paper_experiment(6))
-    raw = read_messages(recordings / str(experiment.recording.path))
+    raw = read_topic(recordings / str(experiment.recording.path))
     assert 652 not in raw.frame_id
     log = load_recording(experiment).log
     assert len(log) == len(raw) + 1

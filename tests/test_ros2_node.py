@@ -78,8 +78,8 @@ def message(k: int, left: float) -> dict[str, Any]:
 def test_each_message_is_answered_and_a_lane_change_is_told(
     lane_node: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lines = ["offset=lanes[].c0", "is_valid=confidence > 0.5", "left_positive=true"]
-    monkeypatch.setattr(Node, "parameters", {"lines": lines, "topic": "/seen"})
+    columns = "offset_m=c0,left_positive=true"
+    monkeypatch.setattr(Node, "parameters", {"columns": columns, "topic": "/seen"})
     node = lane_node.LaneNode()
     kind, callback = node.subscribed["/seen"]
     assert kind == "my_msgs/msg/Lanes"
@@ -96,6 +96,6 @@ def test_each_message_is_answered_and_a_lane_change_is_told(
 
 def test_a_message_that_does_not_fit_ends_the_node_with_a_line(lane_node: Any) -> None:
     node = lane_node.LaneNode()
-    node.on_lines({"lines": []})
+    node.on_lines({"speed": 3.0})
     assert waited(lambda: bool(node.said))
-    assert "lines: offset: there is no 'lanes'" in node.said[0]
+    assert "columns: offset_m: there is no column 'c0'" in node.said[0]

@@ -26,7 +26,8 @@ from egolane_pgm.graphs import yaml_graph
 from egolane_pgm.maps import positions, road_table
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
-from egolane_pgm.recordings import FORMATS, ground_truth, reader_of, table
+from egolane_pgm.recordings import FORMATS, ground_truth, reader_of
+from egolane_pgm.recordings.columns import COLUMNS
 from egolane_pgm.types import LaneEvents
 from egolane_pgm.verbs.schema import schema as json_schema
 from egolane_pgm.verbs.show import compile_defaults
@@ -230,7 +231,7 @@ def bounds_of(key: Mapping[str, Any]) -> str:
 def recordings_page() -> str:
     """The formats of lines, ground truth, positions and roads."""
     parts = ["# Recordings, ground truth, positions"]
-    for name, (endings, module, _) in FORMATS.items():
+    for name, (endings, _, _) in FORMATS.items():
         reader = reader_of(name)
         ends = ", ".join(f"`{ending}`" for ending in endings) or "a folder"
         options = ", ".join(f"`{option}`" for option in reader.__kwdefaults__ or ())
@@ -238,12 +239,9 @@ def recordings_page() -> str:
             f"## {name} ({ends})",
             as_markdown(about(inspect.getmodule(reader))),
         ]
-        if module == "table":
-            rows = [
-                [f"`{each}`", "yes" if each in table.NEEDED else "", table.CELLS[each], said]
-                for each, said in table.COLUMNS.items()
-            ]
-            parts.append(markdown(["column", "needed", "cells", "meaning"], rows))
+        if name == "table":
+            rows = [[f"`{each}`", said] for each, said in COLUMNS.items()]
+            parts.append(markdown(["column", "meaning"], rows))
         parts += [as_markdown(inspect.getdoc(reader) or ""), f"Options: {options}."]
     parts += [
         "## Ground truth",

@@ -132,7 +132,7 @@ def _messages(drive: Drive, t: int, now: int) -> Iterator[tuple[str, Content]]:
         frame["crossing"] = float(result.crossing[t])
     yield "/frame", frame
     if drive.result.lines is not None:
-        # As `egolane online` takes them, and `recordings.containers` reads them again.
+        # As `egolane online` takes them, and `recordings.topics` reads them again.
         number = int(result.frame_id[t])
         yield "/lines", {"frame_id": number, "lines": _recorded(drive.result.lines, t)}
     yield "/birdseye", _scene(drive, t, now)

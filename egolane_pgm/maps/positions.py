@@ -163,7 +163,7 @@ def read_positions(
 
 def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
     # `egolane locate --help` does without pyarrow.
-    from egolane_pgm.recordings.fields import typed
+    from egolane_pgm.recordings.columns import typed
     from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)
@@ -314,7 +314,7 @@ _FIX = "NavSatFix"
 def _read_bag(path: Path, topic: str | None) -> Positions:
     """The fixes on a topic, by default the only one that carries some; by the headers' stamps."""
     # What reads bags is loaded for them only.
-    from egolane_pgm.recordings.containers import messages, topics_of
+    from egolane_pgm.recordings.topics import messages, topics_of
 
     there = topics_of(path)
     names = {name for name, (kind, _) in there.items() if kind.split("/")[-1] == _FIX}

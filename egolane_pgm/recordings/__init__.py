@@ -15,16 +15,13 @@ import numpy as np
 from egolane_pgm.types import InputError, LineLog, problems_in, suggestion
 
 if TYPE_CHECKING:
-    from egolane_pgm.recordings.mapping import LinesGiven
+    from egolane_pgm.recordings.columns import ColumnsGiven
 
 #: Format: (extensions, module, function that reads a file into a LineLog).
 FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
-    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.containers", "read_messages"),
+    "rosbag": ((".bag", ".mcap", ".db3"), "recordings.topics", "read_topic"),
     "table": ((".csv", ".tsv", ".parquet"), "recordings.table", "read_table"),
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
-    "can": ((".blf", ".asc", ".trc", ".log"), "recordings.containers", "read_messages"),
-    "mdf": ((".mf4", ".mdf"), "recordings.containers", "read_messages"),
-    "openpilot": (("rlog", "qlog", ".zst", ".bz2"), "recordings.containers", "read_messages"),
 }
 
 #: Folders: the format of one that holds files with this ending.
@@ -50,7 +47,7 @@ def read_lines(
     format: str | None = None,
     camera: object = None,
     frame_rate: float | None = None,
-    lines: LinesGiven | None = None,
+    columns: ColumnsGiven | None = None,
     **options: Any,
 ) -> LineLog:
     """Read a recording of lines, T frames of at most L lines.
@@ -59,10 +56,10 @@ def read_lines(
       tells.
     - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
     - frame_rate: frames per second, where the recording has no times; by default the reader's.
-    - lines: where the lines stand in a table or in messages: keys and values of `recording.lines`,
-      the name of a preset, or a YAML file with the keys.
-    - options: further ones of the format's reader (`read_messages`: topic, definitions;
-      `read_tusimple`: valid, frame_step, ahead_m, continuous).
+    - columns: which columns of a table, or fields of messages, are what: keys and values of
+      `recording.columns`, or `"offset_m=lateral,left_positive=true"`.
+    - options: further ones of the format's reader (`read_topic`: topic; `read_tusimple`:
+      valid, frame_step, ahead_m, continuous).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
 
@@ -74,7 +71,7 @@ def read_lines(
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
     """
-    said = {"frame_rate": frame_rate, "lines": lines}
+    said = {"frame_rate": frame_rate, "columns": columns}
     given = {**options, **{key: value for key, value in said.items() if value is not None}}
     # Only a format whose lines are in pixels has a reader that takes a camera.
     if camera is not None and "camera" in reader_of(format or format_of(path)).__kwdefaults__:
@@ -84,14 +81,13 @@ def read_lines(
 
 def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
     """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
-    lines = options.get("lines")
-    name = format_of(path, lines is not None) if format is None else format
+    name = format_of(path) if format is None else format
     with problems_in(str(path)):
         read = reader_of(name)
-    if lines is not None:
-        from egolane_pgm.recordings.mapping import mapping_of
+    if options.get("columns") is not None:
+        from egolane_pgm.recordings.columns import columns_of
 
-        options = {**options, "lines": mapping_of(lines, str(path))}
+        options = {**options, "columns": columns_of(options["columns"], str(path))}
     allowed = set(read.__kwdefaults__)
     for option in options:
         if option not in allowed:
@@ -164,15 +160,10 @@ def reader_of(name: str) -> Any:
     return getattr(import_module(f"egolane_pgm.{module}"), function)
 
 
-def format_of(path: str | Path, is_mapped: bool = False) -> str:
+def format_of(path: str | Path) -> str:
     """The format of a recording by its extension, or by what is in a folder; InputError where that
-    does not tell.
-
-    - is_mapped: whether a mapping says where its lines stand: then JSON lines are a table.
-    """
+    does not tell."""
     path = Path(path)
-    if is_mapped and path.suffix.lower() in (".jsonl", ".json"):
-        return "table"
     for name, (extensions, _, _) in FORMATS.items():
         if (path.suffix.lower() or path.name) in extensions:
             return name

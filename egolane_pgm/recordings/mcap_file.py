@@ -1,4 +1,4 @@
-"""MCAP files of JSON, of protobuf (Foxglove's SDKs) and of CDR outside ROS 2's own profile."""
+"""MCAP files of JSON, and of CDR outside ROS 2's own profile."""
 
 from __future__ import annotations
 
@@ -10,9 +10,7 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-from egolane_pgm.recordings.containers import Topics, reading, time_of
-from egolane_pgm.recordings.mapping import Message
-from egolane_pgm.recordings.rosbag import plain
+from egolane_pgm.recordings.rosbag import Message, Topics, plain, reading, time_of
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError
 
@@ -24,8 +22,8 @@ with needed("an .mcap file outside ROS 2", "mcap"):
 _Decode = Callable[[bytes], Any]
 
 
-def topics_of(path: Path, definitions: Path | None) -> Topics:
-    """See `recordings.containers`. Without a summary at its end the whole file is read."""
+def topics_of(path: Path) -> Topics:
+    """See `recordings.topics`. Without a summary at its end the whole file is read."""
     found: Topics = {}
     with _open(path) as reader:
         summary = reader.get_summary()
@@ -37,15 +35,12 @@ def topics_of(path: Path, definitions: Path | None) -> Topics:
             each = [(schema, channel, 1) for schema, channel, _ in reader.iter_messages()]
         for schema, channel, count in each:
             kind = f"{schema.name if schema else 'no schema'}, {channel.message_encoding}"
-            number = found.get(channel.topic, (kind, 0))[1] or 0
-            found[channel.topic] = (kind, number + count)
+            found[channel.topic] = (kind, found.get(channel.topic, (kind, 0))[1] + count)
     return found
 
 
-def messages(
-    path: Path, topics: Collection[str] | None, definitions: Path | None
-) -> Iterator[Message]:
-    """See `recordings.containers`. Raises InputError for an encoding that is not known here."""
+def messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
+    """See `recordings.topics`. Raises InputError for an encoding that is not known here."""
     decoders: dict[int, _Decode] = {}
     with _open(path) as reader:
         for schema, channel, message in reader.iter_messages(topics):
@@ -65,11 +60,6 @@ def _open(path: Path) -> Iterator[McapReader]:
 def _decoder(path: Path, encoding: str, schema: Schema | None) -> _Decode:
     if encoding == "json":
         return json.loads
-    if encoding == "protobuf":
-        with needed("an .mcap file of protobuf", "mcap"):
-            from mcap_protobuf.decoder import DecoderFactory
-        decode: Any = DecoderFactory().decoder_for(encoding, schema)
-        return lambda data: _plain(decode(data))
     if encoding in ("cdr", "ros1") and schema is not None:
         store, text = get_typestore(Stores.EMPTY), schema.data.decode()
         is_idl = schema.encoding == "ros2idl"
@@ -78,22 +68,3 @@ def _decoder(path: Path, encoding: str, schema: Schema | None) -> _Decode:
         read = store.deserialize_cdr if encoding == "cdr" else store.deserialize_ros1
         return lambda data: plain(read(data, schema.name))
     raise InputError(f"{path}: messages encoded as {encoding or 'nothing known'} cannot be read")
-
-
-def _plain(value: Any) -> Any:
-    """A message of protobuf as a dict of its fields, those in it likewise; what is not set has its
-    default, and a message that is not set is None."""
-    if isinstance(value, (str, bytes)):
-        return value
-    if hasattr(value, "items"):
-        return {key: _plain(each) for key, each in value.items()}
-    if hasattr(value, "__len__"):
-        return [_plain(each) for each in value]
-    if not hasattr(value, "DESCRIPTOR"):
-        return value
-    return {
-        field.name: _plain(getattr(value, field.name))
-        if field.is_repeated or field.message_type is None or value.HasField(field.name)
-        else None
-        for field in value.DESCRIPTOR.fields
-    }

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment, LinesMapping
-from egolane_pgm.recordings.fields import check_whole, typed
-from egolane_pgm.recordings.mapping import FRAME_RATE, lines_of_table
+from egolane_pgm.experiment import Columns, Experiment
+from egolane_pgm.recordings.columns import FRAME_RATE, check_whole, typed
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.source import IN_MEMORY, Read
-from egolane_pgm.recordings.table import check_columns
+from egolane_pgm.recordings.table import lines_of_frame, with_index
 from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
 
 if TYPE_CHECKING:
@@ -32,7 +31,7 @@ def in_memory(
     Raises InputError as `lines_of` and `truth_of`.
     """
     recording = experiment.recording
-    log = lines_of(lines, frame_rate=recording.frame_rate, lines=recording.lines)
+    log = lines_of(lines, frame_rate=recording.frame_rate, columns=recording.columns)
     rate = rate_of(log.frame_id, log.time_s)
     return Read(log, None if truth is None else truth_of(truth), rate=rate)
 
@@ -41,7 +40,7 @@ def lines_of(
     given: LineLog | pd.DataFrame,
     *,
     frame_rate: float = FRAME_RATE,
-    lines: LinesMapping | None = None,
+    columns: Columns | None = None,
 ) -> LineLog:
     """The lines of a DataFrame, T frames of at most L lines; a LineLog is what it is.
 
@@ -50,7 +49,7 @@ def lines_of(
       where frames have times. frame_id, or frame_id and line, may be its index. A frame without
       lines is a row with an empty offset: one without a row counts as not recorded.
     - frame_rate: frames per second; without time_s, time is frame id over frame rate.
-    - lines: which columns are what, where they are not called as ours.
+    - columns: which columns are what, where they are not called as ours.
 
     Raises InputError for anything else, and as `recordings.table.read_table`.
 
@@ -63,9 +62,7 @@ def lines_of(
     if isinstance(given, LineLog):
         return given
     _check_frame(given, "recording", "lines")
-    frame, path = _with_index(given), Path(IN_MEMORY)
-    check_columns(path, list(frame.columns))
-    return lines_of_table({name: frame[name] for name in frame}, lines, path, frame_rate)
+    return lines_of_frame(given, Path(IN_MEMORY), frame_rate, columns)
 
 
 def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
@@ -86,7 +83,7 @@ def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
         return given
     _check_frame(given, "ground_truth", "lanes")
     path = Path(f"ground truth {IN_MEMORY}")
-    frame = _with_index(given).rename(columns={"crossing": "is_crossing"})
+    frame = with_index(given).rename(columns={"crossing": "is_crossing"})
     cells = {}
     for name in ("frame_id", "lane", "is_crossing"):
         if name in frame:
@@ -100,13 +97,6 @@ def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
     crossing = kept.get("is_crossing", np.zeros(known.sum())) == 1
     ids, lane = kept["frame_id"].astype(np.int64), kept["lane"].astype(np.int64)
     return LaneTruth(ids, lane, crossing, source=str(path))
-
-
-def _with_index(frame: pd.DataFrame) -> pd.DataFrame:
-    """A DataFrame with its index among its columns, whose names are text."""
-    frame = frame.rename(columns=str)
-    names = [name for name in frame.index.names if name is not None and name not in frame]
-    return frame.reset_index(names)
 
 
 def _check_frame(given: Any, what: str, of: str) -> None:

@@ -1,4 +1,4 @@
-"""Bags, ROS 1 and ROS 2, and MCAP files of ROS 2, read without ROS.
+"""Bags, ROS 1 and ROS 2, and MCAP files of ROS 2, read without ROS; and what a message is.
 
 The definitions of the messages are taken from the file. ROS 2 allows no capitals in the name of a
 field: there `isValid` of the published recordings is `is_valid`.
@@ -6,19 +6,37 @@ field: there `isValid` of the published recordings is `is_valid`.
 
 from __future__ import annotations
 
+import dataclasses
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from egolane_pgm.recordings.containers import Topics, reading, time_of
-from egolane_pgm.recordings.mapping import Message
 from egolane_pgm.types import InputError
+
+#: What a file has on its topics: the type of the messages, and how many there are.
+Topics = dict[str, tuple[str, int]]
+
+#: The parts of a stamp as ROS 1, ROS 2 and Foxglove's schemas call them.
+_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
+
+
+class Message(NamedTuple):
+    """A message of a recording.
+
+    - time_s: when it was made, seconds.
+    - value: its fields: nested dicts and lists of numbers and texts, or arrays of NumPy.
+    """
+
+    time_s: float
+    topic: str
+    value: Mapping[str, Any]
+
 
 #: The published definitions. ROS tells types apart by a checksum of these.
 LINES_TYPE, LINE_TYPE = (
@@ -63,21 +81,19 @@ _REPAIRS = {
 }
 
 
-def topics_of(path: Path, definitions: Path | None) -> Topics:
-    """See `recordings.containers`."""
-    with open_bag(path, definitions) as bag:
+def topics_of(path: Path) -> Topics:
+    """See `recordings.topics`."""
+    with open_bag(path) as bag:
         return {
             name: (info.msgtype or "of several types", info.msgcount)
             for name, info in bag.topics.items()
         }
 
 
-def messages(
-    path: Path, topics: Collection[str] | None, definitions: Path | None
-) -> Iterator[Message]:
-    """See `recordings.containers`. Warns of a bag that says it has more messages than it has."""
+def messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
+    """See `recordings.topics`. Warns of a bag that says it has more messages than it has."""
     found = 0
-    with open_bag(path, definitions) as bag:
+    with open_bag(path) as bag:
         chosen = [c for c in bag.connections if topics is None or c.topic in topics]
         _check_definitions(bag, path, chosen)
         for connection, logged_ns, raw in bag.messages(chosen):
@@ -92,18 +108,11 @@ def messages(
 
 
 @contextmanager
-def open_bag(path: Path, definitions: Path | None) -> Iterator[AnyReader]:
+def open_bag(path: Path) -> Iterator[AnyReader]:
     """An open bag. Raises InputError for whatever rosbags raises here or in the block, where the
-    file is read.
-
-    - definitions: the folder of .msg files, for a bag of ROS 2 that has none.
-    """
+    file is read."""
     typestore = get_typestore(Stores.LATEST)
-    texts = dict(DEFINITIONS_2)
-    for file in sorted(definitions.rglob("*.msg")) if definitions else ():
-        package = next(name for name in reversed(file.parts[:-1]) if name != "msg")
-        texts[f"{package}/msg/{file.stem}"] = file.read_text()
-    for name, text in texts.items():
+    for name, text in DEFINITIONS_2.items():
         typestore.register(get_types_from_msg(text, name))
     repair = _REPAIRS.get(path.suffix, _REPAIRS[""])
     cure = f"; if it was cut off or damaged, record or copy it again, or try {repair}"
@@ -125,9 +134,8 @@ def _check_definitions(bag: AnyReader, path: Path, chosen: Sequence[Connection])
             )
         if kind not in bag.typestore.fielddefs:
             raise InputError(
-                f"{path}: has no definition of {kind}: name the folder of its .msg files"
-                " (recording.definitions), or convert it where that type is known: `ros2 bag"
-                " convert` to MCAP"
+                f"{path}: has no definition of {kind}; convert it to MCAP where that type is known:"
+                " `ros2 bag convert`"
             )
 
 
@@ -138,5 +146,42 @@ def plain(value: Any) -> Any:
         return [plain(each) for each in value]
     if not hasattr(value, "__msgtype__"):
         return value
-    names = (name for name in value.__dataclass_fields__ if name != "__msgtype__")
+    # Constants of a message are no fields.
+    names = (field.name for field in dataclasses.fields(value) if field.name != "__msgtype__")
     return {name: plain(getattr(value, name)) for name in names}
+
+
+def time_of(value: Any, logged_ns: int) -> float:
+    """When a message was made, seconds: the stamp of its header, or its `timestamp` in Foxglove's
+    schemas; where it has none, or zero, when it was recorded.
+
+    >>> time_of({"header": {"stamp": {"sec": 12, "nanosec": 500_000_000}}}, 13_000_000_000)
+    12.5
+    >>> time_of({"c0": -1.8}, 13_000_000_000)
+    13.0
+    """
+    header = value.get("header")
+    stamp = header.get("stamp") if isinstance(header, dict) else value.get("timestamp")
+    # Nanoseconds since 1970 have more digits than a float.
+    return stamp_s(stamp) or logged_ns // 10**9 + logged_ns % 10**9 / 1e9
+
+
+def stamp_s(value: Any) -> float | None:
+    """A time stamp as seconds, None for anything else."""
+    if not isinstance(value, dict):
+        return None
+    parts = [[value[name] for name in names if name in value] for names in (_SECONDS, _NANOSECONDS)]
+    return int(parts[0][0]) + int(parts[1][0]) / 1e9 if all(parts) else None
+
+
+@contextmanager
+def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
+    """Around the reading of a file. The libraries raise whatever damaged bytes lead to, which this
+    turns into InputError: `what` it should be, and what may help."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        said = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
+        raise InputError(f"{path}: cannot be read as {what} ({said}){cure}") from None

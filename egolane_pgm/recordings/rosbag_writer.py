@@ -12,7 +12,7 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.containers import TOPICS
+from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
 

@@ -216,6 +216,6 @@ def sign_warning(log: LineLog, truth: LaneTruth) -> list[str]:
         return []
     return [
         f"{log.source}: at {against} of {agrees + against} annotated lane changes the lines move as"
-        " if the car went the other way; are the offsets positive to the left? `lines:"
-        " {left_positive: true}` says so"
+        " if the car went the other way; are the offsets positive to the left (`columns:"
+        " {left_positive: true}`), or do the lane numbers count from the right?"
     ]

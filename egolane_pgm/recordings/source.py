@@ -27,7 +27,7 @@ VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wm
 IN_MEMORY = "in memory"
 
 #: The keys of a recording that say how lines are read.
-READING = frozenset({"format", "topic", "options", "lines", "definitions"})
+READING = frozenset({"format", "topic", "options", "columns"})
 
 
 @dataclass(frozen=True)
@@ -87,8 +87,7 @@ def find_named(experiment: Experiment, key: str, *, folders: bool = False) -> Pa
     name: Any = experiment
     for part in key.split("."):
         name = getattr(name, part)
-    is_own = key in ("recording.camera", "recording.definitions")
-    is_fetched = not is_own and experiment.recording.detector is None
+    is_fetched = key != "recording.camera" and experiment.recording.detector is None
     try:
         return find_file(name, experiment.folder, folders=folders, is_fetched=is_fetched)
     except InputError as error:
@@ -110,8 +109,7 @@ class LinesFile(Source):
         elif self._format(path) in IN_PIXELS:
             raise InputError(
                 f"{experiment.source}: recording.camera: is missing; the lines of"
-                f" {path.name} are in pixels (lines in metres: recording.lines says where"
-                " they stand; `egolane inspect` what to write)"
+                f" {path.name} are in pixels"
             )
 
     def _check_format(self) -> None:
@@ -124,7 +122,7 @@ class LinesFile(Source):
 
     def _format(self, path: Path) -> str:
         recording = self.experiment.recording
-        return recording.format or format_of(path, recording.lines is not None)
+        return recording.format or format_of(path)
 
     def _is_own_format(self) -> bool:
         name = self.experiment.recording.format or "table"
@@ -146,29 +144,40 @@ class LinesFile(Source):
     def read(self) -> Read:
         path, recording = self._path(), self.experiment.recording
         options: dict[str, Any] = {**recording.options, "frame_rate": recording.frame_rate}
-        given = {
-            key: getattr(recording, key) for key in ("camera", "definitions", "topic", "lines")
-        }
-        options |= {key: value for key, value in given.items() if value is not None}
         files = [path]
-        for key in ("camera", "definitions"):
-            if given[key] is not None:
-                folders = key == "definitions"
-                options[key] = find_named(self.experiment, f"recording.{key}", folders=folders)
-                files.append(options[key])
-        if not self._is_own_format():
-            with warnings.catch_warnings(record=True) as caught:
-                warnings.simplefilter("always")
-                log = read_with(path, recording.format, options)
-            # The stamps of a bag that nobody described are no rate.
-            is_told = recording.lines is not None or self._format(path) == "table"
-            rate = rate_of(log.frame_id, log.time_s) if is_told else None
-            notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
-            return Read(log, None, tuple(files), rate, tuple(notes))
-        where, folder = self._where("format"), self.experiment.folder
-        reader = load_plugin("recordings", str(recording.format), folder, where)
+        if recording.topic is not None:
+            options["topic"] = recording.topic
+        if recording.camera is not None:
+            options["camera"] = find_named(self.experiment, "recording.camera")
+            files.append(options["camera"])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            if self._is_own_format():
+                log, is_timed = self._read_own(path, options)
+            else:
+                said = {} if recording.columns is None else {"columns": recording.columns}
+                log = read_with(path, recording.format, {**options, **said})
+                # The stamps of a bag that nobody described are no rate.
+                is_timed = bool(said) or self._format(path) == "table"
+        rate = rate_of(log.frame_id, log.time_s) if is_timed else None
+        notes = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
+        return Read(log, None, tuple(files), rate, tuple(notes))
+
+    def _read_own(self, path: Path, options: dict[str, Any]) -> tuple[LineLog, bool]:
+        """The lines that a user's own reader gives, and whether they are a table with times."""
+        recording, where = self.experiment.recording, self._where("format")
+        reader = load_plugin("recordings", str(recording.format), self.experiment.folder, where)
         with plugin_errors(reader, where):
-            return Read(reader.read(path, **options), None, tuple(files))
+            found = reader.read(path, **options)
+        if isinstance(found, LineLog):
+            return found, False
+        if not hasattr(found, "reset_index"):
+            raise InputError(
+                f"{where}: read gives {found!r:.60}; a LineLog or a DataFrame is needed"
+            )
+        from egolane_pgm.recordings.table import lines_of_frame
+
+        return lines_of_frame(found, path, recording.frame_rate, recording.columns), True
 
     def key(self) -> str:
         return whole_path(self.experiment)
@@ -214,6 +223,6 @@ def _in_full(key: str, value: Any, folder: Path) -> Any:
         return value
     is_plugin = key in ("format", "detector") and value.endswith(OWN_FILES)
     is_plugin |= key in _NETWORKS and value != "none"
-    is_path = key in ("path", "camera", "right", "definitions")
+    is_path = key in ("path", "camera", "right")
     is_there = any(c in value for c in "*?[") or (folder / value).exists()
     return str((folder / value).absolute()) if is_plugin or (is_path and is_there) else value

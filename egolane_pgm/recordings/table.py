@@ -1,5 +1,5 @@
-"""Recordings of lines as tables: CSV, Parquet, JSON lines or a DataFrame of pandas. A mapping says
-which columns are what; without one they have our own names, `mapping.COLUMNS`, in one of two forms.
+"""Recordings of lines as tables: CSV, Parquet or a DataFrame of pandas. `recording.columns` says
+which columns are what; without it they have our own names, `columns.COLUMNS`, in one of two forms.
 
 - One row per line, which is also how they are written: frame_id, line, offset_m and others. A frame
   without lines is one row with an empty line and offset.
@@ -11,37 +11,58 @@ which columns are what; without one they have our own names, `mapping.COLUMNS`, 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
-from pyarrow import csv, json
+from pyarrow import csv
 
-from egolane_pgm.experiment import LinesMapping
-from egolane_pgm.recordings.mapping import FRAME_RATE, lines_of_table, whole_mapping
+from egolane_pgm.experiment import Columns
+from egolane_pgm.recordings.columns import FRAME_RATE, lines_of_columns
 from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
 from egolane_pgm.types import InputError, LineLog
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 #: The endings of tables.
-TABLES = (".csv", ".tsv", ".parquet", ".jsonl", ".json")
-_TEXT = (".csv", ".tsv")
+TABLES = (".csv", ".tsv", ".parquet")
 
 
 def read_table(
-    path: str | Path, *, frame_rate: float = FRAME_RATE, lines: LinesMapping | None = None
+    path: str | Path, *, frame_rate: float = FRAME_RATE, columns: Columns | None = None
 ) -> LineLog:
-    """Read the lines of a CSV or Parquet table, or of JSON lines, T frames of at most L lines.
+    """Read the lines of a CSV or Parquet table, T frames of at most L lines.
 
     - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
-    - lines: which columns are what, where they are not called as ours.
+    - columns: which columns are what, where they are not called as ours.
 
     Raises InputError for a file that is missing or no such table, and as
-    `recordings.mapping.lines_of_table`.
+    `recordings.columns.lines_of_columns`.
     """
     path = Path(path)
-    table = read_columns(path, lines)
-    columns = dict(zip(table.column_names, table.columns, strict=True))
-    return lines_of_table(columns, lines, path, frame_rate)
+    table = read_columns(path, columns)
+    named = dict(zip(table.column_names, table.columns, strict=True))
+    return lines_of_columns(named, columns, path, frame_rate)
+
+
+def lines_of_frame(
+    frame: pd.DataFrame, where: Path, frame_rate: float, columns: Columns | None
+) -> LineLog:
+    """The lines of a DataFrame, as `read_table` reads a file of it; its index is a column, too.
+
+    - where: names it in messages.
+    """
+    frame = with_index(frame)
+    check_columns(where, list(frame.columns))
+    return lines_of_columns({name: frame[name] for name in frame}, columns, where, frame_rate)
+
+
+def with_index(frame: pd.DataFrame) -> pd.DataFrame:
+    """A DataFrame with its index among its columns, whose names are text."""
+    frame = frame.rename(columns=str)
+    names = [name for name in frame.index.names if name is not None and name not in frame]
+    return frame.reset_index(names)
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -88,10 +109,10 @@ def _write_csv(path: Path, table: Any) -> None:
 # --- reading -----------------------------------------------------------------------------------
 
 
-def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
-    """A whole CSV, Parquet or JSON-lines file. pyarrow finds the types of the columns.
+def read_columns(path: Path, said: Columns | None = None) -> pa.Table:
+    """A whole CSV or Parquet file. pyarrow finds the types of the columns.
 
-    - lines: says the separator, the decimal point and the empty cells of a CSV.
+    - said: the separator of a CSV. Where it is a semicolon, numbers may have a decimal comma.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
@@ -100,47 +121,36 @@ def read_columns(path: Path, lines: LinesMapping | None = None) -> pa.Table:
         return read_parquet(path)
     if extension not in TABLES:
         raise InputError(
-            f"{path}: unknown extension '{path.suffix}' of a table (.csv, .tsv, .parquet, .jsonl)"
+            f"{path}: unknown extension '{path.suffix}' of a table (.csv, .tsv, .parquet)"
         )
-    keys = whole_mapping(lines, str(path))
+    usual = "\t" if extension == ".tsv" else ","
+    separator = ((said and said.separator) or usual).replace("\\t", "\t")
+    found = separator_of(path)
+    cure = f'; its cells are separated by `columns: {{separator: "{found}"}}`'
+    cure = "" if found.replace("\\t", "\t") == separator else cure
     try:
-        if extension not in _TEXT:
-            # A message of hundreds of points is longer than pyarrow expects.
-            table = json.read_json(path, json.ReadOptions(block_size=1 << 24))
-        else:
-            usual = "\t" if extension == ".tsv" else ","
-            separator = (keys.separator or usual).replace("\\t", "\t")
-            nulls = [*csv.ConvertOptions().null_values, *keys.null_values]
-            table = csv.read_csv(
-                path,
-                parse_options=csv.ParseOptions(delimiter=separator),
-                convert_options=csv.ConvertOptions(
-                    decimal_point=keys.decimal or ".", null_values=nulls, strings_can_be_null=True
-                ),
-            )
-    except (OSError, pa.ArrowInvalid) as error:
-        said = " ".join(str(error).split())[:160]
-        kind = "CSV" if extension in _TEXT else "JSON lines"
-        raise InputError(f"{path}: cannot be read as {kind} ({said}){_separated(path)}") from None
-    if extension in _TEXT and len(table.column_names) == 1 and _separated(path):
-        raise InputError(f"{path}: has one column, {table.column_names[0]}{_separated(path)}")
-    names = [name.strip() for name in table.column_names]
+        table = csv.read_csv(
+            path,
+            parse_options=csv.ParseOptions(delimiter=separator),
+            convert_options=csv.ConvertOptions(
+                decimal_point="," if separator == ";" else ".", strings_can_be_null=True
+            ),
+        )
+        names = [name.strip() for name in table.column_names]
+    except (OSError, pa.ArrowInvalid, UnicodeDecodeError) as error:
+        problem = " ".join(str(error).split())[:160]
+        raise InputError(f"{path}: cannot be read as CSV ({problem}){cure}") from None
+    if len(names) == 1 and cure:
+        raise InputError(f"{path}: has one column, {names[0]}{cure}")
     check_columns(path, names)
     return table.rename_columns(names)
 
 
 def separator_of(path: Path) -> str:
-    """What separates the cells of a CSV, by its heading."""
+    """What separates the cells of a CSV, by its heading, as `columns: separator` has it."""
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        return max(",;\t|", key=file.readline().count)
-
-
-def _separated(path: Path) -> str:
-    """What may help with a CSV whose cells have another separator: the end of a message."""
-    found = separator_of(path) if path.suffix.lower() == ".csv" else ","
-    name = {";": "semicolons", "\t": "tabs", "|": "bars"}.get(found)
-    written = found.replace("\t", "\\t")
-    return f'; {name}: `lines: {{separator: "{written}"}}`' if name else ""
+        found = max(",;\t|", key=file.readline().count)
+    return found.replace("\t", "\\t")
 
 
 def check_columns(path: Path, names: list[str]) -> None:

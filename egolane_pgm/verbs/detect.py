@@ -14,7 +14,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from egolane_pgm.recordings import write_lines, writer_of
-from egolane_pgm.recordings.mapping import FRAME_RATE
+from egolane_pgm.recordings.columns import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog

@@ -63,9 +63,9 @@ Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
 #: Processes that share the work, or a Dask cluster; see `tools.jobs`.
 Jobs = Annotated[int, Ge(1)] | str
-#: Where the lines stand in a table or in messages, see `recordings.mapping`.
-Mapped = Annotated[
-    str | Sequence[str] | Mapping[str, Any] | None, Option("PRESET|KEY=VALUE|FILE", many=True)
+#: Which columns of a table, or fields of messages, are what; see `recordings.columns`.
+ColumnNames = Annotated[
+    str | Sequence[str] | Mapping[str, Any] | None, Option("OURS=THEIRS,...", many=True)
 ]
 Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
 Fleet = Annotated[StrPath | None, Option("FILE")]

@@ -13,7 +13,7 @@ from egolane_pgm.experiment import Given, Overrides
 from egolane_pgm.labelling import BELOW, Labels, label_experiment
 from egolane_pgm.results import check_writable
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Detector, Lines, Mapped, Option, StrPath, Truth, path_of
+from egolane_pgm.verbs.given import ColumnNames, Detector, Lines, Option, StrPath, Truth, path_of
 from egolane_pgm.verbs.run import ZERO_LABEL, choose, read_of
 
 EXAMPLES = ("egolane label drive/lines.csv --n-lanes 4 --out labels",)
@@ -29,7 +29,7 @@ def label(
     ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Detector = None,
-    lines: Mapped = None,
+    columns: ColumnNames = None,
     out: Annotated[
         StrPath | None, Option("DIR", default="results/*_labels", said="results/NAME_labels")
     ] = None,
@@ -50,7 +50,7 @@ def label(
     - ground_truth: annotation to score the labels with.
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
-    - lines: where the lines stand in a table or in messages, as for `run`.
+    - columns: what a table or messages call our columns, as for `run`.
     - out: folder of the labels. A `*` in it is the recording's name.
 
     Returns the `Labels`. Without `out` nothing is written. Raises InputError, one line, for
@@ -73,7 +73,7 @@ def label(
         raise InputError(f"label: needs {missing}, or an experiment that says it")
     given = ZERO_LABEL if experiment is None else experiment
     chosen = choose(
-        given, overrides, recording, ground_truth, n_lanes, camera, detector, lines=lines
+        given, overrides, recording, ground_truth, n_lanes, camera, detector, columns=columns
     )
     place = None
     if out is not None:

@@ -11,7 +11,6 @@ import click
 from egolane_pgm.experiment import experiments_folder, load_yaml
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
-from egolane_pgm.recordings.mapping import presets
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.verbs.given import shown
 from egolane_pgm.views.tables import line_width
@@ -41,7 +40,6 @@ KINDS: dict[str, Callable[[], list[str] | dict[str, str]]] = {
     "detectors": lambda: plugin_names("detectors"),
     "networks": lambda: [*ready_networks()],
     "recordings": lambda: [*FORMATS, *plugin_names("recordings")],
-    "lines": lambda: [*presets()],
     "simulations": lambda: sorted(PRESETS),
     "experiments": lambda: _descriptions(is_tuning=False),
     "tuning": lambda: _descriptions(is_tuning=True),

@@ -9,8 +9,8 @@ from typing import Annotated
 
 from egolane_pgm.experiment import Given, Overrides, load_experiment
 from egolane_pgm.online import filter_stream
-from egolane_pgm.recordings.mapping import mapping_keys
-from egolane_pgm.verbs.given import Mapped, Option
+from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.verbs.given import ColumnNames, Option
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
@@ -19,7 +19,7 @@ def online(
     experiment: Given,
     *,
     nodes: Annotated[Sequence[str], Option("NODE", names=("--node",), many=True)] = (),
-    lines: Mapped = None,
+    columns: ColumnNames = None,
     overrides: Overrides = (),
 ) -> None:
     """Filter frame by frame: a JSON line in, the lane out at once.
@@ -31,8 +31,8 @@ def online(
     are told with this frame. With `filter: fixed_lag` it comes `lag` frames later.
 
     - nodes: answer with the whole belief of this hidden node, too, e.g. Lane.
-    - lines: where the lines stand in other messages: the name of a preset, key=value (e.g.
-      "offset=lanes[].c0"), or a YAML file with such keys.
+    - columns: what other messages call our fields, and how they write them, e.g.
+      offset_m=c0,left_positive=true.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
     """
     # Standard input as an iterator would be read ahead in blocks.
@@ -40,7 +40,7 @@ def online(
     messages = iter(sys.stdin.readline, "")
     wanted = [nodes] if isinstance(nodes, str) else nodes
     chosen = load_experiment(experiment, overrides)
-    if lines is not None:
-        chosen = load_experiment(chosen, {"recording": {"lines": mapping_keys(lines)}})
+    if columns is not None:
+        chosen = load_experiment(chosen, {"recording": {"columns": column_keys(columns)}})
     for answer in filter_stream(chosen, messages, wanted):
         print(json.dumps(answer), flush=True)

@@ -30,12 +30,12 @@ from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog, titled
 from egolane_pgm.verbs.given import (
     Blocks,
+    ColumnNames,
     Detector,
     Fleet,
     Hidden,
     Jobs,
     Lines,
-    Mapped,
     Option,
     Progress,
     StrPath,
@@ -87,8 +87,7 @@ def run(  # type: ignore[misc]
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Detector = None,
     topic: str | None = None,
-    definitions: Annotated[StrPath | None, Option("FILE")] = None,
-    lines: Mapped = None,
+    columns: ColumnNames = None,
     graph: Annotated[Any, Hidden] = None,
     fleet: Fleet = None,
     stream: bool = False,
@@ -121,9 +120,8 @@ def run(  # type: ignore[misc]
     - camera: its camera: for pictures, lines in pixels.
     - detector: what looks at the video.
     - topic: topic of a bag, of its lines or pictures.
-    - definitions: what defines the messages of a log: a .dbc, openpilot's log.capnp.
-    - lines: where the lines stand in a table or in messages: the name of a preset, key=value (e.g.
-      left_positive=true), or a YAML file with such keys (docs/howto/sensors.md).
+    - columns: what a table or messages call our columns, and how they write them, e.g.
+      offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
     - graph: a graph instead of the experiment's: its name or file, a module, or a
       DynamicBayesianNetwork.
     - fleet: a table with a row per drive (.csv, .parquet, .yaml): recording, n_lanes, tag.X, ...
@@ -153,8 +151,7 @@ def run(  # type: ignore[misc]
     Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
     given, recordings = several_of(experiment), several_of(recording)
-    of_lines = (topic, definitions, lines)
-    changes = (ground_truth, n_lanes, camera, detector, *of_lines, graph)
+    changes = (ground_truth, n_lanes, camera, detector, topic, columns, graph)
     folder = None if out is None else Path(path_of(out, "out"))
     if not given and not recordings:
         raise InputError("run: name an experiment, or a recording of lines")
@@ -355,8 +352,7 @@ def choose(
     camera: Any = None,
     detector: Any = None,
     topic: str | None = None,
-    definitions: Any = None,
-    lines: Any = None,
+    columns: Any = None,
     graph: Any = None,
     *,
     name: str | None = None,
@@ -382,12 +378,10 @@ def choose(
     if n_lanes is not None or any(files.values()):
         chosen = with_recording(found, **files, n_lanes=n_lanes, overrides=overrides)
     said: dict[str, Any] = {"recording.topic": topic}
-    if definitions is not None:
-        said["recording.definitions"] = str(Path(path_of(definitions, "definitions")).absolute())
-    if lines is not None:
-        from egolane_pgm.recordings.mapping import mapping_keys
+    if columns is not None:
+        from egolane_pgm.recordings.columns import column_keys
 
-        said["recording"] = {"lines": mapping_keys(lines)}
+        said["recording"] = {"columns": column_keys(columns)}
     if any(said.values()):
         chosen = load_experiment(chosen, {key: value for key, value in said.items() if value})
     if graph is not None:

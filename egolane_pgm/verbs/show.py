@@ -17,6 +17,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.model import Roles, build_network, compile_graph, fitting_rule, graph_roles
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
+from egolane_pgm.recordings import format_of
 from egolane_pgm.results import SCHEMA_VERSION
 from egolane_pgm.tools.files import check_not_read, plain
 from egolane_pgm.types import MAX_LANES, InputError, suggestion
@@ -35,6 +36,7 @@ EXAMPLES = (
     "egolane show",
     "egolane show sensor_failure --tables",
     "egolane show sensor_failure --out network.png",
+    "egolane show drive.csv",
     "egolane show lstr_360x640.onnx > lanes.yaml",
     "egolane show schema > experiment.schema.json",
 )
@@ -59,8 +61,11 @@ def show(
     listed. NAME is one of these or a file of your own: a graph, an evidence rule, a detector or an
     experiment. `graph:NAME`, `evidence:NAME`, `detector:NAME` and `experiment:NAME` tell apart what
     has the same name. `schema` is the JSON Schema of experiments, `schema:tuning` that of tuning
-    files, and so on. Of a lane network (FILE.onnx): its inputs and outputs, the layout that fits,
-    and the YAML to start from.
+    files, and so on.
+
+    For a recording (a table or a bag), print its content and, if names and signs are clear, the
+    command that runs it. For a lane network (FILE.onnx), print its inputs and outputs, the layout
+    that fits, and the YAML to start from.
 
     - n_lanes: number of lanes of the road.
     - tables: print a graph's tables in numbers.
@@ -79,13 +84,15 @@ def show(
         found = _schema(given.partition(":")[2] or "experiment")
     elif given.endswith(".onnx"):
         found = _onnx(Path(given))
+    elif _is_recording(Path(given)):
+        found = _recording(Path(given))
     elif _is_yaml(given):
         found = _yaml(given.removeprefix("experiment:"), frame)
     else:
         found = _plugin(given, n_lanes, tables, out)
     if out is not None and found.get("kind") != "graph":
         raise InputError(f"out: {out}: only a graph is written to a file")
-    if frame is not None and "text" not in found:
+    if frame is not None and "keys" not in found:
         raise InputError("frame: goes with an experiment")
     return found
 
@@ -94,14 +101,12 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """The description as text, or the name of the file that was written."""
     if given.get("out") is not None:
         return str(given["out"])
-    if "yaml" in done:
-        return str(done["yaml"])
+    if "text" in done:
+        return str(done["text"])
     if "$schema" in done:
         return json.dumps(done, indent=1)
     if "kind" not in done:
         return listing.list_text(done)
-    if "text" in done:
-        return str(done["text"])
     if "keys" in done:
         return _yaml_text(done)
     return description_text({**done, "file": shown(done["file"])})
@@ -111,7 +116,21 @@ def _onnx(path: Path) -> dict[str, Any]:
     # OpenCV is imported only if it is needed.
     from egolane_pgm.vision.detectors.networks.checking import describe_onnx
 
-    return {"schema_version": SCHEMA_VERSION, "name": str(path), "yaml": describe_onnx(path)}
+    return {"schema_version": SCHEMA_VERSION, "name": str(path), "text": describe_onnx(path)}
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a name is that of a table or a bag."""
+    try:
+        return format_of(path) in ("table", "rosbag")
+    except InputError:
+        return False
+
+
+def _recording(path: Path) -> dict[str, Any]:
+    from egolane_pgm.recordings.showing import show_recording
+
+    return {"schema_version": SCHEMA_VERSION, "name": str(path), "text": show_recording(path)}
 
 
 def _schema(kind: str) -> dict[str, Any]:

@@ -1,9 +1,10 @@
 """A node of ROS 2: it takes the messages of a lane detector and publishes the lane.
 
     python3 lane_node.py --ros-args -p topic:=/lanes -p type:=my_msgs/msg/Lanes -p n_lanes:=3 \
-        -p lines:="['offset=lanes[].c0', 'is_valid=confidence > 0.5', 'left_positive=true']"
+        -p columns:="offset_m=c0,left_positive=true"
 
-`lines` is what `egolane run --lines` takes; `egolane inspect` on a bag says what. It publishes
+`columns` is what `egolane run --columns` takes; `egolane show` on a bag says what is in it. It
+publishes
 
     ~/lane         std_msgs/Int32    1 is the leftmost lane, 0: unassigned
     ~/probability  std_msgs/Float32  of that lane
@@ -28,13 +29,17 @@ from std_msgs.msg import Float32, Int32, String
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.online import filter_stream
-from egolane_pgm.recordings.containers import time_of
-from egolane_pgm.recordings.mapping import mapping_keys
+from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.recordings.rosbag import time_of
 from egolane_pgm.types import InputError
 
-LINES = ["offset=lanes[].c0", "left_positive=true"]
-PARAMETERS = {"experiment": "zero_label", "n_lanes": 3, "topic": "/lanes", "lines": LINES}
-PARAMETERS["type"] = "my_msgs/msg/Lanes"
+PARAMETERS = {
+    "experiment": "zero_label",
+    "n_lanes": 3,
+    "topic": "/lanes",
+    "type": "my_msgs/msg/Lanes",
+    "columns": "offset_m=c0,left_positive=true",
+}
 
 
 class LaneNode(Node):
@@ -45,7 +50,7 @@ class LaneNode(Node):
         given = {name: self.declare_parameter(name, v).value for name, v in PARAMETERS.items()}
         changes = {
             "n_lanes": given["n_lanes"],
-            "recording": {"lines": mapping_keys(given["lines"])},
+            "recording": {"columns": column_keys(given["columns"])},
         }
         self.experiment = load_experiment(given["experiment"], changes)
         self.waiting: queue.Queue[str] = queue.Queue()

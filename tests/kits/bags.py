@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.recordings.containers import TOPICS
 from egolane_pgm.recordings.rosbag import LINES_TYPE_2
 from egolane_pgm.recordings.rosbag_writer import write_rosbag
+from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.types import LineLog
 
 SEPARATOR = "=" * 80

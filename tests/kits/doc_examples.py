@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.recordings import read_lines, write_lines
-from egolane_pgm.recordings.containers import TOPICS
+from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.simulation import simulate
 from egolane_pgm.vision.camera.model import write_camera
 from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
@@ -23,8 +23,7 @@ from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
 from tests.kits.image_bags import write_images
 from tests.kits.image_line_files import entry, tusimple
-from tests.kits.message_files import write_logs
-from tests.kits.sensor_files import write_bags, write_tables
+from tests.kits.sensor_files import foreign_table, own_bag, polynomials_table
 from tests.kits.synthetic_road import write_video
 from tests.kits.tiny_network import write_known
 
@@ -150,10 +149,9 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
         kind = "quickstart" if name in ("X", "other") else "zero_label"
         rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
     _write_bag(folder / "drive.bag")
-    (folder / "sensors").mkdir()
-    write_tables(folder / "sensors")
-    write_bags(folder / "sensors")
-    write_logs(folder / "sensors")
+    foreign_table(folder / "foreign.csv")
+    polynomials_table(folder / "polynomials.csv")
+    own_bag(folder / "own.bag")
     offsets = np.array([-5.55, -1.85, 1.85, 5.55])
     seen = [draw_road(TRUE, offsets + 0.02 * k, 0.0, k) for k in range(16)]
     write_video(folder / "drive.avi", seen)

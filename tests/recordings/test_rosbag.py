@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.experiment import LinesMapping
+from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.containers import TOPICS, read_messages
 from egolane_pgm.recordings.select import recording_warnings
+from egolane_pgm.recordings.topics import TOPICS, read_topic
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
     PLAIN_BODY,
@@ -40,7 +40,7 @@ PAPER_FILES = (
 )
 
 #: Of recordings that leave way_id empty.
-SEQ = LinesMapping(frame_id="header.seq")
+SEQ = Columns(frame_id="header.seq")
 
 LINES: list[list[Line]] = [
     [(True, False, 7, -1.75), (False, True, -1, 3e32)],
@@ -99,7 +99,7 @@ def test_a_bag_is_read_into_padded_arrays(tmp_path: Path) -> None:
 
 def test_header_seq_can_be_the_frame_id(tmp_path: Path) -> None:
     raw = [plain_message(0, lines, seq=k + 20) for k, lines in enumerate(LINES)]
-    log = read_messages(write_bag(tmp_path / "a.bag", raw), lines=SEQ)
+    log = read_topic(write_bag(tmp_path / "a.bag", raw), columns=SEQ)
     np.testing.assert_array_equal(log.frame_id, [20, 21, 22])
 
 
@@ -112,18 +112,18 @@ def test_the_package_of_the_message_type_does_not_matter(tmp_path: Path, package
         msgtype=f"{package}/msg/msg_lines",
         text=definition(package=package),
     )
-    log = read_messages(bag)
+    log = read_topic(bag)
     np.testing.assert_array_equal(log.is_valid.sum(axis=1), [1, 0, 2])
 
 
-@pytest.mark.parametrize("lines", [None, SEQ])
+@pytest.mark.parametrize("columns", [None, SEQ])
 def test_another_layout_with_the_needed_fields_gives_the_same_arrays(
-    tmp_path: Path, lines: LinesMapping | None
+    tmp_path: Path, columns: Columns | None
 ) -> None:
     plain = [plain_message(k + 3, lines, seq=2 * k) for k, lines in enumerate(LINES)]
     extended = [extended_message(k + 3, lines, seq=2 * k) for k, lines in enumerate(LINES)]
-    one = read_messages(write_bag(tmp_path / "a.bag", plain), lines=lines)
-    other = read_messages(write_bag(tmp_path / "b.bag", extended, text=EXTENDED), lines=lines)
+    one = read_topic(write_bag(tmp_path / "a.bag", plain), columns=columns)
+    other = read_topic(write_bag(tmp_path / "b.bag", extended, text=EXTENDED), columns=columns)
     assert_same(one, other)
 
 
@@ -133,11 +133,11 @@ def test_messages_are_taken_in_the_order_of_recording(tmp_path: Path) -> None:
     # Of two that were recorded at the same time the first in the file comes first.
     stamps, messages = [int(k) // 2 for k in sorted(later, key=lambda k: k // 2)], raw
     bag = write_bag(tmp_path / "a.bag", messages, stamps=stamps, chunk_bytes=300)
-    np.testing.assert_array_equal(read_messages(bag).frame_id, np.arange(60))
+    np.testing.assert_array_equal(read_topic(bag).frame_id, np.arange(60))
     bag = write_bag(
         tmp_path / "b.bag", [raw[k] for k in later], stamps=later.tolist(), chunk_bytes=300
     )
-    log = read_messages(bag)
+    log = read_topic(bag)
     np.testing.assert_array_equal(log.frame_id, np.arange(60))
     np.testing.assert_array_equal(log.offset_m[:, 0], np.arange(60.0))
 
@@ -160,7 +160,7 @@ def two_nodes(path: Path, text: str) -> Path:
 
 
 def test_a_topic_of_two_nodes_is_read_if_they_have_one_definition(tmp_path: Path) -> None:
-    assert len(read_messages(two_nodes(tmp_path / "a.bag", definition()))) == 2
+    assert len(read_topic(two_nodes(tmp_path / "a.bag", definition()))) == 2
     commented = definition(PLAIN_BODY + "# once more\n")
     assert "several definitions" in refused(two_nodes(tmp_path / "b.bag", commented))
 
@@ -168,8 +168,8 @@ def test_a_topic_of_two_nodes_is_read_if_they_have_one_definition(tmp_path: Path
 @pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
 def test_compressed_bags_are_read(tmp_path: Path, kind: str) -> None:
     raw = [plain_message(k, lines) for k, lines in enumerate(LINES)]
-    plain = read_messages(write_bag(tmp_path / "plain.bag", raw))
-    assert_same(plain, read_messages(write_bag(tmp_path / "a.bag", raw, compression=kind)))
+    plain = read_topic(write_bag(tmp_path / "plain.bag", raw))
+    assert_same(plain, read_topic(write_bag(tmp_path / "a.bag", raw, compression=kind)))
 
 
 def refused(path: Path, **options: object) -> str:
@@ -224,7 +224,11 @@ def killed(path: Path) -> None:
             {},
             "Message type 'pkg/msg/msg_lines' hash mismatch",
         ),
-        (of_type("int64 way\nuint8[72] rest\n"), {}, "no column offset_m; the table has way, rest"),
+        (
+            of_type("int64 way\nuint8[72] rest\n"),
+            {},
+            "no column offset_m; the table has time_s, way, rest",
+        ),
         (of_type(PLAIN_BODY.replace("int64 way_id", "string way_id")), {}, "cannot be read"),
         (
             lambda path: write_bag(path, [b"\0" * 80], text="int32[ way_id\n", md5sum="0" * 32),
@@ -238,7 +242,7 @@ def killed(path: Path) -> None:
             of_ids(0, 0, 0),
             {},
             "0 is followed by 0; split the file there, or, where it does not fill in way_id, take"
-            " `lines: {frame_id: header.seq}` (ROS 1)",
+            " `columns: {frame_id: header.seq}` (ROS 1)",
         ),
         (
             of_ids(1, 2, 2, 5),
@@ -273,13 +277,13 @@ def test_a_bag_that_says_it_has_more_messages_is_warned_of(tmp_path: Path) -> No
     with pytest.warns(
         UserWarning, match=f"1 messages were read of the 2 that it says are on {TOPICS[0]}"
     ):
-        assert len(read_messages(tmp_path / "a.bag")) == 1
+        assert len(read_topic(tmp_path / "a.bag")) == 1
 
 
 def test_a_topic_and_a_frame_id_can_be_chosen(tmp_path: Path) -> None:
     raw = [plain_message(0, lines, seq=k) for k, lines in enumerate(LINES)]
     bag = write_bag(tmp_path / "a.bag", raw, topic="/my/lines")
-    log = read_messages(bag, topic="my/lines", lines=SEQ)
+    log = read_topic(bag, topic="my/lines", columns=SEQ)
     np.testing.assert_array_equal(log.frame_id, [0, 1, 2])
 
 
@@ -288,7 +292,7 @@ def test_an_offset_that_is_no_number_is_refused_on_a_valid_line_only(
     tmp_path: Path, offset: float
 ) -> None:
     good = [plain_message(0, []), plain_message(7, [(False, False, 0, offset)])]
-    log = read_messages(write_bag(tmp_path / "good.bag", good))
+    log = read_topic(write_bag(tmp_path / "good.bag", good))
     np.testing.assert_array_equal(log.offset_m, [[np.nan], [offset]])
     bad = [plain_message(0, []), plain_message(7, [(True, False, 0, offset)])]
     text = refused(write_bag(tmp_path / "bad.bag", bad))
@@ -300,14 +304,14 @@ def test_an_offset_that_is_no_number_is_refused_on_a_valid_line_only(
 def test_every_published_recording_loads_without_an_option(
     recordings: Path, name: str, n_frames: int, n_lines: int
 ) -> None:
-    log = read_messages(recordings / name)
+    log = read_topic(recordings / name)
     assert log.offset_m.shape == (n_frames, n_lines)
     assert (np.diff(log.frame_id) > 0).all()
 
 
 def test_the_oddities_of_the_published_recordings_are_counted(recordings: Path) -> None:
     said = {
-        run: recording_warnings(read_messages(recordings / PAPER_FILES[run - 1][0]), n_lanes)
+        run: recording_warnings(read_topic(recordings / PAPER_FILES[run - 1][0]), n_lanes)
         for run, n_lanes in ((1, 4), (5, 4), (6, 3), (8, 3), (10, 3))
     }
     assert said[1] == []

@@ -17,12 +17,11 @@ from mcap.reader import SeekingReader
 from mcap.writer import CompressionType, IndexType, Writer
 
 from egolane_pgm.drive import with_recording
-from egolane_pgm.experiment import LinesMapping, experiments_folder, load_experiment
+from egolane_pgm.experiment import Columns, experiments_folder, load_experiment
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
-from egolane_pgm.recordings.containers import TOPICS, read_messages
-from egolane_pgm.recordings.rosbag import DEFINITIONS_2, LINE_TYPE_2, LINES_TYPE_2
 from egolane_pgm.recordings.select import fill_missing, recording_warnings
+from egolane_pgm.recordings.topics import TOPICS, read_topic
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from egolane_pgm.views.events import clock
@@ -58,7 +57,7 @@ def assert_same(one: LineLog, other: LineLog) -> None:
 
 def refused(path: Path, **options: Any) -> str:
     with pytest.raises(InputError) as info:
-        read_messages(path, **options)
+        read_topic(path, **options)
     text = str(info.value)
     assert "\n" not in text
     assert text.startswith(str(path))
@@ -68,7 +67,7 @@ def refused(path: Path, **options: Any) -> str:
 def warned(path: Path, **options: Any) -> tuple[LineLog, str]:
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        log = read_messages(path, **options)
+        log = read_topic(path, **options)
     (said,) = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     return log, said
 
@@ -108,7 +107,7 @@ def test_ros1_keeps_frame_id_over_frame_rate_and_its_stamps_where_they_are_asked
 ) -> None:
     write_lines(tmp_path / "a.bag", log)
     np.testing.assert_array_equal(read_lines(tmp_path / "a.bag").time_s, log.frame_id / 10)
-    stamped = read_lines(tmp_path / "a.bag", lines=LinesMapping(time="header.stamp"))
+    stamped = read_lines(tmp_path / "a.bag", columns=Columns(time_s="header.stamp"))
     np.testing.assert_array_equal(stamped.time_s, log.time_s)
     np.testing.assert_array_equal(stamped.frame_id, log.frame_id)
 
@@ -135,7 +134,7 @@ def test_stamps_that_do_not_increase_are_left_out_with_a_warning(
 
 def test_a_frame_rate_that_the_stamps_contradict_is_said(log: LineLog, tmp_path: Path) -> None:
     write_lines(tmp_path / "a.mcap", replace(log, time_s=START_S + log.frame_id / 25))
-    stamped = read_messages(tmp_path / "a.mcap")
+    stamped = read_topic(tmp_path / "a.mcap")
     (said,) = recording_warnings(stamped, 3, frame_rate=10.0)
     assert "by its times it has 25 frames per second" in said
     assert recording_warnings(stamped, 3, frame_rate=25.0) == []
@@ -156,10 +155,10 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     log: LineLog, tmp_path: Path
 ) -> None:
     bag = write_bag2(tmp_path / "bag", replace(log, frame_id=np.arange(60) - 30))
-    found = read_lines(bag, lines={"frame_id": None}).frame_id
+    found = read_lines(bag, columns={"frame_id": None}).frame_id
     np.testing.assert_array_equal(found, np.arange(60))
-    said = refused(bag, lines=LinesMapping(frame_id="header.seq"))
-    assert "there is no 'seq' in header.seq; there are stamp" in said
+    said = refused(bag, columns=Columns(frame_id="header.seq"))
+    assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
 
 
 def test_a_definition_in_idl_is_read(log: LineLog, tmp_path: Path) -> None:
@@ -196,23 +195,13 @@ def test_a_bag_without_definitions_is_read_by_the_published_ones(
     name = "road_layout_estimation/msg/MsgLines"
     bag = write_bag2(tmp_path / "bag", log, msgtype=name)
     forget_definitions(bag)
-    assert_same(read_messages(bag), log)
+    assert_same(read_topic(bag), log)
 
 
-def test_a_bag_without_definitions_is_read_by_those_that_a_folder_has(
-    log: LineLog, tmp_path: Path
-) -> None:
+def test_a_bag_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_path: Path) -> None:
     bag = write_bag2(tmp_path / "bag", log, msgtype="my_msgs/msg/Lanes")
     forget_definitions(bag)
-    assert "has no definition of my_msgs/msg/Lanes: name the folder of its .msg" in refused(bag)
-    folder = tmp_path / "my_msgs" / "msg"
-    folder.mkdir(parents=True)
-    (folder / "Lanes.msg").write_text(DEFINITIONS_2[LINES_TYPE_2].replace("MsgLineInfo", "Line"))
-    (folder / "Line.msg").write_text(DEFINITIONS_2[LINE_TYPE_2])
-    for named in (folder, folder.parent):
-        assert_same(read_messages(bag, definitions=named), log)
-    with pytest.raises(InputError, match="nowhere: no such file"):
-        read_messages(bag, definitions="nowhere")
+    assert "has no definition of my_msgs/msg/Lanes; convert it to MCAP" in refused(bag)
 
 
 def forget_definitions(bag: Path) -> None:
@@ -227,7 +216,7 @@ def test_a_topic_that_is_not_there_is_refused_with_those_that_are(
     for path in (bag, files_of(bag)[0]):
         said = "no topic /my/line (did you mean '/my/lines'?); the file has /my/lines (road_layout"
         assert said in refused(path, topic="/my/line")
-        assert len(read_messages(path, topic="my/lines")) == len(log)
+        assert len(read_topic(path, topic="my/lines")) == len(log)
     assert f"no topic /x; the file has {TOPICS[0]} (" in refused(mcap, topic="/x")
 
 
@@ -353,7 +342,10 @@ def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"no topic /x; the file has /gps/fix \(sensor_msgs/msg/"):
         read_positions(bag, topic="/x")
     said = refused(bag, topic="/gps/fix")
-    assert "no column offset_m; the table has header, status, latitude" in said
+    assert (
+        "no column offset_m; the table has time_s, header.stamp, header.frame_id, status.status"
+        in said
+    )
     (tmp_path / "folder").mkdir()
     with pytest.raises(InputError, match="Expected metadata file"):
         read_positions(tmp_path / "folder")

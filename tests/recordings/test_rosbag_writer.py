@@ -12,8 +12,8 @@ from rosbags.rosbag1 import Reader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm.recordings import read_lines, write_lines
-from egolane_pgm.recordings.containers import read_messages
 from egolane_pgm.recordings.rosbag_writer import write_rosbag
+from egolane_pgm.recordings.topics import read_topic
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 
@@ -27,7 +27,7 @@ def single_precision(log: LineLog) -> LineLog:
 def test_a_simulated_log_comes_back_from_a_bag_as_it_was(tmp_path: Path) -> None:
     log = single_precision(simulate("quickstart", frames=200).log)
     write_rosbag(tmp_path / "x.bag", log)
-    back = read_messages(tmp_path / "x.bag")
+    back = read_topic(tmp_path / "x.bag")
     for name in ARRAYS:
         np.testing.assert_array_equal(getattr(back, name), getattr(log, name), err_msg=name)
 

@@ -246,12 +246,13 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
         (HEADING + "1,1,\udcff\udcfe,true,false,3\n", "column offset_m has type binary"),
         ("\udcff\udcfe", "cannot be read as CSV"),
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
-        ("frame_id,offset_3,offset_m_3\n1,2,3\n", "has a line as offset_N and as offset_m_N"),
+        ("frame_id,offset_3,offset_m_3\n1,2,3\n", "line 2: frame 1 has this line twice"),
         (
             "frame_id,offset\n1,2.0\n",
             "no column offset_m (did you mean 'offset'?); the table has frame_id, offset; it needs"
             " a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2,"
-            " ...); `lines: {offset: NAME}` says what yours is called",
+            " ...); `columns: {offset_m: NAME}` says what yours is called, and"
+            " `egolane show` what is in it",
         ),
         (
             "frame_id,line,offset_m,is_valid\n3,1,-1.5,1\n3,2,,1\n",
@@ -284,7 +285,7 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
         ({"line": [1, 2.5]}, "row 2: line is 2.5, not a whole number"),
         (
             {"is_valid": [1, 7]},
-            "row 2: is_valid is 7, not true, false, 1 or 0; a condition says which",
+            "row 2: is_valid is 7, not true, false, 1 or 0; of a confidence write",
         ),
     ],
 )

@@ -113,6 +113,6 @@ def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Pat
 def test_a_bag_s_frames_may_be_numbered_by_seq(tmp_path: Path) -> None:
     bag = line_bag(tmp_path / "x.bag", list(range(100, 108)))
     for frame_id, first in (("way_id", 100), ("header.seq", 0)):
-        words = ("--n-lanes", 2, "--lines", f"frame_id={frame_id}")
+        words = ("--n-lanes", 2, "--columns", f"frame_id={frame_id}")
         done("label", bag, *words, "--out", tmp_path / frame_id)
         assert read_ground_truth(tmp_path / frame_id / "labels.txt").frame_id[0] == first

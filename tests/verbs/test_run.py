@@ -206,7 +206,7 @@ def test_frame_id_0_in_every_message_is_refused_and_what_is_offered_works(
     assert "a.bag: frame ids must increase, but 0 is followed by 0" in said
     out = tmp_path / "out"
     words = ("--ground-truth", "none", "--no-figures", "--out", out)
-    given = ("--lines", "frame_id=header.seq")
+    given = ("--columns", "frame_id=header.seq")
     done("run", tmp_path / "e.yaml", *given, *words)
     np.testing.assert_array_equal(read_result(out).frame_id, np.arange(6))
 

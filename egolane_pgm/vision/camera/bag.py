@@ -11,7 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.recordings.containers import messages, topics_of
+from egolane_pgm.recordings.topics import messages, topics_of
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.picture import Image

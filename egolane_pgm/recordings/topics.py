@@ -1,0 +1,226 @@
+"""Bags and MCAP files: messages on topics, read as the lines that they are.
+
+A message is a line, a frame with a field for each line, or a frame with a list of lines. Its fields
+are columns (`recordings.columns`): those of a section have its name before theirs, `header.seq`,
+those of the lines in the list only their own.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from egolane_pgm.experiment import Columns
+from egolane_pgm.recordings import rosbag
+from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns
+from egolane_pgm.recordings.rosbag import Message, Topics, stamp_s
+from egolane_pgm.types import InputError, LineLog, near_word
+
+#: The topics of the lines in the published recordings and in MCAP files of a result.
+TOPICS = ("/isis_line_detector/lines", "/lines")
+
+#: The columns of the published messages of lines, in ROS 1 and in ROS 2.
+_PUBLISHED = {
+    "frame_id": "way_id",
+    "offset_m": "offset",
+    "is_continuous": "continuous",
+    "lri": "counter",
+}
+_VALID = {True: "isValid", False: "is_valid"}
+
+
+def topics_of(path: str | Path) -> Topics:
+    """The topics of a file of messages: for each the type of its messages, and how many there are.
+
+    Raises InputError for a file that is missing or cannot be read.
+    """
+    topics: Topics = _reader(Path(path)).topics_of(Path(path))
+    return topics
+
+
+def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Message]:
+    """The messages of a file in the order of their recording. The time of one is the stamp in its
+    header, or else when it was recorded, seconds.
+
+    - topics: those that are read; None for all.
+
+    Raises InputError as `topics_of`, for a topic that is not there, with those that are, and for a
+    file that holds no message on them.
+    """
+    file = Path(path)
+    reader = _reader(file)
+    if topics is not None:
+        there = reader.topics_of(file)
+        names = {name.strip("/"): name for name in there}
+        for topic in topics:
+            if topic.strip("/") not in names:
+                meant = near_word(topic, there)
+                raise InputError(f"{file}: no topic {topic}{meant}; the file has {listed(there)}")
+        topics = [names[topic.strip("/")] for topic in topics]
+    is_empty = True
+    for message in reader.messages(file, topics):
+        is_empty = False
+        yield message
+    if is_empty:
+        raise InputError(
+            f"{file}: holds no messages{' on ' if topics else ''}{', '.join(topics or ())}"
+        )
+
+
+def read_topic(
+    path: str | Path,
+    *,
+    topic: str | None = None,
+    frame_rate: float = FRAME_RATE,
+    columns: Columns | None = None,
+) -> LineLog:
+    """Read the lines of a bag or an MCAP file, T frames of at most L lines.
+
+    - topic: of the lines; by default one of TOPICS, or the only one.
+    - frame_rate: frames per second of messages with frame ids but without times.
+    - columns: which fields are what; by default those of the published recordings, or our own
+      names.
+
+    Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
+    """
+    if topic is None:
+        there = topics_of(path)
+        topic = next((name for name in (*TOPICS, *there) if name in there), None)
+        if len(there) > 1 and topic not in TOPICS:
+            raise InputError(
+                f"{path}: topic: is missing; the file has {listed(there)} (`egolane show {path}`)"
+            )
+    found = list(messages(path, None if topic is None else [str(topic)]))
+    said = columns or Columns()
+    rows = [{"time_s": message.time_s, **fields(message.value)} for message in found]
+    if said.offset_m is None and {"lines", "way_id"} <= found[0].value.keys():
+        is_ros1 = Path(path).suffix == ".bag"
+        said = Columns(**{**_PUBLISHED, "is_valid": _VALID[is_ros1], **said.model_dump()})
+        if said.time_s is None and said.frame_id is not None:
+            rows = _with_times(Path(path), rows, said.frame_id, is_ros1)
+    return lines_of_messages(rows, said, str(path), frame_rate)
+
+
+def lines_of_messages(
+    rows: Sequence[Mapping[str, Any]],
+    said: Columns | None,
+    where: str,
+    frame_rate: float = FRAME_RATE,
+    first: int = 0,
+) -> LineLog:
+    """The lines of messages, T frames of at most L lines.
+
+    - rows: their `fields`.
+    - said: which fields are what; None for our own names.
+    - where: names the file in what is said of it.
+    - frame_rate: frames per second where the messages have frame ids but no times.
+    - first: the first frame id, where time gives them.
+
+    Raises InputError as `recordings.columns.lines_of_columns`.
+
+    >>> from egolane_pgm.recordings.topics import fields, lines_of_messages
+    >>> from egolane_pgm.experiment import Columns
+    >>> message = fields({"t": 12.0, "lanes": [{"c0": 1.8}, {"c0": -1.7}]})
+    >>> said = Columns(time_s="t", offset_m="c0", left_positive=True)
+    >>> lines_of_messages([message], said, "drive.mcap").offset_m.tolist()
+    [[-1.8, 1.7]]
+    """
+    columns, row = as_columns(rows)
+    if "line" in columns and not any(columns["line"]):
+        # Of lists that are always empty the fields are not known.
+        names = [getattr(said, name, None) or name for name in ("offset_m", *OF_LINE)]
+        columns = {**{name: [None] * len(row) for name in names}, **columns}
+    return lines_of_columns(columns, said, Path(where), frame_rate, first=first, row=row)
+
+
+def fields(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
+    """The fields of a message, those of its sections by their path; a stamp is in seconds.
+
+    >>> fields({"header": {"seq": 7, "stamp": {"sec": 12, "nanosec": 0}}, "c0": -1.8})
+    {'header.seq': 7, 'header.stamp': 12.0, 'c0': -1.8}
+    """
+    found: dict[str, Any] = {}
+    for name, each in value.items():
+        time_s = stamp_s(each)
+        if isinstance(each, Mapping) and time_s is None:
+            found |= fields(each, f"{before}{name}.")
+        else:
+            found[before + name] = each if time_s is None else time_s
+    return found
+
+
+def as_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, list[Any]], Any]:
+    """The columns of messages, a row for each line of those that have a list of lines (`lines`, or
+    their only list), and the message of each row, (N,)."""
+    lists = {
+        name
+        for row in rows
+        for name, each in row.items()
+        if isinstance(each, list) and all(isinstance(one, Mapping) for one in each)
+    }
+    of_lines = "lines" if "lines" in lists else lists.pop() if len(lists) == 1 else None
+    found: list[dict[str, Any]] = []
+    at: list[int] = []
+    for k, row in enumerate(rows):
+        frame = {name: value for name, value in row.items() if name != of_lines}
+        if of_lines is None:
+            found.append(frame)
+        elif row.get(of_lines):
+            lines = enumerate(map(fields, row[of_lines]), start=1)
+            found += [{**frame, "line": number, **line} for number, line in lines]
+        else:
+            found.append({**frame, "line": None})
+        at += [k] * (len(found) - len(at))
+    names = dict.fromkeys(name for row in found for name in row)
+    return {name: [row.get(name) for row in found] for name in names}, np.array(at, dtype=np.int64)
+
+
+def _with_times(
+    path: Path, rows: list[dict[str, Any]], frame_id: str, is_ros1: bool
+) -> list[dict[str, Any]]:
+    """Messages of the published type with times that increase, or without any.
+
+    The stamps of the published ROS 1 bags say when they were processed, jump by minutes or are all
+    zero: time is frame id over frame rate there.
+    """
+    ids = [row.get(frame_id) for row in rows]
+    for one, other in pairwise(ids):
+        if one is not None and other is not None and other <= one:
+            raise InputError(
+                f"{path}: frame ids must increase, but {one} is followed by {other}; split the file"
+                " there, or, where it does not fill in way_id, take `columns: {frame_id:"
+                " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
+            )
+    backwards = np.diff([row["time_s"] for row in rows]) <= 0
+    if backwards.any() and not is_ros1:
+        one, other = ids[np.argmax(backwards) :][:2]
+        said = f"{path}: the stamps of frames {one} and {other} do not increase"
+        warnings.warn(f"{said}; time is frame id over frame rate", UserWarning, stacklevel=4)
+    if is_ros1 or backwards.any():
+        return [{name: each for name, each in row.items() if name != "time_s"} for row in rows]
+    return rows
+
+
+def listed(topics: Topics) -> str:
+    """Topics and their types, for messages."""
+    return ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(topics.items())) or "none"
+
+
+def _reader(path: Path) -> Any:
+    """What reads a file of messages. Raises InputError where it is not there."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if path.suffix.lower() == ".mcap" and path.is_file():
+        with path.open("rb") as opened:
+            head = opened.read(25)
+        # rosbags reads MCAP files of ROS 2, and says what is wrong with what is no MCAP.
+        if head.startswith(b"\x89MCAP") and head[17:] != b"\x04\0\0\0ros2":
+            from egolane_pgm.recordings import mcap_file
+
+            return mcap_file
+    return rosbag

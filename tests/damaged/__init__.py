@@ -1,1 +1,0 @@
-"""Each reader on files that somebody damaged: `python -m tests.damaged`."""

@@ -1,0 +1,217 @@
+"""Columns with other names, units and signs: what is read, and what is refused with a cure."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import egolane_pgm as ego
+from egolane_pgm.online import filter_stream
+from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.recordings.select import sign_warning
+from egolane_pgm.types import InputError, LaneTruth
+from tests.kits.drives import done, refused
+from tests.kits.sensor_files import N_FRAMES, OFFSETS, foreign_table, per_line
+
+FOREIGN = "separator=;,time_s=timestamp,line=track,offset_m=lateral_cm,unit=cm,left_positive=true"
+
+
+def test_a_table_in_foreign_words_has_the_lines_and_the_gap_that_went_in(tmp_path: Path) -> None:
+    foreign_table(tmp_path / "a.csv")
+    log = read_lines(tmp_path / "a.csv", columns=FOREIGN)
+    seen = np.r_[0:50, 60:100]
+    np.testing.assert_allclose(log.offset_m, OFFSETS[seen], atol=1e-9)
+    np.testing.assert_array_equal(log.frame_id, seen)
+    np.testing.assert_allclose(log.time_s, seen / 10)
+
+
+@pytest.mark.parametrize(
+    ("columns", "keys"),
+    [
+        (
+            {"t": lambda t, k, y: t * 100, "id": lambda t, k, y: k - 1, "y": lambda t, k, y: y},
+            {"time_s": "t", "time_unit": "ms", "line": "id", "offset_m": "y"},
+        ),
+        (
+            {
+                "stamp": lambda t, k, y: 1_700_000_000_000_000_000 + t * 10**8,
+                "mm": lambda t, k, y: -1000 * y,
+            },
+            "time_s=stamp,time_unit=ns,offset_m=mm,unit=mm,left_positive=true",
+        ),
+        (
+            {
+                "when": lambda t, k, y: (
+                    pd.Timestamp("2026-03-01 12:00") + pd.Timedelta(t / 10, "s")
+                ),
+                "Offset_M": lambda t, k, y: y,
+            },
+            ["time_s=when"],
+        ),
+    ],
+)
+@pytest.mark.parametrize("kind", ["csv", "parquet", "memory"])
+def test_units_times_and_names_are_those_that_are_said(
+    tmp_path: Path, columns: dict[str, Any], keys: Any, kind: str
+) -> None:
+    table = per_line(**columns)
+    file = tmp_path / f"a.{kind}"
+    given: Any = str(file)
+    if kind == "memory":
+        given = table
+    elif kind == "csv":
+        table.to_csv(file, index=False)
+    else:
+        table.to_parquet(file)
+    run = ego.run(given, n_lanes=3, columns=keys)
+    assert run.lines is not None
+    np.testing.assert_allclose(run.lines.offset_m, OFFSETS, atol=1e-9)
+    assert run.run["frame_rate"] == 10.0
+    assert set(np.diff(run.lines.frame_id)) == {1}
+
+
+def test_a_list_of_columns_is_a_line_each() -> None:
+    table = pd.DataFrame({"frame_id": [7, 8], "l": [-1.8, None], "r": [1.7, 1.8], "ok": [1, 0]})
+    keys = column_keys("offset_m=[l, r],is_valid=[ok, ok]")
+    log = ego.run(table, n_lanes=3, columns=keys).lines
+    assert log is not None
+    np.testing.assert_array_equal(log.offset_m, [[-1.8, 1.7], [np.nan, 1.8]])
+    assert log.is_valid.tolist() == [[True, True], [False, False]]
+
+
+def test_a_line_without_an_offset_needs_no_flags() -> None:
+    rows = {"frame_id": [0, 1, 2], "line": 1, "offset_m": [-1.8, None, -1.8]}
+    log = ego.run(pd.DataFrame({**rows, "is_continuous": [1, None, 1]}), n_lanes=3).lines
+    assert log is not None
+    assert log.is_valid.tolist() == [[True], [False], [True]]
+
+
+def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Path) -> None:
+    foreign_table(tmp_path / "a.csv")
+    words = ("--n-lanes", 3, "--columns", FOREIGN, "--no-figures", "--out", tmp_path / "out")
+    done("run", tmp_path / "a.csv", *words)
+    result = ego.load_result(tmp_path / "out")
+    assert result.config["recording"]["columns"] == column_keys(FOREIGN)
+    assert np.mean(result.assigned_lane[20:] == 2) > 0.9
+    again = ego.run(tmp_path / "out" / "experiment.yaml")
+    np.testing.assert_array_equal(again.beliefs.lane, result.beliefs.lane)
+
+
+def test_steps_that_are_no_multiple_are_said_and_kept() -> None:
+    time_s = np.cumsum(np.tile([0.1, 0.1, 0.14, 0.1, 0.3], 10))
+    table = pd.DataFrame({"time_s": time_s, "offset_m": 1.0})
+    with pytest.warns(UserWarning, match="20% of the steps"):
+        run = ego.run(table, n_lanes=3)
+    assert run.lines is not None
+    np.testing.assert_array_equal(np.diff(run.lines.frame_id)[:5], [1, 1, 1, 3, 1])
+    np.testing.assert_array_equal(run.lines.time_s, time_s)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ("ofset_m=y", "columns: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
+        ("offset_m=z", "columns: offset_m: there is no column 'z'; there are frame_id, y, quality"),
+        ("offset_m=qualty", "there is no column 'qualty' (did you mean 'quality'?); there are"),
+        ("offset_m=y,line=lin", "columns: line: there is no column 'lin'"),
+        ("offset_m=y,unit=feet", "columns: unit: 'feet' is not one of m, cm, mm"),
+        ("offset_m=y,time_unit=h", "columns: time_unit: 'h' is not one of s, ms, us, ns"),
+        ("offset_m=y,left_positive=perhaps", "columns: left_positive: input should be a valid bo"),
+        ("offset_m=y,separator=ab", "columns: separator: string should match"),
+        (
+            "offset_m=[y, y],is_valid=quality",
+            "columns: is_valid: needs as many columns as offset_m",
+        ),
+        ("offset_m", "columns: 'offset_m': write it as ours=theirs, e.g. offset_m=lateral"),
+        ("offset_m=y,is_valid=quality", "quality (is_valid) is 3, not true, false, 1 or 0; of a"),
+    ],
+)
+def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str, said: str) -> None:
+    (tmp_path / "a.csv").write_text("frame_id,y,quality\n1,2,3\n")
+    with pytest.raises(InputError) as info:
+        read_lines(tmp_path / "a.csv", columns=keys)
+    assert said in str(info.value)
+    assert "\n" not in str(info.value)
+    given = ("--n-lanes", 3, "--columns", keys)
+    assert said.removeprefix("columns: ") in refused("run", tmp_path / "a.csv", *given)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("frame_id;line;offset_m\n0;1;-1,5\n", 'are separated by `columns: {separator: ";"}`'),
+        ("frame_id\tline\n0\t1\n", r'are separated by `columns: {separator: "\t"}`'),
+        ("stamp,offset_m\n1.7e18,2\n", "`columns: {frame_id: NAME}` or `{time_s: NAME"),
+        ("time_s,offset_m\n1700000000000000000,2\n", "{time_s: time_s, time_unit: ns}"),
+        ('frame_id,offset_m\n1,"-1,5"\n2,x\n', "decimal commas are read where semicolons"),
+        ("frame_id,offset_m\n1,--\n", "leave empty cells empty"),
+        ("frame_id,offset_m,is_valid\n1,2,0.9\n", "of a confidence write whether it is enough"),
+        ("frame,offset_m\n1,2\n", "no column frame_id (did you mean 'frame'?)"),
+        ("frame_id,offset_m\n0.05,2\n", "time stamps: `columns: {time_s: NAME"),
+        ("time_s,offset_m\n2,1\n1,1\n", "line 3: time goes back; sort by time"),
+    ],
+)
+def test_a_table_says_what_would_read_it(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "a.csv").write_text(text)
+    with pytest.raises(InputError) as info:
+        read_lines(tmp_path / "a.csv")
+    assert said in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("keys", "cure"),
+    [
+        ({"left_positive": True}, "from right to left"),
+        ({"offset_m": ["left_m", "right_m"]}, "on one side of the car"),
+    ],
+)
+def test_a_sign_that_contradicts_itself_is_said(keys: dict[str, Any], cure: str) -> None:
+    table = pd.DataFrame(OFFSETS, columns=[f"offset_{k}" for k in range(1, 5)])
+    table["left_m"], table["right_m"] = -OFFSETS[:, 1], OFFSETS[:, 2]
+    table["frame_id"] = np.arange(N_FRAMES)
+    with pytest.warns(UserWarning, match=cure):
+        ego.run(table, n_lanes=3, columns=keys)
+
+
+def test_lines_that_move_against_the_annotated_changes_are_said() -> None:
+    drive = ego.simulate("quickstart", frames=3000)
+    assert drive.truth is not None
+    assert sign_warning(drive.log, drive.truth) == []
+    mirrored = replace(drive.log, offset_m=-drive.log.offset_m)
+    (said,) = sign_warning(mirrored, drive.truth)
+    assert "`columns: {left_positive: true}`" in said
+    assert "or do the lane numbers count from the right?" in said
+    still = LaneTruth(drive.truth.frame_id, drive.truth.lane * 0 + 1, drive.truth.is_crossing)
+    assert sign_warning(mirrored, still) == []
+
+
+def test_a_left_positive_copy_has_the_same_beliefs_to_the_bit() -> None:
+    lines = ego.simulate("quickstart", frames=300).log.to_pandas()
+    turned = lines.assign(offset_m=-lines["offset_m"])
+    runs = [ego.run(lines, n_lanes=3), ego.run(turned, n_lanes=3, columns="left_positive=true")]
+    np.testing.assert_array_equal(*(run.beliefs.lane for run in runs))
+
+
+def test_messages_on_standard_input_are_read_alike() -> None:
+    columns = column_keys("time_s=t,offset_m=c0,is_valid=ok,left_positive=true")
+    experiment = ego.load_experiment("quickstart", {"recording.columns": columns})
+    lanes = [[{"c0": -y, "ok": True} for y in offsets] for offsets in OFFSETS[:3].tolist()]
+    lanes.append([])
+    given = [json.dumps({"t": t / 10, "lanes": each}) for t, each in enumerate(lanes)]
+    answers = [*filter_stream(experiment, given)]
+    assert [(a["frame_id"], a["time_s"]) for a in answers] == [(k, k / 10) for k in range(4)]
+    usual = [
+        {"time_s": t / 10, "lines": [{"offset_m": -one["c0"]} for one in each]}
+        for t, each in enumerate(lanes)
+    ]
+    same = filter_stream(ego.load_experiment("quickstart"), map(json.dumps, usual))
+    assert [a["probability"] for a in same] == [a["probability"] for a in answers]
+    with pytest.raises(InputError, match="message 1: is no JSON object"):
+        next(filter_stream(experiment, ["[1]"]))
