@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import Field
 
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.results import SCHEMA_VERSION, Result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.confusion import frames_off
-from egolane_pgm.scoring.document import Count, Finite, Share, Stored
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import InputError
 
@@ -78,40 +76,6 @@ def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
     if which not in PARAMETER_SETS:
         raise InputError(f"parameters: {which} is not one of {', '.join(PARAMETER_SETS)}")
     return dict(entry["parameters"] if which == "published" else entry["recovered"]["parameters"])
-
-
-class PaperScores(Stored):
-    """Scores of a repeated run, as the paper has them."""
-
-    precision: Share = Field(description="mean over the lanes")
-    recall: Share = Field(description="mean over the lanes")
-    f1: Share = Field(description="as the paper computes it")
-    accuracy: Share = Field(description="right over scored frames")
-    log_loss: Finite | None = Field(description="over all annotated frames, crossing ones too")
-    confusion: list[list[Count]] = Field(description="n + 1 rows of n counts, see `Scores`")
-
-
-class ReproducedRun(Stored):
-    """A run of the paper, repeated."""
-
-    run: Count = Field(description="number of the paper's run")
-    name: str = Field(description="name of the experiment")
-    tuned_on: str = Field(description="what the parameters have seen, as in the experiment")
-    frames: Count = Field(description="frames that were filtered")
-    frames_scored: Count = Field(description="annotated frames that are not crossing")
-    detector_frames_off: Count = Field(description="frames off the detector's published matrix")
-    model_frames_off: Count = Field(description="frames off the model's")
-    detector: PaperScores = Field(description="of the detector's own answer")
-    model: PaperScores = Field(description="of the belief")
-
-
-class Reproduction(Stored):
-    """`egolane reproduce --json`."""
-
-    schema_version: int = Field(description="version of these keys")
-    parameters: str = Field(description="recovered or published")
-    runs: list[ReproducedRun] = Field(description="the runs, in the order asked for")
-    total_frames_off: Count = Field(description="over detectors and models of all runs")
 
 
 @dataclass(frozen=True)

@@ -266,7 +266,7 @@ def _bounds(means: Means) -> dict[str, list[float] | None]:
 
 
 def document(parts: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """What `egolane compare --json` writes; its keys are those of `comparing.document.Comparison`.
+    """The content of `egolane compare --json`.
 
     - parts: what `compare_results` gives for each recording; for one that failed its `title`, `run`
       and `error`.

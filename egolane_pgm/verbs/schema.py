@@ -1,4 +1,4 @@
-"""JSON Schemas (draft 2020-12) of the YAML files, and of what `--json` writes.
+"""JSON Schemas (draft 2020-12) of the YAML files.
 Editors complete and check keys by them, and the documentation's reference is made from them."""
 
 from __future__ import annotations
@@ -9,27 +9,20 @@ from typing import Any, Literal
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
 
-from egolane_pgm.comparing.document import Comparison
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.paper import Reproduction
 from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import TuningFile
 
-Kind = Literal["experiment", "tuning", "comparison", "reproduction"]
+Kind = Literal["experiment", "tuning"]
 
 #: The files that have a schema: what is in them.
 KINDS: dict[Kind, Any] = {
     "experiment": Experiment,
     "tuning": TuningFile,
-    "comparison": Comparison,
-    "reproduction": Reproduction,
 }
-
-#: Those of them that a program wrote, in JSON.
-_WRITTEN = ("comparison", "reproduction")
 
 #: The keys of every YAML file, and of those that may lack keys; neither is the experiment's own.
 _VERSION = {
@@ -60,13 +53,12 @@ def schema(kind: Kind = "experiment") -> dict[str, Any]:
     """
     found = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
     definitions = found.get("$defs", {})
-    if kind not in _WRITTEN:
-        found["properties"] = {"version": _VERSION, **found["properties"]}
-        if "name" in found["required"]:
-            found["properties"] = {"include": _INCLUDE, **found["properties"]}
-            needed = [key for key in found.pop("required") if key != "name"]
-            found["if"] = {"required": ["name"]}
-            found["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
+    found["properties"] = {"version": _VERSION, **found["properties"]}
+    if "name" in found["required"]:
+        found["properties"] = {"include": _INCLUDE, **found["properties"]}
+        needed = [key for key in found.pop("required") if key != "name"]
+        found["if"] = {"required": ["name"]}
+        found["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
     _name_plugins(found["properties"] if kind == "experiment" else {})
     _name_plugins(definitions["Recording"]["properties"] if "Recording" in definitions else {})
     title = f"egolane_pgm: {'an' if kind == 'experiment' else 'a'} {kind} file"

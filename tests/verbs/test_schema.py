@@ -13,7 +13,6 @@ import yaml
 from jsonschema import Draft202012Validator
 
 from egolane_pgm.experiment import experiments_folder
-from egolane_pgm.paper import reproduce_json, reproduce_run
 from egolane_pgm.verbs.schema import KINDS, schema
 from tests.kits.drives import done
 
@@ -117,18 +116,3 @@ def test_keys_may_be_missing_only_where_a_file_includes_another_or_is_included()
     assert not problems({**lacking, "include": "other.yaml"})
     del lacking["name"]
     assert not problems(lacking)
-
-
-def test_what_compare_and_reproduce_write_fits_its_schema(drive: Path, tmp_path: Path) -> None:
-    done("compare", drive, "--blocks", 2, "--out", tmp_path / "out", "--json", tmp_path / "c.json")
-    content = json.loads((tmp_path / "c.json").read_text())
-    assert not problems(content, "comparison")
-    assert problems({**content, "recordings": []}, "comparison")
-    result = reproduce_json([], "recovered")
-    assert not problems(result, "reproduction")
-    assert problems({**result, "total_frames_off": -1}, "reproduction")
-
-
-def test_a_repeated_run_fits_its_schema(recordings: Path) -> None:
-    result = reproduce_json([reproduce_run(5, "recovered")], "recovered")
-    assert not problems(result, "reproduction")
