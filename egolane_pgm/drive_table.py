@@ -15,7 +15,6 @@ from egolane_pgm.views.tables import Table, page
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
     from matplotlib.figure import Figure
 
 
@@ -106,23 +105,15 @@ class DriveTable:
 
         return pd.DataFrame(self.rows).set_index("name")
 
-    def to_xarray(self) -> xr.Dataset:
-        """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        return shown.as_dataset(self.to_pandas())
-
     def plot(self) -> Figure:
-        """Draw the accuracy of all drives and of those with each tag; of a few runs how far off
-        their answers are.
+        """Draw how far off the answers of the runs in memory are.
 
-        Raises InputError for drives without scores.
+        Raises InputError for runs without scores.
         """
         from egolane_pgm.views.dispersion import dispersion_figure
-        from egolane_pgm.views.fleet_figure import fleet_figure
         from egolane_pgm.views.style import inline_figure
 
-        if self.results:
-            return inline_figure(lambda: dispersion_figure([*self.results.values()]))
-        return inline_figure(lambda: fleet_figure(self.rows))
+        return inline_figure(lambda: dispersion_figure([*self.results.values()]))
 
     def save(self, directory: str | os.PathLike[str], *, figures: bool = True) -> Path:
         """Write a result directory for each drive that is in memory, by its name.

@@ -74,7 +74,6 @@ from egolane_pgm.types import (
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
     from matplotlib.figure import Figure
     from pgmpy.models import DynamicBayesianNetwork
 
@@ -305,7 +304,7 @@ class Result:
             **(of_truth if n_scored.any() else {}),
         }
 
-    # --- shown; pandas, xarray, matplotlib and the page are imported when they are asked for ----
+    # --- shown; pandas, matplotlib and the page are imported when they are asked for ----
 
     def _repr_html_(self) -> str:
         from egolane_pgm.views.shown import result_html
@@ -359,23 +358,6 @@ class Result:
         # The many columns of another node would hide what is looked at.
         order = [*first, *sorted(others, key=lambda name: name.partition("=")[0] in self.values)]
         return pd.DataFrame(columns)[order].set_index("frame_id")
-
-    def to_xarray(self) -> xr.Dataset:
-        """The same with an axis for each hidden node: `belief_Lane` (frame_id, Lane), ...
-
-        Raises InputError where xarray is not installed.
-        """
-        from egolane_pgm.views.shown import as_dataset
-
-        frame = self.to_pandas()
-        flat = as_dataset(frame[[name for name in frame if "=" not in name]])
-        for node, values in self.values.items():
-            flat[node] = range(1, self.n_lanes + 1) if node == "Lane" else list(values)
-            flat[f"belief_{node}"] = (("frame_id", node), self.marginals[node])
-        if self.tentative is not None:
-            flat["detector"] = (("frame_id", "Lane"), self.tentative)
-        flat.attrs["name"] = self.name
-        return flat
 
     def network(
         self, *, evidence: bool = False, first: int | None = None, last: int | None = None

@@ -22,7 +22,6 @@ from egolane_pgm.views.tables import Table, page
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
     from matplotlib.figure import Figure
 
 
@@ -134,10 +133,6 @@ class Comparison:
         index = ["recording", "experiment", "subset", "score"]
         values = ["value", "low", "high", "difference", "difference_low", "difference_high"]
         return pd.DataFrame(rows, columns=[*index, *values, "tuned_on"]).set_index(index)
-
-    def to_xarray(self) -> xr.Dataset:
-        """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        return shown.as_dataset(self.to_pandas())
 
     def plot(self, figure: str = "accuracy") -> Figure:
         """Draw the experiments on each recording, with their intervals.

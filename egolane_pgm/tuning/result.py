@@ -27,7 +27,6 @@ from egolane_pgm.views.tables import Table, page
 
 if TYPE_CHECKING:
     import pandas as pd
-    import xarray as xr
     from matplotlib.figure import Figure
 
 
@@ -173,10 +172,6 @@ class Study:
             .reset_index(level=1, drop=True)
             .set_index("number", append=True)
         )
-
-    def to_xarray(self) -> xr.Dataset:
-        """`to_pandas` as a data set. Raises InputError where xarray is not installed."""
-        return shown.as_dataset(self.to_pandas())
 
     def trials(self) -> Trials:
         """The finished trials as arrays. Raises InputError for several studies."""

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from egolane_pgm.tools.extras import needed
 from egolane_pgm.views.clips import clip_parts, drive_parts
 from egolane_pgm.views.events import event_lines, event_rows, lane_words, sure_words
 from egolane_pgm.views.tables import (
@@ -22,9 +21,6 @@ from egolane_pgm.views.tables import (
 )
 
 if TYPE_CHECKING:
-    import pandas as pd
-    import xarray as xr
-
     from egolane_pgm.results import Result
 
 
@@ -48,13 +44,6 @@ def html_table(
         + "".join(f"<p>{html.escape(note)}</p>" for note in notes)
         + "</div>"
     )
-
-
-def as_dataset(frame: pd.DataFrame) -> xr.Dataset:
-    """A frame as a data set of xarray. Raises InputError where xarray is not installed."""
-    with needed("to_xarray", "notebook"):
-        import xarray
-    return xarray.Dataset.from_dataframe(frame)
 
 
 def scored(result: Result) -> dict[str, Any]:

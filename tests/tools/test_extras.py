@@ -51,7 +51,6 @@ def position(_: Path) -> None:
         ("onnx", "a.onnx", lambda p: read_onnx(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
         ("distributed", "", cluster, "a cluster needs distributed|cluster"),
         ("cmaes", "", sampler, "sampler: cma-es needs cmaes|cmaes"),
-        ("xarray", "", lambda p: a_result().to_xarray(), "to_xarray needs xarray|notebook"),
     ],
 )  # fmt: skip
 def test_a_package_that_is_not_installed_is_named_with_its_extra(

@@ -95,17 +95,6 @@ def test_frames_that_nobody_annotated_are_missing_in_the_frame(drive: Path) -> N
     assert str(frame["true_lane"].dtype) == "Int64"
 
 
-def test_a_run_as_a_data_set_has_an_axis_for_each_hidden_node(run: ego.Result) -> None:
-    pytest.importorskip("xarray")
-    found = run.to_xarray()
-    assert found["belief_Lane"].dims == ("frame_id", "Lane")
-    assert list(found["Lane"].values) == [1, 2, 3]
-    assert list(found["SensorState"].values) == ["OK", "BAD"]
-    lane = found["belief_Lane"].sel(Lane=2).values
-    np.testing.assert_array_equal(lane, run.beliefs.lane[:, 1])
-    np.testing.assert_array_equal(found["detector"].values, run.tentative)
-
-
 def test_a_representation_is_one_line_that_says_how_much_the_scores_are_worth(
     run: ego.Result, drive: Path
 ) -> None:
