@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,16 +11,11 @@ from hypothesis import strategies as st
 
 from egolane_pgm.classic import aly
 from egolane_pgm.classic.aly import Found, line_finder, nearest
-from egolane_pgm.classic.bezier.picture import refined
-from egolane_pgm.classic.bezier.ridges import ridges, smaller, view_for
-from egolane_pgm.classic.bezier.road import shape_of
-from egolane_pgm.classic.bezier.splines import column_peaks
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors import FrameLines
-from egolane_pgm.vision.detectors.simple.birdseye import look
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import CAMERA as SMALL
 from tests.kits.synthetic_road import Paint, drive, road
@@ -131,68 +125,6 @@ def test_the_rim_of_a_blanked_part_is_no_line() -> None:
     image[:, : CAMERA.width // 2] = 0
     near = places(found_in(image), 10)
     assert (np.abs(near) > 0.5).all()
-
-
-def test_a_picture_of_another_size_is_refused() -> None:
-    with pytest.raises(InputError, match=r"picture of 480x270 pixels, but .* for 960x540"):
-        found_in(np.zeros((270, 480, 3), dtype=np.uint8))
-
-
-def test_a_camera_that_sees_no_road_is_refused() -> None:
-    with pytest.raises(InputError, match="pitch_deg"):
-        line_finder(replace(CAMERA, pitch_deg=40.0), DEFAULTS)
-
-
-def test_a_smaller_picture_shows_the_same_places() -> None:
-    camera = replace(CAMERA, ignore=((100, 500, 301, 540),), distortion=(-0.2, 0.01, 0, 0, 0))
-    small = smaller(camera, 390.0)
-    assert (small.width, small.height, small.fx) == (480, 270, 390)
-    u, v = road_to_image(camera, [8.0, 20.0], [-2.0, 5.0])
-    small_u, small_v = road_to_image(small, [8.0, 20.0], [-2.0, 5.0])
-    np.testing.assert_allclose((u + 0.5) / 2, small_u + 0.5)
-    np.testing.assert_allclose((v + 0.5) / 2, small_v + 0.5)
-    assert small.ignore == ((50, 250, 151, 270),)
-    assert smaller(camera, 800.0) is camera
-
-
-def test_ridges_are_where_the_lines_are_and_at_most_one() -> None:
-    view = view_for(CAMERA, DEFAULTS)
-    above = look(view, np.ascontiguousarray(road([Paint(1.0)], camera=CAMERA)[:, :, 2]))
-    ridge = ridges(view, above, DEFAULTS)
-    assert 0 < ridge.max() <= 1
-    assert abs(np.average(view.y_m, weights=ridge.sum(axis=0)) - 1.0) < 0.05
-    # The quantile keeps so many, less where the filter says no.
-    assert 0 < (ridge > 0).mean() <= 0.026
-    assert ridge[~view.valid].max() == 0
-
-
-def test_peaks_lie_between_the_columns() -> None:
-    column = np.arange(20)
-    place, height = column_peaks(9 - (column - 7.3) ** 2, 1.0)
-    np.testing.assert_allclose(place, [7.3])
-    np.testing.assert_allclose(height, [9 - 0.3**2])
-    assert len(column_peaks(np.ones(20) * 0.5, 1.0)[0]) == 0
-    assert len(column_peaks(np.zeros(20), 0.0)[0]) == 0
-
-
-def test_a_line_on_the_road_follows_its_points_and_stays_calm_beyond() -> None:
-    x = np.linspace(4, 30, 20)
-    true = np.array([-1.7, 0.01, 4e-4, 0.0])
-    shape = shape_of(x, true[0] + x * (true[1] + x * true[2] / 2))
-    np.testing.assert_allclose(shape[:2], true[:2], atol=0.02)
-    assert shape[2] == pytest.approx(4e-4, abs=1.5e-4)
-    two = shape_of(np.array([10.0, 11.0]), np.array([2.0, 2.2]))
-    assert abs(two[0] - 2) < 0.6
-
-
-def test_points_beside_a_marking_are_moved_onto_it_and_continued() -> None:
-    image = road([Paint(1.5, width_m=0.2)], camera=CAMERA, noise=1.0)[:, :, 2].astype(np.float64)
-    x = np.linspace(14, 8, 8)
-    beside = np.stack(road_to_image(CAMERA, x, np.full(8, 1.56)), axis=1)
-    longer = refined(image, CAMERA, beside)
-    assert np.abs(image_to_road(CAMERA, *longer.T)[1] - 1.5).max() < 0.03
-    assert longer[0, 1] < beside[0, 1] - 2
-    assert longer[-1, 1] > beside[-1, 1] + 2
 
 
 def test_a_drive_over_four_lanes_gives_four_lines_in_each_frame() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from makers.camera.aly import is_right, paper_counts, stills, walked
+from makers.camera.aly import is_right, paper_counts, stills
 from makers.camera.tusimple import data_file
 
 LABEL = np.array([[100.0, 200.0], [100.0, 400.0]])
@@ -13,12 +13,6 @@ LABEL = np.array([[100.0, 200.0], [100.0, 400.0]])
 
 def beside(pixels: float) -> np.ndarray:
     return LABEL + np.array([pixels, 0])
-
-
-def test_a_line_is_walked_in_steps_of_a_pixel() -> None:
-    points = walked(np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 9.5]]))
-    assert len(points) == 11
-    np.testing.assert_allclose(points[[0, 5, 10]], [[0, 0], [3, 4], [3, 9]])
 
 
 def test_distances_decide_and_one_of_two_is_easier_than_both() -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +13,11 @@ import egolane_pgm as ego
 from egolane_pgm.types import LaneTruth, LineLog
 from makers.benchmark.board import board, resamples, run_on, score_entry, score_recording
 from makers.benchmark.tracks import (
-    ANNOTATIONS,
     HERE,
     Recording,
     driven,
     make_tracks,
     read_tracks,
-    stretches_of,
     uah_drives,
     write_recording,
 )
@@ -113,16 +109,6 @@ def test_a_drive_that_does_not_confirm_its_list_is_left_out(
         uah_drives(write_uah(tmp_path, kinds, jumps))
 
 
-def test_a_stretch_has_one_number_of_lanes_and_changes_that_follow() -> None:
-    found = stretches_of(ANNOTATIONS)
-    assert len(found) == 26
-    for begin_s, end_s, n_lanes, changes in found:
-        assert 2 <= n_lanes <= 5
-        assert end_s - begin_s >= 15
-        assert all(begin_s < when < end_s for when, _, _ in changes)
-        assert all(a[2] == b[1] for a, b in pairwise(changes))
-
-
 def test_the_tracks_are_made_byte_for_byte(tmp_path: Path, recordings: Path) -> None:
     make_tracks(tmp_path / "tracks", write_uah(tmp_path / "copy", [-1, 1], [-1, 1]))
     made = {folder.name: checksum(folder) for folder in (tmp_path / "tracks").iterdir()}
@@ -131,17 +117,6 @@ def test_the_tracks_are_made_byte_for_byte(tmp_path: Path, recordings: Path) -> 
     found = read_tracks([tmp_path / "tracks" / "motion"])
     assert {each.track for each in found} == {f"motion, {n} lanes" for n in (3, 4, 5)}
     assert {(each.driver, each.drive) for each in found} == {("d1", "24km-d1-normal-0")}
-
-
-def test_the_stored_tracks_are_read(recordings: Path) -> None:
-    folder = Path(os.environ["EGOLANE_DATA"]) / "bench" / "two_lines"
-    if not folder.is_dir():
-        pytest.skip("EGOLANE_DATA has no bench")
-    found = read_tracks([folder])
-    assert {each.track for each in found} == {"two_lines", "two_lines, start told"}
-    assert {(each.n_lanes, each.donor) for each in found} == {(3, "")}
-    told = {each.drive for each in found if each.track != "two_lines"}
-    assert told == {each.drive for each in found if each.track == "two_lines"}
 
 
 # --- scores ------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ import pytest
 
 from egolane_pgm.simulation import simulate, simulated_road
 from egolane_pgm.vision.camera.model import road_to_image
-from egolane_pgm.vision.simulated import CAMERA, DASH_M, PERIOD_M, Paint, draw_frame, draw_road
+from egolane_pgm.vision.simulated import CAMERA, DASH_M, PERIOD_M, Paint, draw_road
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, -2.0])
@@ -42,10 +42,3 @@ def test_pictures_are_of_the_drive_whose_lines_are_simulated() -> None:
     road, drive = simulated_road("a2", 3, 50), simulate("a2", 3, 50)
     np.testing.assert_array_equal(road.position_m, drive.position_m)
     np.testing.assert_array_equal(road.truth.lane, drive.truth.lane)
-
-
-def test_a_frame_can_be_drawn_by_itself_and_again() -> None:
-    road = simulated_road("quickstart", 0, 5)
-    first, again, other = (draw_frame(road, k) for k in (3, 3, 4))
-    np.testing.assert_array_equal(first, again)
-    assert (first != other).any()

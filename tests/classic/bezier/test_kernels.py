@@ -34,16 +34,6 @@ def test_the_best_line(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(line, expected, atol=1e-9)
 
 
-def test_no_line_where_points_are_few_or_lie_across(rng: np.random.Generator) -> None:
-    some = points(rng)
-    sample = rng.integers(60, size=(40, 4))
-    assert kernels.ransac_line(some, np.ones(60), sample, 0.5, 61, 0.3)[1] == -1
-    across = some[:, ::-1].copy()
-    across[:, 1] = 5.0
-    assert kernels.ransac_line(across, np.ones(60), sample, 0.5, 2, 0.3)[1] == -1
-    assert kernels.ransac_line(np.ones((60, 2)), np.ones(60), sample, 0.5, 2, 0.3)[1] == -1
-
-
 def test_the_best_spline(rng: np.random.Generator) -> None:
     sample = np.sort(np.array([rng.choice(60, 5, replace=False) for _ in range(30)]), axis=1)
     ridge = rng.random((100, 80))
@@ -63,11 +53,3 @@ def test_a_spline_goes_through_four_points(rng: np.random.Generator) -> None:
     size = np.r_[0, np.cumsum(np.linalg.norm(np.diff(four, axis=0), axis=1))]
     for point, t in zip(four, size / size[-1], strict=True):
         np.testing.assert_allclose(kernels.bezier(control, t), point, atol=1e-9)
-
-
-def test_a_spline_through_one_point_several_times_is_finite() -> None:
-    same = np.array([[3.0, 4.0]] * 3 + [[3.0, 9.0]])
-    control = kernels.bezier_through(same)
-    assert np.isfinite(control).all()
-    assert kernels.straightness(control) == pytest.approx(1)
-    assert np.isfinite(kernels.bezier_through(same[:3])).all()

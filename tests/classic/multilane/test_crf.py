@@ -165,18 +165,3 @@ def test_a_link_is_merged_by_its_own_label() -> None:
     for label, lengths in (([True, False], [50, 25]), ([False, True], [25, 50])):
         joined = crf.merged(seeds, links, np.array(label))
         assert np.diff(joined.starts).tolist() == lengths
-
-
-def test_only_links_without_a_rival_are_beyond_doubt() -> None:
-    rows = np.arange(300.0, 330), np.arange(360.0, 390)
-    seeds = markings_of([line(rows[0], 640, 0.0), line(rows[1], 640, 0.0)])
-    links = crf.candidate_links(seeds, ROAD)
-    assert crf.certain(links, 1.0).tolist() == [True]
-    rival = markings_of([line(rows[0], 640, 0), line(rows[1], 640, 0), line(rows[1], 641, 0)])
-    links = crf.candidate_links(rival, ROAD)
-    assert crf.certain(links, 1.0).tolist() == [False, False]
-
-
-def test_a_picture_without_seeds_has_no_links() -> None:
-    nothing = grouped(*(np.zeros(0),) * 3, np.zeros(0, dtype=np.int64))
-    assert len(crf.join_seeds(nothing, ROAD, 10)) == 0

@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from egolane_pgm.classic.multilane.markings import (
@@ -65,20 +63,6 @@ def test_edge_pairs_are_those_of_plain_numpy(seed: int) -> None:
     grey = blurred(seed)
     row, left, right = edge_pairs(grey, 0, *limits(len(grey)), 0.4)
     assert list(zip(row, left, right, strict=True)) == pairs_by_numpy(grey, *LIMITS, 0.4)
-
-
-@settings(max_examples=40, deadline=None)
-@given(st.integers(0, 10_000))
-def test_a_mirrored_picture_has_the_mirrored_markings(seed: int) -> None:
-    grey = blurred(seed)
-    row, left, right = edge_pairs(grey, 0, *limits(len(grey)), 0.4)
-    row_m, left_m, right_m = edge_pairs(
-        np.ascontiguousarray(grey[:, ::-1]), 0, *limits(len(grey)), 0.4
-    )
-    last = grey.shape[1] - 1
-    assert sorted(zip(row, left, right, strict=True)) == sorted(
-        zip(row_m, last - right_m, last - left_m, strict=True)
-    )
 
 
 def seeds_by_python(

@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from egolane_pgm.classic.multilane import curves
 from egolane_pgm.classic.multilane.road import (
     flattened,
-    is_ignored,
     places_of,
     road_of,
     shapes_of,
@@ -69,11 +68,6 @@ def test_a_lens_that_bends_lines_changes_no_line() -> None:
     np.testing.assert_allclose(shape[:2], [1.8, 0.01], atol=0.02)
 
 
-def test_a_metre_across_the_road_is_so_many_pixels() -> None:
-    near, far = (curve_of(CAMERA, np.full_like(X, y)) for y in (1.0, 2.0))
-    np.testing.assert_allclose((far - near)[:2], ROAD.pixels_per_m, rtol=0.01)
-
-
 def test_a_marking_is_as_wide_as_on_the_road() -> None:
     u, v = road_to_image(CAMERA, np.full(2, 5.0), np.array([-0.15, 0.15]))
     assert ROAD.widest[round(float(v[0])) - ROAD.top] == pytest.approx(u[1] - u[0], rel=0.02)
@@ -81,12 +75,6 @@ def test_a_marking_is_as_wide_as_on_the_road() -> None:
     assert ROAD.narrowest[0] == 3
     assert ROAD.widest[0] == 15
     assert (np.diff(ROAD.widest) >= 0).all()
-
-
-def test_what_is_ignored_is_in_the_rectangles() -> None:
-    road = road_of(replace(CAMERA, ignore=((0, 600, 1280, 720), (5, 5, 6, 6))), 55.0, *WIDTHS)
-    u, v = np.array([5.0, 5.0, 640.0]), np.array([5.0, 6.0, 600.0])
-    assert is_ignored(road, u, v).tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("pitch_deg", [-30.0, 20.0])

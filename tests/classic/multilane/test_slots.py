@@ -83,14 +83,6 @@ def test_lines_take_their_places_left_and_right_of_the_car() -> None:
     assert sorted(offsets(two)) == sorted(two.at(k) for k in (0, 1))
 
 
-def test_nothing_is_followed_before_enough_frames_were_seen() -> None:
-    slots = no_slots()
-    for k in range(BOOTSTRAP):
-        assert not slots.is_used.any(), k
-        slots = seen(slots, [-1.8, 1.8])
-    assert slots.is_used.sum() == 2
-
-
 @pytest.mark.parametrize("side", [-1, 1])
 def test_a_lane_change_turns_the_ring_by_one_and_lines_keep_their_slots(side: int) -> None:
     lines = LANE_M * (np.arange(-3, 4) - 0.5)
@@ -117,18 +109,6 @@ def test_a_lane_change_turns_the_ring_by_one_and_lines_keep_their_slots(side: in
     assert len(kept) >= 3
 
 
-def test_one_black_picture_in_five_takes_no_line_from_its_slot() -> None:
-    lines = [-5.4, -1.8, 1.8]
-    slots, start = no_slots(), {}
-    for k in range(60):
-        slots = seen(slots, lines if k % 5 else [])
-        if k == 20:
-            start = offsets(slots)
-    assert offsets(slots) == pytest.approx(start, abs=0.02)
-    assert len(start) == 3
-    assert (slots.counter[slots.is_used] == 8).all()
-
-
 def test_a_line_that_is_gone_leaves_its_slot_after_ten_frames() -> None:
     slots = settled([-1.8, 1.8])
     left = slots.at(0)
@@ -151,10 +131,6 @@ def pictures() -> tuple[Picture, ...]:
 def run(given: Sequence[Picture], **more: object) -> list[FrameLines]:
     step = mld.start(SMALL, {**DEFAULTS, **more})  # type: ignore[dict-item]
     return [step(picture) for picture in given]
-
-
-def black(picture: Picture) -> Picture:
-    return replace(picture, image=np.zeros_like(picture.image))
 
 
 @needs_compiler

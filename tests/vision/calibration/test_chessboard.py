@@ -127,12 +127,3 @@ def test_a_line_that_is_missed_does_not_double_the_height():
     view = view_of_lines(TRUE, unturned(TRUE), frames)
     assert view.camera.height_m == pytest.approx(TRUE.height_m, rel=0.01)
     assert (~view.is_lane).sum() == 1
-
-
-def test_the_spread_of_the_vanishing_point_is_reported():
-    def spread(size):
-        frames = [lines_of(TRUE, [-1.8, 1.8], size * k) for k in (-2, -1, 0, 1, 2)]
-        return view_of_lines(TRUE, unturned(TRUE), frames).spread_px[0]
-
-    assert spread(0.0) < 0.1
-    assert spread(0.01) == pytest.approx(0.01 * TRUE.fx * 1.36, rel=0.05)

@@ -1,4 +1,4 @@
-"""Lines found in stills: the edges that vote for a point, and the paint in a fan of rays."""
+"""Lines found in stills: where they were painted, and what is not looked at."""
 
 from __future__ import annotations
 
@@ -19,22 +19,12 @@ from egolane_pgm.vision.calibration.straight_road import (
     view_from,
 )
 from egolane_pgm.vision.camera.model import image_to_road, vanishing_point
-from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.camera.pictures import files_matching
 from tests.kits.calibration_kit import TRUE, draw_road, unturned
 from tests.kits.synthetic_road import CAMERA, Paint, road
 
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5)
 WHOLE = road_lines.seen_mask(PLAIN)
-SIDE = np.arange(-5, 5.0125, 0.025)
-BELOW = np.geomspace(0.04, 0.4, 120)
-
-
-def with_lines(*ends: tuple[tuple[int, int], tuple[int, int]]) -> Image:
-    image = np.full((720, 1280, 3), 60, np.uint8)
-    for one, other in ends:
-        cv2.line(image, one, other, (220, 220, 220), 5)
-    return image
 
 
 def edges_to(point: tuple[float, float], seed: int, n: int = 40, stray: int = 20) -> FloatArray:
@@ -47,89 +37,6 @@ def edges_to(point: tuple[float, float], seed: int, n: int = 40, stray: int = 20
     return np.vstack([np.hstack([near, far]), np.hstack([upper, lower])])
 
 
-def fan_of(streaks: dict[float, FloatArray], seen: slice = slice(None)) -> road_lines.Fan:
-    """A fan with paint three samples wide: by its offset, where in each row it is (NaN: none)."""
-    paint = np.zeros((120, len(SIDE)))
-    for bright, places in streaks.items():
-        for row, place in enumerate(places):
-            if np.isfinite(place):
-                k = int(np.argmin(np.abs(SIDE - place)))
-                paint[row, k - 1 : k + 2] = bright
-    is_seen = np.zeros(paint.shape, dtype=bool)
-    is_seen[seen] = True
-    return road_lines.Fan(paint, is_seen, BELOW, SIDE)
-
-
-def straight(offset: float, rows: slice = slice(None)) -> FloatArray:
-    places = np.full(120, np.nan)
-    places[rows] = offset
-    return places
-
-
-def streaks(fan: road_lines.Fan) -> list[tuple[FloatArray, FloatArray]]:
-    return list(road_lines._streaks(fan))
-
-
-def test_rectangles_to_ignore_may_reach_beyond_the_picture() -> None:
-    rectangles = ((-5, 0, 200, 30), (1200, 700, 9000, 9000), (-9, -9, -1, 2000))
-    mask = road_lines.seen_mask(replace(PLAIN, ignore=rectangles))
-    expected = np.ones((720, 1280), dtype=bool)
-    expected[:30, :200] = expected[700:, 1200:] = False
-    np.testing.assert_array_equal(mask, expected)
-
-
-def test_edges_that_may_be_lines_of_the_road_are_kept_upper_end_first() -> None:
-    image = with_lines(
-        ((500, 700), (600, 400)),
-        ((100, 300), (500, 310)),  # too flat
-        ((900, 500), (910, 512)),  # too short
-        ((1100, 700), (1000, 400)),
-    )
-    edges = road_lines.edges(PLAIN, image, WHOLE)
-    ends = to_level(PLAIN, np.array([600.0, 500, 1000, 1100]), np.array([400.0, 700, 400, 700]))
-    for upper, lower in (ends[:2], ends[2:]):
-        # Both sides of the stripe.
-        near = np.abs(edges - np.concatenate([upper, lower])).max(axis=1) < 0.02
-        assert near.sum() == 2
-    assert len(edges) == 4
-    assert (edges[:, 1] < edges[:, 3]).all()
-    half = WHOLE.copy()
-    half[:, 800:] = False
-    assert (road_lines.edges(PLAIN, image, half)[:, 0] < 0).all()
-    assert road_lines.edges(PLAIN, with_lines(), WHOLE).shape == (0, 4)
-
-
-def test_edges_vote_for_points_above_them_that_they_point_at() -> None:
-    lines = np.array([[0.1, 0.1, 0.3, 0.3], [-0.3, 0.3, -0.6, 0.6]])
-    lengths = np.array([0.2, 0.3]) * np.sqrt(2)
-    points = np.array([[0.0, 0.0], [0.7, 0.7], [0.0, 0.1], [-0.1, 0.1]])
-    votes = road_lines._votes(points, lines)
-    # Of both; below the first one and on no line; on none; of the second alone.
-    np.testing.assert_allclose(votes, [lengths.sum(), 0, 0, lengths[1]], atol=1e-9)
-
-
-def test_the_point_where_most_edges_meet_is_found_and_is_the_same_every_time() -> None:
-    points = [(0.03, -0.05), (0.05, -0.04), (0.01, -0.06)]
-    stills = [edges_to(point, seed) for seed, point in enumerate(points)]
-    every, each = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))])
-    assert every == pytest.approx((0.03, -0.05), abs=0.01)
-    np.testing.assert_allclose(each[:3], points, atol=0.01)
-    assert np.isnan(each[3]).all()
-    again = road_lines.meeting_of_stills([*stills, np.zeros((0, 4))])
-    np.testing.assert_array_equal(every, again[0])
-    np.testing.assert_array_equal(each, again[1])
-
-
-def test_a_still_full_of_other_edges_is_looked_at_near_the_common_point_only() -> None:
-    road, house = (0.0, 0.0), (0.3, 0.0)
-    mixed = np.vstack([edges_to(road, 7, 15, 0), edges_to(house, 8, 40, 0)])
-    stills = [*(edges_to(road, seed) for seed in range(3)), mixed, edges_to(house, 9, 20, 0)]
-    every, each = road_lines.meeting_of_stills(stills)
-    assert every == pytest.approx(road, abs=0.01)
-    assert each[3] == pytest.approx(road, abs=0.01)
-    assert np.isnan(each[4]).all() or np.abs(each[4] - road).max() < 0.1
-
-
 def test_edges_in_any_direction_meet_nowhere() -> None:
     with pytest.raises(InputError, match="stills: their straight edges do not meet in one point"):
         road_lines.meeting_of_stills(
@@ -137,75 +44,6 @@ def test_edges_in_any_direction_meet_nowhere() -> None:
         )
     with pytest.raises(InputError, match="stills: no straight edges that meet"):
         road_lines.meeting_of_stills([edges_to((0.0, 0.0), 1, n=1, stray=0)])
-
-
-def test_white_and_yellow_paint_are_bright() -> None:
-    colours = np.array([[[255, 255, 255], [60, 175, 250], [200, 90, 90]]], dtype=np.uint8)
-    assert road_lines.grey_of(colours).tolist() == [[255, 212.5, 90]]
-
-
-def test_paint_is_much_brighter_than_its_row_scatters() -> None:
-    assert road_lines.is_paint(fan_of({100.0: straight(0.0)})).sum() == 3 * 120
-    assert not road_lines.is_paint(fan_of({11.0: straight(0.0)})).any()
-    assert not road_lines.is_paint(fan_of({100.0: straight(0.0)}, slice(0, 0))).any()
-    rough = fan_of({30.0: straight(0.0)})
-    rough.paint[60:] += 8.0  # 38 of 8 and more all over
-    assert road_lines.is_paint(rough).sum(axis=1).tolist() == [3] * 120
-    rough.paint[60:] += 8.0
-    assert road_lines.is_paint(rough).sum(axis=1).tolist() == [3] * 60 + [0] * 60
-
-
-def test_streaks_are_the_lines_most_covered_first() -> None:
-    fan = fan_of(
-        {150.0: straight(1.3), 100.0: straight(-1.2, slice(0, 40)), 90.0: straight(3.9, slice(80))}
-    )
-    lines = streaks(fan)
-    assert [float(np.median(side)) for side, _ in lines] == pytest.approx(
-        [1.3, 3.9, -1.2], abs=0.01
-    )
-    np.testing.assert_allclose(lines[0][1], BELOW)
-    np.testing.assert_allclose(lines[2][1], BELOW[:40])
-
-
-def test_a_dot_a_ragged_streak_and_what_is_hardly_in_view_are_no_lines() -> None:
-    assert streaks(fan_of({100.0: straight(0.0, slice(0, 6))})) == []
-    wild = np.random.default_rng(0).uniform(-0.18, 0.18, 120)
-    assert streaks(fan_of({100.0: wild})) == []
-    # A twelfth of what is seen, but of four rows only.
-    assert streaks(fan_of({100.0: straight(0.0, slice(0, 4))}, slice(0, 35))) == []
-    assert streaks(fan_of({100.0: straight(0.0)}, slice(0, 29))) == []
-    assert len(streaks(fan_of({100.0: straight(0.0)}, slice(0, 31)))) == 1
-
-
-def test_both_rims_of_a_wide_marking_are_one_line() -> None:
-    fan = fan_of({100.0: straight(1.0), 101.0: straight(1.2, slice(100))})
-    assert len(streaks(fan)) == 1
-
-
-def test_what_is_beside_a_masked_part_is_not_seen_in_a_fan() -> None:
-    grey = np.full((720, 1280), 100, np.float32)
-    mask = WHOLE.copy()
-    mask[:, 650:] = False
-    half = road_lines.fan(PLAIN, grey, mask, np.array([0.0, 0.0]))
-    assert half.seen[:, half.side < -0.5].any()
-    # Half a marking (0.4) from the mask, which begins at offset 0.
-    assert not half.seen[:, half.side > -0.35].any()
-
-
-def test_a_lens_that_folds_back_shows_no_part_of_the_picture_twice() -> None:
-    camera = replace(PLAIN, distortion=(-0.35, 0.0, 0.0, 0.0, 0.0))
-    fan = road_lines.fan(camera, np.full((720, 1280), 100, np.float32), WHOLE, np.zeros(2))
-    # The equation of the lens turns back where 1 - 3 * 0.35 r^2 = 0.
-    reach = np.hypot(fan.side[None, :] * fan.below[:, None], fan.below[:, None])
-    assert (reach > 1.5).any()
-    assert not fan.seen[reach > np.sqrt(1 / (3 * 0.35))].any()
-
-
-def test_rays_of_a_fan_are_the_bent_lines_of_the_road() -> None:
-    point, side, below = np.array([0.02, -0.03]), np.array([-1.2, 1.3]), np.array([0.1, 0.4])
-    rays = road_lines._rays(point, 5e-4, side, below)
-    assert rays[:, 0] == pytest.approx([0.02 - 0.12 + 5e-3, 0.02 + 0.52 + 1.25e-3])
-    assert rays[:, 1] == pytest.approx([0.07, 0.37])
 
 
 def test_the_lines_of_a_still_are_where_they_were_painted() -> None:

@@ -91,8 +91,6 @@ def read_all(folder: Path) -> int:
 @pytest.mark.parametrize(
     ("odd", "size"),
     [
-        (np.zeros((1, CAMERA.width, 3), np.uint8), "480x1"),
-        (np.zeros((CAMERA.height, 1, 3), np.uint8), "1x270"),
         (np.zeros((CAMERA.width, CAMERA.height, 3), np.uint8), "270x480"),
         (np.zeros((540, 960, 3), np.uint8), "960x540"),
     ],
@@ -135,22 +133,3 @@ def test_clips_that_are_taken_for_one_drive_are_warned_of(tmp_path: Path) -> Non
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert read_all(tmp_path / "*" / "*.png") == 4
-
-
-# --- videos --------------------------------------------------------------------------------------
-
-
-def test_pictures_after_a_change_of_size_are_scaled_to_the_first(tmp_path: Path) -> None:
-    """A stream of JPEGs, half of them in half the size."""
-    pictures = images(8)
-    half = [cv2.resize(image, (CAMERA.width // 2, CAMERA.height // 2)) for image in pictures[4:]]
-    stream = tmp_path / "stream.mjpeg"
-    coded = [cv2.imencode(".jpg", image)[1].tobytes() for image in [*pictures[:4], *half]]
-    stream.write_bytes(b"".join(coded))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        seen = [picture.image for picture in read_pictures(open_source(stream), CAMERA)]
-    assert len(seen) == 8
-    for image, expected in zip(seen, pictures, strict=True):
-        blurred = [cv2.GaussianBlur(one, (0, 0), 3).astype(float) for one in (image, expected)]
-        assert np.abs(blurred[0] - blurred[1]).mean() < 4

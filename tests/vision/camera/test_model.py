@@ -75,12 +75,6 @@ def test_the_axes_of_a_camera_are_at_right_angles_and_right_handed(camera):
     np.testing.assert_allclose(np.cross(right, down), -forward, atol=1e-12)
 
 
-def test_what_is_as_high_as_the_camera_is_on_the_horizon():
-    _, v = road_to_image(LEVEL, [5.0, 50.0], 1.0, 1.5)
-    assert v == pytest.approx([360, 360])
-    assert road_to_image(LEVEL, 10.0, 0.0, 0.5)[1] == pytest.approx(360 + 1000 * 1.0 / 10)
-
-
 def test_a_camera_right_of_the_middle_has_what_is_ahead_of_it_to_the_right_of_the_vehicle():
     aside = replace(LEVEL, lateral_m=0.4)
     assert road_to_image(aside, 10.0, 0.4)[0] == pytest.approx(640)
@@ -90,15 +84,6 @@ def test_a_camera_right_of_the_middle_has_what_is_ahead_of_it_to_the_right_of_th
 def test_what_is_behind_the_camera_is_not_in_the_picture():
     u, v = road_to_image(replace(LEVEL, distortion=LENS), [-5.0, 0.0, 5.0], 0.0)
     assert np.isnan(u).tolist() == np.isnan(v).tolist() == [True, True, False]
-
-
-def test_numbers_and_arrays_of_any_shapes_that_broadcast_are_taken():
-    u, v = np.array([600.0, 700.0]), np.array([[400.0], [450.0], [500.0]])
-    for camera in (LEVEL, replace(LEVEL, distortion=LENS)):
-        for change in (undistorted, distorted, image_to_road):
-            assert [part.shape for part in change(camera, u, v)] == [(3, 2)] * 2
-            alone = np.array(change(camera, 700.0, 450.0))
-            np.testing.assert_allclose(alone, [part[1, 1] for part in change(camera, u, v)])
 
 
 #: Every coefficient matters.
@@ -164,20 +149,7 @@ def test_a_camera_comes_back_from_its_file(tmp_path):
         ("GOOD\nfx: .nan", "fx: nan is not a finite number"),
         ("GOOD\nwidth: 100.5", "width: 100.5 is not a whole number of pixels"),
         ("GOOD\ndistortion: [1, 2]", "distortion: needs the five numbers"),
-        ("GOOD\ndistortion: 3", "distortion: needs the five numbers"),
-        ("GOOD\npitch_deg: up", "pitch_deg: 'up' is not a finite number"),
         ("GOOD\ndistortion: [0, 0, a, 0, 0]", "distortion: 'a' is not a finite number"),
-        ("GOOD\ndistortion: [0, 0, .inf, 0, 0]", "distortion: inf is not a finite number"),
-        ("GOOD\nfx: 1.0e+9", "fx: 1000000000.0 is not between 10 and 100000 (pixels)"),
-        ("GOOD\nheight: 9", "height: 9 is not between 16 and 20000 (pixels)"),
-        ("GOOD\ncx: -1.0e+6", "cx: -1000000.0 is not between -20000 and 40000 (pixels)"),
-        ("GOOD\npitch_deg: 91", "pitch_deg: 91 is not between -60 and 60 (degrees, up"),
-        ("GOOD\nyaw_deg: -180", "yaw_deg: -180 is not between -60 and 60 (degrees, right"),
-        ("GOOD\nroll_deg: 90", "roll_deg: 90 is not between -60 and 60 (degrees, clockwise"),
-        ("GOOD\nlateral_m: 40", "lateral_m: 40 is not between -5 and 5 (metres right"),
-        ("GOOD\nbaseline_m: -0.5", "baseline_m: -0.5 is not between 0.01 and 5 (metres between"),
-        ("GOOD\nbaseline_m: 120", "baseline_m: 120 is not between 0.01 and 5 (metres between"),
-        ("GOOD\nyaw_deg: true", "yaw_deg: True is not a finite number"),
         ("GOOD\nignore: [[0, 9, 10, 5]]", "ignore: [0, 9, 10, 5] is empty"),
         ("GOOD\nignore: 3", "ignore: needs a list of rectangles"),
         ("GOOD\nignore: [[1, 2, 3]]", "is not a list of left, top, right, bottom"),
@@ -241,12 +213,3 @@ def test_a_camera_is_not_scaled_to_another_aspect_ratio(size: tuple[int, int]) -
     assert scaled(camera, 1280, 720) == camera
     # 360p as it is stored: 640 x 360, and 854 x 480 for 480p.
     assert scaled(camera, 854, 480).fx == pytest.approx(1100 * 854 / 1280)
-
-
-def test_a_camera_is_named_by_its_file_and_equal_to_one_of_another_name(tmp_path: Path) -> None:
-    camera = Camera(1280, 720, 1100.0, 1090.0, 650.0, 350.0, 1.4)
-    write_camera(tmp_path / "cam.yaml", camera)
-    read = read_camera(tmp_path / "cam.yaml")
-    assert read.name == str(tmp_path / "cam.yaml")
-    assert read == camera
-    assert "name" not in (tmp_path / "cam.yaml").read_text()

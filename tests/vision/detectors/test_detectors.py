@@ -3,7 +3,6 @@ pictures."""
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -64,19 +63,6 @@ def said(pictures: list[Picture]) -> dict[str, list[FrameLines]]:
 def same(one: FrameLines, other: FrameLines) -> bool:
     names = ("shape", "is_valid", "is_continuous", "lri", "slot")
     return all(np.array_equal(getattr(one, n), getattr(other, n)) for n in names)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_lines_are_what_the_contract_says(name: str, said: dict[str, list[FrameLines]]) -> None:
-    for lines in said[name]:
-        assert isinstance(lines, FrameLines)
-        assert lines.shape.dtype == np.float64
-        assert np.isfinite(lines.shape).all()
-        assert (np.diff(lines.offset_m) >= 0).all()
-        for flag in (lines.is_valid, lines.is_continuous):
-            assert flag.dtype == np.bool_
-        assert lines.lri.dtype == np.float64
-        assert ((lines.lri >= 0) & (lines.lri <= MOST) & (lines.lri % 1 == 0)).all()
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n != OWN])
@@ -151,21 +137,6 @@ def test_the_same_pictures_give_the_same_lines_and_two_drives_share_nothing(
     for k in range(12):
         assert same(first(pictures[k]), said[name][k])
         second(pictures[-1 - k])
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_picture_is_left_as_it_is_and_may_be_overwritten(
-    name: str, pictures: list[Picture], said: dict[str, list[FrameLines]]
-) -> None:
-    step = begin(name)
-    buffer, right = copy.deepcopy(pictures[0].image), copy.deepcopy(pictures[0].right)
-    assert right is not None
-    for k in range(12):
-        buffer[:] = pictures[k].image
-        right[:] = pictures[k].right
-        lines = step(Picture(pictures[k].frame_id, buffer, right))
-        assert np.array_equal(buffer, pictures[k].image)
-        assert same(lines, said[name][k])
 
 
 @pytest.mark.parametrize(

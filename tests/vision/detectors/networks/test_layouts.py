@@ -82,15 +82,6 @@ def test_a_mask_is_where_the_probability_of_its_channels_is_enough(
     assert (low.mask[170:, 290:] == 255).all()
 
 
-def test_a_mask_is_nothing_in_the_part_that_is_cut_off(tmp_path: Path) -> None:
-    output = np.ones((1, 1, 4, 8))
-    keys: dict[str, Any] = {"layout": "drivable", "classes": 1, "cut_top": 0.4}
-    found = seen(write_answer(tmp_path, output, **keys))
-    assert found.mask is not None
-    assert (found.mask[:108] == 0).all()
-    assert (found.mask[108:] == 255).all()
-
-
 @pytest.mark.parametrize("size", [(40, 80), (4, 8)])
 def test_lines_are_part_of_the_road(tmp_path: Path, size: tuple[int, int]) -> None:
     """The free road leaves the paint out; one with more classes is refused."""

@@ -16,15 +16,13 @@ import yaml
 from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.recordings import read_lines
 from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.camera.pictures import open_source
 from egolane_pgm.vision.detectors import FrameLines
 from egolane_pgm.vision.detectors.networks.finding import keep_on_road
-from egolane_pgm.vision.detectors.runner import detect, find_detector, own_files, start
+from egolane_pgm.vision.detectors.runner import detect, find_detector, start
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.simulated import draw_frame
@@ -132,35 +130,6 @@ def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
     detector = find_detector("network", {"network": str(path)}, Path.cwd(), "detector")
     with pytest.raises(InputError, match="layout drivable has no lines; name it as on_road,"):
         start(detector, CAMERA)
-
-
-def test_nan_is_said_with_the_frame(tmp_path: Path, top_hat: Path) -> None:
-    """The logarithm of a dark picture."""
-    from onnx import helper
-
-    from tests.kits.tiny_network import write_onnx
-
-    nodes = [
-        helper.make_node("Sub", ["picture", "least"], ["more"]),
-        helper.make_node("Log", ["more"], ["answer"]),
-    ]
-    shape = (1, 3, 40, 80)
-    write_onnx(
-        tmp_path / "log.onnx",
-        nodes,
-        [("least", np.float32(0.1))],
-        {"answer": shape},
-        {"picture": shape},
-    )
-    path = write_network(
-        tmp_path / "log.yaml", model="log.onnx", size=[80, 40], layout="lanes", classes=3
-    )
-    dark = np.zeros((CAMERA.height, CAMERA.width, 3), dtype=np.uint8)
-    with pytest.raises(InputError) as caught:
-        lines_of("network", {"network": str(path)}, [*drive(1, first=6), Picture(7, dark)])
-    said = str(caught.value)
-    assert "detector: network: frame 7: " in said
-    assert said.endswith("log.yaml: output answer: 9600 of 9600 numbers are not finite (NaN)")
 
 
 # --- where the road is ------------------------------------------------------------------------
@@ -302,21 +271,6 @@ def test_a_network_of_the_command_line_is_found_from_where_one_stands(
     )
 
 
-def test_lris_of_probabilities_are_written(seen: Path, tmp_path: Path) -> None:
-    """A bag holds whole numbers; it is read with ten frames a second, a table with the video's."""
-    path = write_segments(tmp_path, [(1.7, 0, 0.56)])
-    words = ["detect", seen / "drive.avi", "--camera", seen / "cam.yaml"]
-    words += ["--detector", "network", "--set", f"network={path}", "-o"]
-    rate = open_source(str(seen / "drive.avi")).frame_rate
-    assert rate not in (None, 10)
-    for name, lri, step in (("l.csv", 5.6, 1 / rate), ("l.bag", 6, 0.1)):
-        said = command(*words, tmp_path / name).stderr
-        assert (f"here recording.frame_rate={rate:g}" in said) == (name == "l.bag")
-        lines = read_lines(tmp_path / name)
-        assert lines.lri[-1, 0] == pytest.approx(lri)
-        np.testing.assert_allclose(np.diff(lines.time_s), step)
-
-
 def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:
     assert "ok" in command("run", "--dry-run", seen / "seen.yaml").stdout
     for keys, said in (
@@ -327,8 +281,3 @@ def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path)
         path = with_keys(seen / "nets" / "top_hat.yaml", tmp_path / "wrong.yaml", **keys)
         chosen = f"recording.detector_parameters.network={path}"
         assert said in refused("run", "--dry-run", seen / "seen.yaml", "--set", chosen)
-
-
-def test_own_files_are_those_of_the_network(top_hat: Path, tmp_path: Path) -> None:
-    detector = find_detector("sl", {"on_road": str(top_hat)}, tmp_path, "detector")
-    assert [file.name for file in own_files(detector)] == ["top_hat.yaml", "top_hat.onnx"]

@@ -27,14 +27,12 @@ from egolane_pgm.vision.detectors.networks.description import (
 )
 from egolane_pgm.vision.detectors.networks.finding import from_above, looker
 from egolane_pgm.vision.detectors.networks.running import Fit, fit_of, load
-from egolane_pgm.vision.detectors.runner import detect, find_detector
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from tests.kits.drives import command, refused
-from tests.kits.synthetic_road import CAMERA, Paint, drive, road
+from tests.kits.synthetic_road import CAMERA, road
 from tests.kits.tiny_network import write_known
 
 PAGE = (Path(__file__).parents[4] / "docs" / "networks.md").read_text()
-WITH_LINES = [name for name in ready_networks() if not name.endswith("_road")]
 
 #: `culane_row_anchor` of Ultra-Fast-Lane-Detection.
 CULANE_ROWS = [121, 131, 141, 150, 160, 170, 180, 189, 199, 209, 219, 228, 238, 248, 258, 267, 277]
@@ -304,16 +302,6 @@ def test_each_yaml_reads_what_its_network_writes(tmp_path: Path, name: str) -> N
         assert found.any(axis=1).mean() > 0.9
         middle = view.y_m[away[:, line] < 0.3][np.nonzero(found)[1]].mean()
         assert abs(middle - OFFSETS[line]) < 0.06
-
-
-@pytest.mark.parametrize("name", WITH_LINES)
-def test_each_network_with_lines_is_a_detector(tmp_path: Path, name: str) -> None:
-    path = written(tmp_path, name)
-    given = {"network": str(path), "curve": "line"}
-    detector = find_detector("network", given, Path.cwd(), "detector")
-    *_, (_, last) = detect(detector, CAMERA, drive(11, [Paint(-1.7, grey=95)]))
-    assert last.is_valid.all()
-    np.testing.assert_allclose(last.offset_m, OFFSETS, atol=0.15)
 
 
 @pytest.mark.parametrize("name", ready_networks())

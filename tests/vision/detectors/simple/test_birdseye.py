@@ -81,14 +81,6 @@ def test_a_tenth_of_the_road_must_be_in_the_picture(percent, is_refused):
         assert 0.1 < make_view(window, 10, 20, -5, 5).valid.mean() < 0.16
 
 
-def test_valid_is_what_lies_between_the_outermost_pixels():
-    view = make_view(CAMERA, 4, 20, -9, 9)
-    u, v = road_to_image(CAMERA, view.x_m[:, None], view.y_m)
-    inside = (u >= 0) & (u <= 959) & (v >= 0) & (v <= 539)
-    assert 0.3 < inside.mean() < 0.9
-    np.testing.assert_array_equal(view.valid, inside)
-
-
 @pytest.mark.parametrize("region", [(0, 20, -5, 5), (20, 10, -5, 5), (5, 20, 5, -5)])
 def test_a_region_that_is_none_is_refused(region):
     with pytest.raises(InputError, match="no region in front of the camera"):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.detectors.runner import detect, find_detector
 from egolane_pgm.vision.detectors.simple.contours import Strips
 from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
 from egolane_pgm.vision.detectors.simple.fit import find_lines, fit_lines, view_for
@@ -80,24 +78,6 @@ def test_over_a_drive_rate_curvature_and_offsets_are_followed(rate: float) -> No
             assert np.abs(shape[:, 0] - offset).min() < 0.06
     assert np.median(shape[:, 3]) == pytest.approx(rate, rel=0.3)
     assert np.median(shape[:, 2]) == pytest.approx(curvature_at(rate, N_FRAMES - 1), abs=3e-4)
-
-
-@needs_compiler
-def test_two_cameras_follow_the_rate_too() -> None:
-    pair = replace(CAMERA, baseline_m=0.4)
-    shown = []
-    for picture in pictures(6e-5)[:18]:
-        more = {"curvature": curvature_at(6e-5, picture.frame_id), "rate": 6e-5}
-        lines = [Paint(o - 0.4, 4.5, 12.0, **more) for o in OFFSETS[1:-1]]
-        lines += [Paint(o - 0.4, **more) for o in (OFFSETS[0], OFFSETS[-1])]
-        travelled, seed = picture.frame_id * STEP_M, picture.frame_id
-        right = road(lines, travelled, camera=CAMERA, seed=seed)
-        shown.append(replace(picture, right=right))
-    *_, (_, last) = detect(find_detector("sc", {}, Path(), "detector"), pair, shown)
-    shape = last.shape[last.is_valid]
-    assert np.median(shape[:, 3]) == pytest.approx(6e-5, rel=0.3)
-    for offset in OFFSETS[1:-1]:
-        assert np.abs(shape[:, 0] - offset).min() < 0.06
 
 
 def test_a_parabola_has_a_curvature_and_no_rate() -> None:

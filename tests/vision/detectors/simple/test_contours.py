@@ -111,8 +111,3 @@ def test_both_sides_of_a_hole_are_one_contour() -> None:
     inner = (strips.y_m > VIEW.y_m[64]) & (strips.y_m < VIEW.y_m[67]) & (strips.width_m < 0.11)
     assert len(set(strips.contour[inner].tolist())) == 1
     assert set(strips.contour[~inner].tolist()).isdisjoint(strips.contour[inner].tolist())
-
-
-def test_a_mask_without_marking_has_no_contours() -> None:
-    strips = strips_of(nothing())
-    assert all(len(getattr(strips, name)) == 0 for name in strips.__dataclass_fields__)

@@ -27,7 +27,6 @@ from tests.kits.synthetic_road import CAMERA, Paint, road
 LINES = (Paint(-5.46), Paint(-1.8, 4.0, 12.0), Paint(1.86), Paint(5.52, 4.0, 12.0))
 PARAMETERS = runner.find_detector("ml", {}, Path(), "detector").parameters
 STRAIGHT = {**PARAMETERS, "curve": "line"}
-BLACK = np.zeros((CAMERA.height, CAMERA.width, 3), np.uint8)
 
 
 def turned(degrees: float, **more: Any) -> Camera:
@@ -122,45 +121,6 @@ def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected() -> N
     assert last[:, 0] + 20 * last[:, 1] == pytest.approx([-5.46, -1.8, 1.86], abs=0.2)
 
 
-def test_nothing_is_learned_from_pictures_without_lines() -> None:
-    believed = watched(CAMERA, [Picture(k, BLACK) for k in range(3)])[-1]
-    assert believed.looks == 0
-    assert believed.pitch_deg == pytest.approx(0.0, abs=1e-9)
-    assert believed.pitch_sd_deg == pytest.approx(1.0, abs=0.05)
-    assert np.isnan(drift.height(CAMERA, believed, STRAIGHT)).all()
-
-
-@pytest.mark.parametrize("choice", ["warn", "correct"])
-def test_a_drive_is_looked_at_often_in_the_beginning_and_seldom_later(choice: str) -> None:
-    one, dim = pictures(14)[0], {"side_m": 4.0, "along_m": 0.4}
-    shown = [replace(one, frame_id=k) for k in range(250)]
-    looks = [d.looks for d in watched(CAMERA, shown, camera_drift=choice, drift_every=20, **dim)]
-    gaps = np.diff(np.flatnonzero(np.diff(looks)))
-    assert (gaps[:8] == 1).all()
-    assert gaps[-1] == gaps.max() == 20
-    assert (np.diff(gaps) >= 0).all()
-    # To warn there is more time than to correct.
-    assert (len(gaps) < 32) == (choice == "warn")
-
-
-@given(
-    st.lists(st.tuples(st.floats(0, 5), st.floats(0, 5), st.floats(0, 5)), min_size=1, max_size=5),
-    st.floats(-1, 1),
-    st.floats(-3, 3) | st.just(float("nan")),
-)
-def test_a_drift_upwards_is_told_as_one_downwards_is(
-    looks: list[tuple[float, float, float]], middle: float, parallel: float
-) -> None:
-    up, down = drift.no_drift(), drift.no_drift()
-    away = middle + np.array([-0.75, 0.0, 0.75])
-    for amount in looks:
-        up = drift.looked(up, away, np.array(amount), parallel)
-        down = drift.looked(down, -away[::-1], np.array(amount[::-1]), -parallel)
-    np.testing.assert_allclose(down.weight, up.weight[::-1], atol=1e-9)
-    assert up.weight.sum() == pytest.approx(1.0)
-    assert up.pitch_deg == pytest.approx(-down.pitch_deg, abs=1e-6)
-
-
 @settings(deadline=None)
 @given(st.floats(-2, 2), st.integers(0, 100))
 def test_looks_at_a_known_curve_end_at_its_top(top: float, seed: int) -> None:
@@ -189,21 +149,6 @@ def test_a_height_that_is_grossly_wrong_is_warned_of(times: float, warned: bool)
     assert found == pytest.approx(CAMERA.height_m, abs=2 * sd)
     # No surer than the width of the lanes is known.
     assert sd >= found * 0.2 / 3.66
-
-
-def test_a_camera_that_would_not_see_the_road_is_no_candidate() -> None:
-    # Pitched up further, the view would hold hardly any road.
-    low = replace(CAMERA, pitch_deg=16.0, height=400, cy=30.0)
-    view = view_for(low, STRAIGHT)
-    shown = [Picture(0, np.zeros((400, low.width, 3), np.uint8))]
-    assert drift.watch(view, STRAIGHT)(shown[0]).looks == 0
-
-
-def test_gaps_of_two_lanes_count_only_where_hardly_any_is_one() -> None:
-    """A line that is missed makes some; a scale that is doubled makes all."""
-    assert drift.lane_gaps(np.array([3.6, 7.2, 7.2, 1.0]), 3.66).tolist() == [3.6]
-    doubled = np.array([7.2, 7.3, 7.2, 7.1, 7.2, 3.6])
-    assert np.median(drift.lane_gaps(doubled, 3.66)) == 7.2
 
 
 def test_detectors_expect_the_lane_width_that_the_camera_was_calibrated_with() -> None:

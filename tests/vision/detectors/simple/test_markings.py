@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
-from egolane_pgm.vision.detectors.simple.markings import _odd, marking_mask
+from egolane_pgm.vision.detectors.simple.markings import marking_mask
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 from tests.kits.synthetic_road import CAMERA
 
@@ -35,10 +35,6 @@ def columns(mask: NDArray[np.bool_]) -> list[int]:
     return np.flatnonzero(mask.all(axis=0)).tolist()
 
 
-def test_patches_have_the_nearest_odd_number_of_pixels() -> None:
-    assert [_odd(pixels) for pixels in (0.3, 1, 2.9, 3, 4.1, 7, 7.9)] == [1, 1, 3, 3, 5, 7, 7]
-
-
 @pytest.mark.parametrize("width", [1, 3, 4])
 def test_a_narrow_strip_is_marking_and_nothing_beside_it(width: int) -> None:
     above = grey()
@@ -55,16 +51,6 @@ def test_a_strip_wider_than_a_marking_is_none() -> None:
     dark = grey()
     dark[:, 90:93] = 60
     assert not mask_of(dark).any()
-
-
-def test_a_clear_strip_weighs_in_full_and_a_faint_one_less() -> None:
-    above = grey()
-    above[:, 60:63], above[:, 140:143] = 130, 104
-    mask = marking_mask(VIEW, above, resolve_parameters(FINDING, {"least_rise": 0.0}, 1))
-    clear, faint = np.unique(mask[:, 60:63]), np.unique(mask[:, 140:143])
-    # 4 of 100 + 40 grey levels, over three times the threshold of a picture of little contrast.
-    assert clear.tolist() == [255]
-    assert faint.tolist() == pytest.approx([255 * 4 / 140 / 0.0125 / 3], rel=0.05)
 
 
 def test_a_marking_adds_its_share_of_the_brightness_around() -> None:
@@ -142,11 +128,3 @@ def test_road_between_parts_that_are_not_seen_is_no_marking() -> None:
     assert not mask_of(above, replace(VIEW, valid=half)).any()
     above[:, 110:112] = 140
     assert columns(mask_of(above, replace(VIEW, valid=half))) == [110, 111]
-
-
-def test_black_pixels_of_a_dark_road_do_not_hide_its_marking() -> None:
-    above = grey(3)
-    rng = np.random.default_rng(0)
-    above[rng.random(above.shape) < 0.03] = 0
-    above[:, 90:93] = 60
-    assert mask_of(above)[:, 90:93].all()

@@ -6,13 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.simple import paint as _paint
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS, painted_share
 from tests.kits.synthetic_road import CAMERA, Paint, road
@@ -95,18 +92,6 @@ def test_masked_parts_of_the_picture_are_not_looked_at() -> None:
     assert painted_share(view, image, shape, resolve_parameters(PARAMETERS, {}, 1))[0] > 0.9
 
 
-def test_a_line_is_looked_at_where_its_clothoid_lies_over_its_first_metres() -> None:
-    line = np.array([0.5, -0.05, 0.012, -0.0009])
-    rows, columns = _paint._rows_in_view(VIEW, line, 10, 10.0)
-    x = VIEW.x_m[rows]
-    y = 0.5 - 0.05 * x + 0.012 * x**2 / 2 - 0.0009 * x**3 / 6
-    assert np.abs(VIEW.y_m[columns] - y).max() <= 0.05 / 2 + 1e-9
-    # The nearest metres that the picture shows, not the nearest of the view.
-    seen = VIEW.valid[np.arange(len(VIEW.x_m)), VIEW.valid.shape[1] // 2]
-    assert x.min() == pytest.approx(VIEW.x_m[seen].min(), abs=0.5)
-    assert np.ptp(x) == pytest.approx(10.0, abs=0.11)
-
-
 def test_paint_half_a_metre_beside_a_line_is_not_its_own_and_does_not_hide_it() -> None:
     line, beside = Paint(1.8), Paint(2.3, grey=250)
     assert share(road([beside], noise=1), line)[0] < 0.1
@@ -120,21 +105,8 @@ def test_traces_between_bright_dashes_are_no_paint() -> None:
     assert share(image, trace, paint_share=0.05)[0] > 0.95
 
 
-def test_a_grey_level_more_in_the_dark_is_no_paint() -> None:
-    line = Paint(1.8)
-    is_paint = road([line], noise=0) == 225
-    assert share(np.where(is_paint, 3, 2).astype(np.uint8), line)[0] == 0
-    assert share(np.where(is_paint, 12, 2).astype(np.uint8), line)[0] > 0.95
-
-
 def test_paint_in_deep_shade_is_paint() -> None:
     line = Paint(1.8)
     image = road([line], noise=0)
     image[190:] = (image[190:] * 0.12).astype(np.uint8)
     assert share(image, line)[0] > 0.95
-
-
-@given(st.lists(st.floats(0, 3), min_size=1, max_size=40), st.sampled_from([0.5, 0.9]))
-def test_a_quantile_is_that_of_numpy(values, share):
-    ours = _paint._quantile(np.array(values), share)
-    assert ours == pytest.approx(np.quantile(values, share), rel=1e-12, abs=1e-300)

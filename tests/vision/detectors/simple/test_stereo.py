@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.types import BoolArray, InputError
+from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.detectors import ml, sl
-from egolane_pgm.vision.detectors.runner import collect, detect, find_detector, start
+from egolane_pgm.vision.detectors.runner import detect, find_detector, start
 from egolane_pgm.vision.detectors.simple import fit as _fit
 from egolane_pgm.vision.detectors.simple import plane as _plane
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
 from tests.kits.stereo_pairs import DRAWN, OFFSETS, PAIR, K, drawn, plane_of, settled
-from tests.kits.vehicles import Vehicle, car, lorry
+from tests.kits.vehicles import car, lorry
 
 pitches = st.floats(-8, 4)
 rolls = st.floats(-4, 4)
@@ -43,15 +39,6 @@ def test_the_disparity_of_the_road_is_that_of_its_projection_in_both_cameras(
     assert other_v == pytest.approx(v, abs=1e-6)
     expected = _plane.disparity_at(_plane.ground_plane(left), u, v)
     assert u - other_u == pytest.approx(expected, abs=1e-6)
-
-
-def test_a_level_camera_sees_a_disparity_that_grows_with_the_rows_below_the_horizon() -> None:
-    level = replace(PAIR, pitch_deg=0.0)
-    a, b, c = _plane.ground_plane(level)
-    # Z = h fy / (v - cy), d = B fx / Z.
-    assert a == pytest.approx(0)
-    assert b == pytest.approx(0.4 / 1.4 * level.fx / level.fy)
-    assert b * level.cy + c == pytest.approx(0)
 
 
 @given(pitches, rolls, heights)
@@ -101,16 +88,6 @@ def test_an_unsure_fit_says_so_and_keeps_the_calibrated_plane(kind: str) -> None
     assert np.array_equal(plane.abc, _plane.ground_plane(PAIR))
 
 
-def test_rows_nearer_than_the_view_are_not_matched() -> None:
-    camera = replace(PAIR, height=400)
-    pair = _stereo.make_pair(camera, settled())
-    after = pair.v[-1, 0] + 1.5 * pair.rows
-    assert after < camera.height - 40
-    for more_deg in (-2.5, 0, 2.5):
-        nodding = replace(camera, pitch_deg=camera.pitch_deg + more_deg)
-        assert image_to_road(nodding, camera.cx, after)[0] < settled()["x_min_m"]
-
-
 @pytest.mark.parametrize(("scale", "rows"), [(2, 4), (2, 1), (4, 4)])
 def test_the_plane_of_an_empty_road_is_the_cameras(scale: int, rows: int) -> None:
     camera = DRAWN
@@ -146,49 +123,6 @@ def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> Non
 
     assert worst() < 0.1
     assert worst() < worst(pitch_from="calibration")
-
-
-def _flank(one: Vehicle, pair: _stereo.Pair, low_m: float) -> BoolArray:
-    """Pixels (H, W) of the left flank of a vehicle from low_m above the road up."""
-    x = one.rear_m + np.array([0.0, one.length_m, one.length_m, 0.0])
-    z = np.array([low_m, low_m, one.height_m, one.height_m])
-    u, v = road_to_image(DRAWN, x, np.full(4, one.middle_m - one.width_m / 2), z)
-    points = np.stack([u, v], -1).astype(np.float32)
-    mask = np.zeros((DRAWN.height, DRAWN.width), dtype=np.uint8)
-    cv2.fillConvexPoly(mask, cv2.convexHull(points).astype(np.int32), 1)
-    rows, columns = pair.v.astype(int), pair.u.astype(int)
-    shown: BoolArray = mask[rows, columns] > 0
-    return shown
-
-
-def test_an_upright_vehicle_is_off_the_plane_and_the_road_is_on_it() -> None:
-    beside = lorry(6.0, 3.75)
-    parameters = settled()
-    pair, plane, disparity = plane_of(drawn(vehicles=(beside,)), DRAWN)
-    off = _stereo.off_plane(pair, disparity, plane, parameters)
-    flank = _flank(beside, pair, 0.55) & pair.looked
-    assert flank.sum() > 1000
-    assert off[flank].mean() > 0.95
-    # Left of the lorry there is nothing but road.
-    x, y = image_to_road(DRAWN, pair.u, pair.v)
-    with np.errstate(invalid="ignore"):
-        road = (y < 1) & (y > -8) & (x < 30) & pair.looked
-    assert road.sum() > 5000
-    assert off[road].mean() < 0.01
-
-
-def test_without_a_sure_plane_a_pitching_camera_keeps_its_road_and_loses_near_cars() -> None:
-    nodding = drawn(vehicles=(car(3.0, -3.75),), more_pitch_deg=1.5)
-    parameters = settled(plane_share=1.0)
-    pair, plane, disparity = plane_of(nodding, DRAWN, plane_share=1.0)
-    assert not plane.is_sure
-    off = _stereo.off_plane(pair, disparity, plane, parameters)
-    x, y = image_to_road(DRAWN, pair.u, pair.v)
-    with np.errstate(invalid="ignore"):
-        road = (y > -1) & (y < 3) & (x < 30) & pair.looked
-        flank = (y > -7) & (y < -5) & (x < 10) & pair.looked
-    assert off[road].mean() < 0.01
-    assert off[flank].mean() > 0.4
 
 
 def test_lines_on_flanks_are_dropped() -> None:
@@ -278,43 +212,3 @@ def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str
     with pytest.raises(InputError) as error:
         list(detect(detector, DRAWN, [Picture(7, left, other)]))
     assert str(error.value).startswith(f"detector: {name}: frame 7: {message}")
-
-
-@pytest.mark.parametrize("kind", ["black", "the same picture twice", "another place"])
-def test_a_second_camera_that_fails_in_mid_drive_is_told_of_once_and_the_lines_stay(
-    kind: str,
-) -> None:
-    two = sl.start(DRAWN, resolve_parameters(sl.PARAMETERS, {"unsure_after": 3}, 1))
-    one = ml.start(DRAWN, resolve_parameters(ml.PARAMETERS, {}, 1))
-    with warnings.catch_warnings(record=True) as said:
-        warnings.simplefilter("always")
-        for k in range(K, K + 8):
-            frame = drawn(k)
-            right = frame.right
-            bad = {
-                "black": np.zeros_like(right),
-                "the same picture twice": frame.image,
-                "another place": np.ascontiguousarray(right[:, ::-1]),
-            }
-            right = bad[kind] if k >= K + 3 else right
-            seen, alone = two(Picture(k, frame.image, right)), one(frame.picture)
-    assert [str(w.message)[:36] for w in said] == ["frame 25: no road plane found in 3 f"]
-    near, near_alone = (lines.offset_m[np.abs(lines.offset_m) < 5.5] for lines in (seen, alone))
-    assert len(near) == 3
-    assert near == pytest.approx(near_alone, abs=0.05)
-
-
-@pytest.mark.parametrize(
-    ("missing", "message"),
-    [(True, "the picture of the second camera is missing"), (False, "right: a picture of 656x")],
-)
-def test_a_drive_whose_second_picture_is_lost_in_the_middle_keeps_the_frames_before(
-    missing: bool, message: str
-) -> None:
-    pair, frame = drawn().picture, drawn(K + 1)
-    lost = Picture(K + 1, frame.image, None if missing else frame.right[:, ::2])
-    detector = find_detector("sl", {}, Path.cwd(), "detector")
-    kept = collect(detect(detector, DRAWN, [pair, lost, pair]), 10.0, "x")
-    assert kept.log is not None
-    assert len(kept.log) == 1
-    assert str(kept.stopped).startswith(f"detector: sl: frame 21: {message}")

@@ -10,7 +10,7 @@ from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
-from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover, without_streaks
+from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover
 from tests.kits.synthetic_road import Paint, road
 from tests.vision.detectors.simple.test_upright import CAMERA
 
@@ -43,20 +43,6 @@ def test_rain_is_streaky_in_colour_and_in_grey_unless_it_is_not_looked_for() -> 
     assert RAIN < streak_cover(image, DEFAULTS) <= NOISE
     assert RAIN < streak_cover(image[:, :, 2], DEFAULTS) <= NOISE
     assert streak_cover(image, resolve_parameters(FINDING, {"streak_width": 0}, 1)) <= RAIN
-
-
-def test_streaks_in_one_corner_are_not_rain() -> None:
-    image = road(camera=CAMERA)
-    image[:, :300] = rain(image, 2000)[:, :300]
-    assert streak_cover(image, DEFAULTS) <= RAIN
-
-
-def test_paint_nearby_stays_when_streaks_are_taken_out() -> None:
-    image = np.zeros((100, 200), dtype=np.uint8)
-    image[:, 20], image[:, 60:80] = 200, 200
-    parameters = resolve_parameters(FINDING, {"streak_width": 0.02}, 1)
-    opened = without_streaks(image, parameters)
-    assert np.flatnonzero(opened.any(axis=0)).tolist() == list(range(60, 80))
 
 
 @pytest.mark.parametrize("seed", range(3))

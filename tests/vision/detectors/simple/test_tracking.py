@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -98,19 +97,6 @@ def test_a_line_that_is_missed_by_chance_becomes_valid_and_a_flickering_one_hard
     assert validity(rng.random(1000) < 0.5).mean() < 0.1
     for hits in (1, 2, 3):
         assert not validity(np.arange(300) % (2 * hits) < hits).any()
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.booleans(), max_size=60), st.integers(1, 12), st.floats(0, 1), st.floats(0, 0.99)
-)
-def test_no_share_makes_a_line_valid_later_than_the_paper_does(
-    hits: list[bool], k: int, until: float, share: float
-) -> None:
-    given = {"lri_frames": k, "valid_until": until, "valid_share": share}
-    paper = validity([True, *hits], **given, valid_when="paper")
-    assert not np.any(paper & ~validity([True, *hits], **given))
-    np.testing.assert_array_equal(paper, validity([True, *hits], **{**given, "valid_share": 1.0}))
 
 
 def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
@@ -235,38 +221,6 @@ def test_a_line_close_beyond_another_bounds_no_lane_and_is_given_up() -> None:
     assert -4.1 in followed(rule, often)[-1].mean[:, 0].round(1)
 
 
-_LINE = st.tuples(
-    st.floats(-15, 15), st.floats(-0.3, 0.3), st.floats(-0.01, 0.01), st.floats(-1e-4, 1e-4)
-)
-
-
-@settings(max_examples=60, deadline=None)
-@given(
-    st.lists(st.lists(_LINE, max_size=6), min_size=1, max_size=30),
-    st.sampled_from(["line", "parabola", "clothoid"]),
-    st.integers(0, 2**32 - 1),
-)
-def test_whatever_is_found_the_tracks_stay_sound(
-    frames: list[list[tuple[float, float, float, float]]], curve: str, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    rule = made(curve=curve)
-    tracks = no_tracks(rule)
-    for found in frames:
-        cover = np.where(rng.random(len(found)) < 0.3, np.nan, rng.random(len(found)))
-        tracks = advance(tracks, rule, np.array(found).reshape(-1, 4), cover)
-        assert len(set(tracks.number.tolist())) == len(tracks) <= tracks.n_started
-        for values in (tracks.mean, tracks.covariance, tracks.motion):
-            assert np.isfinite(values).all()
-        assert (tracks.lri >= 1).all()
-        shapes = tracks.mean @ rule.at[:2].T
-        for k in range(len(tracks)):
-            others = np.delete(shapes, k, axis=0)
-            assert (np.abs(others - shapes[k]).mean(axis=1) >= 1.0 - 1e-9).all()
-        lines = lines_of(tracks, rule)
-        assert (np.diff(lines.offset_m) >= 0).all()
-
-
 def offset_of(tracks: Tracks, number: int) -> float:
     return float(tracks.mean[tracks.number == number][0, 0])
 
@@ -331,41 +285,3 @@ def test_the_covariance_is_that_of_the_kalman_filter() -> None:
     scale = np.sqrt(np.diag(right))
     np.testing.assert_allclose(two.covariance[0] / np.outer(scale, scale),
                                right / np.outer(scale, scale), atol=1e-6)  # fmt: skip
-
-
-def test_a_new_line_is_as_sure_as_its_detection_and_no_wider_than_it_may_wander() -> None:
-    for walk in (1e-6, 10.0):
-        rule = made(offset_walk_m=walk)
-        inverse = np.linalg.pinv(rule.at)
-        alone = np.sqrt(np.diag(inverse @ rule.noise @ inverse.T))
-        most = np.minimum(alone, 50 * np.sqrt(np.diag(rule.walk)))
-        np.testing.assert_allclose(np.sqrt(np.diag(rule.first)), most)
-
-
-def test_of_two_lines_in_one_place_the_valid_one_stays_however_young() -> None:
-    rule = made()
-    weak = followed(rule, [seen(at(-1.8))] * 6)[-1]
-    strong = followed(rule, [seen(at(-1.8))] * 10)[-1]
-    strong = replace(strong, number=np.array([2]))
-    both = {
-        f.name: np.concatenate([getattr(weak, f.name), getattr(strong, f.name)])
-        for f in fields(Tracks)
-        if f.name not in ("motion", "n_started")
-    }
-    tracks = advance(replace(strong, **both, n_started=2), rule, *NOTHING)
-    assert tracks.number.tolist() == [2]
-
-
-def test_a_line_beyond_one_that_is_seen_as_often_bounds_nothing_though_neither_is_valid() -> None:
-    tracks = followed(made(least_lane_m=2.8, tracks_apart_m=0.5), [seen(at(1.8, 3.2))] * 3)[-1]
-    assert tracks.mean[:, 0] == pytest.approx([1.8], abs=0.01)
-    assert not tracks.is_valid.any()
-
-
-def test_straight_lines_have_no_curvature_however_they_wander() -> None:
-    rng = np.random.default_rng(0)
-    frames = [
-        seen(np.array([[-1.8 + rng.normal(0, 0.2), rng.normal(0, 0.02), 0, 0]])) for _ in range(40)
-    ]
-    for tracks in followed(made(curve="line"), frames):
-        assert (tracks.mean[:, 2:] == 0).all()
