@@ -42,7 +42,6 @@ METRICS = (
     "probabilistic",
     "stability",
     "events",
-    "road",
     "bootstrap",
 )
 
