@@ -135,7 +135,7 @@ def test_what_does_not_go_with_a_map_is_refused(
     [
         lambda drive: ego.tune(drive, trials=2),
         lambda drive: ego.compare([drive]),
-        lambda drive: ego.learn(drive, unlabelled=True),
+        lambda drive: ego.learn(drive),
         lambda drive: list(filter_stream(ego.load_experiment(drive), ["{}"])),
     ],
     ids=["tune", "compare", "learn", "online"],
