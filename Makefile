@@ -6,7 +6,7 @@ ifneq ($(wildcard ../shared/data/rle),)
 export EGOLANE_DATA ?= $(abspath ../shared/data)
 endif
 
-.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera tuned maps benchmark cluster-demo clean
+.PHONY: run test check docs bench coverage dist notebooks paper graphs beyond camera tuned maps benchmark clean
 
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
@@ -97,11 +97,6 @@ beyond: .venv/.dev
 # recordings; the tracks of UAH-DriveSet are scored where EGOLANE_DATA/bench has them.
 benchmark: .venv/.dev
 	$(BIN)/python -m makers.benchmark
-
-# 400 simulated drives on one process, on two, and on a Dask cluster on this machine, one of whose
-# four workers is killed and one added; the summary is the same (some minutes).
-cluster-demo: .venv/.dev
-	$(BIN)/python -m tests.cluster_demo
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev

@@ -136,14 +136,3 @@ def test_a_rule_of_ones_own_says_that_it_looks_ahead(tmp_path: Path) -> None:
     why = "./mine.py: not causal, its mean is that of the whole recording"
     assert why in " ".join(ran.stdout.split())
     assert read_result(tmp_path / "out").run["why_not_causal"] == [why]
-
-
-def test_several_runs_side_by_side_say_it_in_a_narrow_column(tmp_path: Path) -> None:
-    one = write_drive(tmp_path / "a", 60, name="one")
-    two = write_drive(tmp_path / "b", 60, name="two", filter="smoothed", tuned_on="same_frames")
-    said = done("run", one, two, "--no-figures", "--wide", "--out", tmp_path / "out").stdout
-    table = said.split("\n\n")[0].splitlines()
-    rows = [[cell.strip() for cell in row.split("|")] for row in table]
-    last = {row[1]: row[-2] for row in rows if len(row) > 2}
-    assert last["one"] == "not tuned"
-    assert last["two"] == "in-sample, not causal (filter)"

@@ -12,8 +12,7 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.fleet import FleetDrive, drive_experiment, pooled, read_fleet, summary_rows
-from egolane_pgm.running import OneOfSeveral
+from egolane_pgm.fleet import drive_experiment, pooled, read_fleet
 from egolane_pgm.scoring.bootstrap import RESAMPLES, over_drives
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
@@ -150,16 +149,6 @@ def test_a_recording_that_changed_is_run_again(tmp_path: Path) -> None:
     assert were_there(fleet, tmp_path / "out") == 0
 
 
-def test_a_result_that_is_not_whole_is_made_again(tmp_path: Path) -> None:
-    fleet = fleet_of(tmp_path, 3)
-    ego.run(QUICKSTART, fleet=fleet, out=tmp_path / "out")
-    cut = tmp_path / "out" / "d0" / "beliefs.parquet"
-    cut.write_bytes(cut.read_bytes()[:-100])
-    (tmp_path / "out" / "d1" / "beliefs.parquet").unlink()
-    assert were_there(fleet, tmp_path / "out") == 1
-    assert were_there(fleet, tmp_path / "out") == 3
-
-
 def test_what_is_overridden_is_meant_for_the_drives(tmp_path: Path) -> None:
     write_drive(tmp_path / "drive")
     fleet = table(tmp_path, "name,recording,recording.frames\na,drive/lines.csv,\n")
@@ -268,42 +257,3 @@ def test_a_difference_over_drives_is_paired() -> None:
     assert interval is not None
     # Unpaired, twelve drives that differ as much as these overlap zero.
     assert 0 < interval[0] < difference < interval[1]
-
-
-def test_a_summary_has_each_number_once() -> None:
-    scores = {
-        "frames_scored": 10,
-        "warnings": ["a", "b"],
-        "lanes": [[1, 0, 2]],
-        "model": {"accuracy": 0.5, "intervals": {"accuracy": [0.4, 0.6]}, "confusion": [[1]]},
-    }
-    drives = [FleetDrive(f"drive {name}", name, {}, {"road": "A4"}, Path()) for name in "ab"]
-    finished = [
-        OneOfSeveral("a", Path("out/a"), None, None, scores, None, 1.0),
-        OneOfSeveral("b", Path("out/b"), None, "why"),
-    ]
-    good, bad = summary_rows(drives, finished)
-    assert good == {
-        "name": "a",
-        "tag.road": "A4",
-        "drive": "a",
-        "error": None,
-        "seconds": 1.0,
-        "result": "out/a",
-        "frames_scored": 10,
-        "warnings": 2,
-        "model.accuracy": 0.5,
-        "model.intervals.accuracy.low": 0.4,
-        "model.intervals.accuracy.high": 0.6,
-    }
-    assert bad == {
-        "name": "b",
-        "tag.road": "A4",
-        "drive": "b",
-        "error": "why",
-        "seconds": None,
-    }
-    everything, by_road = pooled([good, bad])
-    assert (everything.drives, everything.failed, everything.frames) == (2, 1, 10)
-    assert (by_road.tag, by_road.value, by_road.accuracy) == ("road", "A4", 0.5)
-    assert everything.interval is None

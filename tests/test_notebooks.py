@@ -84,13 +84,6 @@ def test_a_kept_notebook_says_nothing_of_the_machine_and_has_no_warnings(path: P
             assert not paths
 
 
-@of_each(NOTEBOOKS)
-def test_a_notebook_defines_no_algorithm(path: Path) -> None:
-    for cell in code(path):
-        if not cell.source.startswith("%%writefile"):
-            assert not re.search(r"^(class|def) ", cell.source, flags=re.M)
-
-
 def test_the_last_command_of_the_notebook_on_ones_own_graph_works_from_any_folder(
     recordings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -234,22 +234,14 @@ def frame(frame_id: object = 7, **line: object) -> str:
     ("text", "said"),
     [
         ("{", "message 3: is not JSON"),
-        ("[" * 100_000, "message 3: is not JSON"),
         ("[]", "message 3: needs keys and values"),
         ('{"frame_id": 7, "line": []}', "unknown key 'line' (did you mean 'lines'?)"),
         ('{"lines": []}', "message 3: frame_id: is missing, as is time_s"),
-        ('{"frame_id": true, "lines": []}', "message 3: frame_id: input should be a valid integer"),
-        (frame(10**40), "message 3: frame_id: input should be less than or equal to 9007"),
         ('{"frame_id": 7}', "message 3: lines: is missing"),
-        ('{"frame_id": 7, "lines": [1]}', "message 3: lines.0: needs keys and values"),
         (frame(ofset_m=1), "message 3: lines.0: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
         (frame(offset_m="x"), "message 3: lines.0.offset_m: input should be a valid number"),
-        (frame(is_valid=1), "message 3: lines.0.is_valid: input should be a valid boolean"),
         (frame(offset_m=None), "message 3: frame 7: line 1 is valid but its offset is nan"),
-        (frame(offset_m=float("nan")), "frame 7: line 1 is valid but its offset is nan"),
-        (frame(offset_m=float("-inf")), "frame 7: line 1 is valid but its offset is -inf"),
         (frame(6), "message 3: frame id 6 does not come after 6"),
-        (frame(2), "message 3: frame id 2 does not come after 6"),
     ],
 )
 def test_a_message_that_cannot_be_used_is_named(

@@ -118,13 +118,6 @@ def test_all_100_printed_scores_are_ours_truncated(
     assert differ == below
 
 
-def test_the_recovered_values_of_run_5_are_those_of_the_authors_code() -> None:
-    recovered = paper.load_published()[5]["recovered"]
-    assert "authors' code" in recovered["how"]
-    assert recovered["parameters"]["p4"] == 0.87309355
-    assert paper.parameters_for(paper.load_published()[5], "published")["p4"] == 0.873
-
-
 def test_the_missing_frame_of_run_6_is_held(recordings: Path) -> None:
     experiment = load_experiment(paper.paper_experiment(6))
     raw = read_topic(recordings / str(experiment.recording.path))
@@ -181,10 +174,7 @@ def test_runs_are_written_as_numbers_and_ranges(text: str, runs: list[int]) -> N
     [
         ("1-", "write numbers and ranges"),
         ("a", "write numbers and ranges"),
-        ("²", "write numbers and ranges"),
-        ("0", "the paper has runs 1 to 10"),
         ("5-11", "the paper has runs 1 to 10"),
-        ("1-99999999999", "the paper has runs 1 to 10"),
         ("5-3", "empty range"),
     ],
 )

@@ -14,7 +14,6 @@ from egolane_pgm.graphs.from_pgmpy import read_file
 from egolane_pgm.model import prepare_model
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.results import read_result
-from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused, short_drive, write_drive
 
 with quiet():
@@ -141,19 +140,13 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
     ("graph", "said"),
     [
         ("x = (", "g.py cannot be imported: SyntaxError"),
-        ("import nothing_of_that_name", "g.py cannot be imported: ModuleNotFoundError"),
         ("HIDDEN = OBSERVED = ()", "g.py does not define build, nor a pgmpy network at its top"),
         (PLAIN + "    b = network.copy()", "and has 2 pgmpy networks (network, b) at its top"),
-        (PLAIN.replace("network.add", "'no'.add"), "g.py cannot be imported: AttributeError: "),
         (PLAIN, "the graph does not say what it observes (OBSERVED), nor the evidence rule what"),
-        ("raise ValueError('on', 'two\\nlines')", "cannot be imported: ValueError: ('on', 'two"),
-        ("x = 1\n1 / 0", "g.py cannot be imported: ZeroDivisionError: division by zero (line 2)"),
         (GRAPH.replace("return declare", "declare"), "build() gave NoneType, not a pgmpy network"),
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
-        (GRAPH.replace("return declare", "return 3 #"), "build() gave int, not a pgmpy network"),
         (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),
         (GRAPH.replace('"Lane"', '"Line"'), "needs a hidden node Lane with 3 values, has none"),
-        (GRAPH.replace("stay =", "n_lanes = 2; stay ="), "Lane with 3 values, has 2"),
         (GRAPH + "    PARAMETERS = ('x',)", "PARAMETERS has 'x', which is no Parameter"),
     ],
 )  # fmt: skip
@@ -225,7 +218,6 @@ def test_a_file_that_an_override_names_is_found_from_where_one_stands(
         (RULE.replace("seen[:, 0]", "seen[:, 7]"), "r.py, line 6: IndexError"),
         (RULE.replace('"Seen"', '"Sen"'), "observed node Seen: the evidence has nothing for it"),
         (RULE.replace("return", "seen[3] = -1; return"), "frame 3 has a negative or NaN value"),
-        (RULE.replace("n_lanes))", "2))"), "r.py: evidence for Seen: shape (20, 2)"),
         ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "the graph observes Seen, the evidence"),
     ],
 )  # fmt: skip
@@ -324,10 +316,3 @@ def test_a_defect_of_the_package_is_not_taken_for_a_users_mistake(
     monkeypatch.setattr("egolane_pgm.evidence.counting.evidence", lambda *a, **k: 1 // 0)
     with pytest.raises(ZeroDivisionError):
         done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-
-
-def test_names_that_are_none_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="here: unknown name '_parameters'"):
-        load_plugin("graphs", "_parameters", tmp_path, "here")
-    with pytest.raises(InputError, match=r"here: no file .*none\.py"):
-        load_plugin("graphs", "none.py", tmp_path, "here")

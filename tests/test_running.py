@@ -273,14 +273,6 @@ def test_a_result_is_kept_where_its_figures_cannot_be_drawn(
     assert not (out / "figures").exists()
 
 
-KILLS = """
-import os, signal
-from egolane_pgm.evidence.counting import *
-def evidence(*given, **named):
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
 @pytest.fixture
 def experiments(tmp_path):
     """Three simulated drives and one whose recording is not there."""
@@ -341,34 +333,12 @@ def test_two_runs_of_one_name_are_refused_before_anything_is_run(experiments, tm
     assert not out.exists()
 
 
-def test_a_process_that_dies_leaves_the_results_of_the_others(experiments, tmp_path):
-    (tmp_path / "kills.py").write_text(KILLS)
-    last = Path(experiments[3])
-    last.write_text(last.read_text() + "evidence: ./kills.py\n")
-    plan = tasks([experiments[k] for k in (0, 2, 3)], tmp_path / "out")
-    done = list(run_many.run_all(plan, jobs=2))
-    assert len(done) == 3
-    assert done[2].error == "its process, or one beside it, died (killed, or out of memory?)"
-    for outcome in done:
-        assert (outcome.error is None) == (outcome.scores is not None)
-        if outcome.error is None:
-            assert is_result(outcome.directory)
-
-
 def test_what_nobody_foresaw_in_one_run_is_listed_by_its_kind(experiments, tmp_path):
     def breaks(experiment, **options):
         raise ZeroDivisionError("no lanes\nat all")
 
     (outcome,) = run_many.run_all(tasks(experiments[:1], tmp_path / "out"), breaks)
     assert outcome.error == "ZeroDivisionError: no lanes at all"
-
-
-def test_a_folder_that_is_in_the_way_is_refused_before_anything_is_run(experiments, tmp_path):
-    taken = tmp_path / "out" / "drive0"
-    taken.mkdir(parents=True)
-    (taken / "thesis.txt").write_text("mine")
-    with pytest.raises(InputError, match="exists and is not a result directory"):
-        tasks(experiments, tmp_path / "out")
 
 
 def test_a_smoothed_run_is_the_smoother_and_says_that_it_is_not_causal(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from egolane_pgm.results import Result, read_result
 from egolane_pgm.running import LEFT_OUT, run_experiment, run_in_parts
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
-from tests.kits.drives import contents, done, refused, short_drive, write_drive
+from tests.kits.drives import done, refused, short_drive, write_drive
 
 ROOT = Path(__file__).parents[1]
 GAPS = (20, 21, 22, 60)
@@ -230,23 +230,6 @@ def test_beliefs_are_not_all_held(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     peak(200)
     # The evidence and the beliefs of a frame have 72 numbers of eight bytes, 1.4 MB in 2,400.
     assert peak(3200) - peak(800) < 700_000
-
-
-def test_a_run_that_is_stopped_leaves_nothing(tmp_path: Path, small_parts: None) -> None:
-    path = write_drive(tmp_path)
-    before = contents(tmp_path)
-    n_frames = 0
-
-    def stop(more: int) -> None:
-        nonlocal n_frames
-        n_frames += more
-        if n_frames > 60:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run_in_parts(load_experiment(path), tmp_path / "out", stop)
-    assert 60 < n_frames < 100
-    assert contents(tmp_path) == before
 
 
 def test_the_command_says_what_run_says(tmp_path: Path) -> None:

@@ -16,11 +16,13 @@ from functools import partial
 from pathlib import Path
 
 import psutil
+from distributed import LocalCluster
 
 import egolane_pgm as ego
 from egolane_pgm.tools.jobs import Jobs, in_order
 from tests.benchmarks.timing import machine
-from tests.cluster_demo import QUICKSTART, cluster, write_fleet
+
+QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
 
 FRAMES = 300
 
@@ -40,9 +42,15 @@ def fleet_lines() -> list[Line]:
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
         for n in _DRIVES:
-            write_fleet(folder / f"{n}.csv", n, FRAMES)
-        with cluster(4, folder) as (address, _, _):
-            ways: dict[str, Jobs] = {"one process": 1, "two processes": 2, "four workers": address}
+            rows = [f'{seed},"[0, {FRAMES}]"' for seed in range(n)]
+            table = "\n".join(["recording.seed,recording.frames", *rows]) + "\n"
+            (folder / f"{n}.csv").write_text(table)
+        with LocalCluster(4, threads_per_worker=1, dashboard_address=None) as cluster:
+            ways: dict[str, Jobs] = {
+                "one process": 1,
+                "two processes": 2,
+                "four workers": cluster.scheduler_address,
+            }
             return [
                 (
                     name,

@@ -6,10 +6,6 @@ import subprocess
 import sys
 from typing import Any
 
-import pytest
-
-needs_links = pytest.mark.skipif(sys.platform == "win32", reason="needs links and signals")
-
 
 def started(*words: object, first: str = "", **options: Any) -> subprocess.Popen[str]:
     """`egolane words...` begun. first: Python that runs before it; options: of Popen."""
@@ -21,10 +17,3 @@ def started(*words: object, first: str = "", **options: Any) -> subprocess.Popen
         [sys.executable, "-c", program, *map(str, words)],
         **{**pipes, "text": True, "start_new_session": True, **options},
     )
-
-
-def ended(*words: object, **options: Any) -> subprocess.CompletedProcess[str]:
-    """`egolane words...` when it has ended; as `started`."""
-    with started(*words, **options) as process:
-        out, error = process.communicate(timeout=120)
-    return subprocess.CompletedProcess(process.args, process.returncode, out, error)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,6 @@ from egolane_pgm.results import Result
 from egolane_pgm.running import run_experiment
 from tests.kits.browser import Opened, chromium, opened
 from tests.kits.drives import simulated
-
-#: Names that would run, or ask for something, if they were taken for HTML.
-NASTY = "</script><script>alert(1)</script><img src=x onerror=alert(2)>&amp;$$\\frac{1}{2}$$"
 
 
 @pytest.fixture(scope="module")
@@ -183,73 +179,6 @@ def test_a_telephone_shows_it_without_scrolling_sidewards(browser: Any, file: Pa
     tip = shown.page.locator("#tip").bounding_box()
     assert tip["x"] >= 0
     assert tip["x"] + tip["width"] <= 390
-
-
-#: The lowest contrast of any text of a page with what is behind it, by WCAG, and that text.
-CONTRAST = """() => {
-  const parts = text => text.match(/[\\d.]+/g).map(Number)
-  const over = (behind, [r, g, b, a = 1]) => behind.map((c, k) => c + a * ([r, g, b][k] - c))
-  const behind = element => element
-    ? over(behind(element.parentElement), parts(getComputedStyle(element).backgroundColor))
-    : [255, 255, 255]
-  const light = rgb => rgb.map(c => c / 255)
-    .map(c => c <= .04045 ? c / 12.92 : ((c + .055) / 1.055) ** 2.4)
-    .reduce((sum, c, k) => sum + c * [.2126, .7152, .0722][k], .05)
-  const has_text = e => [...e.childNodes].some(n => n.nodeType == 3 && n.data.trim())
-  return [...document.querySelectorAll("body *")]
-    .filter(e => has_text(e) && e.checkVisibility())
-    .map(e => [behind(e), e])
-    .map(([rgb, e]) => [light(rgb), light(over(rgb, parts(getComputedStyle(e).color))), e])
-    .map(([a, b, e]) => [Math.max(a, b) / Math.min(a, b), e.textContent])
-    .reduce((low, each) => each[0] < low[0] ? each : low)
-}"""
-
-
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_every_text_can_be_read(scheme: str, browser: Any, file: Path) -> None:
-    shown = opened(browser, file, color_scheme=scheme)
-    assert shown.errors == []
-    dark = (
-        shown.page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(23, 23, 23)"
-    )
-    assert dark == (scheme == "dark")
-    lowest, text = shown.page.evaluate(CONTRAST)
-    assert lowest >= 4.5, text
-
-
-def test_names_that_contain_html_are_text(browser: Any, result: Result, tmp_path: Path) -> None:
-    node = {NASTY if name == "SensorState" else name: b for name, b in result.marginals.items()}
-    nasty = replace(
-        result,
-        directory=Path(NASTY),
-        config={**result.config, "parameters": {NASTY: NASTY}, "graph": NASTY},
-        run={
-            **result.run,
-            "name": NASTY,
-            "warnings": [NASTY],
-            "tuned_on": NASTY,
-            "created": NASTY,
-            "data": [{"path": NASTY, "sha256": NASTY, "bytes": 1}],
-            "versions": {NASTY: NASTY},
-        },
-        marginals=node,
-        values={
-            NASTY if name == "SensorState" else name: (NASTY, "B") if name == "SensorState" else v
-            for name, v in result.values.items()
-        },
-        clip=np.array([NASTY] * len(result.frame_id)),
-    )
-    write_page([nasty, replace(nasty, directory=Path("other"))], tmp_path / "nasty.html")
-    shown = opened(browser, tmp_path / "nasty.html")
-    shown.page.mouse.move(*middle(shown))
-    settled(shown)
-    assert shown.page.locator("#tip").is_visible()
-    assert NASTY in shown.page.locator("#tip").inner_text()
-    assert shown.errors == []
-    assert len(shown.asked) == 1
-    assert shown.page.locator("img[src=x]").count() == 0
-    assert NASTY in shown.page.locator("h1, .lead").last.inner_text()
-    assert NASTY in shown.page.locator(".warnings").inner_text()
 
 
 def test_several_results_stand_on_one_axis(browser: Any, result: Result, tmp_path: Path) -> None:

@@ -158,17 +158,6 @@ def test_a_bad_file_stays_until_a_good_one_has_come(mirror: Mirror, tmp_path: Pa
     assert files_in(tmp_path) == CONTENT
 
 
-def test_a_file_that_the_mirror_lacks_is_said_in_one_line(mirror: Mirror, tmp_path: Path) -> None:
-    del mirror.content["gt.txt"]
-    outcomes = fetch(mirror.url, tmp_path)
-    (line,) = problems(outcomes)
-    assert line.startswith(
-        f"gt.txt: {mirror.url}/gt.txt: not downloaded to {tmp_path}/rle/gt.txt: "
-    )
-    assert "404 Client Error: Not Found" in line
-    assert set(files_in(tmp_path)) == {"one.bag", "two with space.bag"}
-
-
 def test_a_dead_network_is_said_in_one_line_for_all_files(mirror: Mirror, tmp_path: Path) -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))

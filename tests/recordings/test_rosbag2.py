@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import sqlite3
-import struct
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -14,10 +13,9 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
-from mcap.writer import CompressionType, IndexType, Writer
+from mcap.writer import Writer
 
-from egolane_pgm.drive import with_recording
-from egolane_pgm.experiment import Columns, experiments_folder, load_experiment
+from egolane_pgm.experiment import Columns
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
 from egolane_pgm.recordings.select import fill_missing, recording_warnings
@@ -161,34 +159,6 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
 
 
-def test_a_definition_in_idl_is_read(log: LineLog, tmp_path: Path) -> None:
-    rule = "=" * 80 + "\n"
-    line = (
-        f"{rule}IDL: road_layout_estimation/msg/MsgLineInfo\n"
-        "module road_layout_estimation { module msg { struct MsgLineInfo {"
-        " boolean is_valid; boolean continuous; int32 counter; float offset; }; }; };\n"
-    )
-    time = (
-        f"{rule}IDL: builtin_interfaces/msg/Time\nmodule builtin_interfaces {{ module msg {{"
-        " struct Time { int32 sec; uint32 nanosec; }; }; };\n"
-    )
-    header = (
-        f"{rule}IDL: std_msgs/msg/Header\nmodule std_msgs {{ module msg {{ struct Header {{"
-        " builtin_interfaces::msg::Time stamp; string frame_id; }; }; };\n"
-    )
-    lines = (
-        f"{rule}IDL: road_layout_estimation/msg/MsgLines\nmodule road_layout_estimation {{"
-        " module msg { struct MsgLines { std_msgs::msg::Header header; double number_of_lines;"
-        " double good_lines; double width; double naive_width; int64 way_id;"
-        " sequence<road_layout_estimation::msg::MsgLineInfo> lines; }; }; };\n"
-    )
-    for storage in ("SQLITE3", "MCAP"):
-        text = lines + line + header + time
-        bag = write_bag2(tmp_path / storage, log, storage=storage, text=text)
-        assert_same(read_lines(bag), log)
-        assert_same(read_lines(files_of(bag)[0]), log)
-
-
 def test_a_bag_without_definitions_is_read_by_the_published_ones(
     log: LineLog, tmp_path: Path
 ) -> None:
@@ -223,6 +193,27 @@ def test_a_topic_that_is_not_there_is_refused_with_those_that_are(
 # --- files that are not whole, or not of ROS 2 ---------------------------------------------------
 
 
+def without_metadata(path: Path, log: LineLog) -> None:
+    (write_bag2(path, log) / "metadata.yaml").unlink()
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "said"),
+    [
+        ("a.mcap", lambda path, _: path.touch(), "seems to be empty"),
+        ("a.mcap", lambda path, _: path.write_text("frame_id\n"), "File magic is invalid"),
+        ("a.db3", lambda path, _: path.touch(), "Cannot open database"),
+        ("bag", without_metadata, "Expected metadata file"),
+        ("bag", without_metadata, "or name the .mcap or .db3 in it"),
+    ],
+)
+def test_what_is_no_ros2_bag_is_refused(
+    log: LineLog, tmp_path: Path, name: str, make: Callable[[Path, LineLog], object], said: str
+) -> None:
+    make(tmp_path / name, log)
+    assert said in refused(tmp_path / name)
+
+
 def rewritten(mcap: Path, profile: str = "ros2", **options: Any) -> bytes:
     """The file as another program could have written it."""
     out = io.BytesIO()
@@ -238,87 +229,6 @@ def rewritten(mcap: Path, profile: str = "ros2", **options: Any) -> bytes:
             writer.add_message(ids[1], message.log_time, message.data, message.publish_time)
     writer.finish()
     return out.getvalue()
-
-
-@pytest.mark.parametrize("chunks", [True, False])
-@pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
-def test_an_mcap_file_of_another_writer_is_read(
-    log: LineLog, mcap: Path, tmp_path: Path, chunks: bool, compression: str
-) -> None:
-    packed = CompressionType[compression]
-    nothing: dict[str, Any] = {
-        "index_types": IndexType.NONE,
-        "repeat_channels": False,
-        "repeat_schemas": False,
-        "use_statistics": False,
-        "use_summary_offsets": False,
-    }
-    for options in ({}, nothing):
-        file = tmp_path / "a.mcap"
-        whole = rewritten(mcap, use_chunking=chunks, chunk_size=1000, compression=packed, **options)
-        file.write_bytes(whole)
-        assert_same(read_lines(file), log)
-
-
-def test_a_bag_that_says_it_has_more_messages_is_warned_of(
-    log: LineLog, mcap: Path, tmp_path: Path
-) -> None:
-    said = f"{len(log)} messages were read of the 99 that it says are on {TOPICS[0]}"
-    bag = write_bag2(tmp_path / "bag", log)
-    meta = (bag / "metadata.yaml").read_text()
-    (bag / "metadata.yaml").write_text(meta.replace(f"count: {len(log)}", "count: 99"))
-    assert said in warned(bag)[1]
-    # An MCAP file counts the messages of each channel, and its index says where they are.
-    whole = rewritten(mcap, chunk_size=1000)
-    (tmp_path / "a.mcap").write_bytes(without_a_chunk(whole))
-    found, warning = warned(tmp_path / "a.mcap")
-    assert 0 < len(found) < len(log)
-    assert f"{len(found)} messages were read of the {len(log)} that it says" in warning
-
-
-def without_a_chunk(whole: bytes) -> bytes:
-    """An MCAP file whose index of a chunk names another channel."""
-    summary = SeekingReader(io.BytesIO(whole)).get_summary()
-    assert summary is not None
-    chunk = summary.chunk_indexes[2]
-    at = whole.rindex(struct.pack("<QQ", chunk.chunk_start_offset, chunk.chunk_length))
-    return whole[: at + 20] + b"\x77" + whole[at + 21 :]
-
-
-def test_a_chunk_whose_checksum_is_wrong_is_refused(mcap: Path, tmp_path: Path) -> None:
-    whole = bytearray(rewritten(mcap, chunk_size=1000, compression=CompressionType.NONE))
-    whole[len(whole) // 2] ^= 255
-    (tmp_path / "a.mcap").write_bytes(whole)
-    assert "Chunk checksum mismatch" in refused(tmp_path / "a.mcap")
-
-
-def without_metadata(path: Path, log: LineLog) -> None:
-    (write_bag2(path, log) / "metadata.yaml").unlink()
-
-
-def with_other_metadata(path: Path, log: LineLog) -> None:
-    (write_bag2(path, log) / "metadata.yaml").write_text("what: this is\n")
-
-
-@pytest.mark.parametrize(
-    ("name", "make", "said"),
-    [
-        ("a.mcap", lambda path, _: path.touch(), "seems to be empty"),
-        ("a.mcap", lambda path, _: path.write_text("frame_id\n"), "File magic is invalid"),
-        ("a.mcap", lambda path, _: path.write_text("frame_id\n"), "mcap recover"),
-        ("a.db3", lambda path, _: path.touch(), "Cannot open database"),
-        ("a.db3", lambda path, _: path.write_bytes(b"SQLite format 3\0" + b"?" * 200), "database"),
-        ("a.db3", lambda path, _: path.touch(), "ros2 bag reindex"),
-        ("bag", without_metadata, "Expected metadata file"),
-        ("bag", without_metadata, "or name the .mcap or .db3 in it"),
-        ("bag", with_other_metadata, "A metadata key is missing"),
-    ],
-)
-def test_what_is_no_ros2_bag_is_refused(
-    log: LineLog, tmp_path: Path, name: str, make: Callable[[Path, LineLog], object], said: str
-) -> None:
-    make(tmp_path / name, log)
-    assert said in refused(tmp_path / name)
 
 
 def test_an_mcap_file_of_cdr_of_another_profile_is_read(
@@ -354,14 +264,6 @@ def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(tmp_path: Path) -> No
 def test_a_bag_of_lines_has_no_positions(mcap: Path) -> None:
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(mcap)
-
-
-def test_a_topic_named_beside_a_recording_is_the_recordings(mcap: Path) -> None:
-    place = experiments_folder() / "zero_label.yaml"
-    chosen = load_experiment(place, ["recording.topic=/x", "recording.options={valid: always}"])
-    recording = with_recording(chosen, str(mcap), None, 4).recording
-    assert recording.topic == "/x"
-    assert recording.options == {"valid": "always"}
 
 
 def test_a_time_since_1970_is_printed_as_the_time_of_day() -> None:

@@ -165,17 +165,3 @@ def test_each_oddity_is_one_line_with_its_count_and_first_frame() -> None:
     assert "1 valid line(s) have an offset beyond 100 m, first in frame 5" in said[2]
     assert "1 frame(s) have more valid lines than the 3 of 2 lane(s), first frame 3" in said[3]
     assert not any("LRI" in line for line in recording_warnings(log, n_lanes=3, max_lri=99)[1:])
-
-
-def test_a_recording_without_any_valid_line_is_said() -> None:
-    log = make_log([1, 2])
-    blind = LineLog(
-        log.frame_id,
-        log.time_s,
-        log.offset_m,
-        np.zeros_like(log.is_valid),
-        log.is_continuous,
-        log.lri,
-    )
-    (line,) = recording_warnings(blind, n_lanes=3)
-    assert "not a single valid line in 2 frames" in line

@@ -72,8 +72,6 @@ def test_every_guess_is_marked_and_rate_gaps_and_spans_are_said(tmp_path: Path) 
         ({"left": OFFSETS[:, 2], "right": OFFSETS[:, 3]}, "not those of lines on both sides"),
         ({"x": OFFSETS[:, 2], "y": OFFSETS[:, 1]}, "no name is plainly that of an offset"),
         ({"lateral": OFFSETS[:, 2], "offset": OFFSETS[:, 2]}, "offset_m may be lateral or offset"),
-        ({"lateral": OFFSETS[:, 2]}, "the unit of offset_m is not plain"),
-        ({"lateral_m": OFFSETS[:, 2]}, "the data do not show whether"),
     ],
 )
 def test_what_is_not_plain_has_no_command(

@@ -2,24 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-import pyarrow as pa
 import pytest
 from matplotlib.figure import Figure
 
-from egolane_pgm.recordings import read_lines, write_lines
+from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
-    arrow_table,
-    atomic,
     plain,
     read_text,
     read_yaml,
@@ -30,13 +24,9 @@ from egolane_pgm.tools.files import (
 from egolane_pgm.types import InputError
 from egolane_pgm.views.style import write_figure
 from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
-from egolane_pgm.vision.camera.video import open_video
-from egolane_pgm.vision.camera.writing import video_writer, write_picture
-from tests.kits.drives import done
-from tests.kits.processes import needs_links
+from egolane_pgm.vision.camera.writing import write_picture
 
 DRIVE = simulate("quickstart", frames=60)
-OTHER = simulate("quickstart", seed=1, frames=300)
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, height_m=1.3)
 PICTURE = np.full((48, 64, 3), 7, dtype=np.uint8)
 
@@ -54,26 +44,7 @@ WRITERS: dict[str, Callable[[Path], object]] = {
 }
 
 
-@pytest.fixture
-def umask() -> Iterator[Callable[[int], int]]:
-    before = os.umask(0o022)
-    os.umask(before)
-    yield os.umask
-    os.umask(before)
-
-
 # --- one way to write a file -------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("name", WRITERS)
-def test_every_writer_keeps_the_umask_and_leaves_only_its_file(
-    tmp_path: Path, umask: Callable[[int], int], name: str
-) -> None:
-    for mask, mode in ((0o022, 0o644), (0o077, 0o600), (0o002, 0o664)):
-        umask(mask)
-        WRITERS[name](tmp_path / name)
-        assert stat.S_IMODE((tmp_path / name).stat().st_mode) == mode
-    assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
 @pytest.mark.parametrize("name", WRITERS)
@@ -92,51 +63,13 @@ def test_a_writer_that_fails_leaves_what_was_there(
     assert [p.name for p in tmp_path.iterdir()] == [name]
 
 
-def test_a_name_with_a_colon_is_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("run:1").mkdir()
-    for ending in ("csv", "parquet", "bag"):
-        for place in (f"drive:2.{ending}", f"run:1/drive.{ending}"):
-            done("simulate", "--out", "here", "--frames", 60)
-            write_lines(place, read_lines("here/lines.csv"))
-            assert len(read_lines(place)) == 60
-    with video_writer(Path("run:1/a:b.mp4"), 10, (64, 48)) as write:
-        write(PICTURE)
-    video = open_video(Path("run:1/a:b.mp4"))
-    assert video.grab()
-    video.release()
-    write_picture(Path("a:b.png"), PICTURE)
-    assert (cv2.imread("a:b.png") == PICTURE).all()
-    done("run", "here/experiment.yaml", "--no-figures", "--out", "run:1/out:1")
-    assert "run:1/out:1" in done("plot", "run:1/out:1").stdout
-
-
-def test_an_interrupted_writer_leaves_nothing(tmp_path: Path) -> None:
-    def interrupted() -> None:
-        with atomic(tmp_path / "a.txt") as temporary:
-            temporary.write_text("half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_file_with_the_longest_name_can_be_written(tmp_path: Path) -> None:
-    path = tmp_path / ("x" * 250 + ".json")
-    write_json(path, {})
-    assert path.is_file()
-
-
 def test_the_files_of_a_directory_are_replaced_all_or_none(
-    tmp_path: Path, umask: Callable[[int], int], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
 ) -> None:
     place = tmp_path / "result"
-    umask(0o027)
     for text in ("one", "two"):
         with staged_directory(place) as folder:
             (folder / "a").write_text(text)
-    assert stat.S_IMODE(place.stat().st_mode) == 0o750
 
     def fails() -> None:
         with staged_directory(place) as folder:
@@ -148,18 +81,6 @@ def test_the_files_of_a_directory_are_replaced_all_or_none(
     assert str(caught.value) == f"{place / 'a'}: is wrong"
     assert (place / "a").read_text() == "two"
     assert [p.name for p in tmp_path.iterdir()] == ["result"]
-
-
-@needs_links
-def test_what_a_link_leads_to_is_replaced_and_the_link_stays(tmp_path: Path) -> None:
-    (tmp_path / "disk").mkdir()
-    (tmp_path / "result").symlink_to(tmp_path / "disk" / "r")
-    (tmp_path / "disk" / "r").mkdir()
-    with staged_directory(tmp_path / "result") as folder:
-        (folder / "a").write_text("new")
-    assert (tmp_path / "result").is_symlink()
-    assert (tmp_path / "disk" / "r" / "a").read_text() == "new"
-    assert sorted(p.name for p in tmp_path.rglob("*")) == ["a", "disk", "r", "result"]
 
 
 # --- one way to read text and YAML -------------------------------------------------------------
@@ -179,9 +100,7 @@ def test_a_text_is_read_without_the_mark_before_it(tmp_path: Path) -> None:
     ("content", "said"),
     [
         (b"a: [1", "is not YAML: "),
-        (b"[" * 3000, "is not YAML: it is nested too deeply"),
         (b"- 1", "needs keys and values, e.g. 'n_lanes: 4'"),
-        (b"", "needs keys and values, e.g. 'n_lanes: 4'"),
         (b"\xff\xfe\x00", "cannot be read: is not text in UTF-8"),
     ],
 )
@@ -197,7 +116,6 @@ def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said
     ("content", "said"),
     [
         ("n_lanes: 3\na: 1\nn_lanes: 4\n", "line 3: key 'n_lanes' was given in line 1"),
-        ("a: {x: 1, x: 1}", "line 1: key 'x' was given in line 1"),
         (
             "a:\n  x: 1\n  'x': 2\nb:\n- {y: 1}\n- y: 1\n  y: 2\nb: 3\n",
             "line 3: key 'x' was given in line 2",
@@ -218,30 +136,6 @@ def test_what_is_wrong_with_a_yaml_is_named_by_its_line(
     with pytest.raises(InputError) as caught:
         read_yaml(path, "n_lanes: 4")
     assert str(caught.value) == f"{path}: {said}"
-
-
-def test_arrays_become_the_columns_that_pyarrow_makes_of_them() -> None:
-    rng = np.random.default_rng(0)
-    hidden = rng.random(13) < 0.3
-    columns = {
-        "whole": rng.integers(-5, 5, 13),
-        "real": rng.random(13),
-        "flags": rng.random(13) < 0.5,
-        "every other": np.arange(26)[::2],
-        "words": np.array(["a", "Ö"] * 6 + [""]),
-    }
-    masked = {
-        f"masked {name}": np.ma.masked_array(columns[name], hidden) for name in list(columns)[:4]
-    }
-    made = arrow_table({**columns, **masked, "none masked": np.ma.masked_array(np.arange(13))})
-    made.validate(full=True)
-    for name, values in columns.items():
-        assert made[name].combine_chunks().equals(pa.array(values))
-        if name != "words":
-            expected = pa.array(values, mask=hidden)
-            assert made[f"masked {name}"].combine_chunks().equals(expected)
-    assert made["none masked"].to_pylist() == list(range(13))
-    assert len(arrow_table({"none": np.zeros(0, dtype=bool)})) == 0
 
 
 def test_what_is_stored_is_plain() -> None:

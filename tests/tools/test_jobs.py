@@ -3,7 +3,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import threading
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -14,7 +13,6 @@ import pytest
 from egolane_pgm.tools import jobs as module
 from egolane_pgm.tools.jobs import Jobs, in_order
 from egolane_pgm.types import InputError
-from tests.cluster_demo import cluster, start_worker
 
 
 def ten_times(k: int) -> int:
@@ -54,11 +52,11 @@ def where(_: int) -> str:
 
 
 @pytest.fixture(scope="module")
-def dask(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+def dask() -> Iterator[str]:
     """The address of a cluster of two workers."""
-    pytest.importorskip("distributed")
-    with cluster(2, tmp_path_factory.mktemp("cluster")) as (address, _, _):
-        yield address
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(2, threads_per_worker=1, dashboard_address=None) as cluster:
+        yield cluster.scheduler_address
 
 
 @pytest.fixture(params=["one process", "two processes", "Dask"])
@@ -118,17 +116,6 @@ def test_relative_names_mean_on_a_worker_what_they_mean_here(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert list(in_order(where, range(2), dask)) == [str(tmp_path)] * 2
-
-
-def test_a_cluster_waits_for_a_late_worker_and_misses_its_scheduler(tmp_path: Path) -> None:
-    pytest.importorskip("distributed")
-    with cluster(0, tmp_path) as (address, scheduler, workers):
-        threading.Timer(0.5, lambda: workers.append(start_worker(tmp_path))).start()
-        answers = in_order(partial(leave_a_file, tmp_path), range(1000), address)
-        assert [next(answers), next(answers)] == [0, 1]
-        scheduler.kill()
-        with pytest.raises(InputError, match=f"{address}: the connection to the scheduler is lost"):
-            list(answers)
 
 
 @pytest.mark.parametrize("address", ["nowhere", "local:none"])

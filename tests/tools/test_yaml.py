@@ -15,9 +15,7 @@ from egolane_pgm.types import InputError
     ("text", "said"),
     [
         ("a: !!python/object:os.system x", "line 1: could not determine a constructor for the tag"),
-        ("[" * 900, "it is nested too deeply"),
         ("? [1]\n: 2", "line 1: found unhashable key"),
-        ("<<: 3", "line 1: expected a mapping or list of mappings for merging, but found scalar"),
         ("a: *b", "line 1: found undefined alias 'b'"),
     ],
 )

@@ -214,34 +214,6 @@ def test_frames_that_are_not_fitted_on_do_not_save_a_lane(why: str) -> None:
     assert "left to fit on" not in note
 
 
-def test_a_lane_that_is_only_crossed_in_a_block_does_not_occur_in_it() -> None:
-    n_frames = len(problem().drives[0])
-    lane = np.where(np.arange(n_frames) // 10 % 2, 1, 2)
-    crossing = np.zeros(n_frames, dtype=bool)
-    parts = blocks(n_frames, BLOCKS)
-    for part in parts:
-        lane[part[:9]] = 3
-    crossing[parts[4][:9]] = True
-    [note] = lacking(labelled(lane, crossing))
-    assert note == f"1 of {BLOCKS} blocks lack a lane that is driven (5)"
-
-
-def test_a_drive_too_short_for_an_interval_has_none() -> None:
-    drive = problem().drives[0]
-    keep = np.zeros(len(drive), dtype=bool)
-    keep[:400] = True
-    belief = beliefs_at(problem(), current(problem()))
-    scores = assess([drive], belief, [keep])
-    assert scores["intervals"]["accuracy"] is None
-    assert 0 < scores["accuracy"] <= 1
-
-
-@pytest.mark.parametrize("n_blocks", [2, 60])
-def test_blocks_that_lack_lanes_are_one_note(n_blocks: int) -> None:
-    [note] = lacking(problem(blocks=n_blocks))
-    assert f" of {n_blocks} blocks lack a lane" in note
-
-
 def two_drives(parts: tuple[tuple[int, ...], ...] = (), **options: Any) -> Plan:
     """Two drives that are searched on together; with parts those of a fleet."""
     one = plan(**options)

@@ -15,7 +15,6 @@ from optuna.distributions import (
     FloatDistribution,
     IntDistribution,
 )
-from optuna.storages import RetryHeartbeatStaleTrialCallback
 from optuna.trial import TrialState
 
 from egolane_pgm.tuning import Shade
@@ -23,15 +22,6 @@ from egolane_pgm.tuning import sampler as evolution
 from egolane_pgm.tuning.sampler import MEMBERS, from_unit, to_unit
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-
-
-def test_a_population_that_stands_still_is_drawn_anew() -> None:
-    population = evolution.empty(2)
-    for _ in range(evolution.PATIENCE + 1):
-        children = evolution.propose(population, 0)
-        population = evolution.select(population, children, np.zeros(len(children.units)), 0)
-    assert not np.isfinite(population.values).any()
-    assert population.generation == evolution.PATIENCE + 1
 
 
 def test_children_stay_in_the_cube_and_a_child_as_good_takes_its_parents_place() -> None:
@@ -106,27 +96,6 @@ def test_a_trial_that_fails_is_not_proposed_for_ever() -> None:
     assert TrialState.FAIL in states
     assert study.best_value < 0.01
     assert len({t.params["x"] for t in study.trials}) > 190
-
-
-@pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
-def test_a_repeated_trial_keeps_the_place_of_the_one_that_failed() -> None:
-    space: dict[str, BaseDistribution] = {"x": FloatDistribution(0, 1)}
-
-    def run(failing: set[int]) -> list[float]:
-        def objective(trial: optuna.Trial) -> float:
-            x = trial.suggest_float("x", 0, 1)
-            if trial.number in failing:
-                raise ValueError
-            return round(abs(x - 0.3), 2)
-
-        study = optuna.create_study(sampler=Shade(seed=2, search_space=space))
-        while len(study.get_trials(states=(TrialState.COMPLETE,))) < 120:
-            study.optimize(objective, n_trials=1, catch=(ValueError,))
-            if study.trials[-1].state == TrialState.FAIL:
-                RetryHeartbeatStaleTrialCallback()(study, study.trials[-1])
-        return [t.params["x"] for t in study.get_trials(states=(TrialState.COMPLETE,))]
-
-    assert run({3, 4, 29, 31, 90}) == run(set())
 
 
 def test_threads_of_one_study_do_not_disturb_each_other() -> None:

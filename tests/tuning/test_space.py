@@ -7,14 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
 from egolane_pgm.parameters import Parameter, held_fixed, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
-from egolane_pgm.tuning.sampler import to_unit
 from egolane_pgm.tuning.space import (
     SearchSpace,
     describe,
@@ -34,17 +31,6 @@ CURRENT = resolve_parameters(SPECS, {}, 3)
 
 def space(**given: Any) -> SearchSpace:
     return make_space(SPECS, CURRENT, given, 3, "x.yaml: tuning.parameters")
-
-
-def test_the_authors_ranges_are_the_default() -> None:
-    ranges = describe(space())["searched"]
-    assert set(ranges) == {"sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"}
-    assert 0 < ranges["sigma1"][0] < 1e-4
-    assert ranges["sigma1"][1] == 3
-    assert 0 < ranges["p1"][0] < 1e-5
-    assert 1 - 1e-5 < ranges["p1"][1] < 1
-    assert ranges["bonus_value"] == [0, 9]
-    assert {d.key for d in space().dimensions if d.is_integer} == {"bonus_value"}
 
 
 PAPER = {"sigma1", "sigma2", "p1", "p2", "p3", "p4"}
@@ -198,15 +184,6 @@ def test_bounds_that_make_no_sense_are_refused_with_their_name(
         space(**given)
     assert str(caught.value).startswith("x.yaml: tuning.parameters")
     assert "\n" not in str(caught.value)
-
-
-@given(st.lists(st.floats(0, 1), min_size=8, max_size=8))
-def test_points_and_the_unit_cube_agree(unit: list[float]) -> None:
-    found = space(lane_width_m=[3.0, 4.0])
-    point = points_at(found, np.array([unit]))[0]
-    again = [to_unit(d, point[key]) for key, d in distributions(found).items()]
-    assert points_at(found, np.array([again]))[0] == pytest.approx(point, abs=1e-12)
-    assert to_point(found, to_parameters(found, point)) == point
 
 
 def test_a_point_outside_of_the_bounds_is_none() -> None:

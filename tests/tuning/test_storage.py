@@ -2,14 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import itertools
-import multiprocessing
-import os
-import sqlite3
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +9,7 @@ import optuna
 import pytest
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
-from optuna.trial import TrialState
 
-from egolane_pgm.tuning import storage as module
 from egolane_pgm.tuning.search import Settings, n_complete, search, search_in_memory
 from egolane_pgm.tuning.storage import (
     JOURNAL_NAME,
@@ -56,37 +46,6 @@ def test_a_study_goes_on_to_a_larger_total_as_if_it_had_not_stopped(place: Path 
     assert told(study_in(place).trials) == whole
 
 
-FULL = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-
-@pytest.mark.parametrize("step", ["create_new_trial", "set_trial_param", "set_trial_state_values"])
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), FULL], ids=["Ctrl-C", "full disk"])
-def test_wherever_a_search_is_stopped_it_says_so_and_goes_on_with_what_was_complete(
-    place: Path | str, step: str, error: BaseException, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    study = study_in(place)
-    original = getattr(study._storage, step)
-    calls = itertools.count()
-
-    def stopped(*given: Any, **named: Any) -> Any:
-        if next(calls) >= 21:
-            raise error
-        return original(*given, **named)
-
-    monkeypatch.setattr(study._storage, step, stopped)
-    with pytest.raises((KeyboardInterrupt, InputError)) as caught, storage_errors(None):
-        search(study, SPACE, bowl, settings(40))
-    assert (caught.type is InputError) == (error is FULL)
-    assert error is not FULL or "No space left" in str(caught.value)
-    assert error is not FULL or "; complete trials are kept" in str(caught.value)
-    before = told(study_in(place).get_trials(states=(TrialState.COMPLETE,)))
-    assert len(before) > 5
-    search(study_in(place), SPACE, bowl, settings(40))
-    done = study_in(place).get_trials(states=(TrialState.COMPLETE,))
-    assert told(done)[: len(before)] == before
-    assert len(done) == 40
-
-
 def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
     search(study_in(tmp_path), SPACE, bowl, settings(20))
     journal = JournalStorage(JournalFileBackend(str(tmp_path / JOURNAL_NAME)))
@@ -110,62 +69,6 @@ def test_known_points_are_tried_once_however_often_a_study_is_opened(tmp_path: P
     assert made.best_trial.number == 0
 
 
-def share(place: Path | str, worker: int, trials: int, begin: Any) -> None:
-    def slow(point: Any) -> list[float]:
-        time.sleep(0.01)
-        return bowl(point)
-
-    begin.wait()
-    search(study_in(place), SPACE, slow, settings(trials), worker=worker)
-
-
-def test_processes_share_a_study(place: Path | str) -> None:
-    study_in(place)
-    context = multiprocessing.get_context("spawn")
-    begin = context.Barrier(2)
-    workers = [context.Process(target=share, args=(place, k, 40, begin)) for k in range(2)]
-    for process in workers:
-        process.start()
-    for process in workers:
-        process.join()
-        assert process.exitcode == 0
-    trials = study_in(place).trials
-    assert 40 <= len(trials) <= 41
-    assert all(t.state == TrialState.COMPLETE for t in trials)
-    points = [tuple(t.params.values()) for t in trials]
-    assert len(points) == len(set(points))
-    # Both were at work at the same time.
-    starts = sorted((t.datetime_start, t.datetime_complete) for t in trials)
-    assert any(b[0] < a[1] for a, b in itertools.pairwise(starts))
-
-
-def test_what_a_killed_worker_was_at_is_tried_again_by_another(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    place = f"sqlite:///{tmp_path}/study.db"
-    code = (
-        "import time\n"
-        "from tests.tuning.test_storage import *\n"
-        "module.HEARTBEAT_S = 1\n"
-        "search(study_in({!r}), SPACE, lambda p: time.sleep(60) or [0.0], settings(9))\n"
-    )
-    study = study_in(place)
-    with subprocess.Popen([sys.executable, "-c", code.format(place)]) as worker:
-        deadline = time.monotonic() + 60
-        while not any(len(t.params) == 3 for t in study.trials) and time.monotonic() < deadline:
-            time.sleep(0.1)
-        time.sleep(1.5)
-        worker.kill()
-    time.sleep(2.5)
-    monkeypatch.setattr(module, "HEARTBEAT_S", 1)
-    monkeypatch.setattr(module, "GRACE_S", 2)
-    search(study_in(place), SPACE, bowl, settings(9))
-    first, *others = study_in(place).trials
-    assert first.state == TrialState.FAIL
-    assert [t.params for t in others].count(first.params) == 1
-    assert n_complete(study) == 9
-
-
 def test_a_file_that_is_no_journal_or_database_is_one_clear_line(tmp_path: Path) -> None:
     for name in (JOURNAL_NAME, "study.db"):
         (tmp_path / name).write_text("this is no database\n" * 100)
@@ -173,19 +76,6 @@ def test_a_file_that_is_no_journal_or_database_is_one_clear_line(tmp_path: Path)
         open_storage(None, tmp_path)
     with pytest.raises(InputError, match="file is not a database"):
         open_storage(f"sqlite:///{tmp_path}/study.db", tmp_path)
-
-
-@pytest.mark.parametrize("damage", [b"{half\n", b'{"op_code":5}\n', b"[]\n", b"\xff\n"])
-def test_a_damaged_line_of_a_journal_is_one_clear_line(tmp_path: Path, damage: bytes) -> None:
-    search(study_in(tmp_path), SPACE, bowl, settings(5))
-    journal = tmp_path / JOURNAL_NAME
-    lines = journal.read_bytes().splitlines(keepends=True)
-    lines[20] = damage
-    journal.write_bytes(b"".join(lines))
-    with pytest.raises(InputError, match=r"study\.journal: cannot be used as Optuna's") as caught:
-        study_in(tmp_path)
-    assert "\n" not in str(caught.value)
-    assert journal.read_bytes() == b"".join(lines)
 
 
 def test_the_half_line_of_a_process_that_was_killed_is_cut_off(tmp_path: Path) -> None:
@@ -208,19 +98,6 @@ def test_a_storage_that_cannot_be_opened_is_one_clear_line(address: str, tmp_pat
 def test_a_database_without_its_driver_says_what_to_install(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"needs the package oracledb: pip install oracledb"):
         open_storage("oracle+oracledb://h/d", tmp_path)
-
-
-def test_a_database_that_is_locked_is_one_clear_line(tmp_path: Path) -> None:
-    place = f"sqlite:///{tmp_path}/study.db?timeout=0.1"
-    study = study_in(place)
-    other = sqlite3.connect(tmp_path / "study.db", isolation_level=None)
-    other.execute("BEGIN EXCLUSIVE")
-    with pytest.raises(InputError, match="database is locked"), storage_errors(place):
-        search(study, SPACE, bowl, settings(9))
-    other.execute("ROLLBACK")
-    other.close()
-    search(study_in(place), SPACE, bowl, settings(9))
-    assert n_complete(study) == 9
 
 
 def test_an_error_of_the_score_is_none_of_the_storage(tmp_path: Path) -> None:

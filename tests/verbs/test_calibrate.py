@@ -10,7 +10,7 @@ import pytest
 
 from egolane_pgm.vision.camera.model import read_camera
 from tests.kits.calibration_kit import TRUE, calibrate
-from tests.kits.drives import contents, refused
+from tests.kits.drives import refused
 
 
 def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_path):
@@ -60,14 +60,6 @@ def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     )  # fmt: skip
     assert done.exit_code == 2
     assert "the chessboards are 1280x720, the road's pictures 640x480" in done.output
-
-
-def test_what_calibrate_reads_is_not_written_over(stills: Path, tmp_path: Path) -> None:
-    still = stills / "0.png"
-    before = contents(stills)
-    said = refused("calibrate", "--lane-width", 3.7, "--stills", stills, "-o", still)
-    assert said == f"{still}: is read here; name another file"
-    assert contents(stills) == before
 
 
 @pytest.mark.parametrize("ignore", ["0,720,480,900", "1280,0,1300,90"])

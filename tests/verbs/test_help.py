@@ -9,7 +9,6 @@ from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner
 
 from egolane_pgm.command import COMMANDS, command_of, egolane
 from tests.kits.drives import done
@@ -37,11 +36,6 @@ def test_the_help_is_the_one_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> No
     if os.environ.get("EGOLANE_REMAKE_HELP"):
         HELP.write_text(shown)
     assert shown == HELP.read_text()
-
-
-def test_the_tab_key_completes_commands() -> None:
-    env = {"_EGOLANE_COMPLETE": "bash_complete", "COMP_WORDS": "egolane ru", "COMP_CWORD": "1"}
-    assert CliRunner().invoke(egolane, prog_name="egolane", env=env).stdout == "plain,run\n"
 
 
 def test_every_command_has_an_example_of_its_own() -> None:

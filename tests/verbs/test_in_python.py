@@ -9,7 +9,6 @@ import io
 import json
 import pickle
 import pydoc
-import warnings
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -139,14 +138,6 @@ def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
     assert data == {"text/plain": repr(run), "text/html": run._repr_html_()}
 
 
-@pytest.mark.parametrize(("progress", "is_shown"), [(None, False), (False, False), (True, True)])
-def test_a_bar_is_shown_where_it_is_wanted(
-    drive: Path, capsys: pytest.CaptureFixture[str], progress: bool | None, is_shown: bool
-) -> None:
-    ego.run([drive], progress=progress)
-    assert ("run/s]" in capsys.readouterr().err) is is_shown
-
-
 def test_a_saved_run_is_read_back_as_the_same_object(run: ego.Result, tmp_path: Path) -> None:
     again = ego.load_result(run.save(tmp_path / "run", figures=False))
     assert type(again) is type(run)
@@ -157,23 +148,6 @@ def test_a_saved_run_is_read_back_as_the_same_object(run: ego.Result, tmp_path: 
     np.testing.assert_array_equal(again.model.compiled.transition, run.model.compiled.transition)
     copy = again.save(tmp_path / "copy", figures=False)
     assert contents(copy) == contents(tmp_path / "run")
-
-
-def test_a_run_of_a_graph_of_ones_own_is_saved_and_read_with_it(tmp_path: Path) -> None:
-    own = QUICKSTART.parent.parent / "examples" / "own_files.yaml"
-    run = ego.run(own, overrides=SHORT)
-    first = ego.load_result(run.save(tmp_path / "one", figures=False))
-    again = ego.load_result(first.save(tmp_path / "two", figures=False))
-    assert Path(str(again.model.graph.__file__)).parent == tmp_path / "two"
-    assert contents(tmp_path / "one").keys() == contents(tmp_path / "two").keys()
-    assert pickle.loads(pickle.dumps(run)).model.parameters == run.model.parameters
-
-
-def test_results_can_be_pickled(run: ego.Result) -> None:
-    again = pickle.loads(pickle.dumps(run))
-    assert repr(again) == repr(run)
-    assert again.to_pandas().equals(run.to_pandas())
-    assert again.model.graph is run.model.graph
 
 
 # --- several runs --------------------------------------------------------------------------------
@@ -196,13 +170,6 @@ def test_several_runs_are_found_by_name_saved_and_read_together(
     saved = ego.load_result(runs.save(tmp_path / "several", figures=False))
     assert repr(saved) == repr(runs)
     assert saved.to_pandas().equals(runs.to_pandas())
-
-
-def test_experiments_may_be_given_as_their_keys() -> None:
-    keys = {"n_lanes": 4, "recording": {"simulate": "quickstart", "frames": [0, 100]}}
-    runs = ego.run([{**keys, "name": "one"}, {**keys, "name": "two", "filter": "exact"}])
-    assert [len(run) for run in runs] == [100, 100]
-    assert runs["two"].experiment.filter == "exact"
 
 
 def test_one_run_that_fails_does_not_stop_the_others(drive: Path, tmp_path: Path) -> None:
@@ -275,17 +242,6 @@ def test_a_saved_study_is_read_back(tuned: ego.Study, tmp_path: Path) -> None:
         tuned.save(tmp_path / "other")
 
 
-@pytest.mark.parametrize("figure", ["history", "profile", "importances"])
-def test_the_figures_of_a_study_are_drawn_outside_of_pyplot(tuned: ego.Study, figure: str) -> None:
-    before = pyplot.get_fignums()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert isinstance(tuned.plot(figure), Figure)
-    assert pyplot.get_fignums() == before
-    with pytest.raises(ego.InputError, match="figure: 'hystory' is not one of history, profile"):
-        tuned.plot("hystory")
-
-
 def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: Path) -> None:
     one = ego.load_experiment(QUICKSTART, SHORT)
     other = ego.load_experiment(one, {"name": "exact", "filter": "exact"})
@@ -308,15 +264,6 @@ def test_several_studies_are_found_by_name_and_go_on_where_they_were(tmp_path: P
     assert repr(ego.load_result(tmp_path)) == "Study('exact', 'quickstart')"
 
 
-def test_parameters_are_narrowed_and_fixed_by_a_dict(tmp_path: Path) -> None:
-    experiment = ego.load_experiment(QUICKSTART, SHORT)
-    only = {"p1": [0.6, 0.7], "bonus_value": 3}
-    found = ego.tune(experiment, trials=5, parameter=only, in_sample_only=True)
-    assert (found.save(tmp_path / "study") / "figures" / "history.png").is_file()
-    assert found.to_pandas()["p1"].between(0.6, 0.7).all()
-    assert "bonus_value" not in found.to_pandas()
-
-
 # --- reading -------------------------------------------------------------------------------------
 
 
@@ -335,15 +282,6 @@ def test_a_directory_that_is_no_result_is_refused_by_name(
     (tmp_path / "file").write_text("x")
     with pytest.raises(ego.InputError, match=f"{name}: {said}"):
         ego.load_result(tmp_path / name)
-
-
-def test_a_damaged_study_and_what_is_no_name_are_refused(tuned: ego.Study, tmp_path: Path) -> None:
-    saved = tuned.save(tmp_path / "study", figures=False)
-    (saved / "trials.parquet").write_bytes(b"PAR1")
-    with pytest.raises(ego.InputError, match=r"trials\.parquet: is not a whole Parquet file"):
-        ego.load_result(saved)
-    with pytest.raises(ego.InputError, match="is not the name of a file or a folder"):
-        ego.load_result([saved])  # type: ignore[arg-type]
 
 
 # --- reproduce ----------------------------------------------------------------------------------
@@ -370,16 +308,12 @@ def test_a_run_of_the_paper_is_repeated_beside_its_table(recordings: Path, tmp_p
         (ego.run, {"experiment": QUICKSTART, "camera": 3}, "camera: 3 is not the name of a file"),
         (ego.run, {"experiment": QUICKSTART, "overrides": {"filtr": 3}}, "unknown key 'filtr'"),
         (ego.run, {"experiment": 3}, "3 is no experiment; give the path of a YAML file"),
-        (ego.run, {"experiment": [3]}, "3 is no experiment"),
-        (ego.run, {"experiment": []}, "run: name an experiment"),
         (ego.run, {"experiment": None}, "run: name an experiment, or a recording of lines"),
         (ego.run, {"experiment": "nowhere.yaml"}, "nowhere.yaml: cannot be read"),
         (ego.run, {"experiment": {"n_lanes": 3, "recording": {"path": "x"}}}, "name: is missing"),
         (ego.learn, {"experiment": [QUICKSTART]}, "experiment: takes one; fleet takes a table"),
         (ego.reproduce, {"runs": 11}, "run 11: the paper has runs 1 to 10"),
-        (ego.reproduce, {"runs": "1-99"}, "run 99"),
         (ego.reproduce, {"runs": ["one"]}, "'one' is no number"),
-        (ego.compare, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),
         (ego.tune, {}, "name experiments, or runs of the paper"),

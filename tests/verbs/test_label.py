@@ -13,7 +13,6 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from tests.kits.bags import line_bag
 from tests.kits.drives import contents, done, refused, write_drive
 
 LABELS = {
@@ -108,11 +107,3 @@ def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Pat
     assert "recording: is empty" in refused("label", "", "--n-lanes", 3, *here)
     assert "--below" in refused("label", lines, "--n-lanes", 3, "--below", 2, *here)
     assert not (tmp_path / "x").exists()
-
-
-def test_a_bag_s_frames_may_be_numbered_by_seq(tmp_path: Path) -> None:
-    bag = line_bag(tmp_path / "x.bag", list(range(100, 108)))
-    for frame_id, first in (("way_id", 100), ("header.seq", 0)):
-        words = ("--n-lanes", 2, "--columns", f"frame_id={frame_id}")
-        done("label", bag, *words, "--out", tmp_path / frame_id)
-        assert read_ground_truth(tmp_path / frame_id / "labels.txt").frame_id[0] == first

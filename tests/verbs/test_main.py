@@ -3,28 +3,12 @@
 from __future__ import annotations
 
 import ast
-import os
 import re
 from pathlib import Path
 
-import pytest
-
 import egolane_pgm
-from egolane_pgm.tools.files import check_place
-from egolane_pgm.types import InputError
-from tests.kits.drives import command, refused, write_drive
-from tests.kits.processes import ended, needs_links
+from tests.kits.drives import refused, write_drive
 from tests.kits.synthetic_road import write_place
-
-
-@pytest.mark.parametrize(
-    ("words", "missing"),
-    [
-        (("locate", "roads.osm"), "argument 'POSITIONS'"),
-    ],
-)
-def test_what_a_command_needs_is_asked_for(words: tuple[str, ...], missing: str) -> None:
-    assert refused(*words) == f"Missing {missing}. See `egolane {words[0]} --help`."
 
 
 def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) -> None:
@@ -53,42 +37,6 @@ def test_empty_names_are_not_taken_for_the_folder_one_is_in(tmp_path: Path) -> N
         assert "is empty" in refused("run", path, option, "")
     assert "--out: is empty" in refused("plot", tmp_path, "--out", "")
     assert sorted(Path.cwd().iterdir()) == before
-
-
-@needs_links
-def test_links_that_lead_nowhere_are_refused_before_anything_is_computed(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    loop = tmp_path / "loop"
-    loop.symlink_to(loop)
-    (tmp_path / "to").symlink_to(tmp_path / "nothing")
-    for out in (loop, tmp_path / "to"):
-        assert f"{out}: is a link to nothing" in refused("run", path, "--out", out)
-        assert f"{out} is a link to nothing" in refused("run", path, "--out", out / "x")
-        with pytest.raises(InputError, match="is a link to nothing"):
-            check_place(out / "a" / "b.json")
-    assert "symbolic links" in refused("run", loop / "experiment.yaml")
-    (tmp_path / "own.py").symlink_to(tmp_path / "own.py")
-    assert "no file" in refused("run", path, "--set", f"evidence={tmp_path / 'own.py'}")
-
-
-def test_a_defect_of_the_package_stays_a_traceback(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(*_: object, **__: object) -> None:
-        raise ImportError("no module named x")
-
-    monkeypatch.setattr("egolane_pgm.verbs.run.run_experiment", fails)
-    with pytest.raises(ImportError):
-        command("run", write_drive(tmp_path))
-
-
-def test_environments_without_home_terminal_or_temporary_folder_will_do(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    odd = {"HOME": "/nonexistent", "TERM": "dumb", "TMPDIR": "/nonexistent", "LC_ALL": "C"}
-    words = ("run", path, "--no-figures", "--out", tmp_path / "out")
-    ran = ended(*words, env={**os.environ, **odd})
-    assert ran.returncode == 0, ran.stderr
-    assert ran.stderr == ""
 
 
 def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> None:

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import shutil
-import time
 from pathlib import Path
 
 import pytest
 
-from egolane_pgm.page.document import page_of
 from tests.kits.drives import done, refused, write_drive
-from tests.kits.tiny_result import long_drive
 
 
 @pytest.fixture(scope="module")
@@ -72,18 +69,3 @@ def test_a_folder_of_results_or_a_study_says_what_to_name_instead(
     (tmp_path / "study").mkdir()
     (tmp_path / "study" / "study.json").write_text("{}")
     assert "is a study of parameters" in refused("plot", tmp_path / "study", *out)
-
-
-def test_ten_thousand_frames_make_a_small_page_and_cost_little_more_than_a_hundred() -> None:
-    def cost(n_frames: int) -> tuple[float, int]:
-        result, times = long_drive(n_frames), []
-        # The least of three: another process may slow one of them.
-        for _ in range(3):
-            begin = time.thread_time()
-            page, _ = page_of([result])
-            times.append(time.thread_time() - begin)
-        return min(times), len(page)
-
-    (short_s, short), (long_s, long) = cost(100), cost(10_000)
-    assert long_s < 3 * short_s + 0.3
-    assert short < long < 6_000_000

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-from pathlib import Path
 
 import pytest
 
@@ -84,38 +83,9 @@ def test_json_alone_is_printed(name: str, words: dict[str, list[str]]) -> None:
     assert found["schema_version"] >= 1
 
 
-def test_a_graph_is_described_in_json_alone() -> None:
-    assert json.loads(done("show", "lane_only", "--json", "-").stdout)["name"] == "lane_only"
-
-
 def test_latex_is_tables_alone(words: dict[str, list[str]]) -> None:
     text = "\n".join(lines_of("run of several", words, "--format", "latex"))
     assert r"another\_drive &" in text
     for table in text.split("\n\n"):
         assert table.startswith(r"\begin{tabular}")
         assert table.endswith(r"\end{tabular}")
-
-
-@pytest.mark.usefixtures("recordings")
-@pytest.mark.parametrize("width", [80, 120])
-@pytest.mark.parametrize("words", ["reproduce --runs 1 --matrices", "compare --runs 1"])
-def test_the_papers_tables_fit_the_terminal(
-    words: str, width: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", str(width))
-    found = done(*words.split()).stdout.splitlines()
-    assert max(map(len, found)) <= width
-
-
-def test_lists_fit_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("COLUMNS", "80")
-    for words in (("show",), ("show", "position_in_lane"), ("show", "ml"), ("show", "counting")):
-        found = [line for line in done(*words).stdout.splitlines() if "/" not in line]
-        assert max(map(len, found)) <= 80
-
-
-def test_a_result_keeps_its_place_when_only_json_is_printed(
-    words: dict[str, list[str]], tmp_path: Path
-) -> None:
-    done(*words["run"], "--out", str(tmp_path / "kept"), "--json", "-")
-    assert (tmp_path / "kept" / "scores.json").is_file()

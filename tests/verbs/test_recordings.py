@@ -10,10 +10,8 @@ from egolane_pgm.recordings import catalog
 from egolane_pgm.recordings.table import write_table
 from tests.kits.box import BOX, box_log
 from tests.kits.drives import (
-    command,
     done,
     refused,
-    write_drive,
     write_experiment,
 )
 
@@ -42,38 +40,3 @@ def test_data_list_shows_the_files_where_a_run_would_find_them(
     state = {line.rpartition("/")[2]: line.split()[0] for line in lines[2:]}
     assert state.pop("ISIS_01.txt") == "bad"
     assert set(state.values()) == {"missing"}
-
-
-def test_data_verify_looks_where_a_run_would_look(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setenv("EGOLANE_DATA", str(tmp_path / "data"))
-    name = catalog.list_files()[0].target
-    for folder in (tmp_path / "data", catalog.download_folder()):
-        (folder / "rle").mkdir(parents=True)
-        (folder / name).write_text("something else")
-    assert f"{tmp_path / 'data' / name}: wrong checksum" in command("data", "verify").stderr
-    # A file that is not in the first folder is looked for in the second.
-    (tmp_path / "data" / name).unlink()
-    said = command("data", "verify").stderr
-    assert f"{catalog.download_folder() / name}: wrong checksum" in said
-    assert said.count("no such file") == 11
-    said = command("data", "verify", "--folder", tmp_path / "data").stderr
-    assert said.count("no such file") == 12
-
-
-def test_other_commands_name_what_they_cannot_write(tmp_path: Path) -> None:
-    write_drive(tmp_path, 20)
-    lines = tmp_path / "lines.csv"
-    assert "cannot be created" in refused("simulate", "--out", lines / "below")
-    (tmp_path / "taken" / "experiment.yaml").mkdir(parents=True)
-    assert "cannot be written" in refused("simulate", "--out", tmp_path / "taken")
-
-
-def test_no_file_is_counted_as_good_where_there_is_no_network(tmp_path: Path) -> None:
-    result = command("data", "fetch", "--base-url", "http://127.0.0.1:9", "--folder", tmp_path)
-    assert result.exit_code == 2
-    assert result.stderr.endswith("egolane: 0 of 12 files are there and good\n")
-    assert len(result.stderr.splitlines()) == 2
-    assert "no connection to 127.0.0.1:9; is the network up?" in result.stderr

@@ -13,7 +13,7 @@ import pytest
 import yaml
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.results import is_result, read_result
+from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.views.events import clock
 from tests.kits.bags import GOOD, Line, line_bag, truth_file
@@ -29,7 +29,6 @@ from tests.kits.drives import (
     write_drive,
     write_experiment,
 )
-from tests.kits.processes import needs_links, started
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -69,10 +68,6 @@ def kept(folder: Path, recording: Path, *words: object, **changes: Any) -> tuple
     assert json.loads((folder / "out.json").read_text())["warnings"] == said
     assert read_result(out).run["warnings"] == said
     return said, out
-
-
-def sensor_ok(folder: Path) -> np.ndarray:
-    return read_result(folder / "out").marginals["SensorState"][:, 0]
 
 
 def test_run_writes_the_documented_json_unrounded_and_prints_the_scores(
@@ -234,27 +229,11 @@ def half_a_bag(folder: Path) -> None:
     ("make", "name", "words", "said"),
     [
         (half_a_bag, "a.bag", "", "a.bag: cannot be read as a bag ("),
-        (bag(3, 4, 4), "a.bag", "", "a.bag: frame ids must increase, but 4 is followed by 4"),
         (bag(1), "gone.bag", "", "e.yaml: recording.path: gone.bag: no such file; looked for /"),
         (bag(1), "a.bag", "--recording gone.csv", "gone.csv: no such file"),
         (bag(3, 4), "a.bag", "--set recording.frames=[10,20]", "no frame from 10 to before 20;"),
-        (
-            table("frame_id,line,offset_m\n1,1,1.5\n"),
-            "a.csv",
-            "--topic /a",
-            "has no option 'top",
-        ),
-        (
-            table("frame_id,line,offset_m,is_valid\n5,1,nan,1\n"),
-            "a.csv",
-            "",
-            "a.csv: frame 5: line 1 is valid",
-        ),
         (bag(1, 2, truth=[(2, 4, 0)]), "a.bag", "", "ground_truth.txt: frame 2: lane 4 is outside"),
         (bag(1, 2, truth=[(9, 1, 0)]), "a.bag", "", "no common frames: "),
-        (bag(1), "a.bag", "--ground-truth {}/a.bag", "a.bag: cannot be read: is not text in UTF-8"),
-        (bag(1), "a.bag", "--n-lanes 0", "n_lanes"),
-        (bag(1), "a.bag", "--set recording.options.format=x", "rosbag has no option 'format'"),
     ],
 )
 def test_what_does_not_fit_is_refused_and_an_earlier_result_stays(
@@ -269,19 +248,13 @@ def test_what_does_not_fit_is_refused_and_an_earlier_result_stays(
     [
         ("n_lane=3", "unknown key 'n_lane' (did you mean 'n_lanes'?)"),
         ("recording.topc=x", "recording: unknown key 'topc' (did you mean 'topic'?)"),
-        ("parameters.sigma_1=1", "parameters: unknown key 'sigma_1' (did you mean 'sigma1'?)"),
         ("parameters.p1=1.3", "parameters.p1: 1.3 is not a probability (0 to 1)"),
-        ("n_lanes=true", "n_lanes: input should be a valid integer (got True)"),
-        ("name=../x", "name: string should match pattern"),
         ("evidence_reading=softer", "evidence_reading: 'softer' is not one of soft, hard"),
-        ("recording.lri=cut", "recording.lri: 'cut' is not one of as_recorded, clip"),
         ("recording.frames=[9,3]", "recording: frames [9, 3] is an empty range"),
         ("recording.simulate=a4", "recording: needs either path or simulate"),
-        ("recording.path=null", "recording: needs either path or simulate"),
         ("recording.format=rosbg", "unknown format 'rosbg' (did you mean 'rosbag'?)"),
         ("graph=sensor_failur", "graph: unknown name 'sensor_failur' (did you mean"),
         ("graph=./no.py", "graph: no file"),
-        ("tuned_on=mars", "tuned_on: 'mars' is not one of same_frames"),
     ],
 )
 def test_a_key_or_value_that_does_not_fit_is_refused_by_dry_run_and_by_run(
@@ -297,8 +270,7 @@ def test_a_key_or_value_that_does_not_fit_is_refused_by_dry_run_and_by_run(
     key, _, value = override.partition("=")
     changes = {key.replace(".", "__"): yaml.safe_load(value)}
     rewritten(experiment, experiment, **changes)
-    if changes != {"recording__path": None}:
-        assert refused("run", "--dry-run", experiment) == by_dry_run
+    assert refused("run", "--dry-run", experiment) == by_dry_run
 
 
 @pytest.mark.parametrize("what", ["--out", "--json"])
@@ -319,31 +291,6 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
     said = refused(*words, what, "/proc/egolane/result")  # not even root may
     assert said.startswith("/proc/egolane/result: cannot be written")
     assert contents(tmp_path) == before
-
-
-def test_a_directory_of_somebody_elses_is_not_overwritten(tmp_path: Path) -> None:
-    experiment = write_drive(tmp_path, 20)
-    before = contents(tmp_path)
-    said = refused("run", experiment, "--no-figures", "--out", tmp_path)
-    assert said.startswith(f"{tmp_path}: exists and is not a result directory")
-    said = refused("run", experiment, "--no-figures", "--out", experiment)
-    assert "is a file" in said
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.parametrize("name", ["-dash mit Ümläut", "new\nline;&c'd\"e"])
-def test_any_name_of_a_folder_will_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
-) -> None:
-    path = write_drive(tmp_path / name)
-    out = tmp_path / "out" / name
-    said = done("run", path, "--no-figures", "--out", out, "--json", tmp_path / f"{name}.json")
-    assert f"result: {out}" in said.stdout
-    assert is_result(out)
-    kept = run_experiment(out / "experiment.yaml")
-    assert kept.scores["model"]["accuracy"] == pytest.approx(
-        json.loads((tmp_path / f"{name}.json").read_text())["model"]["accuracy"]
-    )
 
 
 def test_a_file_that_is_read_is_not_written_over(tmp_path: Path) -> None:
@@ -391,53 +338,6 @@ def test_ctrl_c_keeps_the_finished_runs(tmp_path: Path, monkeypatch: pytest.Monk
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["fast"]
 
 
-@needs_links
-def test_a_reader_that_stops_reading_costs_nothing(tmp_path: Path) -> None:
-    target, out = tmp_path / "all.json", tmp_path / "out"
-    words = ("--no-figures", "--out", out, "--json", target)
-    running = started("run", write_drive(tmp_path / "a"), *words)
-    assert running.stdout is not None
-    running.stdout.close()
-    assert running.stderr is not None
-    assert running.stderr.read() == ""
-    running.wait()
-    assert json.loads(target.read_text())
-    assert is_result(out)
-
-
-def test_jobs_are_at_least_one_and_never_more_than_there_is_to_do(tmp_path: Path) -> None:
-    paths = [write_drive(tmp_path / name, name=name) for name in ("a", "b")]
-    for jobs in (0, -1, "many"):
-        assert "--jobs" in refused("run", *paths, "--jobs", jobs)
-    words = ["--jobs", 1000, "--no-figures", "--out", tmp_path / "out"]
-    assert command("run", *paths, *words).exit_code == 0
-
-
-def test_an_odd_reliability_is_used_as_recorded_and_clipped_on_request(tmp_path: Path) -> None:
-    odd: list[list[Line]] = [
-        [(True, False, 25, -5.0), (True, False, 10, 1.7)],
-        [(True, False, -3, -5.0), (True, False, 10, 1.7), (False, False, -1, 0.0)],
-    ]
-    line_bag(tmp_path / "a.bag", [1, 2], odd)
-    said, _ = kept(tmp_path, tmp_path / "a.bag")
-    assert len(said) == 1
-    assert "2 valid line(s) have an LRI outside 0..10, first in frame 1" in said[0]
-    assert "as recorded" in said[0]
-    as_recorded = sensor_ok(tmp_path)
-    said, _ = kept(tmp_path, tmp_path / "a.bag", recording__lri="clip")
-    assert said == []
-    clipped = sensor_ok(tmp_path)
-    # 25 + 10 of 40 against 10 + 10 of 40 in frame 1, 7 against 10 of 40 in frame 2.
-    assert clipped[0] < as_recorded[0]
-    same: list[list[Line]] = [
-        [(True, False, 10, -5.0), (True, False, 10, 1.7)],
-        [(True, False, 0, -5.0), (True, False, 10, 1.7)],
-    ]
-    line_bag(tmp_path / "b.bag", [1, 2], same)
-    kept(tmp_path, tmp_path / "b.bag")
-    np.testing.assert_array_equal(sensor_ok(tmp_path), clipped)
-
-
 def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:
     absurd: list[Line] = [(False, True, 5, 3e32), (False, False, 0, float("nan"))]
     line_bag(tmp_path / "a.bag", [1, 2], [[*GOOD[0], *absurd], [*GOOD[1], absurd[0]]])
@@ -450,15 +350,6 @@ def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:
     said, out = kept(tmp_path, tmp_path / "b.bag")
     assert said == []
     np.testing.assert_array_equal(read_result(out).marginals["Lane"], with_absurd)
-
-
-def test_more_valid_lines_than_a_road_has_are_counted(tmp_path: Path) -> None:
-    many: list[Line] = [(True, False, 2, d) for d in (-9.0, -5.0, -2.0, 2.0, 5.0)]
-    line_bag(tmp_path / "a.bag", [1, 2, 3], [GOOD[0], many, GOOD[0]])
-    said, out = kept(tmp_path, tmp_path / "a.bag")
-    assert len(said) == 1
-    assert "1 frame(s) have more valid lines than the 4 of 3 lane(s), first frame 2" in said[0]
-    assert len(read_result(out).frame_id) == 3
 
 
 @pytest.mark.parametrize("is_empty", [True, False])
@@ -548,14 +439,3 @@ def test_run_prints_the_lane_changes_and_their_scores(tmp_path: Path) -> None:
     rows = [line.split() for line in shown.splitlines() if "told" in line or "| drive" in line]
     # The second table is that of the lane changes.
     assert (rows[-2][5], rows[-1][5]) == ("told", str(scores["told"]))
-
-
-def test_a_drive_in_one_lane_says_that_no_change_was_believed(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 20)
-    shown = done("run", path, "--no-figures", "--out", tmp_path / "out").stdout
-    assert "no lane change was believed" in shown
-    header = (
-        "frame_id,time_s,from_lane,to_lane,direction,probability,told_frame_id,told_time_s,late_s,"
-        "delay_s\n"
-    )
-    assert (tmp_path / "out" / "events.csv").read_text() == header

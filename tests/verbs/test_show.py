@@ -16,7 +16,6 @@ from tests.kits.drives import (
     run_json,
     write_drive,
 )
-from tests.kits.synthetic_road import write_place
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -37,15 +36,6 @@ def test_a_dry_run_checks_every_experiment_of_the_paper(recordings: Path) -> Non
     assert [line.partition(":")[0] for line in lines] == [str(path) for path in paths]
     assert lines[0].endswith("ok (4 lanes, 8 joint states)")
     assert lines[9].endswith("ok (3 lanes, 6 joint states)")
-
-
-def test_a_dry_run_says_which_recording_is_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.delenv("EGOLANE_DATA", raising=False)
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    said = refused("run", "--dry-run", paper_experiment(1))
-    assert "recording.path: rle/special" in said
 
 
 def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,15 +113,6 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
     assert content["parameters"][0]["range"] == [0.0, 3.0]
 
 
-def test_a_file_is_found_from_where_one_stands(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "mine.py").write_text((EXAMPLES / "my_graph.py").read_text())
-    monkeypatch.chdir(tmp_path)
-    assert done("show", "mine.py").stdout.startswith("graph mine.py\n\nAn own graph")
-    assert done("show", "./mine.py").stdout.startswith("graph ./mine.py\nmine.py\n")
-
-
 def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     assert refused("show", "sensor_failur").endswith("(did you mean 'sensor_failure'?)")
     assert "(known: aly, autoregressive, " in refused("show", "zzz")
@@ -154,9 +135,7 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
     [
         ("a: b: c\n", "is not YAML"),
         ("- 1\n", "needs keys and values"),
-        ("", "needs keys and values"),
         ("recording: {simulate: a4}\nn_lanes: 3\n", "name: is missing"),
-        ("name: a\nrecording: 5\nn_lanes: 3\n", "recording: needs keys and values"),
     ],
 )
 def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -171,22 +150,4 @@ def test_an_override_that_is_none_is_refused(tmp_path: Path, override: str) -> N
     experiment = write_drive(tmp_path, 20)
     assert refused("run", "--dry-run", experiment, "--set", override).startswith(
         f"--set: {override}: "
-    )
-
-
-def test_tuning_files_are_listed_apart() -> None:
-    said = done("show").stdout
-    assert "all_italy.yaml" in said.partition("tuning files")[2]
-    assert "all_italy.yaml" not in said.partition("tuning files")[0]
-
-
-def test_only_a_recording_that_is_missing_is_said_to_be_fetched(tmp_path: Path) -> None:
-    path = write_place(tmp_path, 2) / "run.yaml"
-    said = refused("run", "--dry-run", path, "--set", "recording.camera=none.yaml")
-    assert "recording.camera: none.yaml: no such file" in said
-    assert "data fetch" not in said
-    assert "data fetch" not in refused("run", "--dry-run", path, "--set", "recording.path=none.mp4")
-    bare = write_drive(tmp_path / "x", 30)
-    assert "run `egolane data fetch`" in refused(
-        "run", "--dry-run", bare, "--set", "recording.path=no.csv"
     )

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
 
 from egolane_pgm.inference.compile import compile
-from egolane_pgm.parameters import Parameter, Value, resolve_parameters
+from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.tools.files import plain
-from egolane_pgm.types import InputError
 from egolane_pgm.views.description import (
     describe_detector,
     describe_graph,
@@ -133,14 +131,6 @@ def test_an_evidence_rule_says_what_it_gives() -> None:
     assert "it is not causal: the lane width" in whole
 
 
-def test_a_rule_that_does_not_say_what_it_gives_is_shown_all_the_same() -> None:
-    module = ModuleType("bare")
-    module.__file__ = "bare.py"
-    text = description_text({"name": "bare", **describe_rule(module, {})})
-    assert "what it does not say (PROVIDES)" in text
-    assert text.endswith("parameters: none")
-
-
 @pytest.mark.parametrize("name", plugin_names("detectors"))
 def test_a_detector_says_how_many_cameras_it_needs(name: str) -> None:
     module = load_plugin("detectors", name, EXAMPLES, "detector")
@@ -149,31 +139,3 @@ def test_a_detector_says_how_many_cameras_it_needs(name: str) -> None:
     assert f"cameras: {'two, as a stereo pair' if name.startswith('s') else 'one'}" in text
     assert found["stereo"] == name.startswith("s")
     assert max(map(len, text.splitlines())) <= line_width()
-
-
-@pytest.mark.parametrize(
-    ("doc", "meaning", "source"),
-    [
-        ("P(OK); Table `tab:cptri`", "P(OK)", "Table `tab:cptri`"),
-        ("votes; BV of equation `eq:HMM`", "votes", "BV of equation `eq:HMM`"),
-        ("lanes, Tables `a` and `b`", "lanes", "Tables `a` and `b`"),
-        ("a table of numbers", "a table of numbers", None),
-    ],
-)
-def test_the_place_in_the_paper_is_told_from_the_meaning(
-    doc: str, meaning: str, source: str | None
-) -> None:
-    module = ModuleType("rule")
-    module.__file__ = "rule.py"
-    vars(module)["PARAMETERS"] = [Parameter("x", "sigma", 1.0, doc)]
-    (found,) = describe_rule(module, {})["parameters"]
-    assert (found["meaning"], found["source"]) == (meaning, source)
-    assert doc.replace(", T", "; T") in description_text({"name": "r", **describe_rule(module, {})})
-
-
-def test_an_error_of_a_user_s_rule_names_its_file() -> None:
-    module = ModuleType("_egolane_plugin_rule")
-    module.__file__ = "rule.py"
-    vars(module)["looks_ahead"] = lambda parameters: parameters["none"]
-    with pytest.raises(InputError, match=r"evidence: rule\.py: KeyError"):
-        describe_rule(module, {})

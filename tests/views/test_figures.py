@@ -16,11 +16,9 @@ from hypothesis import strategies as st
 from egolane_pgm.results import Result
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
-from egolane_pgm.views import reliability, style
-from egolane_pgm.views.answers import DETECTOR_COLOUR, MODEL_COLOUR, PROBABILITY_COLOURS, percent
+from egolane_pgm.views.answers import DETECTOR_COLOUR, MODEL_COLOUR, percent
 from egolane_pgm.views.dispersion import (
     bonus_ablation_figure,
-    categories,
     dispersion,
     dispersion_figure,
     dispersions,
@@ -32,8 +30,6 @@ from egolane_pgm.views.style import write_figure
 from tests.kits.tiny_result import (
     IDS,
     a_result,
-    legend_labels,
-    long_drive,
     texts,
     without_bonus,
     without_tentative,
@@ -76,30 +72,6 @@ def test_bar_widths_are_the_counted_shares_and_sum_to_one(dispersion_sheet: Any)
         assert len({p.get_y() for p in drawn}) == 1
 
 
-def test_bars_are_named_labelled_with_percentages_and_in_sample_runs_marked(
-    dispersion_sheet: Any,
-) -> None:
-    (ax,) = dispersion_sheet.axes
-    assert [t.get_text() for t in ax.get_yticklabels()] == ["Detector only", "Model", "Model"]
-    drawn = texts(dispersion_sheet)
-    assert {"tiny (in-sample)", "other", "3 lanes, 4 frames"} <= set(drawn)
-    assert drawn.count("25.0") == 4 + 1 + 1
-    assert drawn.count("75.0") == 2
-    assert legend_labels(dispersion_sheet.legends[0]) == list(categories(3))
-
-
-def test_categories_of_any_number_of_lanes_have_names_and_distinct_colours() -> None:
-    assert list(categories(1)) == ["right", "Unassigned"]
-    assert list(categories(3)) == ["right", "off by 1 lane", "off by 2 lanes", "Unassigned"]
-    for n in range(1, 9):
-        assert len(set(categories(n).values())) == n + 1
-
-
-def test_dispersion_needs_ground_truth() -> None:
-    with pytest.raises(InputError, match="results/tiny: has no ground truth"):
-        dispersion_figure([without_truth()])
-
-
 # The ablation.
 
 
@@ -113,12 +85,6 @@ def test_the_ablation_puts_with_and_without_bonus_side_by_side() -> None:
     assert {"right without BV: +0.0 points", "right without BV: -75.0 points"} <= set(texts(figure))
     assert "tiny (in-sample)" in texts(figure)[0]
     assert texts(figure)[0].endswith("; all else the same")
-
-
-def test_the_ablation_says_what_else_differs() -> None:
-    other = {"parameters": {"bonus_value": 0, "sigma1": 0.5}, "graph": "lane_only"}
-    title = texts(bonus_ablation_figure(a_result(), without_bonus(config=other)))[0]
-    assert title.endswith("also different: sigma1, graph")
 
 
 @pytest.mark.parametrize(
@@ -190,19 +156,6 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
     assert found["Model"][1] == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)
 
 
-def test_bins_of_few_frames_are_hollow_and_those_of_many_filled() -> None:
-    for result, faces in (
-        (a_result(), {"white"}),
-        (long_drive(200), {DETECTOR_COLOUR, MODEL_COLOUR}),
-    ):
-        upper, _ = reliability_figure(result).axes
-        points = [x for x in upper.lines if x.get_linestyle() == "None" and len(x.get_xdata())]
-        assert {x.get_markerfacecolor() for x in points} == faces
-        labels = legend_labels(upper.get_legend())
-        assert any(label.startswith("Model, ECE 0.") for label in labels)
-        assert (f"fewer than {reliability.FEW_FRAMES} frames" in labels) == ("white" in faces)
-
-
 @pytest.mark.parametrize("draw", [confusion_figure, reliability_figure])
 def test_scores_cannot_be_drawn_without_ground_truth(draw: Any) -> None:
     with pytest.raises(InputError, match="results/tiny: has no ground truth"):
@@ -237,40 +190,9 @@ def test_a_figure_is_one_whole_file_and_the_same_bytes_every_time(
     assert [p.name for p in path.parent.iterdir()] == [path.name]
 
 
-def test_the_users_matplotlib_settings_neither_matter_nor_change(tmp_path: Path) -> None:
-    import matplotlib as mpl
-
-    write_figure(lambda: confusion_figure(a_result()), tmp_path / "a.svg")
-    with mpl.rc_context({"font.size": 30, "axes.facecolor": "red", "axes.grid": True}):
-        write_figure(lambda: confusion_figure(a_result()), tmp_path / "b.svg")
-        assert mpl.rcParams["font.size"] == 30
-    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
-
-
 def test_an_extension_that_cannot_be_drawn_is_refused_before_any_work(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"figure.jpg: a figure ends in .png, .svg, .pdf"):
         write_figure(lambda: confusion_figure(without_truth()), tmp_path / "figure.jpg")
-
-
-def test_a_place_that_cannot_be_written_is_refused_in_one_line(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=r"figure.png: cannot be written: ") as caught:
-        write_figure(lambda: confusion_figure(a_result()), tmp_path / "file" / "figure.png")
-    assert "\n" not in str(caught.value)
-
-
-def test_text_keeps_a_readable_contrast_on_every_colour_it_stands_on() -> None:
-    from matplotlib.colors import LinearSegmentedColormap, to_rgb
-
-    def luminance(colour: Any) -> float:
-        c = np.array(to_rgb(colour))
-        linear = np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4)
-        return float(linear @ [0.2126, 0.7152, 0.0722])
-
-    ramp = LinearSegmentedColormap.from_list("", PROBABILITY_COLOURS)
-    for colour in [*categories(6).values(), *ramp(np.linspace(0, 1, 50))[:, :3]]:
-        pair = sorted([luminance(colour), luminance(style.text_colour(colour))])
-        assert (pair[1] + 0.05) / (pair[0] + 0.05) >= 4.5
 
 
 @given(share=st.floats(0, 1))

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 from matplotlib.path import Path as Curve
@@ -94,50 +93,6 @@ def test_nodes_are_what_the_compiled_network_makes_of_them() -> None:
         "Lane": "function",
         "RoadPosition+SensorState_ve": "virtual evidence",
     }
-
-
-def test_each_kind_of_node_looks_different() -> None:
-    network = declared(
-        [*PAPER, *PAPER_EVIDENCE, ("Motion", "Lane"), ("Lane", "Side")],
-        [("Lane", "Lane")],
-        Motion="input",
-        Side="function",
-    )
-    figure = network_figure(network)
-    drawn = circles(figure)
-    patches = [p for p in figure.axes[0].patches if not isinstance(p, FancyArrowPatch)]
-    face = {str(p.get_gid()).split()[1]: to_hex(p.get_facecolor()) for p in patches if p.get_gid()}
-    assert face["Lane"] == face["SensorState"] == face["Side"] == "#ffffff"
-    assert len({face[name] for name in ("Lane", "WOR", "Motion", "WOR_ve")}) == 4
-    assert face["DetectorOutput"] == face["WOR"]
-    assert drawn["WOR_ve", 0].radius < drawn["WOR", 0].radius / 2
-    outlines = Counter(patch.center for patch in patches if isinstance(patch, Circle))
-    assert outlines[drawn["Side", 1].center] == 2
-    assert outlines[drawn["Lane", 1].center] == 1
-    assert outlines[drawn["Motion", 1].center] == 0
-    legend = figure.axes[0].get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == [
-        "hidden",
-        "function of its parents",
-        "observed",
-        "input",
-        "virtual evidence",
-        "within a frame",
-        "to the next frame",
-    ]
-
-
-def test_names_are_split_into_words() -> None:
-    names = {"DetectorOutput": "Detector\nOutput", "WOR": "WOR", "H1": "H1", "my_node": "my\nnode"}
-    figure = network_figure(declared([("DetectorOutput", "WOR"), ("H1", "my_node")], []))
-    assert set(names.values()) <= {text.get_text() for text in figure.axes[0].texts}
-
-
-def test_the_legend_explains_only_what_is_drawn() -> None:
-    legend = network_figure(declared([("A", "B")], [])).axes[0].get_legend()
-    assert legend is not None
-    assert [text.get_text() for text in legend.get_texts()] == ["hidden", "within a frame"]
 
 
 WIDE = declared(

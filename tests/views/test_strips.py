@@ -16,7 +16,6 @@ from egolane_pgm.views import strips
 from egolane_pgm.views.strips import (
     blank_reasons,
     frame_range,
-    split_range,
     strip_columns,
     strips_figure,
 )
@@ -119,14 +118,6 @@ def test_time_runs_below_the_strips_in_seconds_and_frame_ids_above() -> None:
     assert {"100", "107", "10", "10.7"} <= set(at), "the first and the last frame are numbered"
 
 
-def test_more_probable_lanes_are_drawn_darker() -> None:
-    (sheet,) = axes_called(strips_figure(a_result()), "strips")
-    [image] = sheet.images
-    grey = image.cmap(np.linspace(0, 1, 21))[:, :3] @ [0.299, 0.587, 0.114]
-    assert (np.diff(grey) < 0).all()
-    assert image.get_clim() == (0, 1)
-
-
 def test_without_ground_truth_there_are_two_strips_and_no_grey() -> None:
     figure = strips_figure(without_truth())
     assert [s.name for s in strips_of(figure)] == ["Model", "Detector only"]
@@ -185,17 +176,6 @@ def test_a_crossing_of_one_frame_is_not_averaged_away() -> None:
     drive = long_drive(400)
     drive.is_crossing[200] = True
     assert strip_columns(drive, 5, 404, max_columns=40).crossings == [(205, 215)]
-
-
-@given(first=st.integers(0, 10**6), span=st.integers(1, 10**5), columns=st.integers(1, 2000))
-def test_rows_cover_a_range_without_gap_or_overlap(first: int, span: int, columns: int) -> None:
-    rows = split_range(first, first + span - 1, columns)
-    assert rows[0][0] == first
-    assert rows[-1][1] == first + span - 1
-    assert all(b[0] == a[1] + 1 for a, b in pairwise(rows))
-    assert len(rows) <= strips.MAX_ROWS
-    lengths = [b - a + 1 for a, b in rows]
-    assert max(lengths) - min(lengths) <= 1
 
 
 @given(ids=st.sets(st.integers(0, 10**12), min_size=1, max_size=7), columns=st.integers(1, 50))

@@ -105,16 +105,6 @@ def test_history_draws_the_numbers(tmp_path: Path) -> None:
     assert np.asarray(lines["held out"].get_ydata()).tolist() == [0.61, 0.61]
 
 
-def test_every_title_says_in_sample(tmp_path: Path) -> None:
-    trials = numbers.read_trials(write_study(tmp_path))
-    for figure in (
-        tuning.history_figure(trials),
-        tuning.profile_figure(trials),
-        tuning.importances_figure(trials),
-    ):
-        assert "in-sample" in figure.texts[0].get_text()
-
-
 def test_few_trials_get_no_importances(tmp_path: Path) -> None:
     files = tuning.draw_study(write_study(tmp_path), style="svg")
     assert [f.name for f in files] == ["history.svg", "profile.svg"]
@@ -173,18 +163,3 @@ def test_what_is_no_finished_study_is_refused(
 ) -> None:
     with pytest.raises(InputError, match=message):
         numbers.read_trials(write_study(tmp_path, **changes))
-
-
-def test_damaged_files_are_refused_by_name(tmp_path: Path) -> None:
-    write_study(tmp_path)
-    (tmp_path / "trials.parquet").write_bytes(b"PAR1 but not really")
-    with pytest.raises(InputError, match=r"trials\.parquet: is not a whole Parquet file"):
-        numbers.read_trials(tmp_path)
-    (tmp_path / "study.json").write_text("{")
-    with pytest.raises(InputError, match="missing or damaged"):
-        numbers.read_trials(tmp_path)
-
-
-def test_an_unknown_style_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="gif: a figure is png, svg, pdf"):
-        tuning.draw_study(write_study(tmp_path), style="gif")

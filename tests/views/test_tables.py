@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-from typing import get_args
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.experiment import Experiment
 from egolane_pgm.scoring.summary import score_all
 from egolane_pgm.types import InputError
 from egolane_pgm.views import tables
@@ -167,20 +165,6 @@ def test_the_reproduction_table_shows_ours_theirs_and_the_difference() -> None:
     assert rows[1][at : at + 3] == ["0.8584", "0.85", "+0.0084"]
     at = header.index("recall")
     assert rows[1][at : at + 3] == ["0.5000", "0.51", "-0.0100"]
-
-
-def test_every_way_of_tuning_an_experiment_is_said_beside_its_scores() -> None:
-    ways = get_args(Experiment.model_fields["tuned_on"].annotation)
-    assert set(tables.TUNED_ON) == set(ways)
-    assert all("in-sample" in tables.TUNED_ON[way] for way in ways if way == "same_frames")
-
-
-@pytest.mark.parametrize("frame", [-(10**30), 10**30])
-def test_a_frame_that_no_array_can_hold_is_not_there(frame: int) -> None:
-    log = short_drive(30).log
-    nearest = int(log.frame_id[0 if frame < 0 else -1])
-    with pytest.raises(InputError, match=f"has no frame {frame}; the nearest is {nearest} "):
-        box_text(log, frame)
 
 
 def test_the_nearest_frame_is_named_in_a_gap() -> None:
