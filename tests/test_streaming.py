@@ -19,7 +19,6 @@ from egolane_pgm import running
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.inference import filtering
 from egolane_pgm.inference.events import NO_EVENTS, next_events
-from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.results import Result, read_result
@@ -27,6 +26,7 @@ from egolane_pgm.running import LEFT_OUT, run_experiment, run_in_parts
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused, short_drive, write_drive
+from tests.kits.rosbag_writer import write_lines
 
 ROOT = Path(__file__).parents[1]
 GAPS = (20, 21, 22, 60)

@@ -5,7 +5,7 @@ One file per format of recording; `read_lines` picks it by the file's extension.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,11 +33,6 @@ _FOLDERS = {
 
 #: The formats whose lines are in pixels, so that a camera has to say where they are.
 IN_PIXELS = ("tusimple",)
-
-_WRITERS = {
-    "rosbag": ("recordings.rosbag_writer", "write_rosbag"),
-    "table": ("recordings.table", "write_table"),
-}
 
 
 def read_lines(
@@ -103,26 +98,15 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
 
 
 def write_lines(path: str | Path, log: LineLog) -> None:
-    """Write a log in the format of the file's extension.
+    """Write a log as a table, .csv or .parquet.
 
-    Raises InputError for an unknown extension, for a log of several clips, whose borders no format
-    keeps, and what the writer raises.
+    Raises InputError for a log of several clips, whose borders a table does not keep, and if the
+    file cannot be written.
     """
-    write = writer_of(path)
+    from egolane_pgm.recordings.table import write_table
+
     check_one_drive(log, "a file that is written holds one drive")
-    write(path, log)
-
-
-def writer_of(path: str | Path) -> Callable[[str | Path, LineLog], None]:
-    """The function that writes the format of the file's extension, with the libraries that it needs
-    loaded. Raises InputError for an unknown extension."""
-    name = format_of(path)
-    if name not in _WRITERS or Path(path).suffix.lower() == ".db3":
-        raise InputError(f"{path}: a recording is written as .csv, .parquet, .bag or .mcap")
-    module, function = _WRITERS[name]
-    write: Callable[[str | Path, LineLog], None]
-    write = getattr(import_module(f"egolane_pgm.{module}"), function)
-    return write
+    write_table(path, log)
 
 
 def check_one_drive(log: LineLog, why: str) -> None:

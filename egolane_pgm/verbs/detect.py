@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import sys
 import time
-import warnings
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 from annotated_types import Ge, Le
 
-from egolane_pgm.recordings import write_lines, writer_of
+from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.columns import FRAME_RATE
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
@@ -45,7 +43,7 @@ EXAMPLES = (
 )
 
 #: Extensions of recordings of lines that can be written.
-TARGETS = (".parquet", ".csv", ".bag")
+TARGETS = (".parquet", ".csv")
 
 
 def detect(
@@ -70,7 +68,7 @@ def detect(
 
     - camera: the camera's YAML.
     - detector: `egolane show` lists them.
-    - out: where the lines go: .parquet, .csv or .bag.
+    - out: where the lines go: .parquet or .csv.
     - right: those of the second camera.
     - topic: topic of the pictures in a bag.
     - frames: frame ids, STOP left out.
@@ -117,16 +115,7 @@ def detect(
         if done.stopped is not None:
             raise done.stopped
         return done.log
-    # A bag's LRIs are whole numbers; those of a network with probabilities need not be.
-    is_bag = target.suffix.lower() == ".bag"
-    write_lines(target, replace(done.log, lri=np.rint(done.log.lri)) if is_bag else done.log)
-    if is_bag and rate != FRAME_RATE:
-        warnings.warn(
-            f"{target}: a ROS 1 bag is read with {FRAME_RATE:g} frames per second if nothing else"
-            f" is said; here recording.frame_rate={rate:g}",
-            UserWarning,
-            stacklevel=2,
-        )
+    write_lines(target, done.log)
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     if done.stopped is not None:
@@ -147,10 +136,9 @@ def says(done: LineLog, given: Mapping[str, Any]) -> str:
 
 
 def _target(target: Path) -> Path:
-    """The file, which can be written. What writes it is loaded: it must not fail when lines were
-    found. Raises InputError for an extension that lines are not written as."""
+    """The file, which can be written. Raises InputError for an extension that lines are not written
+    as."""
     if target.suffix.lower() not in TARGETS:
         raise InputError(f"out: {target}: lines are written as {', '.join(TARGETS)}")
     check_place(target)
-    writer_of(target)
     return target

@@ -19,10 +19,10 @@ import egolane_pgm as ego
 from egolane_pgm.command import egolane
 from egolane_pgm.export.drive import Drive, open_drive
 from egolane_pgm.export.mcap_file import write_mcap
-from egolane_pgm.recordings import write_lines
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.pictures import images_of, open_source
+from tests.kits.rosbag_writer import write_lines
 
 #: When the drive began, seconds since 1970.
 START_S = 1_515_801_391

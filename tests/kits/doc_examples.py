@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.recordings import read_lines, write_lines
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.simulation import simulate
 from egolane_pgm.vision.camera.model import write_camera
@@ -23,6 +23,7 @@ from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
 from tests.kits.image_bags import write_images
 from tests.kits.image_line_files import entry, tusimple
+from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import foreign_table, own_bag, polynomials_table
 from tests.kits.synthetic_road import write_video
 from tests.kits.tiny_network import write_known

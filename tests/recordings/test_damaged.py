@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.recordings import read_lines, write_lines
+from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.recordings.topics import messages
 from egolane_pgm.types import InputError
 from tests.kits.bags import write_bag2
 from tests.kits.drives import short_drive
+from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import json_mcap
 
 N_FRAMES = 40

@@ -17,13 +17,14 @@ from mcap.writer import Writer
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.maps.positions import read_positions
-from egolane_pgm.recordings import files_of, format_of, read_lines, write_lines
+from egolane_pgm.recordings import files_of, format_of, read_lines
 from egolane_pgm.recordings.select import fill_missing, recording_warnings
 from egolane_pgm.recordings.topics import TOPICS, read_topic
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from egolane_pgm.views.events import clock
 from tests.kits.bags import write_bag2, write_fixes2
+from tests.kits.rosbag_writer import write_lines
 
 ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri")
 

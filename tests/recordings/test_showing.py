@@ -13,8 +13,8 @@ import pandas as pd
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.recordings import write_lines
 from tests.kits.drives import done, refused, short_drive
+from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import N_FRAMES, OFFSETS, foreign_table, json_mcap, own_bag, per_line
 
 

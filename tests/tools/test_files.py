@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
@@ -25,6 +24,7 @@ from egolane_pgm.types import InputError
 from egolane_pgm.views.style import write_figure
 from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
 from egolane_pgm.vision.camera.writing import write_picture
+from tests.kits.rosbag_writer import write_lines
 
 DRIVE = simulate("quickstart", frames=60)
 CAMERA = Camera(64, 48, 50.0, 50.0, 32.0, 24.0, height_m=1.3)

@@ -110,7 +110,7 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
         (["--set", "lri_frame=3"], "unknown key 'lri_frame' (did you mean 'lri_frames'?)"),
         (["--frames", "500", "900"], "no frame from 500 to before 900; it has 16 frames"),
         (["--right", "x.avi"], "looks at one camera only"),
-        (["-o", "l.txt"], "lines are written as .parquet, .csv, .bag"),
+        (["-o", "l.txt"], "lines are written as .parquet, .csv"),
         (["--camera", "nix.yaml"], "nix.yaml: cannot be read"),
     ],
 )
@@ -290,10 +290,6 @@ def test_pictures_without_a_rate_get_the_one_that_is_said(place: Path, tmp_path:
     assert read_lines(target).time_s == pytest.approx([0.0, 0.1, 0.2, 0.3])
     assert "are assumed" not in done(*words, "--frame-rate", 25).stderr
     assert read_lines(target).time_s == pytest.approx([0.0, 0.04, 0.08, 0.12])
-    # It is said of a bag, too, how to read it.
-    bag = (*words[:-1], tmp_path / "l.bag", "--frame-rate", 25)
-    assert "here recording.frame_rate=25" in done(*bag).stderr
-    assert read_lines(tmp_path / "l.bag", frame_rate=25).time_s[-1] == pytest.approx(0.12)
 
 
 def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
