@@ -181,7 +181,7 @@ def test_lines_in_three_stills(real_pictures: Path, tmp_path: Path, detector: st
         camera=camera,
         detector=detector,
         frame_rate=20,
-        parameters={"lri_frames": 2, "camera_drift": "correct"},
+        parameters={"lri_frames": 2},
         progress=False,
     )
     frozen = FROZEN["stills"][detector]
