@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -27,7 +26,6 @@ from egolane_pgm.vision.camera.model import (
     with_vanishing_point,
     write_camera,
 )
-from tests.kits.drives import refused, write_drive
 
 LEVEL = Camera(1280, 720, 1000.0, 1000.0, 640.0, 360.0, height_m=1.5)
 LENS = (-0.2485, -0.0195, -0.0006, 0.0002, 0.0086)
@@ -174,11 +172,6 @@ def test_a_camera_is_written_into_a_new_folder_and_not_over_one(tmp_path):
     assert read_camera(tmp_path / "new" / "inner" / "cam.yaml") == LEVEL
     with pytest.raises(InputError, match=r"inner: cannot be written: Is a directory"):
         write_camera(tmp_path / "new" / "inner", LEVEL)
-
-
-def test_a_camera_that_nothing_would_look_through_is_refused(tmp_path: Path) -> None:
-    said = refused("lines", write_drive(tmp_path, 30), "--frame", 0, "--camera", "cam.yaml")
-    assert said == "--camera: an experiment names its own, recording.camera"
 
 
 @given(st.floats(0.3, 3.0), st.floats(5, 60), st.floats(-8, 8), st.floats(-5, 5), st.floats(-3, 3))
