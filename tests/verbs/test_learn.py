@@ -17,13 +17,13 @@ from tests.kits.drives import contents, done, refused, rewritten, write_drive
 from tests.kits.synthetic_road import write_place
 
 
-def test_what_is_learned_elsewhere_reads_the_same_folder_and_camera(
+def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
     labelled: Path, tmp_path: Path
 ) -> None:
     target = tmp_path / "new" / "folder" / "learned.yaml"
     done("learn", labelled, "--out", target)
     content = yaml.safe_load(target.read_text())
-    assert content["recording"]["path"] == "../../drive/labels"
+    assert content["recording"]["path"] == "../../drive/labels.json"
     assert content["recording"]["camera"] == "../../drive/cam.yaml"
     assert content["ground_truth"]["path"] == "../../drive/t.txt"
     found = load_recording(load_experiment(target)).log

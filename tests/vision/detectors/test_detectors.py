@@ -226,7 +226,7 @@ def test_a_lane_change_to_the_right_is_one_line_that_crosses_and_one_change_of_l
     curve: str,
 ) -> None:
     folder = folder_of(lane_change, "lane_change_right")
-    followed = lane_change.follow_pictures(folder, curve, first=20)
+    followed = lane_change.follow_pictures(folder, curve)
     (crossed,) = lane_change.crossings(followed)
     assert crossed.first_m > 1
     assert crossed.last_m < -1
