@@ -32,10 +32,11 @@ needs_compiler = pytest.mark.skipif(
 
 #: What takes longest, begun first: processes that share the tests by files then end together.
 SLOWEST = (
-    *("docs/test_examples.py", "vision/detectors/simple/test_clothoids.py", "makers/test_drift.py"),
-    *("docs/test_site.py", "comparing/test_events.py", "test_notebooks.py"),
-    *("tools/test_jobs.py", "vision/detectors/networks/", "makers/test_labels.py", "tuning/"),
-    *("vision/detectors/simple/test_drift.py", "test_dist.py", "test_loading.py", "makers/"),
+    *("docs/test_examples.py", "makers/test_benchmark.py", "comparing/test_compared.py"),
+    *("evidence/line_geometry/test_rule.py", "evidence/line_geometry/test_habits.py"),
+    *("tuning/test_storage.py", "test_frozen.py", "test_paper.py", "test_notebooks.py"),
+    *("test_online.py", "test_labelling.py", "evidence/line_geometry/", "test_dist.py", "makers/"),
+    *("docs/", "tools/test_jobs.py", "tuning/", "vision/detectors/", "verbs/test_tune.py"),
 )
 
 

@@ -358,14 +358,14 @@ def test_lane_changes_have_a_row_per_recording_and_one_for_all(tmp_path: Path) -
 
 
 def test_the_causal_model_tells_the_lane_changes_of_the_paper_s_runs(recordings: Path) -> None:
-    """Runs 5 and 10 are those of a multi-lane detector; Spain counts before frame 9577."""
+    """Two detectors on either road; Spain counts before frame 9577."""
     place = ego.experiments_folder() / "zero_label.yaml"
-    found = ego.compare(place, runs="1-4,6-9", events=True, progress=False).document
+    found = ego.compare(place, runs="1,3,6,9", events=True, progress=False).document
     scores = [[*r["experiments"][0]["events"].values()][-1] for r in found["recordings"]]
     right, false, missed = (
         sum(each["within"]["2"][key] for each in scores) for key in ("right", "false", "missed")
     )
-    assert right + missed == 4 * 109 + 4 * 34
+    assert right + missed == 2 * 109 + 2 * 34
     assert right / (right + false) >= 0.98
     assert right / (right + missed) >= 0.98
     for recording, each in zip(found["recordings"], scores, strict=True):
