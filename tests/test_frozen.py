@@ -80,8 +80,8 @@ def run_again(result: ego.Result, experiment: Any, **options: Any) -> ego.Result
 def scores_of(result: ego.Result) -> list[float]:
     """Accuracy, log-loss, share of sure frames (.95 or more) and mean log evidence."""
     model = result.scores["model"]
-    sure, evidence = result.scores["sure"], result.scores["mean_log_evidence"]
-    return [model["accuracy"], model["log_loss"], sure, evidence]
+    sure = float((posteriors(result)["Lane"].max(axis=1) >= 0.95).mean())
+    return [model["accuracy"], model["log_loss"], sure, result.scores["mean_log_evidence"]]
 
 
 def posteriors(result: ego.Result) -> Mapping[str, np.ndarray]:
