@@ -146,11 +146,12 @@ def fields(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for name, each in value.items():
-        time_s = stamp_s(each)
-        if isinstance(each, Mapping) and time_s is None:
-            found |= fields(each, f"{before}{name}.")
+        if not isinstance(each, dict):
+            found[before + name] = each
+        elif (time_s := stamp_s(each)) is not None:
+            found[before + name] = time_s
         else:
-            found[before + name] = each if time_s is None else time_s
+            found |= fields(each, f"{before}{name}.")
     return found
 
 

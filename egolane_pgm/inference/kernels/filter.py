@@ -19,20 +19,6 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 LEAST, MOST = 2.0**-1022, 2.0**1022
 
 
-@kernel()
-def product_of_marginals(belief: FloatArray, column: IntArray) -> FloatArray:
-    """(S,): the product of the marginals of the state's nodes; column (N, S) as in `Layout`."""
-    share = np.zeros(column.max() + 1)
-    for p in range(column.shape[0]):
-        for s in range(belief.shape[0]):
-            share[column[p, s]] += belief[s]
-    product = np.ones(belief.shape[0])
-    for p in range(column.shape[0]):
-        for s in range(belief.shape[0]):
-            product[s] *= share[column[p, s]]
-    return product
-
-
 @lru_cache(maxsize=64)
 def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """The forward recursion.
