@@ -4,7 +4,7 @@ Editors complete and check keys by them, and the documentation's reference is ma
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
@@ -16,10 +16,8 @@ from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.tuning.plan import TuningFile
 
-Kind = Literal["experiment", "tuning"]
-
 #: The files that have a schema: what is in them.
-KINDS: dict[Kind, Any] = {
+KINDS: dict[str, Any] = {
     "experiment": Experiment,
     "tuning": TuningFile,
 }
@@ -44,7 +42,7 @@ class _Untitled(GenerateJsonSchema):
         return False
 
 
-def schema(kind: Kind = "experiment") -> dict[str, Any]:
+def schema(kind: str = "experiment") -> dict[str, Any]:
     """The JSON Schema of a YAML file, by which an editor completes and checks its keys.
 
     Unknown keys are refused; what a plugin of the package is called is checked, files of one's own

@@ -61,7 +61,7 @@ def show(
     listed. NAME is one of these or a file of your own: a graph, an evidence rule, a detector or an
     experiment. `graph:NAME`, `evidence:NAME`, `detector:NAME` and `experiment:NAME` tell apart what
     has the same name. `schema` is the JSON Schema of experiments, `schema:tuning` that of tuning
-    files, and so on.
+    files.
 
     For a recording (a table or a bag), print its content and, if names and signs are clear, the
     command that runs it. For a lane network (FILE.onnx), print its inputs and outputs, the layout
@@ -137,10 +137,9 @@ def _schema(kind: str) -> dict[str, Any]:
     # It imports whatever has a schema.
     from egolane_pgm.verbs.schema import KINDS, schema
 
-    for known in KINDS:
-        if kind == known:
-            return schema(known)
-    raise InputError(f"schema:{kind}: unknown kind{suggestion(kind, KINDS)}")
+    if kind not in KINDS:
+        raise InputError(f"schema:{kind}: unknown kind{suggestion(kind, KINDS)}")
+    return schema(kind)
 
 
 # --- experiments -------------------------------------------------------------------------------
