@@ -3,7 +3,7 @@
     import egolane_pgm as ego
 
     run = ego.run("experiments/quickstart.yaml", overrides={"parameters.sigma1": 0.3})
-    frame = run.to_pandas()
+    frames = run.frames
     run.plot()
 
 Everything is imported when it is used first, so that importing the package costs nothing.
@@ -16,10 +16,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     # What editors and type checkers see of the names below.
-    from egolane_pgm.comparing.result import Comparison as Comparison
-    from egolane_pgm.drive_table import DriveTable as DriveTable
-    from egolane_pgm.experiment import experiments_folder as experiments_folder
-    from egolane_pgm.experiment import load_experiment as load_experiment
     from egolane_pgm.graphs import cpds as cpds
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
@@ -30,26 +26,26 @@ if TYPE_CHECKING:
     from egolane_pgm.inference.unrolling import unrolled as unrolled
     from egolane_pgm.inference.viterbi import viterbi as viterbi
     from egolane_pgm.labelling import Labels as Labels
-    from egolane_pgm.learning.em import fit_tables as fit_tables
-    from egolane_pgm.learning.em import learned_network as learned_network
+    from egolane_pgm.loading import experiments_folder as experiments_folder
+    from egolane_pgm.loading import load_experiment as load_experiment
     from egolane_pgm.parameters import Parameter as Parameter
     from egolane_pgm.recordings import read_lines as read_lines
-    from egolane_pgm.results import Result as Result
-    from egolane_pgm.tuning.black_box import Objective as Objective
-    from egolane_pgm.tuning.black_box import objective as objective
-    from egolane_pgm.tuning.result import Study as Study
+    from egolane_pgm.result import Result as Result
+    from egolane_pgm.result import load_result as load_result
+    from egolane_pgm.studies.black_box import Objective as Objective
+    from egolane_pgm.studies.black_box import objective as objective
+    from egolane_pgm.studies.em import fit_tables as fit_tables
+    from egolane_pgm.studies.em import learned_network as learned_network
+    from egolane_pgm.studies.study import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
     from egolane_pgm.types import InputError as InputError
-    from egolane_pgm.types import LaneEvents as LaneEvents
-    from egolane_pgm.types import LaneTruth as LaneTruth
     from egolane_pgm.types import LineLog as LineLog
     from egolane_pgm.verbs.compare import compare as compare
     from egolane_pgm.verbs.detect import detect as detect
     from egolane_pgm.verbs.drawn import draw_network as draw_network
     from egolane_pgm.verbs.label import label as label
     from egolane_pgm.verbs.learn import learn as learn
-    from egolane_pgm.verbs.loaded import load_result as load_result
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
     from egolane_pgm.verbs.run import run as run
     from egolane_pgm.verbs.simulate import simulate as simulate
@@ -59,8 +55,8 @@ __version__ = "0.2.0"
 
 #: The module of each public name.
 _PUBLIC = {
-    "experiments_folder": "experiment",
-    "load_experiment": "experiment",
+    "experiments_folder": "loading",
+    "load_experiment": "loading",
     "run": "verbs.run",
     "tune": "verbs.tune",
     "learn": "verbs.learn",
@@ -69,33 +65,29 @@ _PUBLIC = {
     "detect": "verbs.detect",
     "label": "verbs.label",
     "simulate": "verbs.simulate",
-    "objective": "tuning.black_box",
-    "Objective": "tuning.black_box",
+    "objective": "studies.black_box",
+    "Objective": "studies.black_box",
     "read_lines": "recordings",
     "Parameter": "parameters",
     "cpds": "graphs",
-    "load_result": "verbs.loaded",
+    "load_result": "result",
     "compile": "inference.compile",
     "draw_network": "verbs.drawn",
-    "Result": "results",
-    "Study": "tuning.result",
-    "Comparison": "comparing.result",
-    "DriveTable": "drive_table",
+    "Result": "result",
+    "Study": "studies.study",
     "Labels": "labelling",
     "filter_beliefs": "inference.filtering",
     "smooth_beliefs": "inference.smoothing",
     "fixed_lag_beliefs": "inference.smoothing",
     "viterbi": "inference.viterbi",
     "expected_counts": "inference.expected_counts",
-    "learned_network": "learning.em",
+    "learned_network": "studies.em",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
-    "fit_tables": "learning.em",
+    "fit_tables": "studies.em",
     "LineLog": "types",
-    "LaneTruth": "types",
     "Evidence": "types",
     "Beliefs": "types",
-    "LaneEvents": "types",
     "InputError": "types",
 }
 

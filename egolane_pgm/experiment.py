@@ -1,20 +1,13 @@
-"""An experiment is a YAML file: it names the recording, the rule by which lines become evidence,
-the graph and the parameters. This module checks the keys, `model` then the parameters of plugins.
-A key that does not fit is named in one line.
+"""The keys of an experiment: its recording, evidence rule, graph, filter and parameters.
 
-Two keys are not the experiment's own. `include: other.yaml` takes the keys that the YAML lacks from
-a file beside it (`load_yaml`). `version: 1`, which may be left out, says which version of the keys
-the YAML is written in (`files.read_yaml`).
+`loading` reads them from YAML files; `model` checks the parameters of plugins.
 """
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
 from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
 
 import numpy as np
@@ -32,16 +25,10 @@ from pydantic import (
 )
 from pydantic_core import ErrorDetails
 
-from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.tools.files import read_yaml, without_version
-from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import MAX_LANES, InputError, near_word, not_one_of, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, not_one_of, suggestion
 
 #: What an experiment keeps for `n_lanes: map`.
 FROM_MAP = 0
-
-#: What replaces some of an experiment's keys, as `load_experiment` takes it.
-Overrides = Mapping[str, Any] | Sequence[str] | None
 
 
 class FrozenDict(dict[str, Any]):
@@ -497,13 +484,7 @@ class Experiment(Section):
             raise ValueError("a path has a lane in every frame; goes with decode marginal only")
         return value
 
-    _folder: Path = Path()
     _source: str = "experiment"
-
-    @property
-    def folder(self) -> Path:
-        """The folder of the YAML file: its relative paths start here."""
-        return self._folder
 
     @property
     def has_causal_filter(self) -> bool:
@@ -516,167 +497,13 @@ class Experiment(Section):
         return self._source
 
 
-#: An experiment, its YAML file, or its keys and values.
-Given = Experiment | str | os.PathLike[str] | Mapping[str, Any]
+def make_experiment(content: Mapping[str, Any], source: str) -> Experiment:
+    """Make an experiment from its keys. Raises InputError for a key that does not fit.
 
-
-def experiments_folder() -> Path:
-    """The folder of the experiments that come with the package.
-
-    >>> import egolane_pgm as ego
-    >>> sorted(path.name for path in (ego.experiments_folder() / "paper").glob("run0[12]*"))
-    ['run01_italy_ml.yaml', 'run02_italy_sl.yaml']
-    """
-    installed = Path(__file__).parent / "_experiments"
-    return installed if installed.is_dir() else Path(__file__).parent.parent / "experiments"
-
-
-def experiment_path(given: str | os.PathLike[str]) -> Path:
-    """The file of an experiment. One that comes with the package is found under its name,
-    `zero_label` or `experiments/zero_label.yaml`, from every folder that has no such file of its
-    own. Raises InputError for a name that none has."""
-    path = Path(given)
-    if not path.suffix and not path.exists():
-        named = {each.stem: each for each in experiments_folder().rglob("*.yaml")}
-        if str(given) in named:
-            return named[str(given)]
-        meant = near_word(str(given), named)
-        raise InputError(f"{given}: is no file, and no experiment that `egolane show` lists{meant}")
-    if path.parts[:1] == ("experiments",) and not path.exists():
-        shipped = experiments_folder().joinpath(*path.parts[1:])
-        return shipped if shipped.is_file() else path
-    return path
-
-
-def load_experiment(experiment: Given, overrides: Overrides = ()) -> Experiment:
-    """Read an experiment, or change one.
-
-    - experiment: its YAML file, also one that comes with the package (`experiment_path`); an
-      experiment; or its keys and values, and then its paths are relative to where one is.
-    - overrides: keys that get other values: `{"parameters": {"sigma1": 0.3}}`, which may be
-      written `{"parameters.sigma1": 0.3}`, or a list of `"parameters.sigma1=0.3"`, the value as
-      YAML. A dict adds its keys to those of a section, and an empty one empties it; None takes a
-      key, or a section, away. Its values may be NumPy's, tuples or paths.
-
-    Raises InputError, a line that names file and key, for what does not fit.
-
-    >>> import egolane_pgm as ego
-    >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> experiment = ego.load_experiment(place, {"parameters.sigma1": 0.3})
-    >>> experiment.parameters["sigma1"]
-    0.3
-    >>> ego.load_experiment(experiment, {"filter": "exact"}).filter
-    'exact'
-    >>> ego.load_experiment(place, {"filtr": "exact"})
-    Traceback (most recent call last):
-    ...
-    egolane_pgm.types.InputError: ...quickstart.yaml: unknown key 'filtr' (did you mean 'filter'?)
-    """
-    if isinstance(experiment, Experiment):
-        if not overrides:
-            return experiment
-        content = overridden(experiment.model_dump(exclude_unset=True), overrides)
-        return make_experiment(content, experiment.folder, experiment.source)
-    if isinstance(experiment, Mapping):
-        content = without_version(_nested(experiment), "experiment")
-        content = overridden(_including(content, Path(), "experiment", ("experiment",)), overrides)
-        return make_experiment(content, Path(), "experiment")
-    if not isinstance(experiment, (str, os.PathLike)):
-        raise InputError(
-            f"{experiment!r} is no experiment; give the path of a YAML file, its keys and values,"
-            " or what load_experiment returned"
-        )
-    path = experiment_path(experiment)
-    return make_experiment(load_yaml(path, overrides), path.parent, str(path))
-
-
-def load_yaml(path: Path, overrides: Overrides = ()) -> dict[str, Any]:
-    """Read the keys of a YAML file and of the file that it includes, then override some.
-
-    `include: other.yaml`, a file beside the YAML, gives the keys that the YAML itself does not
-    have. Sections are merged key by key, and `{}` is an empty one. Paths in the other file are
-    taken as if they stood here.
-    Raises InputError as `load_experiment` does.
-    """
-    return overridden(_with_included(path, ()), overrides)
-
-
-def overridden(content: dict[str, Any], overrides: Overrides) -> dict[str, Any]:
-    """The keys of an experiment, some with other values, as `load_experiment` takes them."""
-    if overrides is None:
-        return content
-    if isinstance(overrides, Mapping):
-        return _merged(content, _nested(overrides), removes=True)
-    is_list = isinstance(overrides, Iterable) and not isinstance(overrides, str)
-    if not is_list or not all(isinstance(each, str) for each in overrides):
-        raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
-    for override in overrides:
-        _override(content, override)
-    return content
-
-
-def _nested(given: Mapping[str, Any]) -> dict[str, Any]:
-    """The same with a section for what stands before a dot: `{"a.b": 1}` is `{"a": {"b": 1}}`."""
-    nested: dict[str, Any] = {}
-    for key, value in given.items():
-        if not isinstance(key, str) or not all(key.split(".")):
-            raise InputError(f"{key!r} is not the name of a key, e.g. parameters.sigma1")
-        section = _nested(value) if isinstance(value, Mapping) else frozen(value)
-        for part in reversed(key.split(".")):
-            section = {part: section}
-        nested = _merged(nested, section)
-    return nested
-
-
-def _with_included(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
-    """Read a file and what it includes; `including` are the files that led to it."""
-    # Not `resolve`, which ends in an error of its own where a link leads to itself.
-    place = os.path.realpath(path)
-    if place in including:
-        raise InputError(f"{including[-1]}: include: {path.name} includes this file itself")
-    # Not `path.is_file`, to which a name that is too long is an error of its own.
-    if including and not os.path.isfile(path):
-        raise InputError(f"{including[-1]}: include: no file {path}")
-    return _including(read_yaml(path, "n_lanes: 4"), path.parent, str(path), (*including, place))
-
-
-def _including(
-    content: dict[str, Any], folder: Path, source: str, including: tuple[str, ...]
-) -> dict[str, Any]:
-    """Add the keys of the file that some keys include."""
-    if "include" not in content:
-        return content
-    name = content.pop("include")
-    if not isinstance(name, str):
-        raise InputError(f"{source}: include: {name!r} is not the name of a file")
-    return _merged(_with_included(folder / name, including), content)
-
-
-def _merged(
-    base: Mapping[str, Any], over: Mapping[str, Any], *, removes: bool = False
-) -> dict[str, Any]:
-    """The keys of both, those of `over` before the others; an empty section replaces one.
-
-    - removes: whether None takes a key of `base` away.
-    """
-    merged = dict(base)
-    for key, value in over.items():
-        if removes and value is None and key in base:
-            del merged[key]
-        elif value and isinstance(value, dict) and isinstance(base.get(key), dict):
-            merged[key] = _merged(base[key], value, removes=removes)
-        else:
-            merged[key] = value
-    return merged
-
-
-def make_experiment(content: Mapping[str, Any], folder: Path, source: str) -> Experiment:
-    """Make an experiment from the keys of a YAML file; its paths are relative to `folder`.
-
-    Raises InputError for a key that does not fit.
+    - content: keys and values; paths are absolute.
+    - source: the YAML file, for messages.
     """
     experiment = validated(Experiment, content, source)
-    experiment._folder = Path(folder)
     experiment._source = source
     return experiment
 
@@ -691,19 +518,13 @@ def validated(model: type[AnySection], content: Mapping[str, Any], source: str) 
         raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
 
 
-#: Keys that say how parameters are found. A resolved experiment has the parameters themselves.
-_FITTING = {"tuning", "fit", "learning"}
+#: Keys that configure fits. A resolved experiment has the parameters themselves.
+FITTING = {"tuning", "fit", "learning"}
 
 
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """All keys with their values, defaults included, as plain types for YAML or JSON."""
-    content = experiment.model_dump(mode="json", exclude=_FITTING)
-    # A config without one of these is the same config as ever, and so is its hash.
-    recording = content["recording"]
-    for section, keys in (content, ("road",)), (recording, ("columns",)):
-        for key in keys:
-            if section[key] is None:
-                del section[key]
+    """All keys that have a value, defaults included, as plain types for YAML or JSON."""
+    content = experiment.model_dump(mode="json", exclude=FITTING, exclude_none=True)
     if experiment.n_lanes == FROM_MAP:
         content["n_lanes"] = "map"
     content["parameters"] = {
@@ -711,60 +532,6 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
         for name, value in sorted(parameters.items())
     }
     return content
-
-
-def config_hash(content: Mapping[str, Any]) -> str:
-    """The sha256 of a resolved config, which does not depend on the order of its keys."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def read_override(override: str, example: str, option: str = "overrides") -> tuple[str, Any]:
-    """The key and the value, which is YAML, of `key=value`.
-
-    - example: how one is written, for messages. option: the option that has it, for messages.
-
-    Raises InputError for anything else.
-    """
-    key, equals, text = override.partition("=")
-    key = key.strip()
-    if not equals or not all(key.split(".")):
-        raise InputError(f"{option}: {override}: write it as key=value, e.g. {example}")
-    try:
-        return key, parse_yaml(text, option)
-    except InputError as error:
-        raise InputError(f"{option}: {override}: the value is not YAML") from error
-
-
-#: The keys whose values are files.
-_FILES = (
-    *("recording.path", "recording.camera", "recording.right"),
-    *("ground_truth.path", "road"),
-)
-
-#: The keys whose values are plugins, by name or file.
-_PLUGIN_FILES = ("graph", "evidence", "recording.format", "recording.detector")
-
-
-def _override(content: dict[str, Any], override: str) -> None:
-    key, value = read_override(override, "parameters.bonus_value=0")
-    parts = key.split(".")
-    section: Any = content
-    for part in parts[:-1]:
-        if section.get(part) is None:
-            section[part] = {}
-        section = section[part]
-        if not isinstance(section, dict):
-            raise InputError(f"overrides: {override}: {part} has no keys below it")
-    section[parts[-1]] = _found_from_here(key, value)
-
-
-def _found_from_here(key: str, value: Any) -> Any:
-    """The value of an override. A file that is there from where one stands is named in full, since
-    those of the YAML are looked for beside it."""
-    may_be = key in _PLUGIN_FILES or key.startswith("recording.detector_parameters.")
-    is_plugin = may_be and str(value).endswith(OWN_FILES)
-    is_named = isinstance(value, str) and (is_plugin or key in _FILES)
-    return str(Path(value).absolute()) if is_named and os.path.exists(value) else value
 
 
 def _first_problem(error: ValidationError, model: type[Section]) -> str:

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from egolane_pgm.experiment import experiments_folder, load_experiment
-from egolane_pgm.results import SCHEMA_VERSION, Result
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.loading import experiments_folder, load_experiment
+from egolane_pgm.result import Result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.confusion import frames_off
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import InputError
 
-SCORES = ("precision", "recall", "f1", "accuracy", "log_loss")
 PARAMETER_SETS = ("recovered", "published")
 
 
@@ -110,28 +111,10 @@ def reproduce_run(number: int, which: str) -> Reproduced:
     return Reproduced(number, entry, run, off["detector"], off["model"])
 
 
-def reproduce_json(runs: Iterable[Reproduced], which: str) -> dict[str, Any]:
-    """The JSON that `egolane reproduce --json` writes: unrounded, keys as in the README."""
-    rows = [
-        {
-            "run": r.number,
-            "name": r.run.experiment.name,
-            "tuned_on": r.run.experiment.tuned_on,
-            "frames": len(r.run),
-            "frames_scored": r.run.scores["model"]["frames_scored"],
-            "detector_frames_off": r.detector_frames_off,
-            "model_frames_off": r.model_frames_off,
-            **{
-                kind: {key: r.run.scores[kind][key] for key in (*SCORES, "confusion")}
-                for kind in ("detector", "model")
-            },
-        }
-        for r in runs
-    ]
-    total = sum(r["detector_frames_off"] + r["model_frames_off"] for r in rows)
-    return {
-        "schema_version": SCHEMA_VERSION,
-        "parameters": which,
-        "runs": rows,
-        "total_frames_off": total,
-    }
+def known_parameters(experiment: Experiment) -> list[dict[str, Any]]:
+    """The recovered and the published parameters of the paper's run that an experiment is."""
+    match = re.fullmatch(r"run(\d\d)_(italy|spain)_[a-z]+", experiment.name)
+    if match is None or not 1 <= int(match[1]) <= 10:
+        return []
+    entry = load_published()[int(match[1])]
+    return [parameters_for(entry, which) for which in PARAMETER_SETS]

@@ -111,22 +111,20 @@ def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, s
     return found[0], name
 
 
-def load_plugin(folder: str, name: str, base: Path, where: str) -> ModuleType:
+def load_plugin(folder: str, name: str, where: str) -> ModuleType:
     """Import a plugin.
 
     - folder: a key of CONTRACTS. name: a plugin of that folder, or a file (.py, for a graph any of
-      OWN_FILES), relative to `base`.
+      OWN_FILES).
     - where: the beginning of an error's message, e.g. the YAML file and the key.
 
     Raises InputError for an unknown name (with a suggestion), a missing file, a file that cannot be
     imported and one that lacks what the contract asks for.
     """
     # Not `resolve`, which ends in an error of its own where a link leads to itself.
-    file = Path(os.path.realpath(base / name))
+    file = Path(os.path.realpath(name))
     if name.endswith(OWN_FILES if folder == "graphs" else ".py") and not file.is_file():
-        here = Path(os.path.realpath(name))
-        nor = "" if here == file or here.exists() else f", nor {here}"
-        raise InputError(f"{where}: no file {file}{nor}")
+        raise InputError(f"{where}: no file {file}")
     if name.endswith(".py"):
         module = _load_file(file, where)
         if folder == "graphs" and not hasattr(module, "build"):
@@ -171,13 +169,11 @@ def plugin_place(module: ModuleType) -> str:
     return module.__name__.rpartition(".")[2]
 
 
-def load_rule_and_graph(
-    evidence: str, graph: str, base: Path, source: str
-) -> tuple[ModuleType, ModuleType]:
+def load_rule_and_graph(evidence: str, graph: str, source: str) -> tuple[ModuleType, ModuleType]:
     """Import an experiment's evidence rule and graph. Raises InputError, naming the YAML file
     `source` and its key, for one that cannot be used."""
-    rule = load_plugin("evidence", evidence, base, f"{source}: evidence")
-    module = load_plugin("graphs", graph, base, f"{source}: graph")
+    rule = load_plugin("evidence", evidence, f"{source}: evidence")
+    module = load_plugin("graphs", graph, f"{source}: graph")
     return rule, module
 
 

@@ -44,6 +44,8 @@ DATED_S = 1e8
 #: The assigned lane of a frame without a unique most probable lane.
 UNASSIGNED = 0
 
+#: The true lane of a frame that is not annotated.
+NOT_ANNOTATED = 0
 
 #: The longest line that says what is wrong, in letters.
 LONGEST = 2000
@@ -207,7 +209,8 @@ def _indices(node: str, given: Iterable[Any], names: Sequence[str]) -> IntArray:
     return found
 
 
-def _check_frame_ids(frame_id: IntArray, what: str) -> None:
+def check_frame_ids(frame_id: IntArray, what: str) -> None:
+    """Raise InputError for frame ids that do not strictly increase. what: for messages."""
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
     if len(frame_id) < 2 or (frame_id[1:] > frame_id[:-1]).all():
@@ -271,7 +274,7 @@ class LineLog:
         n_frames = len(self.frame_id)
         if self.is_missing.size == 0 and n_frames:
             object.__setattr__(self, "is_missing", np.zeros(n_frames, dtype=bool))
-        _check_frame_ids(self.frame_id, self.source)
+        check_frame_ids(self.frame_id, self.source)
         _check_shape("time_s", self.time_s, (n_frames,), self.source)
         _check_shape("is_missing", self.is_missing, (n_frames,), self.source)
         if self.clip is not None:
@@ -435,54 +438,6 @@ class LineLog:
             parts[-1].source,
             np.concatenate(clips) if len(clips) == len(parts) else None,
         )
-
-
-@dataclass(frozen=True)
-class LaneTruth:
-    """Annotated ground truth.
-
-    - frame_id (T,): strictly increasing.
-    - lane (T,): 1 (leftmost) to n.
-    - is_crossing (T,): marks frames in which the vehicle changes lane, so the label is ambiguous.
-
-    >>> import numpy as np
-    >>> import egolane_pgm as ego
-    >>> ego.LaneTruth(np.array([7, 8, 9]), np.array([1, 2, 2]), np.array([False, True, False]))
-    LaneTruth('ground truth': 3 frames, ids 7 to 9, 1 crossing)
-    """
-
-    frame_id: IntArray
-    lane: IntArray
-    is_crossing: BoolArray
-    source: str = "ground truth"
-
-    def __repr__(self) -> str:
-        crossing = int(np.count_nonzero(self.is_crossing))
-        return f"LaneTruth({self.source!r}: {_span(self.frame_id)}, {crossing} crossing)"
-
-    def __post_init__(self) -> None:
-        _check_frame_ids(self.frame_id, self.source)
-        for name in ("lane", "is_crossing"):
-            _check_shape(name, getattr(self, name), self.frame_id.shape, self.source)
-
-    def __len__(self) -> int:
-        return len(self.frame_id)
-
-    def take(self, frames: slice | IntArray | BoolArray) -> LaneTruth:
-        """The truth of some frames, in order."""
-        return LaneTruth(
-            self.frame_id[frames], self.lane[frames], self.is_crossing[frames], self.source
-        )
-
-    def check_lanes(self, n_lanes: int) -> None:
-        """Raise InputError, naming file and frame, where a lane is outside 1..n_lanes."""
-        bad = (self.lane < 1) | (self.lane > n_lanes)
-        if bad.any():
-            k = int(np.argmax(bad))
-            raise InputError(
-                f"{self.source}: frame {int(self.frame_id[k])}: lane {int(self.lane[k])} is"
-                f" outside 1..{n_lanes}; is n_lanes right?"
-            )
 
 
 @dataclass(frozen=True)
@@ -696,89 +651,37 @@ class Beliefs:
 SIDES = {-1: "to the left", 1: "to the right"}
 
 
-@dataclass(frozen=True)
-class LaneEvents:
-    """E lane changes that a belief shows, in the order in which they are reported.
+def lane_truth(
+    frame_id: Any, lane: Any, is_crossing: Any, source: str = "ground truth"
+) -> pd.DataFrame:
+    """The ground truth of K annotated frames, a row each; the index is `frame_id`.
 
-    - told_frame_id, told_time_s (E,): when the change was first believed; seconds.
-    - frame_id, time_s (E,): since when, up to there, the new lane was more probable than the old
-      one without a break.
-    - from_lane, to_lane (E,): 1 (leftmost) to n; UNASSIGNED where the car is seen to change lane
-      while its lane is not known or the belief stays in its lane.
-    - direction (E,): -1 to the left, 1 to the right.
-    - probability (E,): of the new lane, in the belief that first showed the change; NaN where the
-      lanes are not known.
-    - delay_s (E,): how long after the end of the true crossing the change was reported, negative
-      where it was reported before; NaN where the car made no such change. None without ground
-      truth.
+    - frame_id (K,): strictly increasing.
+    - lane (K,): 1 (leftmost) to n; the column `true_lane`.
+    - is_crossing (K,): marks frames in which the car changes lanes: their label is ambiguous.
+    - source: the file, for messages; kept in `attrs`.
 
-    >>> import numpy as np
-    >>> import egolane_pgm as ego
-    >>> lane = np.array([[0.9, 0.1], [0.4, 0.6], [0.2, 0.8]])
-    >>> beliefs = ego.Beliefs(np.array([7, 8, 9]), {"Lane": lane}, np.zeros(3), np.zeros(3, bool))
-    >>> ego.lane_events(beliefs, frame_rate=10)
-    LaneEvents(1 lane change: lane 1 to 2 at 0.8 s)
+    Raises InputError for frame ids that do not increase.
     """
+    # pandas is imported for tables only.
+    import pandas as pd
 
-    told_frame_id: IntArray
-    told_time_s: FloatArray
-    frame_id: IntArray
-    time_s: FloatArray
-    from_lane: IntArray
-    to_lane: IntArray
-    direction: IntArray
-    probability: FloatArray
-    delay_s: FloatArray | None = None
+    ids = np.asarray(frame_id, dtype=np.int64)
+    check_frame_ids(ids, source)
+    columns = {
+        "true_lane": np.asarray(lane, dtype=np.int64),
+        "is_crossing": np.asarray(is_crossing, dtype=bool),
+    }
+    truth = pd.DataFrame(columns, index=pd.Index(ids, name="frame_id"))
+    truth.attrs["source"] = source
+    return truth
 
-    @classmethod
-    def joined(cls, parts: Sequence[LaneEvents]) -> LaneEvents:
-        """The changes of several clips, one after the other, without ground truth."""
-        if len(parts) == 1:
-            return parts[0]
-        columns = [part.columns() for part in parts]
-        kept = [name for name in columns[0] if name != "late_s"]
-        return cls(**{name: np.concatenate([c[name] for c in columns]) for name in kept})
 
-    def __len__(self) -> int:
-        return len(self.frame_id)
-
-    def __repr__(self) -> str:
-        said = [
-            f"{f'lane {a} to {b}' if a else SIDES[side]} at {t:.1f} s"
-            for a, b, side, t in zip(
-                self.from_lane, self.to_lane, self.direction, self.time_s, strict=True
-            )
-        ]
-        several = "" if len(self) == 1 else "s"
-        shown = ", ".join(said[:3] + ["..."] * (len(said) > 3))
-        return f"LaneEvents({len(self)} lane change{several}{': ' * bool(said)}{shown})"
-
-    def _repr_html_(self) -> str:
-        return str(self.to_pandas().to_html())
-
-    @property
-    def late_s(self) -> FloatArray:
-        """(E,): how long the new lane was the more probable one before the change was reported."""
-        return np.asarray(self.told_time_s - self.time_s)
-
-    def columns(self) -> dict[str, NDArray[Any]]:
-        """The columns of events.csv, (E,) each; `delay_s` only with ground truth."""
-        columns: dict[str, NDArray[Any]] = {
-            "frame_id": self.frame_id,
-            "time_s": self.time_s,
-            "from_lane": self.from_lane,
-            "to_lane": self.to_lane,
-            "direction": self.direction,
-            "probability": self.probability,
-            "told_frame_id": self.told_frame_id,
-            "told_time_s": self.told_time_s,
-            "late_s": self.late_s,
-        }
-        return columns if self.delay_s is None else {**columns, "delay_s": self.delay_s}
-
-    def to_pandas(self) -> pd.DataFrame:
-        """A row per lane change, with the columns of `columns`."""
-        # pandas is imported only for a table.
-        import pandas as pd
-
-        return pd.DataFrame(self.columns())
+def check_lanes(truth: pd.DataFrame, n_lanes: int) -> None:
+    """Raise InputError, naming file and frame, for a lane outside 1..n_lanes."""
+    bad = truth[(truth["true_lane"] < 1) | (truth["true_lane"] > n_lanes)]
+    if len(bad):
+        raise InputError(
+            f"{truth.attrs.get('source', 'ground truth')}: frame {bad.index[0]}: lane"
+            f" {bad['true_lane'].iloc[0]} is outside 1..{n_lanes}; is n_lanes right?"
+        )

@@ -36,9 +36,10 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BeforeValidator
 
-from egolane_pgm.experiment import Section, load_yaml, validated
+from egolane_pgm.experiment import Section, validated
 from egolane_pgm.graphs.cpds import Table, declare, uniform
 from egolane_pgm.parameters import check_names
+from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
 
 #: The end of the name of a parent at time t.
@@ -86,6 +87,8 @@ class _Graph(Section):
     #: Of older files; the tables say them.
     edges: Any = None
     tables: dict[str, dict[str, Any]]
+    #: The recording that the tables were learned from, see `model.recording_key`.
+    learned_from: str | None = None
 
 
 def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
@@ -98,7 +101,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     Raises InputError for a file whose parts do not fit together.
     """
     with problems_in(where):
-        graph = validated(_Graph, load_yaml(path), path.name)
+        graph = validated(_Graph, read_yaml(path, "nodes: {Lane: 2}"), path.name)
         with problems_in(path.name):
             tables = _tables(graph)
     module = ModuleType(name, graph.description)
@@ -108,6 +111,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         OBSERVED=graph.observed,
         INPUTS=graph.inputs,
         UNUSED=graph.unused,
+        LEARNED_FROM=graph.learned_from,
         VALUES={n: values for n, values in graph.nodes.items() if not isinstance(values, int)},
         PARAMETERS=(),
         tables=lambda n_lanes, parameters: tables,

@@ -3,14 +3,14 @@
 An event follows from the belief of its frame and those before it; later beliefs do not change it.
 So events of causal beliefs are causal, too. The definition:
 
-- A lane is believed once its probability reaches BELIEVED, and stays so until another lane is. The
+- A lane is believed once its probability reaches CONFIDENT, and stays so until another lane is. The
   first lane that is believed begins the drive. Each lane that is believed after it is a change,
   reported in the frame in which it is believed first.
 - Within FLICKER_S after a change, a change back into the lane that the car left is reported only if
-  that lane's probability reaches SURELY_BACK. Otherwise the change stands; if the old lane is still
+  that lane's probability reaches RETURN_CONFIDENT. Otherwise the change stands; if the old lane is still
   believed when the time is over, the change back is reported then.
 
-The place inside the lane, of a node RoadPosition or by the lines alone (`model.place_by_lines`),
+The place inside the lane, of a node RoadPosition or by the lines alone (`model.lateral_offset_by_lines`),
 shows whether the car goes over a line, whichever lane it is in, and an event is one crossing of one
 line:
 
@@ -24,7 +24,7 @@ line:
 
 No constant counts frames, and none was searched:
 
-- BELIEVED: to report a change that the car does not make costs two errors, that change and the one
+- CONFIDENT: to report a change that the car does not make costs two errors, that change and the one
   back; to miss one that it makes costs one. So with a belief of p a report pays where
   2 (1 - p) < p, which is p > 2/3.
 - FLICKER_S: a lane change takes 5 to 6 s on average (Toledo and Zohar 2007). A car that is back
@@ -33,16 +33,15 @@ No constant counts frames, and none was searched:
   place is known to about a tenth of a lane.
 - JUMP: a car needs a second for that. Where the place does it from one frame to the next, it may
   have gone the other way round.
-- SURELY_BACK: a belief that goes there and back that fast mostly wavers, and its probabilities are
-  then too large. So the odds have to be ten times those of BELIEVED (2 to 1), 20 to 1.
+- RETURN_CONFIDENT: a belief that goes there and back that fast mostly wavers, and its probabilities are
+  then too large. So the odds have to be ten times those of CONFIDENT (2 to 1), 20 to 1.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 from functools import lru_cache
-from typing import NamedTuple, TypedDict
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,20 +54,22 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     IntArray,
-    LaneEvents,
 )
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 #: The probability from which a lane is believed.
-BELIEVED = 2 / 3
+CONFIDENT = 2 / 3
 
 #: How long after a change the way back has to be sure, seconds.
 FLICKER_S = 3.0
 
 #: The probability that is sure enough for the way back.
-SURELY_BACK = 20 / 21
+RETURN_CONFIDENT = 20 / 21
 
 #: The probability from which reports call a frame's lane sure.
-SURE = 0.9
+SURE = 0.95
 
 #: Half the width of a car, in lane widths: about .9 m of 3.6 m.
 HALF_CAR = 0.25
@@ -87,42 +88,62 @@ DEFINITE = 0.1
 FEWEST_CELLS = 4
 
 
+#: The columns of lane-change events.
+COLUMNS = {
+    "frame_id": "since when, up to the report, the new lane was more probable than the old one",
+    "time_s": "the same in seconds",
+    "from_lane": "1 (leftmost) to n; 0 if the lanes are unknown",
+    "to_lane": "the same",
+    "direction": "-1 to the left, 1 to the right",
+    "probability": "of the new lane when it was reported; missing if the lanes are unknown",
+    "detected_frame_id": "when the change was reported",
+    "detected_time_s": "the same in seconds",
+    "late_s": "from time_s to detected_time_s",
+}
+
+
 def lane_events(
     beliefs: Beliefs,
     frame_rate: float,
     *,
     lag: int | None = None,
     time_s: FloatArray | None = None,
-    places: FloatArray | None = None,
-) -> LaneEvents:
-    """Find the lane changes of a drive.
+    lateral_offset: FloatArray | None = None,
+) -> pd.DataFrame:
+    """Find the lane changes of a drive: a row each, in the order of their report; see COLUMNS.
 
     - beliefs: of T frames.
     - frame_rate: frames per second.
     - lag: number of frames by which each belief is later than its frame (filter `fixed_lag`).
-    - time_s: (T,) when the frames were, seconds; by default frame id over frame rate.
-    - places: (T,) where in its lane the car is, as a `Result` has it; by default as `place_in_lane`
-      gives it, so that without a RoadPosition what is believed counts alone.
+    - time_s: (T,) seconds; by default frame id over frame rate.
+    - lateral_offset: (T,) offset from the lane centre, lane widths; by default from RoadPosition,
+      if the graph has one.
 
     Raises InputError for a frame rate that is not positive.
 
+    >>> import numpy as np
     >>> import egolane_pgm as ego
-    >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> ego.lane_events(run.beliefs, frame_rate=10, places=run.place_in_lane).to_lane
-    array([3, 2])
+    >>> lane = np.array([[0.9, 0.1], [0.4, 0.6], [0.2, 0.8]])
+    >>> beliefs = ego.Beliefs(np.array([7, 8, 9]), {"Lane": lane}, np.zeros(3), np.zeros(3, bool))
+    >>> ego.lane_events(beliefs, frame_rate=10)[["time_s", "from_lane", "to_lane"]]
+       time_s  from_lane  to_lane
+    0     0.8          1        2
     """
+    # pandas is imported for tables only.
+    import pandas as pd
+
     if not frame_rate > 0:
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")
     frame_id = beliefs.frame_id
     when = frame_id / frame_rate if time_s is None else time_s
-    if places is None:
-        places = place_in_lane(beliefs.marginals)
-    _, rows, events = next_events(NO_EVENTS, beliefs.lane, frame_id, when, places)
-    if not lag:
-        return events
-    known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
-    return replace(events, told_frame_id=frame_id[known], told_time_s=when[known])
+    if lateral_offset is None:
+        lateral_offset = across_lanes(beliefs.marginals)[1]
+    _, rows, events = next_events(NO_EVENTS, beliefs.lane, frame_id, when, lateral_offset)
+    if lag:
+        known = np.minimum(rows + lag, max(len(frame_id) - 1, 0))
+        events |= {"detected_frame_id": frame_id[known], "detected_time_s": when[known]}
+    late_s = events["detected_time_s"] - events["time_s"]
+    return pd.DataFrame({**events, "late_s": late_s})[list(COLUMNS)]
 
 
 class EventState(NamedTuple):
@@ -161,32 +182,34 @@ def next_events(
     lane: FloatArray,
     frame_id: IntArray,
     time_s: FloatArray,
-    places: FloatArray | None,
-) -> tuple[EventState, IntArray, LaneEvents]:
-    """Find the lane changes of T more frames: the new state, the rows in which changes are reported
-    (E,), and the changes. However a drive is cut into parts, they are the same.
+    lateral_offset: FloatArray | None,
+) -> tuple[EventState, IntArray, dict[str, NDArray[Any]]]:
+    """Find the lane changes of T more frames. However a drive is cut, they are the same.
 
-    - lane: (T, n) the belief over lanes.
-    - frame_id, time_s: (T,) of the frames; when they were, seconds.
-    - places: (T,) as `place_in_lane` gives them; None: only what is believed counts.
+    - lane: (T, n) the posterior over lanes.
+    - frame_id, time_s: (T,) of the frames, seconds.
+    - lateral_offset: (T,) lane widths; None if unknown.
+
+    Returns the new state, the rows in which changes are reported (E,), and the columns (E,) of the
+    changes, see COLUMNS (without `late_s`).
     """
     lane = np.ascontiguousarray(lane)
-    place = np.full(len(lane), np.nan) if places is None else places
+    place = np.full(len(lane), np.nan) if lateral_offset is None else lateral_offset
     # A frame has two changes at most.
     whole, real = np.empty((5, 2 * len(lane)), dtype=np.int64), np.empty((2, 2 * len(lane)))
     state, n_events = _search(so_far, lane, frame_id, time_s, place, whole, real)
     rows, began_id, from_lane, to_lane, direction = whole[:, :n_events].copy()
     began_s, probability = real[:, :n_events].copy()
-    events = LaneEvents(
-        told_frame_id=frame_id[rows],
-        told_time_s=time_s[rows],
-        frame_id=began_id,
-        time_s=began_s,
-        from_lane=from_lane,
-        to_lane=to_lane,
-        direction=direction,
-        probability=probability,
-    )
+    events = {
+        "frame_id": began_id,
+        "time_s": began_s,
+        "from_lane": from_lane,
+        "to_lane": to_lane,
+        "direction": direction,
+        "probability": probability,
+        "detected_frame_id": frame_id[rows],
+        "detected_time_s": time_s[rows],
+    }
     return state, rows, events
 
 
@@ -219,8 +242,8 @@ def _search(
         if not abs(moved) <= JUMP:
             lost = now
         p = lane[t, k]
-        is_known = p >= BELIEVED
-        if is_known and k != here and not (k == before and now < calm and p < SURELY_BACK):
+        is_known = p >= CONFIDENT
+        if is_known and k != here and not (k == before and now < calm and p < RETURN_CONFIDENT):
             side = 1 if k > here else -1
             is_near = side * beyond >= 0.5 - BEYOND
             if here < 0:
@@ -275,27 +298,28 @@ def _follow(
         ahead[k] = leads
 
 
-def lane_stretches(
-    beliefs: Beliefs, events: LaneEvents, time_s: FloatArray
+def lane_segments(
+    lane: FloatArray, events: pd.DataFrame, time_s: FloatArray
 ) -> list[tuple[int, float, float]]:
     """The lane over time: lane (from 1), and from when to when it was the car's, seconds.
 
-    - time_s: (T,) when the frames were, seconds.
-    - events: of these beliefs. A stretch ends where the next lane became the more probable one.
+    - lane: (T, n) the posterior over lanes.
+    - time_s: (T,) seconds.
+    - events: the lane changes of this posterior. A segment ends where the next lane became the more probable one.
 
-    The first stretch begins where a lane is first believed; without such a frame there is none. One
+    The first segment begins where a lane is first believed; without such a frame there is none. One
     begins, too, where the belief goes to another lane while the car crosses no line. Lane 0 is a
     stretch in which the lane is not known, after a change without lanes.
     """
-    believed = np.flatnonzero(beliefs.lane.max(axis=1, initial=0) >= BELIEVED)
+    believed = np.flatnonzero(lane.max(axis=1, initial=0) >= CONFIDENT)
     if not len(believed):
         return []
-    lanes = beliefs.lane[believed].argmax(axis=1) + 1
-    told = [*zip(events.time_s.tolist(), events.to_lane.tolist(), events.told_time_s, strict=True)]
+    lanes = lane[believed].argmax(axis=1) + 1
+    told = events[["time_s", "to_lane", "detected_time_s"]].values.tolist()
     marks, here, calm, e = dict[float, int](), UNASSIGNED, -np.inf, 0
     for at, k in [*zip(time_s[believed].tolist(), lanes.tolist(), strict=True), (np.inf, 0)]:
         while e < len(told) and told[e][0] <= at:
-            began, here, now = told[e]
+            began, here, now = told[e][0], int(told[e][1]), told[e][2]
             marks[began] = here
             calm = now + FLICKER_S if here else -np.inf
             e += 1
@@ -307,56 +331,33 @@ def lane_stretches(
     return [(marks[at], at, end) for at, end in zip(borders, ends, strict=True)]
 
 
-class AcrossLanes(TypedDict):
-    """Where the car is across its lane, (T,) each, as a `Result` has it; None where nothing says
-    so."""
-
-    crossing: FloatArray | None
-    place_in_lane: FloatArray | None
-
-
 def across_lanes(
-    marginals: Mapping[str, FloatArray], of_lines: FloatArray | None = None
-) -> AcrossLanes:
-    """`crossing_probability` and `place_in_lane` of beliefs by node.
+    marginals: Mapping[str, FloatArray], by_lines: FloatArray | None = None
+) -> tuple[FloatArray | None, FloatArray | None]:
+    """The line crossing probability and the lateral offset, (T,) each, of posteriors by node.
 
-    - of_lines (T,): the place in the lane of a graph without RoadPosition (`model.place_by_lines`).
+    - by_lines (T,): the offset for graphs without RoadPosition (`model.lateral_offset_by_lines`).
+
+    The line crossing probability is P(RoadPosition at most HALF_CAR from a line between two lanes);
+    a cell that is only partly so near counts in part. None without a RoadPosition (cells from left
+    to right, the same number in each Lane): a posterior over lanes alone says in which of them the
+    car is, never that it is between two. Its motion since half a second before is no substitute:
+    with the paper's model it finds the crossing frames of runs 1, 3, 6 and 8 with an AUC of .55 to
+    .69.
+
+    The lateral offset from the lane centre is in lane widths, positive to the right, -.5 to .5: the
+    circular mean of RoadPosition over all lanes. NaN if it is not definite.
     """
     lane, position = np.ascontiguousarray(marginals["Lane"]), marginals.get("RoadPosition")
-    (n_frames, n_lanes), place = lane.shape, np.empty(len(lane))
+    (n_frames, n_lanes), offset = lane.shape, np.empty(len(lane))
     if position is None or position.shape[1] % n_lanes:
-        return {"crossing": None, "place_in_lane": of_lines}
+        return None, by_lines
     cells = np.ascontiguousarray(position).reshape(n_frames, n_lanes, -1)
     crossing = np.empty(n_frames)
     angles, near = _angles(cells.shape[2]), _near_lines(n_lanes, cells.shape[2])
-    if not _read_cells(cells, lane, angles, near, crossing, place):
-        return {"crossing": None, "place_in_lane": of_lines}
-    return {"crossing": crossing, "place_in_lane": place}
-
-
-def place_in_lane(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
-    """Where in its lane the car is, whichever the lane, (T,): lane widths right of the middle, -.5
-    to .5, of beliefs by node. NaN where the belief says nothing about it.
-
-    It is the mean of RoadPosition with all lanes on top of each other, taken as an angle because a
-    place beyond the right border is one at the left border. None without a RoadPosition.
-    """
-    return across_lanes(marginals)["place_in_lane"]
-
-
-def crossing_probability(marginals: Mapping[str, FloatArray]) -> FloatArray | None:
-    """The probability that the car is on a line between two lanes, (T,), of beliefs by node.
-
-    That is where its middle is at most half a car's width (HALF_CAR) from the line: P(RoadPosition
-    there), a cell that is only partly so near counting in part. A car on the road's edge changes no
-    lane.
-
-    None without a RoadPosition (cells from left to right, the same number in each Lane). A belief
-    over lanes alone says in which of them the car is, never that it is between two. That it moved
-    since half a second ago is no substitute: with the paper's model that finds the crossing frames
-    of runs 1, 3, 6 and 8 with an AUC of .55 to .69.
-    """
-    return across_lanes(marginals)["crossing"]
+    if not _read_cells(cells, lane, angles, near, crossing, offset):
+        return None, by_lines
+    return crossing, offset
 
 
 @kernel()

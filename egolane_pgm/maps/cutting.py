@@ -1,8 +1,6 @@
-"""Cuts a recording where its road changes: a drive for each stretch with one number of lanes."""
+"""The number of lanes of the road along a recording, from its road table."""
 
 from __future__ import annotations
-
-from dataclasses import replace
 
 import numpy as np
 
@@ -42,7 +40,7 @@ def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
     return n_lanes
 
 
-def untold_lanes(table: RoadTable, log: LineLog) -> list[str]:
+def unknown_lanes(table: RoadTable, log: LineLog) -> list[str]:
     """Lines for the frames of a log in which the map does not tell the number of lanes, whether it
     was guessed or not, and for those that are off the map."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
@@ -59,10 +57,3 @@ def untold_lanes(table: RoadTable, log: LineLog) -> list[str]:
         for here, what in said
         if here.any()
     ]
-
-
-def cut(log: LineLog, n_lanes: IntArray, name: str) -> LineLog:
-    """The log of T frames as clips: NAME_1, NAME_2, ..., one for each stretch of a road whose
-    number of lanes, (T,), stays."""
-    stretch = np.cumsum(np.diff(n_lanes, prepend=n_lanes[:1]) != 0) + 1
-    return replace(log, clip=np.array([f"{name}_{k}" for k in stretch.tolist()]))

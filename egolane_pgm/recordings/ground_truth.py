@@ -1,21 +1,28 @@
-"""Annotated ground truth: a text file with `frame;lane;crossing` per line, lane 1 leftmost."""
+"""Annotated ground truth: a text file with `frame;lane;crossing` per line, lane 1 leftmost.
+
+In memory it is a DataFrame, see `types.lane_truth`.
+"""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from egolane_pgm.tools.files import read_text, write_text
-from egolane_pgm.types import InputError, LaneTruth
+from egolane_pgm.types import InputError, lane_truth
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
 _ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
 
 
-def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> LaneTruth:
+def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> pd.DataFrame:
     """Read the lane of each annotated frame, and whether the vehicle is crossing into another lane.
 
     A line is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty lines are
@@ -56,16 +63,16 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
         if row[0] in table[at : at + 1, 0]:
             raise InputError(f"{path}: extra row {list(row)}: frame {row[0]} is there already")
         table = np.insert(table, at, row, axis=0)
-    return LaneTruth(table[:, 0], table[:, 1], table[:, 2] == 1, source=str(path))
+    return lane_truth(table[:, 0], table[:, 1], table[:, 2] == 1, str(path))
 
 
-def write_ground_truth(path: str | Path, truth: LaneTruth) -> None:
+def write_ground_truth(path: str | Path, truth: pd.DataFrame) -> None:
     """Write `frame;lane;crossing` lines, which `read_ground_truth` reads back as they were.
 
     Raises InputError where the file cannot be written.
     """
-    rows = zip(truth.frame_id, truth.lane, truth.is_crossing, strict=True)
-    text = "".join(f"{int(f)};{int(lane)};{int(crossing)}\n" for f, lane, crossing in rows)
+    rows = truth[["true_lane", "is_crossing"]].astype(int).itertuples()
+    text = "".join(f"{frame};{lane};{crossing}\n" for frame, lane, crossing in rows)
     write_text(path, text)
 
 

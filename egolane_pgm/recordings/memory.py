@@ -1,7 +1,4 @@
-"""Recordings and ground truth that are in memory: in a DataFrame of pandas, or in our own arrays.
-
-The names of a file's columns are those of a DataFrame's, see `recordings.table`.
-"""
+"""Lines and ground truth in memory, as DataFrames whose columns are named as those of a file."""
 
 from __future__ import annotations
 
@@ -10,30 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import Columns, Experiment
+from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings.columns import FRAME_RATE, check_whole, typed
-from egolane_pgm.recordings.select import rate_of
-from egolane_pgm.recordings.source import IN_MEMORY, Read
 from egolane_pgm.recordings.table import lines_of_frame, with_index
-from egolane_pgm.types import InputError, LaneTruth, LineLog, suggestion
+from egolane_pgm.types import InputError, LineLog, lane_truth, suggestion
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-def in_memory(
-    experiment: Experiment, lines: LineLog | pd.DataFrame, truth: LaneTruth | pd.DataFrame | None
-) -> Read:
-    """What an experiment would read from a file, of lines and ground truth that are in memory.
-
-    - experiment: says the frame rate of lines without times, and what their columns are called.
-
-    Raises InputError as `lines_of` and `truth_of`.
-    """
-    recording = experiment.recording
-    log = lines_of(lines, frame_rate=recording.frame_rate, columns=recording.columns)
-    rate = rate_of(log.frame_id, log.time_s)
-    return Read(log, None if truth is None else truth_of(truth), rate=rate)
 
 
 def lines_of(
@@ -41,6 +21,7 @@ def lines_of(
     *,
     frame_rate: float = FRAME_RATE,
     columns: Columns | None = None,
+    path: Path = Path("in memory"),
 ) -> LineLog:
     """The lines of a DataFrame, T frames of at most L lines; a LineLog is what it is.
 
@@ -50,6 +31,7 @@ def lines_of(
       lines is a row with an empty offset: one without a row counts as not recorded.
     - frame_rate: frames per second; without time_s, time is frame id over frame rate.
     - columns: which columns are what, where they are not called as ours.
+    - path: names the lines in messages.
 
     Raises InputError for anything else, and as `recordings.table.read_table`.
 
@@ -62,28 +44,26 @@ def lines_of(
     if isinstance(given, LineLog):
         return given
     _check_frame(given, "recording", "lines")
-    return lines_of_frame(given, Path(IN_MEMORY), frame_rate, columns)
+    return lines_of_frame(given, path, frame_rate, columns)
 
 
-def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
-    """The ground truth in a DataFrame, T frames; a LaneTruth is what it is.
+def truth_of(given: pd.DataFrame) -> pd.DataFrame:
+    """The ground truth of a DataFrame, as `recordings.ground_truth` describes it.
 
-    - given: a row per frame: frame_id (or as its index), lane (1 leftmost) and, where it is known,
-      is_crossing or crossing. Frames without a lane are not annotated.
+    - given: a row per frame: frame_id (or as its index), lane or true_lane (1 leftmost), and
+      optionally is_crossing or crossing. Frames without a lane are not annotated.
 
     Raises InputError for anything else, for a missing column, a cell that does not fit, and frame
     ids that do not increase.
 
     >>> import pandas as pd
     >>> from egolane_pgm.recordings.memory import truth_of
-    >>> truth_of(pd.DataFrame({"frame_id": [7, 8, 9], "lane": [2, None, 1]}))
-    LaneTruth('ground truth in memory': 2 frames, ids 7 to 9, 0 crossing)
+    >>> truth_of(pd.DataFrame({"frame_id": [7, 8, 9], "lane": [2, None, 1]}))["true_lane"].to_list()
+    [2, 1]
     """
-    if isinstance(given, LaneTruth):
-        return given
     _check_frame(given, "ground_truth", "lanes")
-    path = Path(f"ground truth {IN_MEMORY}")
-    frame = with_index(given).rename(columns={"crossing": "is_crossing"})
+    path = Path("ground truth in memory")
+    frame = with_index(given).rename(columns={"crossing": "is_crossing", "true_lane": "lane"})
     cells = {}
     for name in ("frame_id", "lane", "is_crossing"):
         if name in frame:
@@ -95,8 +75,7 @@ def truth_of(given: LaneTruth | pd.DataFrame) -> LaneTruth:
     known = ~np.isnan(cells["lane"]) & ~np.isnan(cells["frame_id"])
     kept = {name: values[known] for name, values in cells.items()}
     crossing = kept.get("is_crossing", np.zeros(known.sum())) == 1
-    ids, lane = kept["frame_id"].astype(np.int64), kept["lane"].astype(np.int64)
-    return LaneTruth(ids, lane, crossing, source=str(path))
+    return lane_truth(kept["frame_id"], kept["lane"], crossing, str(path))
 
 
 def _check_frame(given: Any, what: str, of: str) -> None:

@@ -5,9 +5,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LaneTruth, LineLog
+from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LineLog
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
@@ -111,19 +116,19 @@ def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     return float(f"{1 / step:.4g}") if step > 0 else None
 
 
-def join(log: LineLog, truth: LaneTruth) -> tuple[IntArray, IntArray]:
+def join(log: LineLog, truth: pd.DataFrame) -> tuple[IntArray, IntArray]:
     """The frames that a log and a ground truth share, in order of frame id: the index of each in
     the log and in the truth, (K,) both.
 
     Raises InputError, with both ranges, where there is no common frame.
     """
     common, in_log, in_truth = np.intersect1d(
-        log.frame_id, truth.frame_id, assume_unique=True, return_indices=True
+        log.frame_id, truth.index.to_numpy(), assume_unique=True, return_indices=True
     )
     if len(common) == 0:
         raise InputError(
-            f"no common frames: {log.source} has {_range(log.frame_id)}, {truth.source} has"
-            f" {_range(truth.frame_id)}"
+            f"no common frames: {log.source} has {_range(log.frame_id)},"
+            f" {truth.attrs.get('source', 'ground truth')} has {_range(truth.index.to_numpy())}"
         )
     return in_log.astype(np.int64), in_truth.astype(np.int64)
 
@@ -195,13 +200,13 @@ def _range(frame_id: IntArray) -> str:
     return f"frames {int(frame_id[0])} to {int(frame_id[-1])}"
 
 
-def sign_warning(log: LineLog, truth: LaneTruth) -> list[str]:
+def sign_warning(log: LineLog, true_lane: IntArray) -> list[str]:
     """One line where the lines move, at most of the annotated lane changes, as if the car went the
     other way; the offsets are used all the same.
 
-    - log, truth: of the same K frames.
+    - log, true_lane (K,): of the same frames.
     """
-    to_left = -np.diff(truth.lane)
+    to_left = -np.diff(true_lane)
     changes = [int(k) for k in np.flatnonzero(to_left)]
     offset = np.where(log.is_valid, log.offset_m, np.nan)
     agrees = against = 0

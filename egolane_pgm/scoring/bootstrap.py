@@ -56,11 +56,14 @@ class BlockResamples:
 
 @dataclass(frozen=True)
 class Interval:
-    """A statistic of all frames with its bootstrap interval (percentiles of the resamples)."""
+    """A statistic of all frames with its bootstrap interval (percentiles of the resamples).
+
+    low and high are None for a recording that is too short.
+    """
 
     estimate: float
-    low: float
-    high: float
+    low: float | None
+    high: float | None
     level: float
 
 
@@ -159,7 +162,7 @@ def bootstrap_interval(
     minus: Sequence[NDArray[np.generic]] | None = None,
     block: int = BLOCK_FRAMES,
     resamples: int = RESAMPLES,
-    seed: int = 0,
+    seeds: Sequence[int] | None = None,
     level: float = LEVEL,
 ) -> Interval:
     """A statistic with its circular-block-bootstrap percentile interval: of one recording, or the
@@ -170,7 +173,8 @@ def bootstrap_interval(
         nothing.
     statistic: sums (R, ...) -> (R,), such as `scoring.confusion.accuracy`, `macro_f1`, or `ratio`.
     minus: the other side of a difference, the same frames of the same recordings.
-    seed: of the first recording; each is resampled by itself, with the next seed.
+    seeds: one per recording; recordings of the same length with the same seed are resampled
+        together. By default 0, 1, 2, ...
 
     Resamples in which the statistic is undefined (NaN) are left out; NaN bounds if none is left.
     Raises InputError as `circular_block_bootstrap` does, and where the two sides have different
@@ -178,7 +182,8 @@ def bootstrap_interval(
     """
     of_all, of_resamples = [], []
     for k, mine in enumerate(counts):
-        drawn = circular_block_bootstrap(len(mine), block, resamples, seed + k)
+        seed = k if seeds is None else seeds[k]
+        drawn = circular_block_bootstrap(len(mine), block, resamples, seed)
         whole, values = _of_all_frames(mine, statistic), statistic(resampled_sums(mine, drawn))
         if minus is not None:
             theirs = minus[k]
@@ -217,46 +222,28 @@ def score_counts(
 def score_intervals(
     counts: Sequence[Mapping[str, NDArray[np.generic]]],
     minus: Sequence[Mapping[str, NDArray[np.generic]]] | None = None,
-) -> dict[str, Interval | None]:
+    *,
+    seeds: Sequence[int] | None = None,
+) -> dict[str, Interval]:
     """The interval of accuracy, F1 and log-loss: the mean over recordings, or the difference of
-    that to the same of another side; None where a recording is too short for one.
+    that to the same of another side. The bounds are None if a recording is too short.
 
-    counts, minus: per recording what `score_counts` gives.
+    - counts, minus: per recording the counts of `score_counts`.
+    - seeds: see `bootstrap_interval`.
     """
-    if any(len(values) < 2 * BLOCK_FRAMES for mine in counts for values in mine.values()):
-        return dict.fromkeys(INTERVAL_STATISTICS)
-    return {
-        name: bootstrap_interval(
-            [mine[name] for mine in counts],
-            statistic,
-            minus=None if minus is None else [theirs[name] for theirs in minus],
-        )
-        for name, statistic in INTERVAL_STATISTICS.items()
-    }
-
-
-def resampled_scores(
-    counts: Mapping[str, NDArray[np.generic]], seed: int | Sequence[int] = 0
-) -> dict[str, FloatArray] | None:
-    """Accuracy, F1 and log-loss of all frames and of each of R resamples, (1 + R,) each; None where
-    the drive is too short for an interval.
-
-    counts: as `score_counts` gives them. seed: of the resamples.
-    """
-    n_frames = len(counts["accuracy"])
-    if n_frames < 2 * BLOCK_FRAMES:
-        return None
-    drawn = circular_block_bootstrap(n_frames, seed=seed)
+    is_short = any(len(values) < 2 * BLOCK_FRAMES for mine in counts for values in mine.values())
     found = {}
     for name, statistic in INTERVAL_STATISTICS.items():
-        whole = _of_all_frames(counts[name], statistic)
-        found[name] = np.array([whole, *statistic(resampled_sums(counts[name], drawn))])
+        mine = [each[name] for each in counts]
+        theirs = None if minus is None else [each[name] for each in minus]
+        if is_short:
+            means = [_of_all_frames(each, statistic) for each in mine]
+            others = [_of_all_frames(each, statistic) for each in theirs or ()]
+            estimate = float(np.mean(means) - (np.mean(others) if others else 0.0))
+            found[name] = Interval(estimate, None, None, LEVEL)
+        else:
+            found[name] = bootstrap_interval(mine, statistic, minus=theirs, seeds=seeds)
     return found
-
-
-def with_bounds(values: FloatArray) -> list[float]:
-    """A score of all frames and of the resamples (1 + R,) as [estimate, low, high], 95 %."""
-    return [float(values[0]), *_percentiles(values[1:], LEVEL)]
 
 
 def on_timeline(
@@ -286,49 +273,3 @@ def _percentiles(values: FloatArray, level: float) -> tuple[float, float]:
         return float("nan"), float("nan")
     low, high = np.quantile(defined, [(1 - level) / 2, (1 + level) / 2])
     return float(low), float(high)
-
-
-def over_drives(
-    sums: NDArray[np.generic],
-    statistic: Statistic = ratio,
-    minus: NDArray[np.generic] | None = None,
-    seed: int = 0,
-    *,
-    drive_of: Sequence[str] | None = None,
-) -> tuple[float, tuple[float, float] | None]:
-    """A statistic of all frames of D rows of a fleet, with its 95 % interval over drives: low and
-    high, None for fewer than two drives.
-
-    - sums (D, ...): for each row the sums over its frames that the statistic takes.
-    - statistic: sums (R, ...) -> (R,), such as `ratio` or `scoring.confusion.accuracy`.
-    - minus: the other side of a difference, of the same frames: the interval is then that of the
-      paired difference.
-    - drive_of: the drive of each row, where several rows may share one; None: each row is one.
-
-    Whole drives are drawn (cluster bootstrap, percentiles of RESAMPLES), because the frames of a
-    drive are alike, and two detectors on it share its luck.
-    """
-    if drive_of is not None:
-        sums, minus = _added(sums, drive_of), None if minus is None else _added(minus, drive_of)
-
-    def of_sums(drawn: Sequence[IntArray]) -> FloatArray:
-        def one_side(side: NDArray[np.generic]) -> FloatArray:
-            return statistic(np.stack([side[drives].sum(axis=0) for drives in drawn]))
-
-        return one_side(sums) if minus is None else one_side(sums) - one_side(minus)
-
-    n = len(sums)
-    whole = float(of_sums([np.arange(n)])[0])
-    if n < 2:
-        return whole, None
-    rng = np.random.default_rng(seed)
-    return whole, _percentiles(of_sums([rng.integers(0, n, n) for _ in range(RESAMPLES)]), LEVEL)
-
-
-def _added(sums: NDArray[np.generic], drive_of: Sequence[str]) -> NDArray[np.generic]:
-    """The sums of the rows of each drive added, the drives in the order of their first row."""
-    first: dict[str, int] = {}
-    drive = [first.setdefault(each, len(first)) for each in drive_of]
-    found = np.zeros((len(first), *sums.shape[1:]), sums.dtype)
-    np.add.at(found, drive, sums)
-    return found

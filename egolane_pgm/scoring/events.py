@@ -24,21 +24,16 @@ of the annotator (at the end in the Italian recordings, after two thirds in the 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.stability import LaneChanges, lane_changes
-from egolane_pgm.types import (
-    UNASSIGNED,
-    BoolArray,
-    FloatArray,
-    IntArray,
-    LaneEvents,
-    LaneTruth,
-    runs_of,
-)
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray, runs_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Seconds before and after a true crossing in which an event may be reported.
 TOLERANCES_S = (0.5, 1.0, 2.0)
@@ -48,7 +43,7 @@ WARNED = 0.5
 
 
 def event_scores(
-    events: LaneEvents, crossing: FloatArray | None, truth: LaneTruth, frame_rate: float
+    events: pd.DataFrame, crossing: FloatArray | None, truth: pd.DataFrame, frame_rate: float
 ) -> dict[str, Any]:
     """What scores.json says of lane changes: `score_events`, and under `crossing` what
     `score_crossing` gives, or None.
@@ -59,30 +54,37 @@ def event_scores(
     return {**score_events(events, truth, frame_rate), "crossing": warning}
 
 
+def changes_of(truth: pd.DataFrame) -> LaneChanges:
+    """The true lane changes."""
+    return lane_changes(truth["true_lane"], truth["is_crossing"])
+
+
 def match_events(
-    events: LaneEvents, truth: LaneTruth, frame_rate: float, tolerance_s: float
+    events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float, tolerance_s: float
 ) -> IntArray:
     """(E,): the true change that each event matches, an index into `lane_changes`; -1 for none.
 
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
     """
-    changes = lane_changes(truth.lane, truth.is_crossing)
+    changes = changes_of(truth)
     reach = tolerance_s * frame_rate
-    first = truth.frame_id[changes.start] - reach
-    last = truth.frame_id[changes.end] + reach
+    first = truth.index.to_numpy()[changes.start] - reach
+    last = truth.index.to_numpy()[changes.end] + reach
     found = np.full(len(events), -1, dtype=np.int64)
     is_open = np.ones(len(changes), dtype=bool)
     # Events in order, each taking the open change that closes first: no matching has more pairs
     # (Glover 1967, points and intervals).
-    for e, at in enumerate(events.told_frame_id):
+    left_lane, entered_lane = events["from_lane"].to_numpy(), events["to_lane"].to_numpy()
+    direction = events["direction"].to_numpy()
+    for e, at in enumerate(events["detected_frame_id"].to_numpy()):
         # The changes are in order, so those within reach stand together.
         near = slice(*np.searchsorted(last, [at]), *np.searchsorted(first, [at], side="right"))
         left, entered = changes.from_lane[near], changes.to_lane[near]
-        if events.from_lane[e] == UNASSIGNED:
-            is_right = np.sign(entered - left) == events.direction[e]
+        if left_lane[e] == UNASSIGNED:
+            is_right = np.sign(entered - left) == direction[e]
         else:
-            is_right = (left == events.from_lane[e]) & (entered == events.to_lane[e])
+            is_right = (left == left_lane[e]) & (entered == entered_lane[e])
         fits = is_open[near] & is_right
         if fits.any():
             found[e] = near.start + np.argmax(fits)
@@ -90,28 +92,30 @@ def match_events(
     return found
 
 
-def event_delays(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> FloatArray:
+def event_delays(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -> FloatArray:
     """(E,): seconds from the end of the true crossing to the report; NaN for an event that is not
     right within the largest tolerance."""
     matched = match_events(events, truth, frame_rate, max(TOLERANCES_S))
-    ends = truth.frame_id[lane_changes(truth.lane, truth.is_crossing).end]
+    ends = truth.index.to_numpy()[changes_of(truth).end]
     delay = np.full(len(events), np.nan)
     is_right = matched >= 0
-    delay[is_right] = (events.told_frame_id[is_right] - ends[matched[is_right]]) / frame_rate
+    delay[is_right] = (
+        events["detected_frame_id"].to_numpy()[is_right] - ends[matched[is_right]]
+    ) / frame_rate
     return delay
 
 
-def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dict[str, Any]:
+def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -> dict[str, Any]:
     """The scores of lane-change events, ready for JSON; None where a score is undefined.
 
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
 
-    Keys: `changes` (true ones), `told` (events that can be right or false), `hours` (of annotated
+    Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of annotated
     frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
     `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
-    changes = lane_changes(truth.lane, truth.is_crossing)
+    changes = changes_of(truth)
     hours = len(truth) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
     for tolerance in TOLERANCES_S:
@@ -130,14 +134,14 @@ def score_events(events: LaneEvents, truth: LaneTruth, frame_rate: float) -> dic
     delay = delay[~np.isnan(delay)]
     return {
         "changes": len(changes),
-        "told": right + false,
+        "detected": right + false,
         "hours": hours,
         "within": within,
         "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
     }
 
 
-def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> dict[str, Any]:
+def score_crossing(crossing: ArrayLike, truth: pd.DataFrame, frame_rate: float) -> dict[str, Any]:
     """The scores of the probability that the car is on a line, (K,), as early warning; ready for
     JSON, None where a score is undefined.
 
@@ -146,13 +150,13 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
     """
     values = np.asarray(crossing, dtype=np.float64)
-    is_crossing = truth.is_crossing
+    is_crossing = truth["is_crossing"].to_numpy()
     is_warned = values >= WARNED
     both = int((is_warned & is_crossing).sum())
-    ids = truth.frame_id
+    ids = truth.index.to_numpy()
     begin, end = np.array(runs_of(is_warned), dtype=np.int64).reshape(-1, 2).T
     end = end - 1
-    changes = lane_changes(truth.lane, truth.is_crossing)
+    changes = changes_of(truth)
     lead = _leads(begin, end, changes, truth) / frame_rate
     found = lead[~np.isnan(lead)]
     crossing_id = ids[is_crossing]
@@ -174,16 +178,16 @@ def score_crossing(crossing: ArrayLike, truth: LaneTruth, frame_rate: float) -> 
     }
 
 
-def is_judged(events: LaneEvents, truth: LaneTruth) -> BoolArray:
+def is_judged(events: pd.DataFrame, truth: pd.DataFrame) -> BoolArray:
     """(E,): whether the truth has the car's lanes before and after, where an event is reported."""
-    known = truth.frame_id[~truth.is_crossing]
+    known = truth.index.to_numpy()[~truth["is_crossing"]]
     if not len(known):
         return np.zeros(len(events), dtype=bool)
-    at = events.told_frame_id
-    return np.asarray(np.isin(at, truth.frame_id) & (known[0] <= at) & (at <= known[-1]))
+    at = events["detected_frame_id"].to_numpy()
+    return np.asarray(np.isin(at, truth.index.to_numpy()) & (known[0] <= at) & (at <= known[-1]))
 
 
-def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: LaneTruth) -> FloatArray:
+def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: pd.DataFrame) -> FloatArray:
     """(C,): frames from the first warning of each change to its label; NaN without a warning.
 
     - begin, end: the first and the last rows of the warnings, in order.
@@ -191,10 +195,12 @@ def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: LaneTrut
     lead = np.full(len(changes), np.nan)
     for c in range(len(changes)):
         start, stop = changes.start[c], changes.end[c]
-        label = start + int(np.argmax(truth.lane[start : stop + 1] == changes.to_lane[c]))
+        label = start + int(
+            np.argmax(truth["true_lane"].to_numpy()[start : stop + 1] == changes.to_lane[c])
+        )
         first = int(np.searchsorted(end, start))
         if first < len(begin) and begin[first] < max(stop, start + 1):
-            lead[c] = truth.frame_id[label] - truth.frame_id[begin[first]]
+            lead[c] = truth.index.to_numpy()[label] - truth.index.to_numpy()[begin[first]]
     return lead
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,7 +13,9 @@ from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute
-from egolane_pgm.types import LaneTruth
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def score_all(
@@ -88,19 +90,20 @@ def stability_scores(
 
 def score_with_intervals(
     belief: ArrayLike,
-    truth: LaneTruth,
+    truth: pd.DataFrame,
     frame_rate: float,
     unassigned_below: float = 0.0,
     assigned: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """`score_all` of a belief (T, n) over the frames of the ground truth, and `intervals`: 95 %
     block-bootstrap intervals [low, high] of `accuracy` and `f1`, None for a short drive."""
-    lane, is_crossing = truth.lane, truth.is_crossing
+    lane, is_crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
     answers = (unassigned_below, assigned)
-    scores = score_all(belief, lane, is_crossing, truth.frame_id, frame_rate, *answers)
+    scores = score_all(belief, lane, is_crossing, truth.index, frame_rate, *answers)
     found = score_intervals([score_counts(belief, lane, is_crossing, *answers)])
     intervals = {name: found[name] for name in ("accuracy", "f1")}
-    return {**scores, "intervals": {k: i and [i.low, i.high] for k, i in intervals.items()}}
+    bounds = {k: None if i.low is None else [i.low, i.high] for k, i in intervals.items()}
+    return {**scores, "intervals": bounds}
 
 
 def _or_none(value: float) -> float | None:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from egolane_pgm.parameters import check_names
 from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
 from egolane_pgm.simulation.world import Road, World, simulate_road
-from egolane_pgm.types import BoolArray, FloatArray, InputError, LaneTruth, LineLog, suggestion
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, suggestion
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True)
@@ -23,7 +26,7 @@ class SimulatedDrive:
     """
 
     log: LineLog
-    truth: LaneTruth
+    truth: pd.DataFrame
     n_lanes: int
     position_m: FloatArray
     is_failing: BoolArray

@@ -7,6 +7,7 @@ show the same drive.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from egolane_pgm.simulation._common import (
     check_seed,
     slow_noise,
 )
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, lane_truth
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: The largest wander inside the lane, in standard deviations.
 _WANDER_LIMIT = 2.5
@@ -120,11 +124,9 @@ class Road:
         return len(self.position_m)
 
     @property
-    def truth(self) -> LaneTruth:
-        """The annotation; frame ids count from 0."""
-        return LaneTruth(
-            np.arange(len(self), dtype=np.int64), self.lane, self.is_crossing, "simulated road"
-        )
+    def truth(self) -> pd.DataFrame:
+        """The ground truth; frame ids count from 0."""
+        return lane_truth(np.arange(len(self)), self.lane, self.is_crossing, "simulated road")
 
 
 def ease(phase: FloatArray) -> FloatArray:

@@ -52,7 +52,8 @@ def find_detector(
 
     Raises InputError for an unknown detector or parameter and for a wrong value.
     """
-    module = load_plugin("detectors", name, base, where)
+    own = str(base / name) if name.endswith(".py") else name
+    module = load_plugin("detectors", own, where)
     specs = getattr(module, "PARAMETERS", ())
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():

@@ -1,21 +1,24 @@
-"""From parameters to a score: evidence, filter, confusion matrix or another score of the belief."""
+"""From parameters to a score of some drives: evidence, filter, confusion matrix and others."""
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
-from egolane_pgm.drive import Drive, belief_of, load_recording
+from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.experiment import Experiment
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.model import make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import (
     BoolArray,
+    Evidence,
     FloatArray,
     InputError,
     IntArray,
@@ -32,14 +35,14 @@ BELIEF_SCORES = (
     "share_missed",
 )
 
-#: Those that lane changes have.
-OF_CHANGES = ("delay", "share_missed")
-
 #: What the names of a detector's parameters begin with in a search.
 DETECTOR = "detector."
 
 #: What a score counts as that is endless: the delay where no lane change was followed, say.
 UNDEFINED = 1e6
+
+#: How many evidences of a drive a search keeps; `bonus_value`, which is searched, has 10 values.
+KEPT_EVIDENCE = 12
 
 
 def check_objective(name: str, where: str = "objective") -> str:
@@ -83,73 +86,82 @@ def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Ex
     return experiment.model_copy(update={"recording": recording})
 
 
-def tried_belief(drive: Drive, parameters: Mapping[str, Value]) -> FloatArray:
-    """Filter a drive with the parameters of a trial: (K, n), the belief in the annotated frames.
+def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
+    """A function of all parameters: the posterior over lanes in the annotated frames, (K, n).
 
-    If parameters of the detector are among them, the detector first looks at all pictures anew.
+    It caches the last evidences, since most trials change only the graph. If parameters of the
+    detector are among them, the detector processes all pictures again.
     """
-    own, detector = split(parameters)
-    if detector:
-        log = load_recording(with_detector(drive.experiment, detector), own).log
-        recorded = replace(drive.recorded, log=log)
-        drive = replace(drive, recorded=recorded, evidence=OrderedDict())
-    return belief_of(drive, own)
+    names = [spec.name for spec in getattr(drive.model.rule, "PARAMETERS", ())]
+
+    @lru_cache(maxsize=KEPT_EVIDENCE)
+    def evidence(
+        of_rule: tuple[Value, ...], of_detector: tuple[tuple[str, Value], ...]
+    ) -> Evidence:
+        here = drive
+        if of_detector:
+            [here] = read_drives(with_detector(drive.experiment, dict(of_detector)))
+        values = {**drive.model.parameters, **dict(zip(names, of_rule, strict=True))}
+        changed = replace(drive.model, parameters=values)
+        return make_evidence(changed, whole_rule(changed), here.log)[0]
+
+    def posterior(parameters: Mapping[str, Value]) -> FloatArray:
+        own, detector = split(parameters)
+        compiled = with_parameters(drive.model, own).compiled
+        given = evidence(tuple(own[name] for name in names), tuple(sorted(detector.items())))
+        return filter_beliefs(compiled, given, drive.experiment.filter).lane[drive.rows]
+
+    return posterior
 
 
 def scores_of(
     drives: Sequence[Drive],
-    sets: Sequence[Mapping[str, Value]],
+    posteriors: Sequence[FloatArray],
     is_used: Sequence[BoolArray],
     objectives: Sequence[str],
     *,
-    together: bool = False,
+    pooled: bool = False,
 ) -> list[float]:
-    """Score one parameter set: per objective the mean over the drives, equal weight each. A drive
-    that says nothing of an objective does not count in it, such as one without a lane change in its
-    delay; where none says anything it is `UNDEFINED`.
+    """Score a parameter set: per objective the mean over the drives, equal weight each.
 
-    - sets: per drive every declared parameter's value.
-    - is_used: per drive (K,), marks the annotated frames that count; the filter sees every frame.
+    A drive on which a score is undefined, such as one without a lane change for the delay, does
+    not count in it; a score that no drive defines is `UNDEFINED`.
+
+    - posteriors: per drive (K, n).
+    - is_used: per drive (K,), marks the annotated frames that count.
     - objectives: names of scores.
-    - together: whether the frames of all drives count alike instead: the confusion matrices are
-      added; of other scores it is the mean over the drives, weighted by their frames.
+    - pooled: whether all frames count alike instead: the confusion matrices are added; of other
+      scores it is the mean weighted by frames.
     """
     values = np.zeros((len(drives), len(objectives)))
     weights = np.ones_like(values)
     matrices: list[IntArray] = []
-    for k, (drive, parameters, used) in enumerate(zip(drives, sets, is_used, strict=True)):
-        belief = tried_belief(drive, parameters)
-        counts = None
+    for k, (drive, posterior, used) in enumerate(zip(drives, posteriors, is_used, strict=True)):
+        rows = drive.rows
+        lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
+        assigned = assigned_lane(posterior, drive.experiment.unassigned_below)
+        counts = confusions.confusion(assigned, lane, crossing | ~used, posterior.shape[1])
+        matrices.append(counts)
         for j, name in enumerate(objectives):
-            if name in BELIEF_SCORES:
-                value = belief_score(drive, belief, used, name)
-                # The log-loss is about crossing frames as well.
-                counted = used if name == "log_loss" else used & ~drive.truth.is_crossing
-                weights[k, j] = np.count_nonzero(counted) if together else 1
-                if np.isnan(value):
-                    value = weights[k, j] = 0.0
-                values[k, j] = value
+            if name not in BELIEF_SCORES:
+                values[k, j] = confusions.SCORES[name](counts)
                 continue
-            if counts is None:
-                counts = _counted(drive, belief, used)
-                matrices.append(counts)
-            values[k, j] = confusions.SCORES[name](counts)
+            value = belief_score(drive, posterior, used, name)
+            # The log-loss counts crossing frames as well.
+            counted = used if name == "log_loss" else used & ~crossing
+            weights[k, j] = np.count_nonzero(counted) if pooled else 1
+            if np.isnan(value):
+                value = weights[k, j] = 0.0
+            values[k, j] = value
     total = weights.sum(axis=0)
     found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
     found[total == 0] = UNDEFINED
-    if together and matrices:
+    if pooled:
         added = confusions.on_widest(matrices).sum(axis=0)
         for j, name in enumerate(objectives):
             if name in confusions.SCORES:
                 found[j] = confusions.SCORES[name](added)
     return found.tolist()  # type: ignore[no-any-return]
-
-
-def _counted(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:
-    """The confusion matrix (n + 1, n) of a belief (K, n) over the frames that are used (K,)."""
-    lane, is_left_out = drive.truth.lane, drive.truth.is_crossing | ~is_used
-    assigned = assigned_lane(belief, drive.experiment.unassigned_below)
-    return confusions.confusion(assigned, lane, is_left_out, drive.n_lanes)
 
 
 def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
@@ -158,21 +170,22 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
     are all used. NaN where nothing is counted; an endless score is `UNDEFINED`, a large number.
     """
-    truth = drive.truth
+    rows = drive.rows
+    lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
     if name in ("log_loss", "brier", "expected_calibration_error"):
-        rows, lane, crossing = belief[is_used], truth.lane[is_used], truth.is_crossing[is_used]
+        used, lane, crossing = belief[is_used], lane[is_used], crossing[is_used]
         if name == "log_loss":
-            return min(probabilistic.log_loss(rows, lane), UNDEFINED)
-        return min(float(getattr(probabilistic, name)(rows, lane, crossing)), UNDEFINED)
+            return min(probabilistic.log_loss(used, lane), UNDEFINED)
+        return min(float(getattr(probabilistic, name)(used, lane, crossing)), UNDEFINED)
     assigned = assigned_lane(belief, drive.experiment.unassigned_below)
     if name == "false_switches_per_minute":
-        false, counted = stability.false_switch_frames(assigned, truth.lane, truth.is_crossing)
+        false, counted = stability.false_switch_frames(assigned, lane, crossing)
         counted[1:] &= is_used[1:] & is_used[:-1]
         minutes = counted.sum() / (60 * drive.experiment.recording.frame_rate)
         return float((false & counted).sum() / minutes) if minutes else float("nan")
-    changes = stability.lane_changes(truth.lane, truth.is_crossing)
+    changes = stability.lane_changes(lane, crossing)
     delay = stability.delay_after_lane_change(
-        assigned, truth.lane, truth.is_crossing, truth.frame_id
+        assigned, lane, crossing, drive.log.frame_id[rows]
     ).delay_frames
     spans = zip(changes.start, changes.until, strict=True)
     delay = delay[[bool(is_used[a:b].all()) for a, b in spans]] if len(delay) else delay
@@ -182,17 +195,3 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     if name == "share_missed":
         return 1 - len(followed) / len(delay)
     return float(np.median(followed)) if len(followed) else UNDEFINED
-
-
-def notes_of_silent(drives: Sequence[Drive], objectives: Sequence[str]) -> list[str]:
-    """What is noted of drives that do not count in an objective because they have no lane change,
-    if there are any."""
-    changes = [stability.lane_changes(d.truth.lane, d.truth.is_crossing) for d in drives]
-    n_silent = sum(not len(each) for each in changes)
-    said = f"{n_silent} of {len(drives)} drives have no lane change and do not count in it"
-    return [f"{name}: {said}" for name in objectives if n_silent and name in OF_CHANGES]
-
-
-def all_used(drives: Sequence[Drive]) -> list[BoolArray]:
-    """Per drive (K,): marks every frame."""
-    return [np.ones(len(drive), dtype=bool) for drive in drives]

@@ -3,26 +3,20 @@ grid, or a loop of your own."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 from optuna.distributions import BaseDistribution
 
-from egolane_pgm.drive import load_drive
-from egolane_pgm.experiment import Given, Overrides, Tuning, load_experiment
-from egolane_pgm.recordings.source import Read
+from egolane_pgm.drives import Drive, read_drives
+from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
 from egolane_pgm.scoring.confusion import is_maximised
-from egolane_pgm.tuning.objective import (
-    DETECTOR,
-    check_filter,
-    check_objective,
-    searched_of_detector,
-)
-from egolane_pgm.tuning.plan import Problem, plan_of, problem_of, scorer
-from egolane_pgm.tuning.search import Score
-from egolane_pgm.tuning.space import Dimension, Point, distributions
+from egolane_pgm.studies import fits
+from egolane_pgm.studies.objective import check_filter, check_objective, searched_of_detector
+from egolane_pgm.studies.space import Dimension, Point, SearchSpace, distributions
+from egolane_pgm.studies.study import check_labels, tuning_of
 from egolane_pgm.types import InputError, not_one_of, suggestion
 
 
@@ -30,8 +24,10 @@ from egolane_pgm.types import InputError, not_one_of, suggestion
 class Objective:
     """An experiment's score as a function of its parameters; `objective` makes one.
 
-    - problem: the recording, the model and the search space.
-    - start: the experiment's own values of what is searched; they may lie out of bounds.
+    - name: of the score.
+    - drives: the recording and the model.
+    - search_space: what is searched.
+    - start: the experiment's own values of it; they may lie out of bounds.
 
     >>> import egolane_pgm as ego
     >>> accuracy = ego.objective("quickstart", overrides={"recording.frames": [0, 300]})
@@ -39,40 +35,40 @@ class Objective:
     0.877
     """
 
-    problem: Problem
+    name: str
+    drives: Sequence[Drive]
+    search_space: SearchSpace
     start: Point
-    score: Score
+    score: Callable[[Point], Sequence[float]]
 
     def __repr__(self) -> str:
-        name, score = self.problem.plan.name, self.problem.settings.objectives[0]
-        return f"Objective({score} of {name!r}: {', '.join(self.space)})"
+        return f"Objective({self.name} of {self.drives[0].name!r}: {', '.join(self.space)})"
 
     @property
     def space(self) -> dict[str, list[Any]]:
-        """What is searched: [low, high], both included and whole for whole numbers, or the names of
-        a choice."""
+        """Per parameter [low, high], both included, or the names of a choice."""
         found: dict[str, list[Any]] = {}
-        for d in self.problem.space.dimensions:
+        for d in self.search_space.dimensions:
             number = int if d.is_integer else float
             found[d.key] = list(d.choices) or [number(d.low), number(d.high)]
         return found
 
     @property
     def distributions(self) -> dict[str, BaseDistribution]:
-        """`space` as Optuna has it, for `study.ask`."""
-        return distributions(self.problem.space)
+        """`space` for Optuna's `study.ask`."""
+        return distributions(self.search_space)
 
     @property
     def direction(self) -> Literal["minimize", "maximize"]:
-        """Whether less or more is better, as Optuna says it."""
-        return "maximize" if is_maximised(self.problem.settings.objectives[0]) else "minimize"
+        """Whether less or more is better, in Optuna's words."""
+        return "maximize" if is_maximised(self.name) else "minimize"
 
     def __call__(self, parameters: Mapping[str, Any]) -> float:
         """The score of some parameters; those that are left out keep the experiment's values.
 
         Raises InputError for an unknown name, and for a value out of its range.
         """
-        known = {d.key: d for d in self.problem.space.dimensions}
+        known = {d.key: d for d in self.search_space.dimensions}
         point = dict(self.start)
         for name, value in parameters.items():
             if name not in known:
@@ -82,28 +78,28 @@ class Objective:
 
 
 def objective(
-    experiment: Given,
+    experiment: ExperimentLike,
     *,
     overrides: Overrides = (),
     score: str | None = None,
     frames: tuple[int | None, int | None] = (None, None),
-    read: Read | None = None,
+    lines: Any = None,
+    ground_truth: Any = None,
 ) -> Objective:
     """Prepare an experiment once, to score many sets of its parameters as `tune` does.
 
-    - experiment, overrides: as `load_experiment` takes them. Its `tuning.parameters` say what is
-      searched and within which bounds.
+    - experiment, overrides: as `load_experiment` takes them. Its `tuning.parameters` are searched.
     - score: its name; by default the first of the experiment's `tuning.objective`, accuracy.
     - frames: first frame id that counts and the one after the last; None for no end. The filter
       sees every frame.
-    - read: lines and lanes in memory, see `recordings.memory.in_memory`.
+    - lines, ground_truth: data in memory, for `recording.path: in memory`.
 
     Returns a function of a dict of parameters, with `space`, `distributions` and `direction`. The
     score is in-sample: the best of many trials is better than the parameters are on other drives.
-    To hold out, search with the `frames` of one part and score what was found on those of another;
-    `tune` does so for each block.
+    To hold out, search with the `frames` of one part and score the best ones on another; `tune`
+    does so for each block.
 
-    Raises InputError for whatever does not fit, an experiment without ground truth included.
+    Raises InputError for an experiment without ground truth, and without a frame to score.
 
     >>> import optuna
     >>> import egolane_pgm as ego
@@ -119,24 +115,26 @@ def objective(
     True
     """
     chosen = load_experiment(experiment, overrides)
-    tuning = chosen.tuning or Tuning()
+    tuning = tuning_of(chosen)
     name = check_objective(score or tuning.objective[0], "score" if score else "tuning.objective")
-    tuning = tuning.model_copy(update={"objective": (name,), "sampler": None})
     check_filter(chosen)
-    drive = load_drive(chosen, needs_truth="a search needs it", read=read)
-    problem = problem_of(replace(plan_of(drive.experiment), tuning=tuning), [drive])
+    drives = read_drives(chosen, lines, ground_truth)
+    check_labels(drives, "tune")
     first, stop = frames
-    ids = drive.truth.frame_id
-    is_used = np.full(len(ids), True) if first is None else ids >= first
-    if stop is not None:
-        is_used &= ids < stop
-    if not (is_used & ~drive.truth.is_crossing).any():
-        raise InputError(f"{chosen.source}: frames {frames}: there is nothing to score in them")
-    values = dict(drive.model.parameters)
-    if any(d.parameter.startswith(DETECTOR) for d in problem.space.dimensions):
+    used = []
+    for drive in drives:
+        ids = drive.log.frame_id[drive.rows]
+        low, high = -np.inf if first is None else first, np.inf if stop is None else stop
+        used.append((ids >= low) & (ids < high))
+        if not (used[-1] & ~drive.is_crossing[drive.rows]).any():
+            raise InputError(f"{chosen.source}: frames {frames}: there is nothing to score in them")
+    spaces = fits.search_spaces(drives, tuning)
+    values = dict(drives[0].model.parameters)
+    if "detector" in tuning.search:
         values |= searched_of_detector(chosen)[1]
-    start = {d.key: d.value_in(values) for d in problem.space.dimensions}
-    return Objective(problem, start, scorer(problem, [is_used]))
+    start = {d.key: d.value_in(values) for d in spaces[0].dimensions}
+    scored = fits.objective(drives, spaces, used, [name])
+    return Objective(name, drives, spaces[0], start, scored)
 
 
 def _checked(dimension: Dimension, value: Any) -> float | int | str:

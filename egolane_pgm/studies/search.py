@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -10,15 +11,15 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna import samplers
+from optuna.exceptions import ExperimentalWarning
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.studies.sampler import Shade
+from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.tuning.sampler import Shade
-from egolane_pgm.tuning.space import Point, SearchSpace, distributions
 from egolane_pgm.types import InputError, suggestion
-from egolane_pgm.views.study_trials import quiet
 
 SAMPLERS = ("evolution", "tpe", "cma-es", "random", "nsga2")
 
@@ -30,10 +31,6 @@ Score = Callable[[Point], Sequence[float]]
 
 #: Called after each trial of this process with its first score.
 Report = Callable[[float], None]
-
-#: Called now and then with the name of a study, the number of trials that it finished since, and
-#: its best score so far.
-Progress = Callable[[str, int, float], None]
 
 
 @dataclass(frozen=True)
@@ -57,18 +54,17 @@ class Settings:
         return ["maximize" if is_maximised(name) else "minimize" for name in self.objectives]
 
 
-def counted(progress: Progress | None, settings: Settings, label: str) -> Report | None:
-    """A study's report of each trial's score, as progress with the best score so far."""
-    if progress is None:
-        return None
-    better = max if settings.directions[0] == "maximize" else min
-    best: list[float] = []
-
-    def report(score: float) -> None:
-        best[:] = [better([*best, score])]
-        progress(label, 1, best[0])
-
-    return report
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Silence Optuna: its log of every trial, and its warnings of experimental features."""
+    before = optuna.logging.get_verbosity()
+    optuna.logging.set_verbosity(optuna.logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", ExperimentalWarning)
+            yield
+    finally:
+        optuna.logging.set_verbosity(before)
 
 
 def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:
@@ -92,18 +88,15 @@ def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> st
     return name
 
 
-def make_sampler(
-    settings: Settings, space: SearchSpace, n_trials: int = 0, worker: int = 0
-) -> samplers.BaseSampler:
+def make_sampler(settings: Settings, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:
     """Make the sampler of a study.
 
     - n_trials: trials that the study has already. Shade goes on from them; Optuna's samplers, which
       keep no state, are seeded anew, so that a resumed study repeats no trial.
-    - worker: which of the processes that share the study this is, for the same reason.
     """
     if settings.sampler == "evolution":
         return Shade(settings.seed, distributions(space))
-    entropy = [settings.seed, n_trials, worker] if n_trials or worker else [settings.seed]
+    entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
     with quiet():
         if settings.sampler == "tpe":
@@ -126,35 +119,22 @@ def new_study(settings: Settings, **given: Any) -> optuna.Study:
     return study
 
 
-def search_in_memory(
-    space: SearchSpace, score: Score, settings: Settings, report: Report | None = None
-) -> optuna.Study:
-    """Run a study that nobody keeps, from scratch, and return it."""
-    study = new_study(settings)
-    study.sampler = make_sampler(settings, space)
-    with quiet(), _interruptions():
-        study.optimize(_objective(space, score, report), n_trials=settings.trials)
-    return study
-
-
 def search(
     study: optuna.Study,
     space: SearchSpace,
     score: Score,
     settings: Settings,
     *,
-    worker: int = 0,
     report: Report | None = None,
 ) -> None:
-    """Go on with a study until it has its number of complete trials, others at work included.
+    """Go on with a study until it has its number of complete trials, those of others included.
 
-    - worker: number of this process among those that share the study on this machine.
     - report: called after each trial of this process.
     """
     n_trials = len(study.get_trials(deepcopy=False))
     if n_complete(study) >= settings.trials:
         return
-    study.sampler = make_sampler(settings, space, n_trials, worker)
+    study.sampler = make_sampler(settings, space, n_trials)
     objective = _objective(space, score, report)
     with quiet(), _interruptions():
         study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
@@ -213,11 +193,3 @@ def best_trial(study: optuna.Study) -> FrozenTrial:
     trials = study.best_trials if len(study.directions) > 1 else study.get_trials(deepcopy=False)
     complete = [t for t in trials if t.state == TrialState.COMPLETE]
     return max(complete, key=lambda t: (sign * t.values[0], -t.number))
-
-
-def pareto(study: optuna.Study) -> list[Mapping[str, Any]]:
-    """The Pareto front: number, values and point of each trial on it."""
-    return [
-        {"number": t.number, "values": list(t.values), "point": dict(t.params)}
-        for t in study.best_trials
-    ]

@@ -17,7 +17,7 @@ import numpy as np
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import default_values
-from egolane_pgm.model import Model, compile_graph, fitting_rule, graph_roles
+from egolane_pgm.model import Model, compile_graph, matching_evidence_rule
 from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_place
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import InputError, problems_in
@@ -30,12 +30,11 @@ _ALL_DIGITS = 17
 
 
 def graph_named(graph: Any, experiment: Experiment) -> str:
-    """A graph as the key `graph` of an experiment names it, by a name or a file, whatever it is.
+    """The value of the key `graph` for a graph of any kind: a name or an absolute path.
 
-    - graph: a name, or a file relative to where one is; a module of the package or of a file; or a
-      network of pgmpy, as `graphs.from_pgmpy` reads it. A network is written as a YAML graph in
-      numbers to a folder that stays until this process ends; a result has a copy.
-    - experiment: its evidence rule, or the one that fits the network, says what is observed.
+    - graph: a name, a file, a module, or a network of pgmpy. A network is written as a YAML graph
+      in numbers to a folder that stays until this process ends; a result has a copy.
+    - experiment: its evidence rule, or the one that fits the network, defines what is observed.
 
     Raises InputError for anything else, and for a network that cannot be compiled.
     """
@@ -53,14 +52,15 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         raise InputError(f"graph: {kind} is no name, file or module, and no network of pgmpy")
     module = ModuleType("network")
     vars(module)["build"] = lambda n_lanes, parameters: graph
-    n_lanes, folder = experiment.n_lanes, experiment.folder
+    n_lanes = experiment.n_lanes
     with problems_in("graph"):
-        evidence = fitting_rule(module, n_lanes, experiment.evidence, folder, "network")
-        rule = load_plugin("evidence", evidence, folder, "evidence")
-        roles = graph_roles(module, rule, graph)
-        compiled = compile_graph(module, roles, graph)
-    model = Model(rule, module, {}, compiled, n_lanes, roles)
+        evidence = matching_evidence_rule(module, n_lanes, experiment.evidence, "network")
+        rule = load_plugin("evidence", evidence, "evidence")
+        compiled, unused = compile_graph(rule, module, n_lanes, {})
+    model = Model(experiment, rule, module, {}, compiled, unused)
     content = graph_yaml(model, "a network of pgmpy that was in memory", _ALL_DIGITS)
+    # A network of unknown origin may have seen any frames.
+    content["learned_from"] = getattr(graph, "learned_from", "unknown")
     digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
     file = Path(_folder().name, f"network_{digest}.yaml")
     write_yaml(file, content)
@@ -80,7 +80,7 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
 
     - digits: of a number in the file.
     """
-    compiled, roles = model.compiled, model.roles
+    compiled = model.compiled
     by_node = compiled.tables
     names = list(dict.fromkeys(name for name, _ in by_node))
     content: dict[str, Any] = {
@@ -92,9 +92,9 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
             for name in names
         },
         "hidden": list(compiled.hidden),
-        "observed": [list(key) if isinstance(key, tuple) else key for key in roles.observed],
+        "observed": [list(key) if isinstance(key, tuple) else key for key in compiled.observed],
         "inputs": list(compiled.inputs),
-        "unused": [list(key) if isinstance(key, tuple) else key for key in roles.unused],
+        "unused": [list(k) if isinstance(k, tuple) else k for k in sorted(model.unused, key=str)],
         "tables": {
             name: _rows(by_node[name, 1], digits)
             if compiled.has_one_table(name)

@@ -1,0 +1,211 @@
+"""Comparisons: results side by side, with paired intervals."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from egolane_pgm.drives import drive_key
+from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
+from egolane_pgm.types import InputError, IntArray
+
+ResultLike = Result | str | os.PathLike[str]
+
+#: The scores with an interval; each is the mean over the recordings.
+SCORES = ("accuracy", "f1", "log_loss")
+
+#: Scores that are shown without one: the name of a column by the key in scores.json.
+EVENT_SCORES = {
+    "events.within.1.precision": "event_precision",
+    "events.within.1.recall": "event_recall",
+    "events.within.1.false_per_hour": "event_false_per_hour",
+    "events.delay_s.median": "event_delay_s",
+}
+
+
+def compare(
+    results: ResultLike | Iterable[ResultLike],
+    *,
+    of: str | None = None,
+    by: str | None = None,
+    detector: bool = False,
+    events: bool = False,
+) -> pd.DataFrame:
+    """Compare results on the annotated frames of the same recordings.
+
+    - results: results, their directories, or folders of result directories.
+    - of: the sides of the comparison: a key of the experiment (`graph`, `parameters.sigma1`), a
+      tag (`tag.driver`), or `name`. By default the name of each result if all are of one
+      recording, and the folder of its directory otherwise.
+    - by: a second such key; results with different values of it are compared separately.
+    - detector: whether the detectors' own answers are a further side, the last one.
+    - events: whether scores of lane changes, reported within 1 s, are added.
+
+    Returns a row per value of `by` and `of`, with each score (the mean over the recordings), its
+    95 % interval, and the difference to the first row with a paired interval over the same
+    resamples; recordings of one drive are resampled together. `tuned_on` says whether the
+    parameters have seen these frames. Raises InputError unless all rows have the same recordings.
+
+    >>> import egolane_pgm as ego
+    >>> short = {"recording.frames": [0, 800]}
+    >>> one = ego.run("quickstart", overrides=short)
+    >>> other = ego.run("quickstart", overrides={**short, "filter": "exact"})
+    >>> ego.compare([one, other], of="filter")[["accuracy", "accuracy_difference"]].round(3)
+                     accuracy  accuracy_difference
+    filter
+    assumed_density     0.831                  NaN
+    exact               0.831                  0.0
+    """
+    given = open_results(results)
+    rows = []
+    for group, members in _groups(given, by).items():
+        key = of or _default_key(members)
+        sides = {
+            str(name): _by_recording(side, name) for name, side in _groups(members, key).items()
+        }
+        first = next(iter(sides.values()))
+        own = [(name, side, "Lane") for name, side in sides.items()]
+        if detector and all("detector" in each.scores for each in first.values()):
+            own.append(("detector alone", first, "detector"))
+        for name, side, node in own:
+            if side.keys() != first.keys():
+                raise InputError(f"{key} {name}: has other recordings, frames or labels")
+            aligned = [side[recording] for recording in first]
+            row = {} if by is None else {by: group}
+            row |= {key: name, "recordings": len(aligned), **_cells(_counts(aligned, node))}
+            if side is not first or node != "Lane":
+                minus = _counts([*first.values()], "Lane")
+                row |= _cells(_counts(aligned, node), minus, "_difference")
+            if events and node == "Lane":
+                row |= _event_scores(aligned)
+            tuned = dict.fromkeys(each.run["tuned_on"] for each in aligned)
+            row["tuned_on"] = "" if node != "Lane" else ", ".join(tuned)
+            rows.append(row)
+    index = [each for each in (by, of or _default_key(given)) if each is not None]
+    table = pd.DataFrame(rows)
+    return table.set_index([name for name in index if name in table])
+
+
+def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
+    """Results as given, read from directories, or from the folders below a folder."""
+    several = [results] if isinstance(results, (Result, str, os.PathLike)) else list(results)
+    found: list[Result] = []
+    for each in several:
+        if isinstance(each, Result):
+            found.append(each)
+            continue
+        place = Path(each)
+        below = [] if is_result(place) else sorted(p.parent for p in place.glob("**/run.json"))
+        found += [load_result(directory) for directory in below or [place]]
+    return found
+
+
+def _default_key(results: Sequence[Result]) -> str:
+    names = [each.name for each in results]
+    return "name" if len(set(names)) == len(names) else "folder"
+
+
+def _value(result: Result, key: str | None) -> Any:
+    if key is None:
+        return None
+    if key == "folder":
+        return result.name if result.directory is None else result.directory.parent.name
+    value = result.value(key)
+    return tuple(value) if isinstance(value, list) else value
+
+
+def _groups(results: Sequence[Result], key: str | None) -> dict[Any, list[Result]]:
+    """The results with each value of a key, in order."""
+    groups: dict[Any, list[Result]] = {}
+    for result in results:
+        groups.setdefault(_value(result, key), []).append(result)
+    return groups
+
+
+def _kept(result: Result) -> pd.DataFrame:
+    """The annotated frames whose labels are trusted."""
+    frames = result.frames.dropna(subset=["true_lane"])
+    if frames.empty:
+        raise InputError(f"{result.name}: has no ground truth to compare with")
+    return frames[frames["is_trusted"]] if "is_trusted" in frames else frames
+
+
+def _truth(frames: pd.DataFrame) -> pd.DataFrame:
+    truth = truth_of(frames)
+    assert truth is not None
+    return truth
+
+
+def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
+    """Results by their recordings, which are told apart by files, frames and labels."""
+    found: dict[str, Result] = {}
+    for result in results:
+        truth = _truth(_kept(result))
+        recording = result.experiment.recording
+        source = recording.path or f"{recording.simulate}, seed {recording.seed}"
+        key = f"{source} {pd.util.hash_pandas_object(truth).sum()}"
+        if key in found:
+            raise InputError(
+                f"{side}: two results of one recording, {found[key].name} and {result.name}; choose"
+                " a key that tells them apart (of, --of)"
+            )
+        found[key] = result
+    return found
+
+
+def _counts(results: Sequence[Result], node: str) -> list[tuple[str, Mapping[str, Any]]]:
+    """Per recording its drive, and per-frame summands of each score on the drive's timeline."""
+    frames = [_kept(result) for result in results]
+    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
+    column = "assigned_lane" if node == "Lane" else "detector_lane"
+    timeline: dict[str, IntArray] = {}
+    truths = [_truth(each) for each in frames]
+    for drive, truth in zip(drives, truths, strict=True):
+        ids = truth.index.to_numpy()
+        timeline[drive] = np.union1d(timeline.get(drive, ids), ids)
+    found = []
+    for drive, each, truth in zip(drives, frames, truths, strict=True):
+        lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
+        assigned = each[column].to_numpy()
+        counts = score_counts(lanes_of(each, node), lane, crossing, assigned=assigned)
+        ids = truth.index.to_numpy()
+        found.append((drive, on_timeline(counts, ids, timeline[drive])))
+    return found
+
+
+def _cells(
+    counts: Sequence[tuple[str, Mapping[str, Any]]],
+    minus: Sequence[tuple[str, Mapping[str, Any]]] | None = None,
+    suffix: str = "",
+) -> dict[str, float | None]:
+    """Each score, or difference, with the ends of its interval."""
+    drives = list(dict.fromkeys(drive for drive, _ in counts))
+    seeds = [drives.index(drive) for drive, _ in counts]
+    mine = [each for _, each in counts]
+    theirs = None if minus is None else [each for _, each in minus]
+    cells: dict[str, float | None] = {}
+    for name, interval in score_intervals(mine, theirs, seeds=seeds).items():
+        for end in ("estimate", "low", "high"):
+            label = f"{name}{suffix}" if end == "estimate" else f"{name}{suffix}_{end}"
+            cells[label] = getattr(interval, end)
+    return cells
+
+
+def _event_scores(results: Sequence[Result]) -> dict[str, float | None]:
+    """The means over the recordings of scores of lane changes, where they are defined."""
+    found: dict[str, float | None] = {}
+    for key, name in EVENT_SCORES.items():
+        values = []
+        for result in results:
+            value: Any = result.scores
+            for part in key.split("."):
+                value = value.get(part) if isinstance(value, Mapping) else None
+            values += [] if value is None else [value]
+        found[name] = float(np.mean(values)) if values else None
+    return found

@@ -1,0 +1,448 @@
+"""Drives: recordings read, selected and joined with their ground truth.
+
+A recording yields one drive or several: one per clip of a data set, and one per segment of road
+with a constant number of lanes (`n_lanes: map`). Everything that runs, fits or scores takes drives.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import warnings
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from egolane_pgm.experiment import FROM_MAP, Experiment, make_experiment
+from egolane_pgm.loading import IN_MEMORY, existing
+from egolane_pgm.maps.cutting import lanes_along, unknown_lanes
+from egolane_pgm.maps.road_table import load as load_road
+from egolane_pgm.model import Model, compile_model
+from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_names
+from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
+from egolane_pgm.recordings.ground_truth import read_ground_truth
+from egolane_pgm.recordings.memory import lines_of, truth_of
+from egolane_pgm.recordings.select import (
+    clip_lri,
+    fill_missing,
+    join,
+    rate_of,
+    recording_warnings,
+    select_frames,
+    sign_warning,
+)
+from egolane_pgm.tools.files import file_sha256
+from egolane_pgm.types import (
+    NOT_ANNOTATED,
+    BoolArray,
+    InputError,
+    IntArray,
+    LineLog,
+    check_lanes,
+    problems_in,
+    suggestion,
+)
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Keys of `recording` that identify a drive; the others describe how to read it.
+DRIVE_KEYS = ("simulate", "seed", "frames")
+
+#: Endings of videos, which need a detector.
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
+
+#: What to do about a missing file of the public data.
+_FETCH = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
+
+
+class Recording(NamedTuple):
+    """The content of a source.
+
+    - log: T frames, of one drive or of several clips.
+    - truth: the lanes, if the source provides them.
+    - frame_rate: frames per second, if the recording has time stamps.
+    """
+
+    log: LineLog
+    truth: pd.DataFrame | None = None
+    frame_rate: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """One drive: T frames of lines, their ground truth, and a model.
+
+    - name: unique among the drives of a recording.
+    - log: lines, after frame selection and `missing_frames`.
+    - true_lane (T,): 1 (leftmost) to n, NOT_ANNOTATED (0) if unknown.
+    - is_crossing (T,): marks frames in which the car changes lanes.
+    - tags: labels to group drives by.
+    """
+
+    name: str
+    model: Model
+    log: LineLog
+    true_lane: IntArray
+    is_crossing: BoolArray
+    tags: Mapping[str, str] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        """The number of annotated frames; of all frames without ground truth."""
+        return len(self.rows)
+
+    @property
+    def experiment(self) -> Experiment:
+        """The experiment of the model."""
+        return self.model.experiment
+
+    @property
+    def n_lanes(self) -> int:
+        """Number of lanes of the road."""
+        return self.model.n_lanes
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether any frame is annotated."""
+        return bool((self.true_lane != NOT_ANNOTATED).any())
+
+    @property
+    def rows(self) -> IntArray:
+        """(K,): the annotated frames; all frames without ground truth."""
+        if not self.has_truth:
+            return np.arange(len(self.log))
+        return np.flatnonzero(self.true_lane != NOT_ANNOTATED)
+
+    @property
+    def is_trusted(self) -> BoolArray:
+        """(K,): marks the annotated frames whose labels may be fitted to (`tuning.never_fit`)."""
+        frame_id = self.log.frame_id[self.rows]
+        trusted = np.ones(len(frame_id), dtype=bool)
+        tuning = self.experiment.tuning
+        for first, stop in () if tuning is None else tuning.never_fit:
+            last = np.inf if stop is None else stop
+            trusted &= (frame_id < first) | (frame_id >= last)
+        return trusted
+
+    def mask_labels(self, train: IntArray) -> Drive:
+        """The drive without the labels of all annotated frames but `train` (indices into rows).
+
+        Masked frames count as crossing, in lane 1: no fit reads the lane of a crossing frame.
+        """
+        if not self.has_truth:
+            return self
+        kept = np.zeros(len(self.log), dtype=bool)
+        kept[self.rows[train]] = True
+        masked = (self.true_lane != NOT_ANNOTATED) & ~kept
+        lane = np.where(masked, 1, self.true_lane)
+        return replace(self, true_lane=lane, is_crossing=self.is_crossing | masked)
+
+
+# --- sources: how each kind of recording is read -------------------------------------------------
+
+
+def read_file(experiment: Experiment) -> Recording:
+    """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
+    r, source = experiment.recording, experiment.source
+    check_file(experiment)
+    path = Path(str(r.path))
+    options = {**r.options, "frame_rate": r.frame_rate}
+    given = {key: getattr(r, key) for key in ("camera", "topic", "columns")}
+    options |= {key: value for key, value in given.items() if value is not None}
+    if r.format is None or r.format in FORMATS:
+        log = read_with(path, r.format, options)
+        # The time stamps of a bag in the paper's format are no frame rate.
+        is_timed = r.columns is not None or (r.format or format_of(path)) == "table"
+        return Recording(log, frame_rate=rate_of(log.frame_id, log.time_s) if is_timed else None)
+    where = f"{source}: recording.format"
+    reader = load_plugin("recordings", r.format, where)
+    options.pop("columns", None)
+    with plugin_errors(reader, where):
+        found = reader.read(path, **options)
+    if isinstance(found, LineLog):
+        return Recording(found)
+    with problems_in(where):
+        return read_memory(experiment, found, path)
+
+
+def check_file(experiment: Experiment) -> None:
+    """Raise InputError for a recording that is not there, or whose format is unknown."""
+    r, source = experiment.recording, experiment.source
+    if r.format is None and Path(str(r.path)).suffix.lower() in VIDEOS:
+        raise InputError(
+            f"{source}: recording.path: {r.path} is a video: name a detector"
+            " (recording.detector, e.g. ml) and a camera (recording.camera)"
+        )
+    if r.format is not None and r.format not in FORMATS:
+        known = [*FORMATS, *plugin_names("recordings")]
+        if r.format not in known and not r.format.endswith(".py"):
+            raise InputError(
+                f"{source}: recording.format: unknown format '{r.format}'"
+                f"{suggestion(r.format, known)}"
+            )
+        load_plugin("recordings", r.format, f"{source}: recording.format")
+    path = existing(experiment, "recording.path", _FETCH)
+    if r.camera is not None:
+        existing(experiment, "recording.camera")
+    elif (r.format or format_of(path)) in IN_PIXELS:
+        raise InputError(
+            f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
+        )
+
+
+def read_memory(
+    experiment: Experiment, lines: LineLog | pd.DataFrame, path: Path = Path(IN_MEMORY)
+) -> Recording:
+    """Read lines from a DataFrame or a LineLog. path: for messages."""
+    recording = experiment.recording
+    log = lines_of(lines, frame_rate=recording.frame_rate, columns=recording.columns, path=path)
+    return Recording(log, frame_rate=rate_of(log.frame_id, log.time_s))
+
+
+def read_simulated(experiment: Experiment) -> Recording:
+    """Simulate a drive."""
+    from egolane_pgm.simulation.presets import simulate
+
+    r = experiment.recording
+    with problems_in(f"{experiment.source}: recording"):
+        drive = simulate(str(r.simulate), seed=r.seed, n_lanes=experiment.n_lanes)
+    return Recording(drive.log, drive.truth)
+
+
+def check_simulated(experiment: Experiment) -> None:
+    """Raise InputError for an unknown preset."""
+    from egolane_pgm.simulation.presets import PRESETS
+
+    name = str(experiment.recording.simulate)
+    if name not in PRESETS:
+        raise InputError(
+            f"{experiment.source}: recording.simulate: unknown preset '{name}'"
+            f"{suggestion(name, PRESETS)}"
+        )
+
+
+def read_pictures(experiment: Experiment) -> Recording:
+    """Detect lines in a video or in pictures."""
+    from egolane_pgm.vision.detectors.pictures import read_pictures as read
+
+    log, frame_rate = read(experiment)
+    return Recording(log, frame_rate=frame_rate)
+
+
+def check_pictures(experiment: Experiment) -> None:
+    """Raise InputError for a detector, camera or pictures that cannot be used."""
+    from egolane_pgm.vision.detectors.pictures import open_pictures
+
+    open_pictures(experiment)
+
+
+#: How each kind of recording is read, and checked without reading it.
+SOURCES: dict[str, tuple[Callable[[Experiment], Recording], Callable[[Experiment], Any]]] = {
+    "file": (read_file, check_file),
+    "simulate": (read_simulated, check_simulated),
+    "pictures": (read_pictures, check_pictures),
+}
+
+
+def kind_of(experiment: Experiment) -> str:
+    """The kind of recording of an experiment: a key of SOURCES."""
+    if experiment.recording.detector is not None:
+        return "pictures"
+    return "file" if experiment.recording.simulate is None else "simulate"
+
+
+def check_sources(experiment: Experiment) -> None:
+    """Check, without reading any frame, that all files of an experiment are there."""
+    SOURCES[kind_of(experiment)][1](experiment)
+    for key in ("ground_truth.path", "road"):
+        if getattr(experiment, key.partition(".")[0]) is not None:
+            existing(experiment, key, _FETCH)
+
+
+# --- from a recording to drives ------------------------------------------------------------------
+
+
+def read_drives(
+    experiment: Experiment,
+    lines: Any = None,
+    truth: Any = None,
+    tags: Mapping[str, str] | None = None,
+) -> list[Drive]:
+    """Read the recording of an experiment: one drive, or several.
+
+    - lines: a DataFrame or LineLog in place of the recording, for `recording.path: in memory`.
+    - truth: a file, a DataFrame with frame_id, lane and crossing, or "none", in place of the
+      ground truth.
+    - tags: tags of the drives.
+
+    Raises InputError for files that cannot be used, and warns of oddities that do not prevent it.
+    """
+    # Errors of the model come before those of a recording that takes long to read.
+    model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
+    in_memory = lines is not None and not isinstance(lines, (str, os.PathLike))
+    if in_memory:
+        found = read_memory(experiment, lines)
+    elif experiment.recording.path == IN_MEMORY:
+        raise InputError(f"{experiment.source}: recording.path: pass the lines that are in memory")
+    else:
+        found = SOURCES[kind_of(experiment)][0](experiment)
+    known = read_truth(experiment, found, truth)
+    if "frame_rate" not in experiment.recording.model_fields_set and found.frame_rate is not None:
+        experiment = with_rate(experiment, found.frame_rate)
+    recording = experiment.recording
+    log = select_frames(found.log, *(recording.frames or (None, None)))
+    if known is not None and log.clip is not None:
+        raise InputError(
+            f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
+        )
+    drives: list[Drive] = []
+    for piece in log.pieces():
+        clip = log.take(piece)
+        name = experiment.name if clip.clip is None else str(clip.clip[0])
+        clip = replace(clip, clip=None)
+        clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
+        if model is None:
+            drives += cut(name, experiment, clip, known)
+        else:
+            model = replace(model, experiment=experiment)
+            drives.append(make_drive(name, model, clip, known))
+    return [replace(drive, tags=dict(tags or {})) for drive in drives]
+
+
+def read_truth(experiment: Experiment, found: Recording, truth: Any) -> pd.DataFrame | None:
+    """The ground truth: as passed, from the experiment's file, or the source's own."""
+    if isinstance(truth, str) and truth == "none":
+        return None
+    if isinstance(truth, (str, os.PathLike)):
+        return read_ground_truth(Path(truth))
+    if truth is not None:
+        return truth_of(truth)
+    if experiment.ground_truth is not None:
+        path = existing(experiment, "ground_truth.path", _FETCH)
+        return read_ground_truth(path, experiment.ground_truth.extra_rows)
+    return found.truth
+
+
+def make_drive(
+    name: str, model: Model, log: LineLog, truth: pd.DataFrame | None, *, most_lanes: int = 0
+) -> Drive:
+    """Join a log with its ground truth, and warn of what is odd in it.
+
+    - most_lanes: for a segment of a longer road, the lanes of the widest segment. A lane may end
+      some metres from its position in the map, so the truth may contain a lane that the segment
+      does not have; and a segment may have no annotated frame.
+    """
+    recording = model.experiment.recording
+    max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
+    if recording.lri == "clip":
+        log = clip_lri(log, max_lri)
+    notes = recording_warnings(log, model.n_lanes, max_lri, recording.frame_rate)
+    lane = np.full(len(log), NOT_ANNOTATED)
+    crossing = np.zeros(len(log), dtype=bool)
+    if truth is not None and (not most_lanes or np.isin(log.frame_id, truth.index).any()):
+        check_lanes(truth, most_lanes or model.n_lanes)
+        rows, annotated = join(log, truth)
+        known = truth.iloc[annotated]
+        lane[rows], crossing[rows] = known["true_lane"], known["is_crossing"]
+        notes += sign_warning(log.take(rows), known["true_lane"].to_numpy())
+        missing = len(log) - len(rows)
+        if missing:
+            notes.append(
+                f"{log.source}: {missing} of {len(log)} frames have no ground truth; filtered,"
+                " not scored"
+            )
+    for note in notes:
+        warnings.warn(note, UserWarning, stacklevel=2)
+    return Drive(name, model, log, lane, crossing)
+
+
+def cut(name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | None) -> list[Drive]:
+    """One drive per segment of road with a constant number of lanes; each starts from the prior."""
+    road = load_road(existing(experiment, "road"))
+    n_lanes = lanes_along(road, log)
+    for note in unknown_lanes(road, log):
+        warnings.warn(note, UserWarning, stacklevel=2)
+    widths = sorted(set(n_lanes.tolist()))
+    models = {n: compile_model(changed(experiment, road=None, n_lanes=n)) for n in widths}
+    borders = [0, *(np.flatnonzero(np.diff(n_lanes)) + 1).tolist(), len(log)]
+    drives = []
+    for number, (start, stop) in enumerate(pairwise(borders), start=1):
+        part, model = log.take(slice(start, stop)), models[int(n_lanes[start])]
+        drives.append(make_drive(f"{name}_{number}", model, part, truth, most_lanes=widths[-1]))
+    return drives
+
+
+def changed(experiment: Experiment, **changes: Any) -> Experiment:
+    """The experiment with other values, checked; a section keeps its other keys."""
+    content = experiment.model_dump(exclude_unset=True)
+    for key, value in changes.items():
+        content[key] = {**content[key], **value} if isinstance(value, Mapping) else value
+    return make_experiment(content, experiment.source)
+
+
+def with_rate(experiment: Experiment, frame_rate: float) -> Experiment:
+    """The experiment with another frame rate, frames per second."""
+    if frame_rate == experiment.recording.frame_rate:
+        return experiment
+    return changed(experiment, recording={"frame_rate": frame_rate})
+
+
+def drive_names(drives: Iterable[Drive]) -> list[str]:
+    """The names of drives; equal ones are numbered."""
+    names = [drive.name for drive in drives]
+    return [
+        f"{name}_{names[:k].count(name) + 1}" if names.count(name) > 1 else name
+        for k, name in enumerate(names)
+    ]
+
+
+# --- the files of an experiment ------------------------------------------------------------------
+
+
+def data_files(experiment: Experiment) -> list[Path]:
+    """The files that an experiment names, plugins included."""
+    recording, truth = experiment.recording, experiment.ground_truth
+    named = [recording.path, recording.right, recording.camera, truth and truth.path]
+    named += [experiment.road, experiment.evidence, experiment.graph]
+    named += [recording.format, recording.detector, *recording.detector_parameters.values()]
+    return [Path(name) for name in named if isinstance(name, str) and os.path.isabs(name)]
+
+
+def digest(path: Path) -> dict[str, Any]:
+    """Path, sha256 and size in bytes of a file, of a folder or of a glob of files."""
+    if path.is_file():
+        return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
+    files: Sequence[Path]
+    if path.is_dir():
+        files = files_of(path) or sorted(each for each in path.iterdir() if each.is_file())
+    else:
+        files = sorted(path.parent.glob(path.name))
+    lines = "".join(f"{file_sha256(file)}  {file.name}\n" for file in files)
+    size = sum(file.stat().st_size for file in files)
+    sha256 = hashlib.sha256(lines.encode()).hexdigest()
+    return {"path": str(path), "sha256": sha256, "bytes": size, "files": len(files)}
+
+
+def digests(experiment: Experiment) -> list[dict[str, Any]]:
+    """The digest of each file that an experiment names."""
+    return [digest(path) for path in data_files(experiment)]
+
+
+def drive_key(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
+    """A text that is equal for recordings of one drive, such as those of several detectors.
+
+    - data: the digests of the experiment's files.
+
+    It is the checksum of the ground truth, else of the recording; the name of a file does not
+    count. For a simulated drive it is the preset and the seed.
+    """
+    recording, truth = experiment.recording, experiment.ground_truth
+    if recording.simulate is not None:
+        return f"{recording.simulate}, seed {recording.seed}, {experiment.n_lanes} lanes"
+    sha256 = {entry["path"]: entry["sha256"] for entry in data}
+    path = str(recording.path) if truth is None else truth.path
+    return str(sha256.get(path, f"{experiment.name} in memory"))

@@ -1,0 +1,295 @@
+"""Load experiments: a YAML file and changes to it become one checked `Experiment`.
+
+Every path is made absolute here, once: a path in a YAML file is relative to that file, a path in a
+table of runs to the table, and any other path to the current folder. A path that does not exist
+there is looked up in `$EGOLANE_DATA` and in the download folder. Later code opens paths as they
+are.
+
+Two keys of a YAML file are not the experiment's: `include: other.yaml` adds the keys of another
+file, and `version: 1`, which is optional, is the version of the keys.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from egolane_pgm.experiment import Experiment, frozen, make_experiment
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.tools.files import read_yaml, without_version
+from egolane_pgm.tools.yaml import parse_yaml
+from egolane_pgm.types import InputError, near_word
+
+#: The value of `recording.path` for lines that are passed as a DataFrame or a LineLog.
+IN_MEMORY = "in memory"
+
+#: Keys whose values are files.
+FILES = {
+    "recording.path",
+    "recording.camera",
+    "recording.right",
+    "ground_truth.path",
+    "road",
+}
+
+#: Keys whose values are plugins: files only if they end like one.
+PLUGINS = {"graph", "evidence", "recording.format", "recording.detector"}
+
+#: Keys that belong to a recording; new lines never inherit them from the experiment.
+RECORDING_KEYS = ("recording", "ground_truth", "road", "tuning", "description")
+
+ExperimentLike = Experiment | str | os.PathLike[str] | Mapping[str, Any]
+Overrides = Mapping[str, Any] | Sequence[str] | None
+
+
+def experiments_folder() -> Path:
+    """The folder of the shipped experiments.
+
+    >>> import egolane_pgm as ego
+    >>> sorted(path.name for path in (ego.experiments_folder() / "paper").glob("run0[12]*"))
+    ['run01_italy_ml.yaml', 'run02_italy_sl.yaml']
+    """
+    installed = Path(__file__).parent / "_experiments"
+    return installed if installed.is_dir() else Path(__file__).parent.parent / "experiments"
+
+
+def experiment_path(given: str | os.PathLike[str]) -> Path:
+    """The YAML file of an experiment; a shipped one is found by its name from any folder.
+
+    Raises InputError, with a suggestion, for an unknown name.
+    """
+    path = Path(given)
+    if not path.suffix and not path.exists():
+        named = {each.stem: each for each in experiments_folder().rglob("*.yaml")}
+        if str(given) in named:
+            return named[str(given)]
+        meant = near_word(str(given), named)
+        raise InputError(f"{given}: is no file, and no experiment that `egolane show` lists{meant}")
+    if path.parts[:1] == ("experiments",) and not path.exists():
+        shipped = experiments_folder().joinpath(*path.parts[1:])
+        return shipped if shipped.is_file() else path
+    return path
+
+
+def load_experiment(
+    experiment: ExperimentLike,
+    overrides: Overrides = None,
+    *,
+    lines: Any = None,
+    n_lanes: int | None = None,
+) -> Experiment:
+    """Load an experiment; apply all changes, then check the result once.
+
+    - experiment: a YAML file, the name of a shipped experiment, keys and values, or an experiment.
+    - overrides: `{"parameters.sigma1": 0.3}`, nested or dotted, or a list of `key=value`. None
+      removes a key, an empty section empties one.
+    - lines: another recording, a file or data in memory. The experiment then gives the model only
+      (evidence, graph, filter, parameters); all keys of the recording come from `overrides`.
+    - n_lanes: number of lanes of the road.
+
+    Raises InputError, naming file and key, for a key or value that does not fit.
+
+    >>> import egolane_pgm as ego
+    >>> experiment = ego.load_experiment("quickstart", {"parameters.sigma1": 0.3})
+    >>> experiment.parameters["sigma1"]
+    0.3
+    >>> ego.load_experiment(experiment, {"filter": "exact"}).filter
+    'exact'
+    >>> ego.load_experiment("quickstart", {"filtr": "exact"})
+    Traceback (most recent call last):
+    ...
+    egolane_pgm.types.InputError: ...quickstart.yaml: unknown key 'filtr' (did you mean 'filter'?)
+    """
+    changes = parse_overrides(overrides)
+    if n_lanes is not None:
+        changes = merge(changes, {"n_lanes": n_lanes})
+    if isinstance(experiment, Experiment) and not changes and lines is None:
+        return experiment
+    content, source = _read(experiment)
+    if lines is not None:
+        content = _on_lines(content, lines, changes, source)
+        source = f"{source} on {content['recording']['path']}"
+    content = merge(content, absolute(changes, Path.cwd()))
+    return make_experiment(content, source)
+
+
+def _read(experiment: ExperimentLike) -> tuple[dict[str, Any], str]:
+    """The keys of an experiment, with absolute paths, and its source for messages."""
+    if isinstance(experiment, Experiment):
+        return experiment.model_dump(exclude_unset=True), experiment.source
+    if isinstance(experiment, Mapping):
+        content = without_version(nest(experiment), "experiment")
+        content = _include(content, Path.cwd(), "experiment", ())
+        return absolute(content, Path.cwd()), "experiment"
+    if not isinstance(experiment, (str, os.PathLike)):
+        raise InputError(
+            f"{experiment!r} is no experiment; give the path of a YAML file, its keys and values,"
+            " or what load_experiment returned"
+        )
+    path = experiment_path(experiment)
+    return absolute(load_yaml(path), path.parent), str(path)
+
+
+def _on_lines(
+    content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any], source: str
+) -> dict[str, Any]:
+    """The model keys of an experiment, on another recording."""
+    path, name, recording = IN_MEMORY, "in_memory", content.get("recording") or {}
+    if isinstance(lines, (str, os.PathLike)):
+        path = find(os.fspath(lines), Path.cwd())
+        name = safe_name(Path(path).stem)
+    if "n_lanes" not in changes and (recording.get("simulate") or content.get("road")):
+        raise InputError(
+            f"{path}: n_lanes is missing: give the number of lanes of this recording's road"
+            f" (--n-lanes; {source} is about another road)"
+        )
+    kept = {key: value for key, value in content.items() if key not in RECORDING_KEYS}
+    if kept.get("tuned_on") == "same_frames" and path != recording.get("path"):
+        kept["tuned_on"] = "other_frames"
+    return {**kept, "name": name, "recording": {"path": path}}
+
+
+def safe_name(text: str) -> str:
+    """Replace what must not be in the name of an experiment."""
+    kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in text)
+    return "".join(kept).lstrip("._-") or "recording"
+
+
+# --- YAML files ----------------------------------------------------------------------------------
+
+
+def load_yaml(path: Path) -> dict[str, Any]:
+    """The keys of a YAML file and of the file that it includes.
+
+    The file's own keys replace included ones; sections are merged, `{}` empties one. Paths in the
+    included file are relative to the including one.
+    """
+    return _load(path, ())
+
+
+def _load(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
+    """The same; including: the files that led here."""
+    place = os.path.realpath(path)
+    if place in including:
+        raise InputError(f"{including[-1]}: include: {path.name} includes this file itself")
+    if including and not os.path.isfile(path):
+        raise InputError(f"{including[-1]}: include: no file {path}")
+    content = read_yaml(path, "n_lanes: 4")
+    return _include(content, path.parent, str(path), (*including, place))
+
+
+def _include(
+    content: dict[str, Any], folder: Path, source: str, including: tuple[str, ...]
+) -> dict[str, Any]:
+    if "include" not in content:
+        return content
+    name = content.pop("include")
+    if not isinstance(name, str):
+        raise InputError(f"{source}: include: {name!r} is not the name of a file")
+    return merge(_load(folder / name, including or (source,)), content)
+
+
+# --- paths ---------------------------------------------------------------------------------------
+
+
+def find(name: str, folder: Path) -> str:
+    """The absolute path of a file; if it does not exist, the path below `folder`."""
+    # pooch, which names the download folder, is needed for files that are not there only.
+    path = Path(name).expanduser()
+    place = folder / path
+    if not path.is_absolute() and not place.exists():
+        from egolane_pgm.recordings.catalog import data_folders
+
+        place = next((data / path for data in data_folders() if (data / path).exists()), place)
+    return str(place.absolute())
+
+
+def absolute(content: Mapping[str, Any], folder: Path, prefix: str = "") -> dict[str, Any]:
+    """The keys and values with every file named by its absolute path."""
+    found: dict[str, Any] = {}
+    for key, value in content.items():
+        name = f"{prefix}{key}"
+        is_plugin = name in PLUGINS or name.startswith("recording.detector_parameters.")
+        if isinstance(value, Mapping):
+            found[key] = absolute(value, folder, f"{name}.")
+        elif not isinstance(value, (str, os.PathLike)) or value == IN_MEMORY:
+            found[key] = value
+        elif name in FILES or (is_plugin and str(value).endswith((*OWN_FILES, ".onnx"))):
+            found[key] = find(os.fspath(value), folder)
+        else:
+            found[key] = value
+    return found
+
+
+def existing(experiment: Experiment, key: str, hint: str = "") -> Path:
+    """The file or folder of a key such as `recording.path`. Raises InputError if it is missing.
+
+    - hint: what to do, for the message.
+    """
+    name: Any = experiment
+    for part in key.split("."):
+        name = getattr(name, part)
+    path = Path(str(name))
+    if not path.exists():
+        said = f"; {hint}" if hint else ""
+        raise InputError(f"{experiment.source}: {key}: {path}: no such file{said}")
+    return path
+
+
+# --- overrides -----------------------------------------------------------------------------------
+
+
+def parse_overrides(overrides: Overrides) -> dict[str, Any]:
+    """Overrides as nested keys and values."""
+    if overrides is None or isinstance(overrides, Mapping):
+        return nest(overrides or {})
+    if isinstance(overrides, str) or not isinstance(overrides, Iterable):
+        raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
+    nested: dict[str, Any] = {}
+    for each in overrides:
+        key, value = read_override(each, "parameters.bonus_value=0")
+        nested = merge(nested, nest({key: value}))
+    return nested
+
+
+def read_override(override: Any, example: str, option: str = "overrides") -> tuple[str, Any]:
+    """The key and the YAML value of `key=value`. Raises InputError for anything else.
+
+    - example, option: for messages.
+    """
+    key, equals, text = str(override).partition("=")
+    key = key.strip()
+    if not equals or not all(key.split(".")):
+        raise InputError(f"{option}: {override}: write it as key=value, e.g. {example}")
+    try:
+        return key, parse_yaml(text, option)
+    except InputError as error:
+        raise InputError(f"{option}: {override}: the value is not YAML") from error
+
+
+def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
+    """`{"a.b": 1}` as `{"a": {"b": 1}}`; numbers of NumPy and paths become plain values."""
+    nested: dict[str, Any] = {}
+    for key, value in flat.items():
+        if not isinstance(key, str) or not all(key.split(".")):
+            raise InputError(f"{key!r} is not the name of a key, e.g. parameters.sigma1")
+        section = nest(value) if isinstance(value, Mapping) else frozen(value)
+        for part in reversed(key.split(".")):
+            section = {part: section}
+        nested = merge(nested, section)
+    return nested
+
+
+def merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of both, section by section; None removes a key, `{}` empties a section."""
+    merged = dict(base)
+    for key, value in over.items():
+        if value is None and key in base:
+            del merged[key]
+        elif value and isinstance(value, Mapping) and isinstance(base.get(key), Mapping):
+            merged[key] = merge(base[key], value)
+        else:
+            merged[key] = value
+    return merged

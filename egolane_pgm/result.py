@@ -1,0 +1,588 @@
+"""Results: one table with a row per frame, its scores and its provenance.
+
+A result directory holds experiment.yaml, run.json, scores.json, beliefs.parquet (`Result.frames` as
+it is), lines.parquet and events.csv. run.json is removed first and written last, so a directory
+that has it is complete.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import time
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from functools import cached_property
+from importlib import import_module, metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+
+from egolane_pgm.drives import Drive, digests, drive_names, with_rate
+from egolane_pgm.experiment import FITTING, Experiment, resolved
+from egolane_pgm.inference.events import SURE, lane_events, lane_segments
+from egolane_pgm.inference.unrolling import Unrolled, unrolled
+from egolane_pgm.loading import IN_MEMORY, load_experiment
+from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal, whole_rule
+from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.memory import lines_of
+from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
+from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
+from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.provenance import git_state, versions
+from egolane_pgm.types import (
+    MAX_LANES,
+    UNASSIGNED,
+    Beliefs,
+    Evidence,
+    FloatArray,
+    InputError,
+    LineLog,
+    lane_truth,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pgmpy.models import DynamicBayesianNetwork
+
+#: The columns of `Result.frames`; the index is frame_id. Those marked ? are not always there.
+COLUMNS = {
+    "time_s": "seconds",
+    "NODE_VALUE": "posterior: Lane_1, ..., SensorState_OK, ...",
+    "line_crossing_probability?": "probability of straddling the line between two lanes",
+    "lateral_offset?": "offset from the lane centre in lane widths, positive to the right",
+    "assigned_lane": "the answer; 0 for none (a tie, or less than unassigned_below)",
+    "detector_LANE?": "the evidence rule's own answer",
+    "detector_lane?": "its most probable lane; 0 for none",
+    "log_evidence": "natural logarithm",
+    "is_impossible": "the model does not allow the frame's evidence",
+    "true_lane": "missing if not annotated",
+    "is_crossing": "the car is changing lanes; missing if not annotated",
+    "drive?": "name of the drive, if there are several",
+    "n_lanes?": "lanes of the road, if that differs between drives",
+    "block?": "the block that was held out",
+    "is_trusted?": "False for labels excluded from fits and held-out scores",
+}
+
+#: The prefix of a tag among the keys of a result.
+TAG = "tag."
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Result:
+    """The output of an experiment, frame by frame.
+
+    - experiment: with the frame rate of its recording.
+    - frames: a row per frame, see `COLUMNS`.
+    - run: provenance (run.json).
+    - scores: the scores (scores.json).
+    - lines: the lines of each drive, by name.
+    - directory: where it was read or written; None in memory.
+
+    >>> import egolane_pgm as ego
+    >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> result
+    Result('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)
+    >>> result.scores["model"]["frames_scored"]
+    260
+    >>> result.events[["time_s", "from_lane", "to_lane", "delay_s"]].round(1)
+       time_s  from_lane  to_lane  delay_s
+    0     3.7          4        3     -0.4
+    1    10.5          3        2     -0.6
+    >>> result.frames[["time_s", "Lane_1", "SensorState_OK", "true_lane"]].shape
+    (300, 4)
+    """
+
+    experiment: Experiment
+    frames: pd.DataFrame
+    run: Mapping[str, Any]
+    scores: Mapping[str, Any]
+    lines: Mapping[str, LineLog] = field(default_factory=dict)
+    directory: Path | None = None
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __repr__(self) -> str:
+        from egolane_pgm.views.display import result_title
+
+        return f"Result({result_title(self)})"
+
+    def _repr_html_(self) -> str:
+        from egolane_pgm.views.display import result_html
+
+        return result_html(self)
+
+    @property
+    def name(self) -> str:
+        """The name of the experiment."""
+        return self.experiment.name
+
+    @property
+    def n_lanes(self) -> int:
+        """Number of lanes of the road; the largest of several drives."""
+        return int(self.run["n_lanes"])
+
+    @property
+    def frame_rate(self) -> float:
+        """Frames per second."""
+        return float(self.run["frame_rate"])
+
+    @property
+    def notes(self) -> list[str]:
+        """Warnings, a line each."""
+        return list(self.run["warnings"])
+
+    @cached_property
+    def model(self) -> Model:
+        """The evidence rule and the graph, compiled."""
+        if self.experiment.road is None:
+            return compile_model(self.experiment)
+        return compile_model(load_experiment(self.experiment, {"road": None}, n_lanes=self.n_lanes))
+
+    def node(self, name: str) -> FloatArray:
+        """(T, k): the posterior of a node."""
+        return node_of(self.frames, name, self.run["values"][name])
+
+    @cached_property
+    def beliefs(self) -> Beliefs:
+        """The posterior of each hidden node, for functions that take `Beliefs`."""
+        f, values = self.frames, self.run["values"]
+        marginals = {name: self.node(name) for name in values}
+        flags = f["log_evidence"].to_numpy(), f["is_impossible"].to_numpy()
+        return Beliefs(f.index.to_numpy(), marginals, *flags, values)
+
+    @cached_property
+    def truth(self) -> pd.DataFrame | None:
+        """The annotated frames: true_lane and is_crossing; None without ground truth."""
+        return truth_of(self.frames)
+
+    @cached_property
+    def events(self) -> pd.DataFrame:
+        """The lane changes of each drive; with ground truth, the delay of each (`delay_s`)."""
+        rate, lag = self.frame_rate, self.experiment.lag
+        tables = []
+        for name, frames in by_drive(self.frames):
+            events, truth = events_of(frames, rate, lag), truth_of(frames)
+            if truth is not None:
+                events = events.assign(delay_s=event_delays(events, truth, rate))
+            tables.append(events if name is None else events.assign(drive=name))
+        return pd.concat(tables, ignore_index=True)
+
+    @cached_property
+    def segments(self) -> list[tuple[int, float, float]]:
+        """The lane over time of a single drive: lane (0 unknown), from second, to second."""
+        time_s = self.frames["time_s"].to_numpy()
+        return (
+            [] if "drive" in self.frames else lane_segments(self.node("Lane"), self.events, time_s)
+        )
+
+    @cached_property
+    def evidence(self) -> Evidence:
+        """The evidence of a single drive, made from its lines."""
+        [log] = self.lines.values()
+        return make_evidence(self.model, whole_rule(self.model), log)[0]
+
+    def network(
+        self, *, evidence: bool = False, first: int | None = None, last: int | None = None
+    ) -> DynamicBayesianNetwork | Unrolled:
+        """The graph in pgmpy: by itself, or some frames of it with their evidence.
+
+        - evidence: False for the declared network of two slices, whose virtual-evidence tables
+          (`WOR_ve`) are placeholders; True for frames unrolled with the run's evidence, together
+          with the evidence as pgmpy's queries take it.
+        - first, last: with evidence: frame ids, both included; all by default. pgmpy takes seconds
+          for hundreds of frames.
+        """
+        if not evidence:
+            return self.model.network
+        ids = self.frames.index.to_numpy()
+        first, last = (ids[0] if first is None else first), (ids[-1] if last is None else last)
+        return unrolled(self.model.compiled, self.evidence, first, last, frame_id=ids)
+
+    def value(self, key: str) -> Any:
+        """The value of a tag or of a key of the experiment, such as `parameters.sigma1`."""
+        if key.startswith(TAG):
+            return self.run["tags"].get(key.removeprefix(TAG))
+        found: Any = self.run["config"]
+        for part in key.split("."):
+            found = found.get(part) if isinstance(found, Mapping) else None
+        return found
+
+    def take(self, frames: Any) -> Result:
+        """Select frames by position; the scores are not recomputed."""
+        return replace(self, frames=self.frames.iloc[frames], lines={})
+
+    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+        """The text that `egolane run` prints: scores, confusions and lane changes.
+
+        - style: one of `views.tables.STYLES`.
+        - wide: whether tables may be wider than the terminal.
+        """
+        from egolane_pgm.views.display import result_text
+
+        return result_text(self, style, wide)
+
+    def plot(self, first: int | None = None, last: int | None = None) -> Figure:
+        """Draw the posterior over time as strips, the truth below.
+
+        - first, last: frame ids, both included; all by default.
+
+        Raises InputError for a range without frames.
+        """
+        from egolane_pgm.views.strips import strips_figure
+        from egolane_pgm.views.style import inline_figure
+
+        return inline_figure(lambda: strips_figure(self, first, last))
+
+    def report(self, file: str | os.PathLike[str]) -> Path:
+        """Write the page of `egolane plot --out x.html`: one HTML file, with a timeline.
+
+        Raises InputError if it cannot be written.
+        """
+        # The page is a wing: it is imported by name, so that nothing here depends on it.
+        page = import_module("egolane_pgm.page.document")
+        for line in page.write_page([self], Path(file)):
+            warnings.warn(line, UserWarning, stacklevel=2)
+        return Path(file)
+
+    def save(self, directory: str | os.PathLike[str]) -> Path:
+        """Write the result directory; an older result is replaced, other files stay.
+
+        Raises InputError if the directory holds something else or cannot be written.
+        """
+        place = Path(directory)
+        check_writable(place)
+        make_directory(place)
+        (place / "run.json").unlink(missing_ok=True)
+        try:
+            config = self._write_inputs(place)
+            self.frames.to_parquet(place / "beliefs.parquet")
+        except OSError as error:
+            raise InputError(f"{place}: cannot be written: {error.strerror or error}") from error
+        write_yaml(place / "experiment.yaml", config)
+        self.events.round(6).to_csv(place / "events.csv", index=False)
+        write_json(place / "scores.json", self.scores)
+        write_json(place / "run.json", self.run)
+        return place
+
+    def _write_inputs(self, place: Path) -> dict[str, Any]:
+        """Write the lines and copy the user's own plugins; return the config that names them."""
+        config = dict(self.run["config"])
+        for key in ("evidence", "graph"):
+            if str(config[key]).endswith(OWN_FILES):
+                copy = f"{key}_{Path(config[key]).name.removeprefix(f'{key}_')}"
+                if Path(config[key]) != place.absolute() / copy:
+                    shutil.copyfile(config[key], place / copy)
+                config[key] = f"./{copy}"
+        if self.lines:
+            tables = [
+                log.to_pandas().reset_index().assign(drive=name) for name, log in self.lines.items()
+            ]
+            table = pd.concat(tables, ignore_index=True)
+            table = table if len(tables) > 1 else table.drop(columns="drive")
+            table.to_parquet(place / "lines.parquet", index=False)
+        if config["recording"].get("path") == IN_MEMORY:
+            dropped = {"frames", "missing_frames", "columns"}
+            kept = {k: v for k, v in config["recording"].items() if k not in dropped}
+            config["recording"] = {**kept, "path": "./lines.parquet"}
+        return config
+
+
+# --- directories ---------------------------------------------------------------------------------
+
+
+def is_result(directory: str | os.PathLike[str]) -> bool:
+    """Whether a directory holds a complete result."""
+    return all((Path(directory) / name).is_file() for name in ("run.json", "scores.json"))
+
+
+def check_writable(directory: Path) -> None:
+    """Raise InputError if a result cannot be put there: before anything is computed."""
+    if directory.exists() and not directory.is_dir():
+        raise InputError(f"{directory}: is a file, not a directory")
+    is_ours = (directory / "scores.json").exists() or not directory.exists()
+    if not is_ours and any(directory.iterdir()):
+        raise InputError(f"{directory}: exists and is not a result directory; name another one")
+    make_directory(directory)
+
+
+def load_result(directory: str | os.PathLike[str]) -> Result:
+    """Read a result directory. Raises InputError if it is incomplete or damaged."""
+    place = Path(directory)
+    if not is_result(place):
+        raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")
+    try:
+        run, scores = (json.loads((place / n).read_text()) for n in ("run.json", "scores.json"))
+        if "identity" not in run:
+            raise InputError(f"{place}: was written by another version; run the experiment again")
+        frames = pd.read_parquet(place / "beliefs.parquet")
+        experiment = load_experiment(place / "experiment.yaml")
+        return Result(experiment, frames, run, scores, _read_lines(place, experiment), place)
+    except InputError:
+        raise
+    except (ValueError, KeyError, OSError) as error:
+        why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(f"{place}: is damaged ({why}); run the experiment again") from error
+
+
+def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
+    file, rate = place / "lines.parquet", experiment.recording.frame_rate
+    if not file.exists():
+        return {}
+    table = pd.read_parquet(file)
+    if "drive" not in table:
+        return {experiment.name: lines_of(table, frame_rate=rate, path=file)}
+    parts = table.groupby("drive", sort=False)
+    return {
+        str(name): lines_of(part.drop(columns="drive"), frame_rate=rate, path=file)
+        for name, part in parts
+    }
+
+
+def stored(experiment: Experiment, directory: Path, tags: Mapping[str, str]) -> Result | None:
+    """The result in a directory, if it is complete and of the same experiment, data and tags."""
+    try:
+        run = json.loads((directory / "run.json").read_text())
+        is_same = run["identity"] == identity(experiment, digests(experiment))
+        return load_result(directory) if is_same and run["tags"] == dict(tags) else None
+    except (OSError, ValueError, KeyError):
+        return None
+
+
+def identity(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
+    """A checksum of the config, the content of the files and the version.
+
+    The location of the files does not count: a moved file is the same data.
+    """
+    config = experiment.model_dump(mode="json", exclude=FITTING - {"fit"})
+    names = {entry["path"]: entry["sha256"] for entry in data}
+    text = json.dumps(config, sort_keys=True)
+    for path, sha256 in sorted(names.items(), reverse=True):
+        text = text.replace(json.dumps(path), json.dumps(sha256))
+    return hashlib.sha256(f"{text} {metadata.version('egolane-pgm')}".encode()).hexdigest()
+
+
+# --- the table of frames -------------------------------------------------------------------------
+
+
+def node_of(frames: pd.DataFrame, node: str, values: Sequence[Any]) -> FloatArray:
+    """(T, k): the columns of a node."""
+    columns = [f"{node}_{value}" for value in values]
+    found: FloatArray = frames[columns].to_numpy(np.float64)
+    return found
+
+
+def lanes_of(frames: pd.DataFrame, node: str = "Lane") -> FloatArray:
+    """(T, n): the posterior over lanes; with `detector`, the evidence rule's own answer."""
+    n_lanes = sum(column.startswith("Lane_") for column in frames)
+    return node_of(frames, node, range(1, n_lanes + 1))
+
+
+def truth_of(frames: pd.DataFrame) -> pd.DataFrame | None:
+    """The ground truth of the annotated frames; None without one.
+
+    Several drives may share frame ids: their frames are numbered consecutively instead.
+    """
+    known = frames[["true_lane", "is_crossing"]].dropna()
+    if known.empty:
+        return None
+    is_one_drive = known.index.is_monotonic_increasing and known.index.is_unique
+    ids = known.index if is_one_drive else np.arange(len(known))
+    return lane_truth(ids, known["true_lane"], known["is_crossing"])
+
+
+def by_drive(frames: pd.DataFrame) -> Iterator[tuple[str | None, pd.DataFrame]]:
+    """The frames of each drive by name; None for the name of the only one."""
+    if "drive" not in frames:
+        yield None, frames
+        return
+    for name, part in frames.groupby("drive", sort=False):
+        yield str(name), part
+
+
+def events_of(frames: pd.DataFrame, frame_rate: float, lag: int | None) -> pd.DataFrame:
+    """The lane changes of one drive."""
+    flags = frames["log_evidence"].to_numpy(), frames["is_impossible"].to_numpy()
+    beliefs = Beliefs(frames.index.to_numpy(), {"Lane": lanes_of(frames)}, *flags)
+    offset = frames["lateral_offset"].to_numpy() if "lateral_offset" in frames else None
+    time_s = frames["time_s"].to_numpy()
+    return lane_events(beliefs, frame_rate, lag=lag, time_s=time_s, lateral_offset=offset)
+
+
+# --- scores --------------------------------------------------------------------------------------
+
+
+def score(frames: pd.DataFrame, frame_rate: float, lag: int | None = None) -> dict[str, Any]:
+    """The scores of a table of frames, of one drive or of several together.
+
+    Frames of untrusted labels are left out; `model_all_frames` has the scores with them.
+    """
+    impossible = frames["is_impossible"].to_numpy()
+    lane = lanes_of(frames)
+    scores: dict[str, Any] = {
+        "frames": len(frames),
+        "frames_scored": 0,
+        "mean_log_evidence": frames["log_evidence"][~impossible].mean(),
+        "impossible_frames": int(impossible.sum()),
+        "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
+    }
+    kept = frames[frames["is_trusted"]] if "is_trusted" in frames else frames
+    kept = kept.dropna(subset=["true_lane"])
+    truth = truth_of(kept)
+    events = [(events_of(part, frame_rate, lag), part) for _, part in by_drive(frames)]
+    scores["events"] = {"detected": sum(len(found) for found, _ in events)}
+    if truth is None:
+        return scores
+    scores["frames_scored"] = int(np.count_nonzero(~truth["is_crossing"]))
+    if "detector_lane" in kept:
+        scores["detector"] = _score_side(kept, truth, frame_rate, "detector")
+    scores["model"] = _score_side(kept, truth, frame_rate, "Lane")
+    if len(kept) < frames["true_lane"].notna().sum():
+        every = frames.dropna(subset=["true_lane"])
+        scores["model_all_frames"] = _score_side(every, truth_of(every), frame_rate, "Lane")
+    column = "line_crossing_probability"
+    crossing = kept[column].to_numpy() if column in kept else None
+    if len(events) == 1:
+        scores["events"] = event_scores(events[0][0], crossing, truth, frame_rate)
+    else:
+        parts = [found for found, _ in events], [part for _, part in by_drive(kept)]
+        scores["events"] = event_scores(*_on_one_timeline(*parts, crossing, frame_rate), frame_rate)
+    return scores
+
+
+def _score_side(
+    frames: pd.DataFrame, truth: pd.DataFrame | None, frame_rate: float, node: str
+) -> dict[str, Any]:
+    """The scores of the model ("Lane") or of the detector on annotated frames."""
+    assert truth is not None
+    column = "assigned_lane" if node == "Lane" else "detector_lane"
+    assigned = frames[column].to_numpy()
+    scores = score_with_intervals(lanes_of(frames, node), truth, frame_rate, assigned=assigned)
+    if "drive" in frames:
+        scores |= _stability_over_drives(frames, column, frame_rate)
+    return scores
+
+
+def _stability_over_drives(frames: pd.DataFrame, answers: str, frame_rate: float) -> dict[str, Any]:
+    """False switches and delays of several drives; no pair of frames spans two of them."""
+    false, counted, delays = 0, 0, []
+    for _, part in by_drive(frames):
+        truth = truth_of(part)
+        assert truth is not None
+        lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
+        given = part[answers].to_numpy(), lane, crossing
+        is_false, is_counted = false_switch_frames(*given)
+        false, counted = false + is_false.sum(), counted + is_counted.sum()
+        delays.append(delay_after_lane_change(*given, truth.index).delay_frames)
+    minutes = counted / (60 * frame_rate)
+    delay = np.concatenate(delays)
+    followed = delay[~np.isnan(delay)]
+    return {
+        "false_switches_per_minute": float(false / minutes) if minutes else None,
+        "delay": {
+            "median_frames": float(np.median(followed)) if len(followed) else None,
+            "p90_frames": float(np.percentile(followed, 90)) if len(followed) else None,
+            "share_missed": float(1 - len(followed) / len(delay)) if len(delay) else None,
+            "changes": len(delay),
+        },
+    }
+
+
+def _on_one_timeline(
+    events: Sequence[pd.DataFrame],
+    parts: Sequence[pd.DataFrame],
+    crossing: FloatArray | None,
+    frame_rate: float,
+) -> tuple[pd.DataFrame, FloatArray | None, pd.DataFrame]:
+    """Lane changes, line crossing probability and truth of several drives, one after the other.
+
+    The gap between two drives is longer than any tolerance. Lanes are renumbered so that the true
+    lane is the same before and after a gap: a border between drives is no lane change.
+    """
+    gap = int(4 * max(TOLERANCES_S) * frame_rate) + 1
+    start, last, shifted, truths = 0, None, [], []
+    for found, part in zip(events, parts, strict=False):
+        truth = truth_of(part)
+        if truth is None:
+            continue
+        ids = truth.index.to_numpy()
+        known = truth["true_lane"][~truth["is_crossing"]].to_numpy()
+        # Lane numbers stay positive: 0 is an event without lanes.
+        added = MAX_LANES if last is None or not len(known) else last - known[0]
+        last = known[-1] + added if len(known) else last
+        move = start - ids[0]
+        moved = {key: found[key] + move for key in ("frame_id", "detected_frame_id")}
+        is_known = found["from_lane"] != UNASSIGNED
+        moved |= {key: found[key] + added * is_known for key in ("from_lane", "to_lane")}
+        shifted.append(found.assign(**moved))
+        truths.append((ids + move, truth["true_lane"] + added, truth["is_crossing"]))
+        start = ids[-1] + move + gap
+    ids, lane, is_crossing = (np.concatenate(each) for each in zip(*truths, strict=True))
+    return pd.concat(shifted), crossing, lane_truth(ids, lane, is_crossing)
+
+
+# --- from drives to a result ---------------------------------------------------------------------
+
+
+def make_result(
+    experiment: Experiment,
+    drives: Sequence[Drive],
+    frames: pd.DataFrame,
+    notes: Sequence[str] = (),
+    *,
+    begin: float | None = None,
+    **more: Any,
+) -> Result:
+    """The result of an experiment.
+
+    - drives: of one recording, or of several recordings with the same model.
+    - frames: the rows of the drives, in order.
+    - notes: warnings, a line each.
+    - begin: `time.perf_counter()` at the start.
+    - more: further keys of run.json.
+    """
+    first = drives[0]
+    model, rate = first.model, first.experiment.recording.frame_rate
+    e = with_rate(experiment, rate)
+    notes = list(dict.fromkeys(notes))
+    impossible = int(frames["is_impossible"].sum())
+    if impossible:
+        notes.append(
+            f"{first.log.source}: the evidence of {impossible} frame(s) has joint likelihood zero;"
+            " they keep their prediction"
+        )
+    data = digests(experiment)
+    widest = max(drives, key=lambda drive: drive.n_lanes).model
+    reasons = why_not_causal(model)
+    scores = score(frames, rate, e.lag)
+    run = {
+        "name": e.name,
+        "config": resolved(e, model.parameters),
+        "identity": identity(experiment, data),
+        "data": data,
+        "versions": versions(),
+        "git": git_state(),
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "frame_rate": rate,
+        "n_lanes": widest.n_lanes,
+        "values": widest.values,
+        "frames": len(frames),
+        "tuned_on": e.tuned_on,
+        "is_causal": not reasons,
+        "why_not_causal": reasons,
+        "tags": dict(first.tags),
+        "warnings": notes,
+        **more,
+    }
+    if begin is not None:
+        run["seconds"] = round(time.perf_counter() - begin, 3)
+    lines = dict(zip(drive_names(drives), (drive.log for drive in drives), strict=True))
+    return Result(e, frames, plain(run), plain(scores), lines)

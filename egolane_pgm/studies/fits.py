@@ -1,0 +1,510 @@
+"""Fits: find parameters or tables from the training frames of some drives.
+
+A fit is a function `fit(drives, train, fold) -> Fitted`: train has the training frames of each
+drive, as indices into its annotated frames; fold is the number of the held-out fold, or None for
+the final fit. The labels of all other frames are masked in `drives`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import optuna
+import pandas as pd
+
+from egolane_pgm.drives import Drive
+from egolane_pgm.experiment import Experiment, Learning, Tuning
+from egolane_pgm.graphs.cpds import SliceNode, Table
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.model import Model, make_evidence, whole_rule, with_parameters
+from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.plugins import declared_parameters, plugin_errors
+from egolane_pgm.studies.em import Training, fit_tables_pooled, with_learned
+from egolane_pgm.studies.objective import (
+    check_filter,
+    check_objective,
+    posterior_at,
+    scores_of,
+    searched_of_detector,
+    split,
+    with_detector,
+)
+from egolane_pgm.studies.search import (
+    TRIALS,
+    Report,
+    Settings,
+    best_trial,
+    check_sampler,
+    new_study,
+    search,
+)
+from egolane_pgm.studies.space import (
+    Point,
+    SearchSpace,
+    describe,
+    differences,
+    make_space,
+    to_parameters,
+    to_point,
+)
+from egolane_pgm.studies.storage import open_storage, storage_errors
+from egolane_pgm.tools.files import plain
+from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
+
+
+class Fitted(dict[str, Value]):
+    """Parameters and tables by name; unchanged ones are omitted.
+
+    - trials: a row per trial of a search: number, state, a column per score and per number
+      searched; None of other fits.
+    """
+
+    trials: pd.DataFrame | None = None
+
+
+Fit = Callable[[Sequence[Drive], Sequence[IntArray], int | None], Fitted]
+
+#: The prefix of a learned table: `tables.Lane.next`; without a suffix if a node has one table.
+TABLES = "tables."
+_SLICES = (".first", ".next")
+
+
+def fit_nothing(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
+    """Keep the experiment's own parameters."""
+    return Fitted()
+
+
+def apply_fit(model: Model, fitted: Fitted) -> Model:
+    """Put fitted parameters and tables into a model."""
+    tables = {name: value for name, value in fitted.items() if name.startswith(TABLES)}
+    own, detector = split({name: v for name, v in fitted.items() if name not in tables})
+    if own:
+        values = _resolve(model, {**model.parameters, **own})
+        of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
+        if of_graph.isdisjoint(own):
+            model = replace(model, parameters=values)
+        else:
+            model = with_parameters(model, values)
+    if detector:
+        model = replace(model, experiment=with_detector(model.experiment, detector))
+    if tables:
+        start = start_of_learning(model).compiled
+        learned = {
+            table.node: replace(table, values=np.reshape(tables[name], table.values.shape))
+            for name, table in _by_name(start, counted_tables(start)).items()
+            if name in tables
+        }
+        model = replace(model, compiled=with_learned(start, learned))
+    return model
+
+
+def _resolve(model: Model, given: Mapping[str, Any]) -> dict[str, Value]:
+    specs = declared_parameters(model.rule, model.graph)
+    return resolve_parameters(specs, given, model.n_lanes, f"{model.experiment.source}: parameters")
+
+
+# --- learn ---------------------------------------------------------------------------------------
+
+
+def fit_learn(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
+    """Learn parameters of the evidence rule from labels, or else tables of the graph by EM."""
+    if learns_rule(drives[0].model):
+        return fit_rule(drives, train)
+    return fit_tables(drives, train)
+
+
+def learns_rule(model: Model) -> bool:
+    """Whether the evidence rule defines `fit` and `LEARNED`."""
+    return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
+
+
+def needs_labels(experiment: Experiment, model: Model, method: str) -> bool:
+    """Whether a fit (none, learn, tune) needs ground truth."""
+    is_by_em = method == "learn" and not learns_rule(model)
+    return method != "none" and not (is_by_em and not learning_of(experiment).labels)
+
+
+def check_learnable(model: Model) -> None:
+    """Raise InputError, naming the YAML key, if nothing can be learned."""
+    experiment = model.experiment
+    if not learns_rule(model):
+        learnable_tables(model)
+    elif experiment.learning is not None:
+        raise InputError(
+            f"{experiment.source}: learning: applies to the tables of a graph; the evidence rule"
+            f" {experiment.evidence} learns its own parameters from labels"
+        )
+
+
+def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
+    """The parameters that an evidence rule learns; it starts from their defaults."""
+    model = drives[0].model
+    rule, where = model.rule, model.experiment.source
+    given = {name: v for name, v in model.parameters.items() if name not in rule.LEARNED}
+    start = _resolve(model, given)
+    parts = []
+    for drive, frames in zip(drives, train, strict=True):
+        rows = drive.rows[frames]
+        rows = rows[~drive.is_crossing[rows]]
+        lane = np.zeros(len(drive.log), dtype=np.int64)
+        lane[rows] = drive.true_lane[rows]
+        parts.append((drive.log, lane, lane > 0))
+    with plugin_errors(rule, "evidence"):
+        if len(parts) == 1:
+            found: Mapping[str, Value] = rule.fit(*parts[0], model.n_lanes, start)
+        elif hasattr(rule, "fit_pooled"):
+            found = rule.fit_pooled(parts, model.n_lanes, start)
+        else:
+            raise InputError(
+                f"{where}: the evidence rule {model.experiment.evidence} learns from one recording,"
+                " it has no fit_pooled"
+            )
+    if unknown := set(found).difference(rule.LEARNED):
+        raise InputError(f"{rule.__file__}: fit() returned {unknown.pop()}, not one of LEARNED")
+    return Fitted(found)
+
+
+def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
+    """The tables of the graph, by EM over all drives.
+
+    With `learning.labels` the lane of a labelled frame is known, except while crossing.
+    """
+    model = drives[0].model
+    options, source = learning_of(model.experiment), model.experiment.source
+    notes = seen_before(model)
+    pairs = zip(drives, train, strict=True)
+    training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
+    if options.labels:
+        lanes = {lane for each in training for lane in np.unique(each.known["Lane"]).tolist()}
+        notes += [
+            f"{source}: no frame to learn from has lane {k + 1}; it keeps its start"
+            for k in range(model.n_lanes)
+            if k not in lanes
+        ]
+    start = start_of_learning(model).compiled
+    fitted = fit_tables_pooled(
+        start,
+        training,
+        nodes={name for name, _ in learnable_tables(model)},
+        strength=options.strength,
+        iterations=options.iterations,
+    )
+    impossible = int(fitted.is_impossible.sum())
+    if impossible == len(fitted.is_impossible):
+        raise InputError(
+            f"{source}: graph {model.experiment.graph} allows none of the {impossible} frames to"
+            " learn from; do the evidence rule and the graph fit together?"
+        )
+    if impossible:
+        notes.append(
+            f"{source}: graph {model.experiment.graph} does not allow {impossible} frame(s) to"
+            " learn from; they are left out"
+        )
+    if len(fitted.log_posterior) > options.iterations:
+        notes.append(
+            f"{source}: learning stopped after {options.iterations} iterations, before it converged"
+            " (learning.iterations)"
+        )
+    for note in notes:
+        warnings.warn(note, UserWarning, stacklevel=2)
+    tables = _by_name(start, fitted.tables).items()
+    return Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
+
+
+def learning_of(experiment: Experiment) -> Learning:
+    """The experiment's settings of learning, or the defaults."""
+    return experiment.learning or Learning()
+
+
+def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
+    """The evidence and known lanes of the training frames of a drive.
+
+    A frame that is not annotated is used if its annotated neighbours on both sides are.
+    """
+    rows, n_frames = drive.rows, len(drive.log)
+    is_train = np.zeros(len(rows), dtype=bool)
+    is_train[train] = True
+    before = np.searchsorted(rows, np.arange(n_frames), side="right") - 1
+    after = np.searchsorted(rows, np.arange(n_frames), side="left")
+    used = is_train[np.maximum(before, 0)] & is_train[np.minimum(after, len(rows) - 1)]
+    lane = np.full(n_frames, FREE, dtype=np.int64)
+    if labels:
+        known = rows[train][~drive.is_crossing[rows[train]]]
+        lane[known] = drive.true_lane[known] - 1
+    # A rule may look at the frames before: its evidence is made for the whole drive.
+    evidence, _ = make_evidence(drive.model, whole_rule(drive.model), drive.log)
+    is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
+    return Training(evidence.take(used), {"Lane": lane[used]}, is_first)
+
+
+def learnable_tables(model: Model) -> dict[SliceNode, Table]:
+    """The tables that can be learned, as far as `learning.tables` names them."""
+    source = model.experiment.source
+    tables = {
+        node: table
+        for node, table in counted_tables(start_of_learning(model).compiled).items()
+        if not np.isin(table.values, (0.0, 1.0)).all()
+    }
+    if not tables:
+        raise InputError(
+            f"{source}: nothing to learn: all tables of graph {model.experiment.graph} are certain"
+            " or selected by an input; search parameters with `egolane tune`"
+        )
+    wanted, names = learning_of(model.experiment).tables, {name for name, _ in tables}
+    for name in () if wanted is None else wanted:
+        if name not in names:
+            raise InputError(
+                f"{source}: learning.tables: '{name}' has no table to learn"
+                f"{suggestion(name, names)}"
+            )
+    return {node: t for node, t in tables.items() if wanted is None or node[0] in wanted}
+
+
+def start_of_learning(model: Model) -> Model:
+    """The model with the tables that learning starts from.
+
+    Parameters of the graph that may have been tuned on these frames start from their defaults.
+    """
+    values = _resolve(model, {**model.parameters, **_defaults(model)})
+    return replace(with_parameters(model, values), parameters=model.parameters)
+
+
+def _defaults(model: Model) -> dict[str, Value]:
+    if model.experiment.tuned_on not in ("same_frames", "unknown"):
+        return {}
+    specs = getattr(model.graph, "PARAMETERS", ())
+    return {spec.name: spec.default for spec in specs if spec.is_searched}
+
+
+def seen_before(model: Model) -> list[str]:
+    """Warnings that parameters may have been tuned on the frames that are learned from."""
+    e = model.experiment
+    if e.tuned_on not in ("same_frames", "unknown"):
+        return []
+    where, reset = f"{e.source}: tuned_on {e.tuned_on}", _defaults(model)
+    changed = [name for name, value in reset.items() if model.parameters[name] != value]
+    kept = [
+        spec.name
+        for spec in getattr(model.rule, "PARAMETERS", ())
+        if spec.is_searched and model.parameters[spec.name] != spec.default
+    ]
+    notes = []
+    if changed:
+        notes.append(f"{where}: learning starts from the defaults of {', '.join(changed)}")
+    if kept:
+        notes.append(
+            f"{where}: {', '.join(kept)} of the evidence rule stay as given, so held-out scores may"
+            " be in-sample"
+        )
+    if e.tuned_on == "same_frames" and not reset:
+        notes.append(
+            f"{where}: graph {e.graph} has no parameters with defaults to start from, so held-out"
+            " scores are in-sample"
+        )
+    return notes
+
+
+def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
+    return {
+        f"{TABLES}{name}{'' if compiled.has_one_table(name) else _SLICES[s]}": table
+        for (name, s), table in tables.items()
+    }
+
+
+# --- tune ----------------------------------------------------------------------------------------
+
+
+def fit_tune(
+    drives: Sequence[Drive],
+    train: Sequence[IntArray],
+    fold: int | None,
+    *,
+    tuning: Tuning,
+    storage: str | None = None,
+    starts: Sequence[Mapping[str, Value]] = (),
+    pooled: bool = False,
+    report: Report | None = None,
+) -> Fitted:
+    """The best parameters of an Optuna study on the training frames.
+
+    - tuning: objective, sampler, number of trials, seed, bounds.
+    - storage: a URL as Optuna takes it, or a journal file; None for a study in memory. Each fold
+      has its own study in it; an interrupted study is resumed.
+    - starts: parameter sets that the study on everything tries first. A study without a fold starts
+      from scratch: known values may have been tuned on the frames that are held out.
+    - pooled: whether all frames count alike; otherwise all drives do.
+    - report: called after each trial.
+    """
+    spaces = search_spaces(drives, tuning)
+    options = {"storage": storage, "starts": starts, "pooled": pooled, "report": report}
+    study = tune_study(drives, train, fold, tuning=tuning, **options)
+    values = to_parameters(spaces[0], best_trial(study).params)
+    found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
+    fitted = Fitted({name: value for name, value in values.items() if name in found})
+    fitted.trials = trials_of(study)
+    return fitted
+
+
+def trials_of(study: optuna.Study) -> pd.DataFrame:
+    """A row per trial: `number`, `state`, each score (in-sample) and each number searched."""
+    trials = study.get_trials(deepcopy=False)
+    rows = [
+        {
+            "number": trial.number,
+            "state": trial.state.name,
+            **dict(zip(study.metric_names or (), trial.values or (), strict=False)),
+            **trial.params,
+        }
+        for trial in trials
+    ]
+    return pd.DataFrame(rows)
+
+
+def tune_study(
+    drives: Sequence[Drive],
+    train: Sequence[IntArray],
+    fold: int | None,
+    *,
+    tuning: Tuning,
+    storage: str | None = None,
+    starts: Sequence[Mapping[str, Value]] = (),
+    pooled: bool = False,
+    report: Report | None = None,
+) -> optuna.Study:
+    """Run the study of a fold, or go on with it; see `fit_tune`."""
+    for drive in drives:
+        check_filter(drive.experiment)
+    spaces = search_spaces(drives, tuning)
+    settings = settings_of(tuning, fold, drives[0].experiment.source)
+    used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
+    score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
+    with storage_errors(storage):
+        study = open_study(drives, train, fold, settings, spaces[0], storage)
+        if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
+            for point in filter(None, (to_point(spaces[0], each) for each in starts)):
+                study.enqueue_trial(dict(point), skip_if_exists=True)
+        search(study, spaces[0], score, settings, report=report)
+    return study
+
+
+def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Settings:
+    """The settings of a study, checked. Each fold has its own seed, or all would share its luck."""
+    where = f"{source}: tuning"
+    names = tuple(check_objective(name, f"{where}.objective") for name in tuning.objective)
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}.objective: a score is named twice")
+    sampler = check_sampler(tuning.sampler, names, f"{where}.sampler")
+    seed = tuning.seed
+    if fold is not None:
+        seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
+    return Settings(names, sampler, tuning.trials or TRIALS, seed)
+
+
+def search_spaces(drives: Sequence[Drive], tuning: Tuning) -> list[SearchSpace]:
+    """The search space of each drive; they may differ in the fixed values only."""
+    spaces = [search_space(drive.model, tuning) for drive in drives]
+    for drive, space in zip(drives, spaces, strict=True):
+        if space.dimensions != spaces[0].dimensions:
+            raise InputError(
+                f"{drive.experiment.source}: has other parameters or lanes than"
+                f" {drives[0].experiment.source}; one set for both needs the same plugins, and a"
+                " parameter with a value per lane cannot be shared between different roads"
+            )
+    return spaces
+
+
+def search_space(model: Model, tuning: Tuning) -> SearchSpace:
+    """The search space of a model."""
+    experiment = model.experiment
+    # A parameter that both declare belongs to the graph, as in `declared_parameters`.
+    of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
+    specs = [
+        spec
+        if ("graph" if spec.name in of_graph else "evidence") in tuning.search
+        else replace(spec, search=None)
+        for spec in declared_parameters(model.rule, model.graph)
+    ]
+    current = dict(model.parameters)
+    if "detector" in tuning.search:
+        of_detector, values = searched_of_detector(experiment)
+        specs += of_detector
+        current |= values
+    where = f"{experiment.source}: tuning.parameters"
+    return make_space(specs, current, tuning.parameters, model.n_lanes, where)
+
+
+def objective(
+    drives: Sequence[Drive],
+    spaces: Sequence[SearchSpace],
+    used: Sequence[BoolArray],
+    names: Sequence[str],
+    *,
+    pooled: bool = False,
+) -> Callable[[Point], list[float]]:
+    """The scores of a point of the search space; see `objective.scores_of`.
+
+    - used: per drive (K,), marks the annotated frames that are scored.
+    """
+    posteriors = [posterior_at(drive) for drive in drives]
+
+    def values(point: Point) -> list[float]:
+        pairs = zip(posteriors, spaces, strict=True)
+        found = [posterior(to_parameters(space, point)) for posterior, space in pairs]
+        return scores_of(drives, found, used, names, pooled=pooled)
+
+    return values
+
+
+def open_study(
+    drives: Sequence[Drive],
+    train: Sequence[IntArray],
+    fold: int | None,
+    settings: Settings,
+    space: SearchSpace,
+    storage: str | None,
+) -> optuna.Study:
+    """Open or create the study of a fold. Raises InputError if the storage has another one."""
+    if storage is None:
+        return new_study(settings)
+    name = drives[0].experiment.name + ("" if fold is None else f" without fold {fold + 1}")
+    study = new_study(settings, storage=open_storage(storage), study_name=name)
+    content = {
+        "objective": settings.objectives,
+        "sampler": settings.sampler,
+        "seed": settings.seed,
+        "space": describe(space),
+        "data": [drive_digest(drive, frames) for drive, frames in zip(drives, train, strict=True)],
+    }
+    known = json.loads(json.dumps(plain(content)))
+    before = study.user_attrs.get("identity", known)
+    if before != known:
+        what = "; ".join(differences(before, known)[:5])
+        raise InputError(
+            f"study {name}: the storage holds another study of this name ({what}); name another"
+            " directory or storage"
+        )
+    study.set_user_attr("identity", known)
+    return study
+
+
+def drive_digest(drive: Drive, train: IntArray) -> str:
+    """A checksum of the lines, labels, training frames and model of a drive."""
+    log, found = drive.log, hashlib.sha256()
+    arrays = (log.frame_id, log.offset_m, log.is_valid, log.is_continuous, log.lri)
+    for array in (*arrays, drive.true_lane, drive.is_crossing, train):
+        found.update(np.ascontiguousarray(array).tobytes())
+    e = drive.experiment
+    for plugin in (e.evidence, e.graph):
+        # A user's own file is part of the model; it may have moved.
+        file = Path(plugin)
+        found.update(file.read_bytes() if file.is_absolute() else plugin.encode())
+    found.update(f"{e.filter} {e.evidence_reading} {e.unassigned_below}".encode())
+    return found.hexdigest()[:16]

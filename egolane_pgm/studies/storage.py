@@ -1,0 +1,94 @@
+"""Where Optuna keeps studies: a journal file, or any database that Optuna supports."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from optuna.exceptions import StorageInternalError
+from optuna.storages import (
+    BaseStorage,
+    JournalStorage,
+    RDBStorage,
+    RetryHeartbeatStaleTrialCallback,
+)
+from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
+from sqlalchemy.engine import make_url
+from sqlalchemy.exc import SQLAlchemyError
+
+from egolane_pgm.tools.files import make_directory
+from egolane_pgm.types import InputError
+
+#: The journal in the directory of a study.
+JOURNAL_NAME = "study.journal"
+
+#: Seconds between signs of life of a worker on a database, and until its trial is run again.
+HEARTBEAT_S, GRACE_S = 15, 60
+
+
+def open_storage(storage: str) -> BaseStorage:
+    """Open a storage: a URL (`postgresql://...`, `sqlite:///...`), or a journal file.
+
+    Raises InputError, one line, if that fails.
+    """
+    try:
+        if "://" not in storage:
+            make_directory(Path(storage).parent)
+            # A lock older than five seconds was left by a process that was killed.
+            lock = JournalFileOpenLock(storage, grace_period=5)
+            return JournalStorage(JournalFileBackend(storage, lock))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return RDBStorage(
+                storage,
+                heartbeat_interval=HEARTBEAT_S,
+                grace_period=GRACE_S,
+                heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(),
+            )
+    except InputError:
+        raise
+    except ImportError as error:
+        name = error.name or getattr(error.__cause__, "name", None)
+        raise InputError(
+            f"{named(storage)}: needs the package {name}: pip install {name}"
+        ) from error
+    # A database's driver raises errors of its own, and Optuna for a damaged journal.
+    except Exception as error:
+        raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
+
+
+@contextmanager
+def storage_errors(storage: str | None) -> Iterator[None]:
+    """Turn errors of a storage while a study runs into InputError: a lost database, a full disk."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        first: BaseException = error
+        # Optuna may raise an error of its own over it.
+        while not isinstance(first, (OSError, SQLAlchemyError, StorageInternalError)):
+            if first.__context__ is None:
+                raise
+            first = first.__context__
+        kept = "complete trials are kept, repeat the command to go on"
+        raise InputError(f"{named(storage or 'study')}: {_reason(first)}; {kept}") from error
+
+
+def named(storage: str) -> str:
+    """A storage in a message, without its password."""
+    try:
+        if "://" in storage:
+            return f"storage: {make_url(storage).set(query={}).render_as_string()}"
+    except SQLAlchemyError:
+        return "storage"
+    return storage
+
+
+def _reason(error: BaseException) -> str:
+    while error.__cause__ is not None:
+        error = error.__cause__
+    lines = str(getattr(error, "orig", error)).splitlines() or [type(error).__name__]
+    return str(lines[0])

@@ -1,0 +1,527 @@
+"""Studies: fit on some frames, infer and score the others.
+
+`cross_validate(drives, fit, folds)` is the only engine. `run --held-out`, `tune`, `learn` and
+transfer from some drives to others differ in the fit and in the folds.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from egolane_pgm.drives import Drive, digests, drive_key
+from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
+from egolane_pgm.model import Model, recording_key
+from egolane_pgm.result import Result, by_drive, is_result, make_result, score
+from egolane_pgm.running import concat_drives, frames_of, messages
+from egolane_pgm.studies.fits import (
+    TABLES,
+    Fit,
+    Fitted,
+    apply_fit,
+    check_learnable,
+    fit_learn,
+    fit_nothing,
+    fit_tune,
+    needs_labels,
+    search_spaces,
+    settings_of,
+)
+from egolane_pgm.studies.graph_file import graph_yaml
+from egolane_pgm.studies.space import describe
+from egolane_pgm.studies.storage import JOURNAL_NAME
+from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.jobs import parallel
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import InputError, IntArray, suggestion
+
+if TYPE_CHECKING:
+    from pgmpy.models import DynamicBayesianNetwork
+
+#: The default number of blocks.
+N_BLOCKS = 5
+
+#: Trials per fold of `run --held-out` with `fit: tune`; a study of its own has more.
+TRIALS_PER_FOLD = 300
+
+#: The file that makes the directory of a study complete.
+STUDY_FILE = "study.json"
+
+
+class Fold(NamedTuple):
+    """Training and test frames per drive, as indices into its annotated frames."""
+
+    train: tuple[IntArray, ...]
+    test: tuple[IntArray, ...]
+
+
+def everything(drives: Sequence[Drive]) -> Fold:
+    """The fold of a final fit: train on all trusted frames, test on all frames."""
+    test = tuple(np.arange(len(drive)) for drive in drives)
+    return Fold(tuple(np.flatnonzero(drive.is_trusted) for drive in drives), test)
+
+
+def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]:
+    """Hold out each of some contiguous blocks of every drive in turn.
+
+    Blocks are `np.array_split` of the annotated frames, crossing ones included. Raises InputError
+    for fewer than 2 blocks, and for more than frames.
+    """
+    whole = everything(drives)
+    fewest = min(map(len, whole.test))
+    if not 2 <= n_blocks <= fewest:
+        raise InputError(f"blocks: {n_blocks} is not between 2 and the {fewest} frames of a drive")
+    blocks = [np.array_split(frames, n_blocks) for frames in whole.test]
+    return [
+        Fold(
+            tuple(np.setdiff1d(t, mine[b]) for t, mine in zip(whole.train, blocks, strict=True)),
+            tuple(mine[b] for mine in blocks),
+        )
+        for b in range(n_blocks)
+    ]
+
+
+def group_folds(drives: Sequence[Drive], groups: Sequence[Any]) -> list[Fold]:
+    """Hold out the drives of each group in turn. groups: a label per drive, such as a tag."""
+    whole, none = everything(drives), np.zeros(0, dtype=np.int64)
+    folds = []
+    for value in dict.fromkeys(groups):
+        is_out = [group == value for group in groups]
+        train = (none if out else t for out, t in zip(is_out, whole.train, strict=True))
+        test = (t if out else none for out, t in zip(is_out, whole.test, strict=True))
+        folds.append(Fold(tuple(train), tuple(test)))
+    return folds
+
+
+def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -> list[Fold]:
+    """Hold out whole drives: those with each value of a tag, or of each of some parts of the list.
+
+    Recordings of one drive are held out together. Raises InputError if nothing would be left.
+    """
+    keys = [drive_key(drive.experiment, digests(drive.experiment)) for drive in drives]
+    first = {key: k for k, key in reversed(list(enumerate(keys)))}
+    if tag is not None:
+        known = {name for drive in drives for name in drive.tags}
+        groups = [drive.tags.get(tag) for drive in drives]
+        for drive, key, group in zip(drives, keys, groups, strict=True):
+            if group is None:
+                raise InputError(f"{drive.name}: has no tag.{tag}{suggestion(tag, known)}")
+            if group != groups[first[key]]:
+                raise InputError(
+                    f"{drive.name}: is the same drive as {drives[first[key]].name}, with another"
+                    f" tag.{tag}: the one would give the other's labels away"
+                )
+    else:
+        unique = list(first)[::-1]
+        parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
+        part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
+        groups = [part_of[key] for key in keys]
+    if len(set(groups)) < 2:
+        raise InputError("folds: all rows are of one drive, or have one tag: none can be held out")
+    return group_folds(drives, groups)
+
+
+def fit_fold(drives: Sequence[Drive], fit: Fit, fold: Fold, number: int | None) -> Fitted:
+    """Fit to the training frames of a fold; the labels of all others are masked."""
+    used = [k for k, train in enumerate(fold.train) if len(train)]
+    if not used and fit is not fit_nothing:
+        which = "" if number is None else f"block {number + 1}: "
+        raise InputError(f"{which}no frame is left to fit to; exclude fewer frames (never_fit)")
+    train = [fold.train[k] for k in used]
+    return fit([drives[k].mask_labels(fold.train[k]) for k in used], train, number)
+
+
+def fit_folds(
+    drives: Sequence[Drive],
+    fit: Fit,
+    folds: Sequence[tuple[int | None, Fold]],
+    *,
+    jobs: int = 1,
+    cluster: str | None = None,
+    progress: bool | None = False,
+) -> list[Fitted]:
+    """The fit of each numbered fold; see `fit_fold`."""
+    work = partial(_fit_numbered, list(drives), fit)
+    found = parallel(work, folds, jobs=jobs, cluster=cluster)
+    caught: dict[str, None] = {}
+    fitted = []
+    for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
+        fitted.append(fold)
+        caught |= dict.fromkeys(notes)
+    for note in caught:
+        warnings.warn(note, UserWarning, stacklevel=2)
+    return fitted
+
+
+def _fit_numbered(
+    drives: Sequence[Drive], fit: Fit, numbered: tuple[int | None, Fold]
+) -> tuple[Fitted, list[str]]:
+    """A fit and its warnings, which another process cannot show."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        fitted = fit_fold(drives, fit, numbered[1], numbered[0])
+    return fitted, messages(caught)
+
+
+def test_frames(
+    drives: Sequence[Drive], folds: Sequence[Fold], fitted: Sequence[Fitted]
+) -> pd.DataFrame:
+    """The table of all test frames, in order, with the fold number in column `block`.
+
+    Each drive is filtered from its first frame on, with the fit of the frame's fold.
+    """
+    tables = []
+    for k, drive in enumerate(drives):
+        inferred: list[tuple[Fitted, pd.DataFrame]] = []
+        parts = []
+        for b, fold in enumerate(folds):
+            if not len(fold.test[k]):
+                continue
+            frames = next((f for known, f in inferred if known == fitted[b]), None)
+            if frames is None:
+                frames = frames_of(fitted_drive(drive, fitted[b]))
+                inferred.append((fitted[b], frames))
+            parts.append(frames.iloc[drive.rows[fold.test[k]]].assign(block=b))
+        table = pd.concat(parts).sort_index()
+        if not drive.is_trusted.all():
+            table["is_trusted"] = drive.is_trusted
+        tables.append(table)
+    return concat_drives(drives, tables)
+
+
+def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
+    """The drive with a fit in its model; with other detector parameters its lines are made anew."""
+    model = apply_fit(drive.model, fitted)
+    if model.experiment.recording == drive.experiment.recording:
+        return replace(drive, model=model)
+    from egolane_pgm.drives import read_drives
+
+    [again] = read_drives(model.experiment)
+    return replace(again, model=model)
+
+
+def cross_validate(
+    drives: Sequence[Drive], fit: Fit, folds: Sequence[Fold], **options: Any
+) -> tuple[pd.DataFrame, list[Fitted]]:
+    """Fit each fold to its training frames and infer its test frames.
+
+    Returns the table of all test frames, see `test_frames`, and the fit of each fold. options: as
+    `fit_folds` takes them.
+    """
+    fitted = fit_folds(drives, fit, list(enumerate(folds)), **options)
+    return test_frames(drives, folds, fitted), fitted
+
+
+def lacking_lanes(drives: Sequence[Drive], folds: Sequence[Fold]) -> list[str]:
+    """A warning per lane that no training frame of a fold has, though it is driven."""
+    found = []
+    for drive in drives if len(drives) == 1 else ():
+        rows = drive.rows
+        lane = np.where(drive.is_crossing[rows], 0, drive.true_lane[rows])
+        for b, fold in enumerate(folds):
+            lost = set(lane[fold.test[0]]) - set(lane[fold.train[0]]) - {0}
+            found += [f"{drive.name}: only block {b + 1} has lane {k}" for k in sorted(lost)]
+    return found
+
+
+# --- studies -------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Study:
+    """A fit to some drives, with scores on held-out frames.
+
+    - experiments: the experiments that were fitted.
+    - method: learn or tune.
+    - model: with everything fitted to all trusted frames.
+    - fitted: these parameters and tables by name.
+    - in_sample: the result of the training frames, with `fitted`.
+    - held_out: the result of the test frames of all folds, each with the fit of its fold; None
+      without folds.
+    - trials: a row per trial of the search on everything; empty without one.
+    - settings: of the search.
+    - directory: where it is kept; None in memory.
+
+    >>> import egolane_pgm as ego
+    >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 200]})
+    >>> study = ego.tune(experiment, trials=4, sampler="random", blocks=0)
+    >>> study
+    Study('quickstart': tune, 4 trials, accuracy 0.969 in-sample)
+    >>> sorted(study.fitted)[:2]
+    ['bonus_value', 'p1']
+    """
+
+    experiments: Sequence[Experiment]
+    method: str
+    model: Model
+    fitted: Fitted
+    in_sample: Result
+    held_out: Result | None = None
+    trials: pd.DataFrame = field(default_factory=pd.DataFrame)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    directory: Path | None = None
+
+    @property
+    def name(self) -> str:
+        """The name of the first experiment."""
+        return self.experiments[0].name
+
+    def __repr__(self) -> str:
+        from egolane_pgm.views.studies import study_title
+
+        return f"Study({study_title(self)})"
+
+    @property
+    def notes(self) -> list[str]:
+        """Warnings, a line each."""
+        found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
+        return list(dict.fromkeys(found))
+
+    @property
+    def network(self) -> DynamicBayesianNetwork:
+        """The fitted graph in pgmpy. Handed to `run`, its scores say where it was learned."""
+        network = self.model.network
+        network.learned_from = self.learned_from
+        return network
+
+    @property
+    def learned_from(self) -> str:
+        """The recording that was learned from; empty for several."""
+        return recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
+
+    def experiment(self) -> dict[str, Any]:
+        """The keys of the fitted experiment, without learned tables."""
+        content = plain(resolved(self.model.experiment, self.model.parameters))
+        first = self.experiments[0]
+        how = f"{len(self.trials)} trials" if len(self.trials) else "labels and lines"
+        content["name"] = f"{first.name}_{'tuned' if self.method == 'tune' else 'learned'}"
+        content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
+        # A later run may use one of several training drives.
+        content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
+        return content
+
+    def scores_by_drive(self) -> dict[str, dict[str, Any]]:
+        """The held-out scores of each drive, by name."""
+        assert self.held_out is not None
+        rate = self.held_out.frame_rate
+        return {str(name): score(part, rate) for name, part in by_drive(self.held_out.frames)}
+
+    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+        """The text that `egolane tune` prints: scores in-sample and held out, and what was found.
+
+        - style: one of `views.tables.STYLES`.
+        - wide: whether tables may be wider than the terminal.
+        """
+        from egolane_pgm.views.studies import study_text
+
+        return study_text(self, style, wide)
+
+    def save(self, directory: str | os.PathLike[str]) -> Path:
+        """Write best.yaml (the fitted experiment), study.json, trials.parquet and held_out/.
+
+        Learned tables are in best.graph.yaml. study.json is written last.
+        """
+        place = Path(directory)
+        make_directory(place)
+        (place / STUDY_FILE).unlink(missing_ok=True)
+        content = self.experiment()
+        if any(name.startswith(TABLES) for name in self.fitted):
+            graph = graph_yaml(self.model, f"tables learned from {self.learned_from or 'drives'}")
+            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": self.learned_from})
+            # The graph of learned tables has no parameters; only the rule's remain.
+            of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
+            kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
+            content |= {"graph": "./best.graph.yaml", "parameters": kept}
+        write_yaml(place / "best.yaml", content)
+        if len(self.trials):
+            self.trials.to_parquet(place / "trials.parquet", index=False)
+        if self.held_out is not None:
+            self.held_out.save(place / "held_out")
+        write_json(place / STUDY_FILE, self.document)
+        return place
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """The content of study.json."""
+        held_out = None if self.held_out is None else self.held_out
+        found = {
+            "name": self.name,
+            "method": self.method,
+            "experiments": [each.name for each in self.experiments],
+            "settings": self.settings,
+            "fitted": dict(self.fitted),
+            "run": {k: v for k, v in self.in_sample.run.items() if k != "values"},
+            "in_sample": self.in_sample.scores,
+            "held_out": None if held_out is None else held_out.scores,
+            "folds": None if held_out is None else held_out.run["fitted"],
+        }
+        return dict(plain(found))
+
+
+def is_study(directory: str | os.PathLike[str]) -> bool:
+    """Whether a directory holds a complete study."""
+    return (Path(directory) / STUDY_FILE).is_file()
+
+
+def held_out_result(
+    drives: Sequence[Drive],
+    folds: Sequence[Fold],
+    fitted: Sequence[Fitted],
+    notes: Sequence[str],
+    begin: float,
+    fit: str,
+) -> Result:
+    """The result of the test frames of all folds."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        frames = test_frames(drives, folds, fitted)
+    keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
+    experiment = drives[0].experiment
+    if fit != "none":
+        keys["tuned_on"] = "other_frames"
+    notes = [*notes, *lacking_lanes(drives, folds), *messages(caught)]
+    if fit == "none":
+        notes = [note for note in notes if "only block" not in note]
+    return make_result(experiment, drives, frames, notes, begin=begin, **keys)
+
+
+def run_held_out(
+    drives: Sequence[Drive],
+    n_blocks: int = N_BLOCKS,
+    *,
+    notes: Sequence[str] = (),
+    jobs: int = 1,
+    progress: bool | None = False,
+) -> Result:
+    """Infer each block of some drives with a fit (`fit` of the experiment) to the other blocks."""
+    begin, experiment = time.perf_counter(), drives[0].experiment
+    method = experiment.fit
+    check_labels(drives, method)
+    tuning = tuning_of(experiment, trials=None, default=TRIALS_PER_FOLD)
+    fits: dict[str, Fit] = {
+        "none": fit_nothing,
+        "learn": fit_learn,
+        "tune": partial(fit_tune, tuning=tuning),
+    }
+    folds = block_folds(drives, n_blocks)
+    numbered = list(enumerate(folds))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        fitted = fit_folds(drives, fits[method], numbered, jobs=jobs, progress=progress)
+    found = [*notes, *messages(caught)]
+    return held_out_result(drives, folds, fitted, found, begin, method)
+
+
+def run_study(
+    drives: Sequence[Drive],
+    method: str,
+    folds: Sequence[Fold],
+    *,
+    tuning: Tuning | None = None,
+    starts: Sequence[Mapping[str, Any]] | None = None,
+    storage: str | None = None,
+    directory: Path | None = None,
+    pooled: bool = False,
+    notes: Sequence[str] = (),
+    jobs: int = 1,
+    cluster: str | None = None,
+    progress: bool | None = False,
+) -> Study:
+    """Fit to everything, and hold out each fold in turn.
+
+    - method: learn or tune.
+    - folds: none for no held-out scores.
+    - tuning: the settings of a search.
+    - starts: parameter sets that a search on everything tries first; by default the current ones.
+    - storage: where Optuna keeps a study per fold; by default a journal in `directory`, or memory.
+    - directory: where the study is kept: it is saved there.
+    - pooled: whether all frames count alike in a search; otherwise all drives do.
+    """
+    begin, first = time.perf_counter(), drives[0]
+    check_labels(drives, method)
+    tuning = tuning or tuning_of(first.experiment)
+    fit: Fit = fit_learn
+    settings: dict[str, Any] = {}
+    if directory is not None:
+        make_directory(directory)
+        if is_result(directory):
+            raise InputError(f"{directory}: is a result directory; name another one")
+        storage = storage or str(directory / JOURNAL_NAME)
+    if method == "learn":
+        check_learnable(first.model)
+    else:
+        space = search_spaces(drives, tuning)[0]
+        found = settings_of(tuning, None, first.experiment.source)
+        settings = {**plain(found.__dict__), **describe(space)}
+        current = [drive.model.parameters for drive in drives] if starts is None else starts
+        options = {"storage": storage, "starts": list(current), "pooled": pooled}
+        fit = partial(fit_tune, tuning=tuning, **options)
+    numbered = [(None, everything(drives)), *enumerate(folds)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        whole, *fitted = fit_folds(
+            drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
+        )
+        fitted_drives = [fitted_drive(drive, whole) for drive in drives]
+        frames = concat_drives(fitted_drives, [frames_of(drive) for drive in fitted_drives])
+    notes = [*notes, *messages(caught)]
+    experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    in_sample = make_result(
+        fitted_drives[0].experiment, drives, frames, notes, begin=begin, tuned_on="same_frames"
+    )
+    held_out = held_out_result(drives, folds, fitted, notes, begin, method) if folds else None
+    study = Study(
+        experiments,
+        method,
+        fitted_drives[0].model,
+        whole,
+        in_sample,
+        held_out,
+        pd.DataFrame() if whole.trials is None else whole.trials,
+        settings,
+        directory,
+    )
+    if directory is not None:
+        study.save(directory)
+    return study
+
+
+def check_labels(drives: Sequence[Drive], method: str) -> None:
+    """Raise InputError for a drive without the ground truth that a fit needs."""
+    for drive in drives:
+        e = drive.experiment
+        if e.decode != "marginal":
+            raise InputError(
+                f"{e.source}: decode: {e.decode} is for `egolane run`; fits and held-out scores"
+                " need decode: marginal"
+            )
+        if not needs_labels(e, drive.model, method):
+            continue
+        if not drive.has_truth:
+            what = "a search needs it" if method == "tune" else "learning needs it"
+            raise InputError(f"{e.source}: ground_truth: is missing, {what}")
+        if drive.is_crossing[drive.rows].all():
+            raise InputError(f"{e.source}: every annotated frame is a crossing, nothing to score")
+
+
+def tuning_of(experiment: Experiment, *, default: int | None = None, **changes: Any) -> Tuning:
+    """The `tuning` section of an experiment, with changes; `parameters` are added to its own.
+
+    - default: the number of trials if none is given.
+    """
+    content = (experiment.tuning or Tuning()).model_dump(exclude_unset=True)
+    given = {key: value for key, value in changes.items() if value is not None}
+    parameters = {**content.get("parameters", {}), **given.pop("parameters", {})}
+    content |= {**given, "parameters": parameters}
+    if default is not None:
+        content.setdefault("trials", default)
+    return validated(Tuning, content, f"{experiment.source}: tuning")

@@ -1,0 +1,58 @@
+"""What a result was computed with: versions of packages, and the commit of this checkout."""
+
+from __future__ import annotations
+
+import functools
+import platform
+import subprocess
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+#: The packages that numbers depend on.
+PACKAGES = (
+    "egolane-pgm",
+    "numpy",
+    "scipy",
+    "numba",
+    "opencv-python-headless",
+    "pgmpy",
+    "optuna",
+    "cmaes",
+    "rosbags",
+    "pyarrow",
+)
+
+
+def versions() -> dict[str, str]:
+    """Versions of Python and of the packages that numbers depend on."""
+    return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
+
+
+@functools.cache
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "not installed"
+
+
+@functools.cache
+def git_state() -> dict[str, Any] | None:
+    """Commit of the package's own checkout, and whether it is dirty; None if it is installed."""
+    folder = Path(__file__).parent
+
+    def git(*words: str) -> str | None:
+        try:
+            done = subprocess.run(
+                ["git", "-C", str(folder), *words], capture_output=True, text=True, timeout=10
+            )
+        except (OSError, subprocess.SubprocessError):
+            return None
+        return done.stdout.strip() if done.returncode == 0 else None
+
+    # An installed package may lie in another project's checkout.
+    if git("ls-files", "--error-unmatch", Path(__file__).name) is None:
+        return None
+    commit, status = git("rev-parse", "HEAD"), git("status", "--porcelain")
+    return {"commit": commit, "dirty": bool(status)} if commit else None
