@@ -14,10 +14,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 from egolane_pgm.vision.detectors.simple.kernels import contour_runs
+
+#: The area of the smallest contour that is kept, square metres, and the steepest one, metres to the
+#: side per metre ahead.
+_LEAST_AREA_M2, _MOST_SLOPE = 0.04, 0.35
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class Strips:
     slope_sd: FloatArray
 
 
-def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters) -> Strips:
+def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
     """Finds the contours of a mask (R, C) that may be marking. The mask is 0 where there is none;
     where it is larger, a pixel weighs more."""
     borders, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -61,9 +64,7 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters)
     x = view.x_m[row]
     y: FloatArray = view.y_m[0] + 0.5 * (left + right) * view.across_m
     middle, slope, slope_sd = _directions(view, x, y, width, contour, len(borders))
-    keep = (area >= number(parameters, "least_area_m2")) & (
-        np.abs(slope) <= number(parameters, "most_slope")
-    )
+    keep = (area >= _LEAST_AREA_M2) & (np.abs(slope) <= _MOST_SLOPE)
     renumbered = np.cumsum(keep) - 1
     kept = keep[contour]
     return Strips(

@@ -24,12 +24,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
-from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, lane_width_m
+from egolane_pgm.vision.detectors.simple.fit import (
+    LANE_WIDTH_SD_M,
+    Found,
+    find_lines,
+    lane_width_m,
+)
 
 PARAMETERS = (
     Parameter(
@@ -41,15 +46,10 @@ PARAMETERS = (
         " `ignore` it and save the time to look",
         choices=("correct", "warn", "ignore"),
     ),
-    Parameter(
-        "drift_every",
-        "integer",
-        50,
-        "frames between two looks at the calibration, of which each takes as long as three frames;"
-        " in the beginning there are more",
-        lowest=1,
-    ),
 )
+
+#: The most frames between two looks at the calibration; each takes as long as three frames.
+_EVERY = 50
 
 #: The pitch has drifted if it is off by more than this and two standard deviations, degrees.
 _DRIFT_DEG = 0.3
@@ -190,17 +190,17 @@ def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float,
     metres; NaN before enough lanes were seen.
 
     Seen from a camera at a wrong height, everything on the road is larger by the same factor. The
-    lanes of a road vary by `lane_width_sd` about `lane_width_m`, and no number of pictures of one
+    lanes of a road vary by `LANE_WIDTH_SD_M` about `lane_width_m`, and no number of pictures of one
     road makes the height surer than that.
     """
-    usual, sd = lane_width_m(camera, parameters), number(parameters, "lane_width_sd")
+    usual = lane_width_m(camera, parameters)
     gaps = lane_gaps(drift.gaps_m, usual)
     if len(gaps) < _LEAST_GAPS:
         return float("nan"), float("nan")
     width = float(np.median(gaps))
     scatter = float(np.median(np.abs(gaps - width))) * 1.48 / math.sqrt(len(gaps))
     found = camera.height_m * usual / width
-    return found, found * math.hypot(sd / usual, scatter / width)
+    return found, found * math.hypot(LANE_WIDTH_SD_M / usual, scatter / width)
 
 
 def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
@@ -211,7 +211,6 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
     view: the bird's-eye view of the calibrated camera.
     """
     drift, n_looks, next_look = no_drift(), 0, 0
-    every = number(parameters, "drift_every")
     turned = turned_up(view)
     has_warned = {"pitch": False, "height": False}
 
@@ -231,7 +230,7 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
         if n < next_look:
             return drift
         n_looks += 1
-        next_look = n + round(min(_gap(n_looks, parameters), every))
+        next_look = n + round(min(_gap(n_looks, parameters), _EVERY))
         middle = round(drift.pitch_deg / _STEP_DEG) * _STEP_DEG
         away = middle + _APART_DEG * np.array([-1.0, 0.0, 1.0])
         amount, parallel, found = zip(*(tried(picture.image, a) for a in away), strict=True)

@@ -136,7 +136,7 @@ def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
 
 
 def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
-    given = {"on_road": str(tiny_network / "drivable.yaml"), "on_road_margin_m": 0}
+    given = {"on_road": str(tiny_network / "drivable.yaml")}
     detector = find_detector("mc", given, Path.cwd(), "detector")
     view = make_view(WIDE, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
     road = keep_on_road(WIDE, detector.parameters)
@@ -156,17 +156,16 @@ def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path)
     paint_kept, vehicle_kept = counts[:, 1] / counts[:, 0]
     # A last layer of 64 numbers sees most of a vehicle only.
     assert paint_kept > 0.85
-    assert vehicle_kept < 0.45
+    assert vehicle_kept < 0.6
 
 
 def test_beside_lines_there_is_a_margin(top_hat: Path) -> None:
     """Nothing is lost where the network sees the lines, all is where it sees none."""
     pictures = drive(12)
     alone = lines_of("ml", {}, pictures)[-1]
-    for given in ({}, {"on_road_margin_m": 0.3}):
-        helped = lines_of("ml", {"on_road": str(top_hat), **given}, pictures)[-1]
-        np.testing.assert_allclose(helped.offset_m, alone.offset_m, atol=0.03)
-        assert (helped.is_continuous == alone.is_continuous).all()
+    helped = lines_of("ml", {"on_road": str(top_hat)}, pictures)[-1]
+    np.testing.assert_allclose(helped.offset_m, alone.offset_m, atol=0.03)
+    assert (helped.is_continuous == alone.is_continuous).all()
 
 
 @pytest.mark.parametrize("name", ["ml", "mc", "sl", "sc"])

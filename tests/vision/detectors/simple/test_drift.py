@@ -106,13 +106,16 @@ def test_the_pitch_is_corrected_and_lines_ahead_are_in_their_places(away: float)
 
 
 @needs_compiler
-def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected() -> None:
+def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(drift, "_EVERY", 2)
     # The camera is hit after ten pictures.
     shown = list(pictures(14)[:10])
     for k in range(10, 40):
         image = road(LINES, 3.1 * k, camera=turned(-1.0), seed=k)
         shown.append(Picture(k, image))
-    lines, said = detected(CAMERA, shown, camera_drift="correct", drift_every=2)
+    lines, said = detected(CAMERA, shown, camera_drift="correct")
     (line,) = said
     assert f"calibrated with pitch_deg {CAMERA.pitch_deg:.2f}" in line
     for found in lines[12:]:
