@@ -54,23 +54,15 @@ _USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
 _NEAR_SD_M, _SD_PER_M = 0.05, 0.01
 
 #: Takes a bird's-eye view, a picture, the lines expected in it (P, 4) or None, and which pixels of
-#: the view count, (R, C) or None; gives None for a picture that is not looked at.
-Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Found | None]
+#: the view count, (R, C) or None.
+Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Found]
 
 
-def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | None]:
-    """Make a function that takes the pictures of a drive in order and gives what the network sees;
-    None in frames that the network skips (`every`). Raises InputError as `load` does."""
+def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer]:
+    """Make a function from a picture to what the network sees. Raises InputError as `load` does."""
     fit = fit_of(network, camera.width, camera.height)
     run = load(network, fit)
-    count = 0
-
-    def see(picture: Picture) -> Answer | None:
-        nonlocal count
-        is_spared, count = count % network.every > 0, count + 1
-        return None if is_spared else answer(network, fit, run(picture.image))
-
-    return see
+    return lambda picture: answer(network, fit, run(picture.image))
 
 
 def from_above(view: BirdsEye, seen: Answer) -> BoolArray:
@@ -84,21 +76,18 @@ def keep_on_road(
 ) -> Callable[[BirdsEye, Picture], BoolArray] | None:
     """Make a function that takes the bird's-eye view of a frame and its picture, and gives where
     marking is kept, (R, C): where the network of the parameter `on_road` sees the road or lines, or
-    beside. In frames that the network skips, its last answer holds. None without a network."""
+    beside. None without a network."""
     if parameters["on_road"] == NO_NETWORK:
         return None
     network = read_network(str(parameters["on_road"]))
     if network.layout not in ("drivable", "lanes"):
         raise InputError(f"{network.files[0]}: on_road needs a mask: layout drivable or lanes")
     see = looker(network, camera)
-    last = Answer(None)
 
     def kept(view: BirdsEye, picture: Picture) -> BoolArray:
-        nonlocal last
-        last = see(picture) or last
         # The margin is to the side only.
         around = np.ones((1, 2 * round(_MARGIN_M / view.across_m) + 1), dtype=np.uint8)
-        return np.asarray(cv2.dilate(from_above(view, last).astype(np.uint8), around) > 0)
+        return np.asarray(cv2.dilate(from_above(view, see(picture)).astype(np.uint8), around) > 0)
 
     return kept
 
@@ -109,10 +98,8 @@ def network_finder(camera: Camera, network: Network, parameters: Parameters) -> 
 
     def find(
         view: BirdsEye, picture: Picture, prior: FloatArray | None, counts: BoolArray | None
-    ) -> Found | None:
+    ) -> Found:
         seen = see(picture)
-        if seen is None:
-            return None
         if seen.mask is None:
             return _fitted(view, network, seen.lines, parameters, counts)
         mask = from_above(view, seen).astype(np.uint8)

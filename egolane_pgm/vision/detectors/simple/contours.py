@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.kernels import contour_runs
 
 #: The area of the smallest contour that is kept, square metres, and the steepest one, metres to the
 #: side per metre ahead.
@@ -57,7 +56,7 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
     points = np.concatenate(borders)[:, 0].astype(np.int32)
     around = tree[0, :, 3]
     owner = np.where(around < 0, np.arange(len(borders)), around)
-    row, left, right, contour, total = contour_runs(mask, points, starts, owner)
+    row, left, right, contour, total = _runs(mask, points, starts, owner)
     pixels = right - left + 1
     width = total * (view.across_m * pixels.sum() / total.sum())
     area = np.bincount(contour, pixels, len(borders)) * (view.across_m * view.along_m)
@@ -77,6 +76,31 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
         slope[keep],
         slope_sd[keep],
     )
+
+
+def _runs(
+    mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
+) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
+    """The N runs along the rows of a mask's pixels that are not 0: row, first and last column,
+    contour, and the sum of the pixels, (N,) each.
+
+    - mask: (R, C)
+    - points: (P, 2) column and row of the points of all borders, one border after the other
+    - starts: (B + 1,) where each border begins in `points`, and P
+    - owner: (B,) the contour of each border; for the border of a hole, the contour around it
+    """
+    n_columns = mask.shape[1]
+    flat = np.flatnonzero(mask)
+    is_first = np.diff(flat, prepend=-2) != 1
+    is_first |= flat % n_columns == 0
+    first = np.flatnonzero(is_first)
+    last = np.append(first[1:], len(flat)) - 1
+    # A run begins on a border.
+    border = np.empty(mask.shape, dtype=np.int32)
+    border[points[:, 1], points[:, 0]] = np.repeat(owner, np.diff(starts))
+    row, left = np.divmod(flat[first], n_columns)
+    total = np.add.reduceat(mask.ravel()[flat], first, dtype=np.int64)
+    return row, left, flat[last] % n_columns, border[row, left].astype(np.int64), total
 
 
 def _directions(

@@ -51,7 +51,7 @@ _REACH_M, _STRIPE_M = 0.125, 0.1
 
 #: Standard deviation of the width of lanes, metres, and the share of a line's score that it lends
 #: to its neighbours.
-LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS = 0.2, 0.5
+_LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS = 0.2, 0.5
 
 #: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
 #: height, 1/m) and rate (1/m^2). First their usual sizes, standard deviations, then the largest
@@ -116,14 +116,12 @@ class Found:
     - shape: (M, 4) as in FrameLines
     - score: (M,) share of the visible length that contours cover, plus support from neighbours; of
       a network's own lines how likely each is
-    - hidden: the share of the road in view that vehicles seem to hide
     - likely, solid: (M,) how likely each is, and how much of it is continuous, NaN where nobody
       says; both None but for a network's own lines
     """
 
     shape: FloatArray
     score: FloatArray
-    hidden: float = 0.0
     likely: FloatArray | None = None
     solid: FloatArray | None = None
 
@@ -189,7 +187,7 @@ def find_lines(
 
     Raises InputError for a picture of another size than the calibration.
     """
-    is_given, hidden, smooth_m = mask is not None, 0.0, SMOOTH_ALONG_M
+    is_given, smooth_m = mask is not None, SMOOTH_ALONG_M
     if mask is None:
         cover = streak_cover(image)
         if cover > NOISE:
@@ -210,16 +208,14 @@ def find_lines(
             above = cv2.blur(above, (1, rows)).astype(np.uint8, copy=False)
         if not is_daylight(view.camera, image):
             parameters = {**parameters, "shadow_share": 0.0}
-        free = free_road(view, above, parameters)
-        hidden = float(np.count_nonzero(view.valid & ~free)) / max(int(view.valid.sum()), 1)
-        view = replace(view, valid=view.valid & free)
+        view = replace(view, valid=view.valid & free_road(view, above, parameters))
         mask = marking_mask(view, above, parameters, smooth_m)
     if on_road is not None:
         mask[~on_road] = 0
     strips = find_strips(view, mask)
     if is_given:
         strips = replace(strips, width_m=np.full_like(strips.width_m, _STRIPE_M))
-    return replace(fit_lines(view, strips, parameters, prior_shape), hidden=hidden)
+    return fit_lines(view, strips, parameters, prior_shape)
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:
@@ -363,10 +359,10 @@ def _scores(
 def _support(own: FloatArray, width: float) -> FloatArray:
     """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
     lag = np.arange(1, len(own))
-    lag = lag[np.abs(lag * _BIN_M - width) <= 3 * LANE_WIDTH_SD_M + _BIN_M]
+    lag = lag[np.abs(lag * _BIN_M - width) <= 3 * _LANE_WIDTH_SD_M + _BIN_M]
     if not len(lag):
         return np.zeros(len(own))
-    likely = np.exp(-0.5 * ((lag * _BIN_M - width) / LANE_WIDTH_SD_M) ** 2)
+    likely = np.exp(-0.5 * ((lag * _BIN_M - width) / _LANE_WIDTH_SD_M) ** 2)
     padded = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
     at = np.arange(len(own))[:, None] + lag[-1]
     return np.asarray((np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1))

@@ -15,7 +15,6 @@ import yaml
 
 from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
@@ -97,21 +96,6 @@ def test_with_a_trained_network_the_lines_of_the_own_lane_are_found(
     assert np.mean(found) >= 0.85
 
 
-def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) -> None:
-    every = with_keys(top_hat, tmp_path / "every.yaml", every=3)
-    pictures = drive(33, sideways_m=0.05)
-    often = lines_of("network", {"network": str(top_hat)}, pictures)
-    seldom = lines_of("network", {"network": str(every)}, pictures)
-    assert often[9].is_valid.sum() == 3
-    # Ten looks make a line valid: the tenth is in frame 27.
-    assert not seldom[26].is_valid.any()
-    assert seldom[27].is_valid.sum() == 3
-    for k in range(27, 33):
-        true = np.array([-5.2, -1.7, 1.8]) - 0.05 * k
-        assert np.abs(seldom[k].offset_m[seldom[k].is_valid] - true).max() < 0.15
-        assert (seldom[k].lri[seldom[k].is_valid] == 10).all()
-
-
 def test_classes_are_the_continuous_flag_and_probabilities_the_lri(tmp_path: Path) -> None:
     """Three lines of a network with classes, on pictures in which two others are painted; another
     class is no line."""
@@ -180,20 +164,6 @@ def test_every_detector_of_ours_takes_a_network(name: str, tmp_path: Path) -> No
     *_, (_, lines) = detect(detector, camera, pictures)
     assert len(lines.offset_m) >= 1
     assert (lines.offset_m > 0).all()
-
-
-def test_the_last_answer_holds_in_frames_without_a_look(tmp_path: Path, top_hat: Path) -> None:
-    every = with_keys(top_hat, tmp_path / "every.yaml", every=2)
-    values = resolve_parameters(
-        find_detector("ml", {}, Path.cwd(), "x").module.PARAMETERS, {"on_road": str(every)}, 1
-    )
-    kept = keep_on_road(CAMERA, values)
-    assert kept is not None
-    view = make_view(CAMERA, 5.0, 20.0, -9.0, 9.0)
-    here, there = drive(1)[0], drive(1, ())[0]
-    first, second, third = kept(view, here), kept(view, there), kept(view, there)
-    assert np.array_equal(first, second)
-    assert third.sum() < first.sum() / 3
 
 
 # --- commands ---------------------------------------------------------------------------------

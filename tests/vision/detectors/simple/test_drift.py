@@ -136,24 +136,6 @@ def test_looks_at_a_known_curve_end_at_its_top(top: float, seed: int) -> None:
     assert believed.pitch_deg == pytest.approx(top, abs=0.25)
 
 
-@needs_compiler
-@pytest.mark.parametrize(("times", "warned"), [(0.95, False), (1.45, True), (0.68, True)])
-def test_a_height_that_is_grossly_wrong_is_warned_of(times: float, warned: bool) -> None:
-    camera = replace(CAMERA, height_m=CAMERA.height_m * times, name="front.yaml")
-    shown = pictures(14)
-    said = detected(camera, shown)[1]
-    assert len(said) == warned
-    if warned:
-        assert "front.yaml: lanes look" in said[0]
-        assert f"calibrated with height_m {camera.height_m:.2f}" in said[0]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        found, sd = drift.height(camera, watched(camera, shown)[-1], STRAIGHT)
-    assert found == pytest.approx(CAMERA.height_m, abs=2 * sd)
-    # No surer than the width of the lanes is known.
-    assert sd >= found * 0.2 / 3.66
-
-
 def test_detectors_expect_the_lane_width_that_the_camera_was_calibrated_with() -> None:
     calibrated = replace(CAMERA, lane_width_m=3.3)
     given = {**STRAIGHT, "lane_width_m": 3.5}
