@@ -197,12 +197,17 @@ def feet(places: Layout, lines: FrameLines) -> dict[int, float]:
 
 
 def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
-    """Write the offset of each line below its foot, under a bar in the line's colour."""
-    width, top = places.picture
-    for k, foot in feet(places, lines).items():
+    """Write the offset of each line below its foot, under a bar in the line's colour. Where there
+    is no room for two, that of the line farther to the side is left out."""
+    (width, top), taken = places.picture, [-1000]
+    by_distance = sorted(feet(places, lines).items(), key=lambda e: abs(lines.offset_m[e[0]]))
+    for k, foot in by_distance:
         text = f"{lines.offset_m[k]:+.2f} m"
         half = _text_width(text) // 2 + 2
         middle = min(max(round(foot), half), width - half)
+        if np.abs(np.array(taken) - middle).min() < 2 * half:
+            continue
+        taken.append(middle)
         colour, thickness, _ = _style(lines, k)
         cv2.rectangle(canvas, (middle - half, top), (middle + half, top + thickness), colour, -1)
         _centred(canvas, text, middle, top + STRIP - 6, 2 * half, INK)
