@@ -89,5 +89,5 @@ def label(
 def says(done: Labels, given: Mapping[str, Any]) -> str:
     """Where the labels are."""
     recording = given.get("recording")
-    name = name_of(str(given["experiment"])) if recording is None else done.name
+    name = name_of(str(given["experiment"])) if recording is None else done.run.experiment.name
     return f"labels: {Path(given['out'].replace('*', name)) / 'labels.txt'}"
