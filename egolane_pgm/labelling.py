@@ -9,7 +9,6 @@ frame in that a lane change happens once, also while the belief hovers about a h
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,18 +16,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drive import ONE_DRIVE
-from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
-from egolane_pgm.recordings import check_one_drive
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.recordings.source import Read
-from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
-from egolane_pgm.running import run_experiment
-from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.result import Result, score
+from egolane_pgm.runs import Input, run_input
 from egolane_pgm.tools.files import plain, write_text
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth, joined
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, joined, lane_truth
 
 #: Labels with a smaller probability are not sure.
 BELOW = 0.99
@@ -55,7 +49,7 @@ class Labels:
     - below: labels with a smaller confidence are not sure.
 
     >>> import egolane_pgm as ego
-    >>> labels = ego.label(experiment="zero_label", overrides={"recording.frames": [0, 300]})
+    >>> labels = ego.label("zero_label", overrides={"recording.frames": [0, 300]})
     >>> labels.frames["lane"].value_counts().to_dict()
     {1: 197, 2: 70, 3: 33}
     """
@@ -70,10 +64,10 @@ class Labels:
         return self.run.notes
 
     @property
-    def truth(self) -> LaneTruth:
-        """The labels as the content of a ground-truth file."""
-        lane, is_crossing = (self.frames[name].to_numpy() for name in ("lane", "is_crossing"))
-        return LaneTruth(self.frames.index.to_numpy(), lane, is_crossing, "labels")
+    def truth(self) -> pd.DataFrame:
+        """The labels as ground truth: true_lane and is_crossing."""
+        frames = self.frames
+        return lane_truth(frames.index, frames["lane"], frames["is_crossing"], "labels")
 
     def segments(self) -> pd.DataFrame:
         """A row per segment whose labels are not sure: `first_frame`, `last_frame`, `first_s`,
@@ -91,7 +85,6 @@ class Labels:
     def document(self) -> dict[str, Any]:
         """The content of the file of `egolane label --json`."""
         return {
-            "schema_version": SCHEMA_VERSION,
             "name": self.run.experiment.name,
             "n_lanes": self.run.experiment.n_lanes,
             "frames": len(self.frames),
@@ -131,51 +124,43 @@ class Labels:
         An older result of that name is replaced. Raises InputError if the directory contains
         anything else, or cannot be written.
         """
-        with staged(Path(directory)) as folder:
-            write_result(folder, self.run)
-            write_ground_truth(folder / "labels.txt", self.truth)
-            write_text(folder / "segments.csv", self.segments().to_csv(index=False))
-        return Path(directory)
+        place = self.run.save(directory)
+        write_ground_truth(place / "labels.txt", self.truth)
+        write_text(place / "segments.csv", self.segments().to_csv(index=False))
+        return place
 
 
-def label_experiment(
-    experiment: Experiment, below: float = BELOW, *, read: Read | None = None
-) -> Labels:
+def label_input(given: Input, below: float = BELOW) -> Labels:
     """Label the recording of an experiment, which is run smoothed.
 
     - below: labels with a smaller confidence are not sure.
-    - read: lines and lanes in memory.
 
-    Raises InputError as `run_experiment` does, and for a threshold that is no probability.
+    Raises InputError for a threshold that is no probability, and for several drives.
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
-    smoothed = load_experiment(
-        experiment,
-        {"filter": "smoothed", "lag": None, "decode": "marginal", "unassigned_below": 0.0},
-    )
-    run = run_experiment(smoothed, read=read)
-    assert run.lines is not None
-    check_one_drive(run.lines, ONE_DRIVE)
-    if not len(run.beliefs):
-        raise InputError(f"{run.lines.source}: has no frames to label")
-    belief = run.beliefs.lane
+    changes = {"filter": "smoothed", "lag": None, "decode": "marginal", "unassigned_below": 0.0}
+    smoothed = load_experiment(given.experiment, changes)
+    run = run_input(given._replace(experiment=smoothed))
+    if len(run.lines) > 1:
+        raise InputError(f"{run.name}: has {len(run.lines)} drives; label them one by one")
+    belief, time_s = run.node("Lane"), run.frames["time_s"].to_numpy()
     lane = lane_path(belief)
-    scores = dict(run.scores)
-    if run.truth is not None:
-        k, rate = run.scored, run.experiment.recording.frame_rate
-        scores["model"] = plain(score_with_intervals(belief[k], run.truth, rate, assigned=lane[k]))
-    possible = crossed_lanes(lane, run.time_s, run.beliefs.marginals)
+    crossing = run.frames.get("line_crossing_probability")
+    on_line = None if crossing is None else crossing.to_numpy()
+    possible = crossed_lanes(lane, time_s, belief.shape[1], on_line)
     frames = pd.DataFrame(
         {
             "lane": lane,
             "is_crossing": possible.sum(axis=1) > 1,
             "confidence": (belief * possible).sum(axis=1),
-            "time_s": run.time_s,
+            "time_s": time_s,
         },
-        index=pd.Index(run.frame_id, name="frame_id"),
+        index=run.frames.index,
     )
-    return Labels(replace(run, assigned_lane=lane, scores=scores), frames, below)
+    answered = run.frames.assign(assigned_lane=lane)
+    scores = plain(score(answered, run.frame_rate))
+    return Labels(replace(run, frames=answered, scores=scores), frames, below)
 
 
 def lane_path(belief: FloatArray) -> IntArray:
@@ -191,21 +176,18 @@ def lane_path(belief: FloatArray) -> IntArray:
 
 
 def crossed_lanes(
-    lane: IntArray, time_s: FloatArray, marginals: Mapping[str, FloatArray]
+    lane: IntArray, time_s: FloatArray, n_lanes: int, on_line: FloatArray | None
 ) -> BoolArray:
     """(T, n): the lanes that the car is in: one, or while it crosses the line between two both.
 
     - lane, time_s (T,): the labels, and seconds.
-    - marginals: the beliefs over Lane (T, n) and, if the graph has it, RoadPosition (T, n times
-      cells).
+    - on_line (T,): the line crossing probability; None if the graph has no position in the lane.
 
     Crossing are the frames in a row around a change of the label in which the car is more probably
-    than not on a line (`inference.events.crossing_probability`), or, if the graph has no position
-    in the lane, those within BESIDE_S; and the two between which the label changes. A change while
-    nothing was recorded has none.
+    than not on a line, or, without `on_line`, those within BESIDE_S; and the two between which the
+    label changes. A change while nothing was recorded has none.
     """
-    n_frames, n_lanes = marginals["Lane"].shape
-    on_line = crossing_probability(marginals)
+    n_frames = len(lane)
     possible = lane[:, None] == np.arange(1, n_lanes + 1)
     step = np.diff(time_s)
     is_next = np.append((step >= 0) & (step <= BESIDE_S), False)

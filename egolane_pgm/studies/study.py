@@ -462,8 +462,7 @@ def run_study(
         found = settings_of(tuning, None, first.experiment.source)
         settings = {**plain(found.__dict__), **describe(space)}
         current = [drive.model.parameters for drive in drives] if starts is None else starts
-        options = {"storage": storage, "starts": list(current), "pooled": pooled}
-        fit = partial(fit_tune, tuning=tuning, **options)
+        fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)

@@ -155,8 +155,7 @@ def run(  # type: ignore[misc]
     if out is not None:
         place = Path(path_of(out, "out").replace("*", chosen.experiment.name))
         check_writable(place)
-    options = {"n_blocks": n_blocks, "chunk_frames": chunk_frames, "progress": progress}
-    result = run_input(chosen, **options)
+    result = run_input(chosen, n_blocks=n_blocks, chunk_frames=chunk_frames, progress=progress)
     if place is None:
         return result
     result = replace(result, directory=result.save(place))

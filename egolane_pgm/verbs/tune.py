@@ -111,7 +111,7 @@ def tune(
         by_tag=by_tag,
         blocks=blocks,
     )
-    changes = {
+    changes: dict[str, Any] = {
         "trials": trials,
         "objective": (objective,) if isinstance(objective, str) else tuple(objective) or None,
         "sampler": sampler,
