@@ -10,6 +10,7 @@ import contextlib
 import logging
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -60,7 +61,7 @@ def parallel(
             raise
         except TerminatedWorkerError as error:
             raise InputError(
-                "a process died (killed, or out of memory?); repeat the command to go on, with fewer"
+                "a process died (killed, or out of memory?); repeat the command, with fewer"
                 " processes"
             ) from error
 
