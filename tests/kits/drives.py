@@ -110,7 +110,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def simulated(name: str = "a", **keys: Any) -> Experiment:
     """An experiment on the simulated drive of two minutes."""
     content = {"name": name, "recording": {"simulate": "quickstart"}, "n_lanes": 4, **keys}
-    return make_experiment(content, Path(), f"{name}.yaml")
+    return make_experiment(content, f"{name}.yaml")
 
 
 def geometry(name: str = "geometry", **keys: Any) -> Experiment:
