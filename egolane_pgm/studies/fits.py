@@ -344,8 +344,16 @@ def fit_tune(
     - report: called after each trial.
     """
     spaces = search_spaces(drives, tuning)
-    options = {"storage": storage, "starts": starts, "pooled": pooled, "report": report}
-    study = tune_study(drives, train, fold, tuning=tuning, **options)
+    study = tune_study(
+        drives,
+        train,
+        fold,
+        tuning=tuning,
+        storage=storage,
+        starts=starts,
+        pooled=pooled,
+        report=report,
+    )
     values = to_parameters(spaces[0], best_trial(study).params)
     found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
     fitted = Fitted({name: value for name, value in values.items() if name in found})
