@@ -102,7 +102,9 @@ def open_input(
 
         loaded = with_graph(loaded, graph_named(graph, loaded))
     in_memory = None if isinstance(lines, (str, os.PathLike)) else lines
-    return Input(loaded, in_memory, None if isinstance(truth, (str, os.PathLike)) else truth)
+    # A file is in the experiment; "none" also drops the truth that a simulated drive has.
+    is_file = isinstance(truth, (str, os.PathLike)) and truth != "none"
+    return Input(loaded, in_memory, None if is_file else truth)
 
 
 def load_overrides(
