@@ -91,11 +91,9 @@ def test_an_answer_is_short_unless_nodes_are_wanted(tmp_path: Path) -> None:
 def test_where_the_lanes_of_the_road_change_the_filter_begins_anew(tmp_path: Path) -> None:
     log = short_drive(100).log
     save(road_rows([3] * 4 + [4] * 3 + [3] * 3), tmp_path / "road.parquet")
-    changes = {"road": "road.parquet", "n_lanes": "map", "ground_truth": None}
     write_drive(tmp_path, 100)
-    mapped = load_experiment(
-        tmp_path / "experiment.yaml", changes | {"road": tmp_path / "road.parquet"}
-    )
+    changes = {"road": tmp_path / "road.parquet", "n_lanes": "map", "ground_truth": None}
+    mapped = load_experiment(tmp_path / "experiment.yaml", changes)
     answers = answers_of(mapped, messages(log), ["Lane"])
     for first, stop, n_lanes in ((0, 40, 3), (40, 70, 4), (70, 100, 3)):
         own = {"n_lanes": n_lanes, "recording.frames": [first, stop]}
