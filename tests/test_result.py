@@ -1,228 +1,318 @@
-"""The result directory: complete, read as it was written, and never half there."""
+"""Results: scores by the frames, lane changes, and the directory that is read as it was written."""
 
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
+import pandas as pd
 import pytest
-import yaml
-from pyarrow import parquet
+from pandas.testing import assert_frame_equal
 
-from egolane_pgm.experiment import config_hash, load_experiment
+from egolane_pgm.drives import Drive, read_drives
+from egolane_pgm.graphs import no_wor
 from egolane_pgm.graphs.cpds import quiet
-from egolane_pgm.inference.events import crossing_probability, lane_events
-from egolane_pgm.results import (
+from egolane_pgm.inference.events import SURE
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import compile_model
+from egolane_pgm.recordings.table import write_table
+from egolane_pgm.result import (
+    COLUMNS,
     Result,
+    by_drive,
     check_writable,
-    git_state,
     is_result,
-    read_result,
-    staged,
-    versions,
+    lanes_of,
+    load_result,
+    make_result,
+    truth_of,
 )
-from egolane_pgm.running import run_experiment
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.tools.files import file_sha256, plain
-from egolane_pgm.types import InputError
-from tests.kits.drives import command, contents, done, geometry, simulated, write_drive
+from egolane_pgm.running import concat_drives, frames_of
+from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.tools.files import file_sha256
+from egolane_pgm.tools.provenance import git_state
+from egolane_pgm.types import InputError, LineLog
+from tests.kits.drives import (
+    contents,
+    geometry,
+    log_with_gaps,
+    run,
+    short_drive,
+    simulated,
+    write_drive,
+)
+from tests.kits.tiny_result import CROSSING, DETECTOR, IDS, MODEL, TRUTH, a_result
+
+ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri", "is_missing")
 
 
 @pytest.fixture(scope="module")
-def run(drive: Path) -> Result:
-    return run_experiment(drive)
+def result(drive: Path) -> Result:
+    return run(drive)
 
 
 @pytest.fixture(scope="module")
-def saved(run: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return run.save(tmp_path_factory.mktemp("saved") / "result", figures=False)
+def saved(result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return result.save(tmp_path_factory.mktemp("saved") / "result")
 
 
-def test_everything_read_from_a_result_directory_equals_the_run(run: Result, saved: Path) -> None:
-    result = read_result(saved)
-    log, truth = run.lines, run.truth
-    assert truth is not None
-    assert run.tentative is not None
-    np.testing.assert_array_equal(result.frame_id, log.frame_id)
-    np.testing.assert_array_equal(result.time_s, log.time_s)
-    assert set(result.marginals) == {"Lane", "SensorState"}
-    for node, belief in run.beliefs.marginals.items():
-        np.testing.assert_array_equal(result.marginals[node], belief)
-    assert result.values == {"Lane": ("1", "2", "3"), "SensorState": ("OK", "BAD")}
-    np.testing.assert_array_equal(result.tentative, run.tentative)
-    np.testing.assert_array_equal(result.assigned_lane, assigned_lane(run.beliefs.lane))
-    np.testing.assert_array_equal(result.detector_lane, assigned_lane(run.tentative))
-    np.testing.assert_array_equal(result.true_lane[run.scored], truth.lane)
-    np.testing.assert_array_equal(result.is_crossing[run.scored], truth.is_crossing)
-    np.testing.assert_array_equal(result.log_evidence, run.beliefs.log_evidence)
-    np.testing.assert_array_equal(result.is_impossible, run.beliefs.is_impossible)
-    for kind in ("detector", "model"):
-        assert result.scores[kind] == plain(run.scores[kind])
-    assert result.n_lanes == 3
+def assert_same_lines(ours: LineLog, theirs: LineLog) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(ours, name), getattr(theirs, name), err_msg=name)
 
 
-def test_the_lines_of_a_result_are_those_that_were_believed(
-    drive: Path, run: Result, saved: Path, tmp_path: Path
-) -> None:
-    lines, log = read_result(saved).lines, run.lines
-    assert lines is not None
-    for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
-        np.testing.assert_array_equal(getattr(lines, name), getattr(log, name))
-    # They are a recording that can be run.
-    done("run", drive, "--recording", saved / "lines.parquet", "--out", tmp_path / "again")
-    again = read_result(tmp_path / "again")
-    np.testing.assert_array_equal(again.marginals["Lane"], run.beliefs.lane)
-    # Older results have none.
-    copy = damaged(saved, tmp_path, lambda copy: (copy / "lines.parquet").unlink())
-    assert read_result(copy).lines is None
+# --- frames --------------------------------------------------------------------------------------
 
 
-def test_frames_that_were_put_in_are_marked_in_the_lines_of_a_result(tmp_path: Path) -> None:
-    place = write_drive(tmp_path / "drive", recording__missing_frames="predict")
-    table = tmp_path / "drive" / "lines.csv"
-    rows = table.read_text().splitlines(keepends=True)
-    table.write_text("".join(row for row in rows if not row.startswith("20,")))
-    run = run_experiment(place)
-    assert run.lines.is_missing.sum() == 1
-    lines = read_result(run.save(tmp_path / "result", figures=False)).lines
-    assert lines is not None
-    np.testing.assert_array_equal(lines.is_missing, run.lines.is_missing)
-
-
-def test_a_result_says_where_its_numbers_come_from(drive: Path, run: Result, saved: Path) -> None:
-    said = read_result(saved).run
-    assert said["schema_version"] == 1
-    assert said["data"] == [
-        {
-            "path": str(drive.parent / name),
-            "sha256": file_sha256(drive.parent / name),
-            "bytes": (drive.parent / name).stat().st_size,
-        }
-        for name in ("lines.csv", "ground_truth.txt")
+def test_a_result_gives_posteriors_truth_and_answers_by_name() -> None:
+    found = a_result()
+    np.testing.assert_array_equal(found.node("Lane"), MODEL)
+    np.testing.assert_array_equal(lanes_of(found.frames, "detector"), DETECTOR)
+    assert found.truth is not None
+    assert found.truth.index.tolist() == IDS[:-1]
+    assert found.truth["true_lane"].tolist() == TRUTH[:-1]
+    assert found.truth["is_crossing"].tolist() == [bool(c) for c in CROSSING[:-1]]
+    np.testing.assert_array_equal(found.beliefs.lane, MODEL)
+    assert found.take(slice(2, 4)).frames.index.tolist() == [102, 103]
+    assert [found.value(key) for key in ("graph", "parameters.sigma1", "tag.x", "no.key")] == [
+        *("sensor_failure", 0.3, None, None)
     ]
-    assert set(said["versions"]) >= {"python", "egolane-pgm", "numpy", "numba", "pgmpy"}
-    assert "not installed" not in said["versions"].values()
-    assert said["git"] is None or set(said["git"]) == {"commit", "dirty"}
-    assert said["frames"] == len(run.beliefs)
-    assert said["frames_scored"] == run.scores["model"]["frames_scored"]
-    assert said["mean_log_evidence"] == run.beliefs.mean_log_evidence
-    assert said["tuned_on"] == "not_tuned"
-    assert said["created"].endswith("+00:00")
 
 
-def test_the_hash_of_a_result_is_that_of_its_experiment_whatever_its_order(
-    drive: Path, saved: Path, tmp_path: Path
-) -> None:
-    content = yaml.safe_load(drive.read_text())
-    turned = dict(reversed(content.items()))
-    (drive.parent / "turned.yaml").write_text(yaml.safe_dump(turned, sort_keys=False))
-    again = run_experiment(drive.parent / "turned.yaml").save(tmp_path / "again", figures=False)
-    assert read_result(again).run["config_hash"] == read_result(saved).run["config_hash"]
-    changed = load_experiment(drive, ["parameters.sigma1=0.41"])
-    other = run_experiment(changed).save(tmp_path / "other", figures=False)
-    assert read_result(other).run["config_hash"] != read_result(saved).run["config_hash"]
-    assert len(config_hash({})) == 64
+def test_the_columns_of_frames_are_those_that_are_documented() -> None:
+    found = run(geometry())
+    names = {name.rstrip("?") for name in COLUMNS}
+    values = {f"{node}_{v}" for node, own in found.run["values"].items() for v in own}
+    detector = {f"detector_{k}" for k in range(1, 5)}
+    assert set(found.frames) - values - detector <= names
+    assert values < set(found.frames)
+    assert found.frames.index.name == "frame_id"
 
 
-def test_the_experiment_of_a_result_directory_gives_the_same_result_again(
-    saved: Path, tmp_path: Path
-) -> None:
-    done("run", saved / "experiment.yaml", "--no-figures", "--out", tmp_path / "again")
-    one, other = read_result(saved), read_result(tmp_path / "again")
-    for node in one.marginals:
-        np.testing.assert_array_equal(one.marginals[node], other.marginals[node])
-    assert one.scores == other.scores
-    assert one.config == other.config
-    assert [d["sha256"] for d in one.run["data"]] == [d["sha256"] for d in other.run["data"]]
+def test_the_scores_of_a_drive_are_those_of_its_annotated_frames(result: Result) -> None:
+    truth = result.truth
+    assert truth is not None
+    for side, node in (("model", "Lane"), ("detector", "detector")):
+        own = score_with_intervals(lanes_of(result.frames, node), truth, 10.0)
+        assert result.scores[side] == json.loads(json.dumps(own))
+    assert result.scores["frames_scored"] == (~truth["is_crossing"]).sum()
+    sure = (result.node("Lane").max(axis=1) >= SURE).mean()
+    assert result.scores["sure"] == pytest.approx(sure)
+    assert result.scores["mean_log_evidence"] == result.beliefs.mean_log_evidence
 
 
-def test_frames_without_annotation_are_null_in_the_table(drive: Path, tmp_path: Path) -> None:
-    experiment = load_experiment(drive, ["ground_truth=null"])
-    run = run_experiment(experiment)
-    assert "model" not in run.scores
-    saved = run.save(tmp_path / "result", figures=False)
-    table = parquet.read_table(saved / "beliefs.parquet")
-    assert table.column("true_lane").null_count == len(table)
-    result = read_result(saved)
-    assert (result.true_lane == 0).all()
-    assert not result.is_crossing.any()
-    assert "model" not in result.scores
-    assert result.scores["frames_scored"] == 0
+def test_without_ground_truth_nothing_is_scored(drive: Path) -> None:
+    found = run(drive, {"ground_truth": None})
+    assert "model" not in found.scores
+    assert (found.truth, found.scores["frames_scored"]) == (None, 0)
+    assert found.frames["true_lane"].isna().all()
+    assert found.scores["events"] == {"detected": len(found.events)}
 
 
-def test_the_lane_changes_of_a_result_are_a_table_of_it(tmp_path: Path) -> None:
-    import pandas as pd
-
-    run = run_experiment(geometry())
-    saved = run.save(tmp_path / "result", figures=False)
-    result = read_result(saved)
-    table = pd.read_csv(saved / "events.csv")
-    assert "nan" not in (saved / "events.csv").read_text()
-    assert len(table) == run.scores["events"]["told"] > 0
-    assert table["delay_s"].notna().sum() == run.scores["events"]["within"]["2"]["right"]
-    pd.testing.assert_frame_equal(table, result.events.to_pandas().round(6))
-    crossing = parquet.read_table(saved / "beliefs.parquet").column("crossing").to_numpy()
-    np.testing.assert_array_equal(crossing, crossing_probability(run.beliefs.marginals))
-    assert result.scores["events"] == run.scores["events"]
+# --- several drives ------------------------------------------------------------------------------
 
 
-def test_a_run_gives_its_network_and_the_frames_with_their_evidence(saved: Path) -> None:
-    run = run_experiment(simulated(filter="exact"))
-    assert run.network().nodes["WOR_ve", 1]
-    some = run.network(evidence=True, first=200, last=202)
+def two_drives(n_lanes: int = 4) -> list[Drive]:
+    drives = []
+    for seed, lanes in ((0, 4), (1, n_lanes)):
+        named = simulated(f"d{seed}", recording={"simulate": "quickstart", "seed": seed})
+        drives += read_drives(load_experiment(named, n_lanes=lanes))
+    return drives
+
+
+def of_drives(drives: list[Drive]) -> Result:
+    frames = concat_drives(drives, [frames_of(drive) for drive in drives])
+    return make_result(drives[0].experiment, drives, frames)
+
+
+def test_scores_of_several_drives_are_those_of_all_their_frames() -> None:
+    drives = two_drives()
+    both, each = of_drives(drives), [of_drives([drive]) for drive in drives]
+    scores, own = both.scores["model"], [one.scores["model"] for one in each]
+    assert scores["confusion"] == np.sum([s["confusion"] for s in own], axis=0).tolist()
+    assert scores["delay"]["changes"] == sum(s["delay"]["changes"] for s in own)
+    weights = [s["frames"] for s in own]
+    for name in ("log_loss",):
+        assert scores[name] == pytest.approx(np.average([s[name] for s in own], weights=weights))
+    for key in ("changes", "detected", "hours"):
+        right = sum(one.scores["events"][key] for one in each)
+        assert both.scores["events"][key] == pytest.approx(right)
+    for key in ("right", "false", "missed"):
+        right = sum(one.scores["events"]["within"]["1"][key] for one in each)
+        assert both.scores["events"]["within"]["1"][key] == right
+    assert_frame_equal(
+        both.events.drop(columns="drive"),
+        pd.concat([one.events for one in each], ignore_index=True),
+    )
+    assert [name for name, _ in by_drive(both.frames)] == ["d0", "d1"]
+
+
+def test_a_border_between_roads_of_other_widths_is_no_lane_change() -> None:
+    drives = two_drives(n_lanes=3)
+    both = of_drives(drives)
+    changes = 0
+    for _, frames in by_drive(both.frames):
+        truth = truth_of(frames)
+        assert truth is not None
+        lane = truth["true_lane"][~truth["is_crossing"]]
+        changes += np.count_nonzero(np.diff(lane))
+    assert both.scores["events"]["changes"] == changes > 0
+    alone = [of_drives([drive]).scores["events"] for drive in drives]
+    assert both.scores["events"]["detected"] == sum(each["detected"] for each in alone)
+
+
+# --- lane changes --------------------------------------------------------------------------------
+
+
+def test_posteriors_that_come_late_report_late(drive: Path) -> None:
+    lagged = run(simulated(filter="fixed_lag", lag=7))
+    at_once = replace(lagged, experiment=lagged.experiment.model_copy(update={"lag": None}))
+    assert len(at_once.events) > 0
+    np.testing.assert_allclose(lagged.events["late_s"], at_once.events["late_s"] + 0.7)
+    median = np.nanmedian(lagged.events["delay_s"])
+    assert lagged.scores["events"]["delay_s"]["median"] == pytest.approx(median)
+
+
+def test_segments_are_the_lane_over_time() -> None:
+    found = run(simulated(filter="exact"))
+    lanes, starts, ends = map(np.array, zip(*found.segments, strict=True))
+    assert (starts[1:] == ends[:-1]).all()
+    assert set(found.events["time_s"]) <= set(starts)
+    time_s = found.frames["time_s"].to_numpy()
+    at = np.searchsorted(starts, time_s, side="right") - 1
+    is_sure = (found.node("Lane").max(axis=1) > 0.9) & (at >= 0)
+    agree = lanes[at] == found.frames["assigned_lane"].to_numpy()
+    assert agree[is_sure].mean() > 0.95
+
+
+# --- the model -----------------------------------------------------------------------------------
+
+
+def test_a_result_gives_its_network_and_its_frames_with_their_evidence(saved: Path) -> None:
+    found = run(simulated(filter="exact"))
+    assert found.network().nodes["WOR_ve", 1]
+    some = found.network(evidence=True, first=200, last=202)
     with quiet():
         from pgmpy.inference import VariableElimination
 
-        found: Any = VariableElimination(some.network).query(
+        answer: Any = VariableElimination(some.network).query(
             ["Lane@202"], evidence=some.given, show_progress=False
         )
-    np.testing.assert_allclose(found.values, run.beliefs["Lane"][202], rtol=0, atol=1e-12)
-    # A clip is a drive of its own: nothing comes before its first frame.
-    clips = replace(run, clip=np.repeat(["a", "b"], [200, len(run) - 200]))
-    alone = clips.network(evidence=True, first=200, last=202)
-    assert "Lane@199" in some.network
-    assert "Lane@199" not in alone.network
-    for result, choice, said in (
-        (run, {"first": 200}, r"choose frames of network\(evidence=True\)"),
-        (clips, {"evidence": True, "first": 199, "last": 200}, "its frames are 0 to 199"),
-        (read_result(saved), {"evidence": True}, "a stored result has no evidence; run the exper"),
-    ):
-        with pytest.raises(InputError, match=said):
-            result.network(**choice)
+    np.testing.assert_allclose(answer.values, found.node("Lane")[202], rtol=0, atol=1e-12)
+    # A result that was loaded makes its evidence from its lines.
+    again, own = load_result(saved), load_result(saved).evidence
+    right = run(again.experiment).evidence
+    for node, values in own.likelihoods.items():
+        np.testing.assert_array_equal(values, right.likelihoods[node])
 
 
-def test_beliefs_that_come_late_tell_late(tmp_path: Path) -> None:
-    lagged = run_experiment(simulated(filter="fixed_lag", lag=7, evidence_reading="soft"))
-    saved = lagged.save(tmp_path / "result", figures=False)
-    at_once = lane_events(lagged.beliefs, 10.0, places=lagged.place_in_lane)
-    assert len(at_once)
-    found = read_result(saved).events
-    np.testing.assert_allclose(found.late_s, at_once.late_s + 0.7)
-    assert found.delay_s is not None
-    assert lagged.scores["events"]["delay_s"]["median"] == np.nanmedian(found.delay_s)
+# --- the directory -------------------------------------------------------------------------------
 
 
-def test_where_git_or_a_package_is_not_there_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert versions(["numpy", "no-such-package"])["no-such-package"] == "not installed"
-    monkeypatch.setenv("GIT_DIR", "/nonexistent")
-    assert git_state.__wrapped__() is None
+def test_a_result_is_loaded_as_it_was_saved(result: Result, saved: Path) -> None:
+    again = load_result(saved)
+    assert_frame_equal(again.frames, result.frames)
+    assert (again.run, again.scores) == (result.run, result.scores)
+    assert_frame_equal(again.events, result.events)
+    assert again.segments == result.segments
+    assert_same_lines(again.lines["drive"], result.lines["drive"])
+    assert again.experiment.model_dump() == load_experiment(saved / "experiment.yaml").model_dump()
+    assert again.directory == saved
+    table = pd.read_csv(saved / "events.csv")
+    assert_frame_equal(table, result.events.round(6), check_dtype=False)
+
+
+def test_frames_that_were_filled_in_are_marked_in_the_lines(tmp_path: Path) -> None:
+    path = write_drive(tmp_path / "drive", recording__missing_frames="predict")
+    write_table(tmp_path / "drive" / "lines.csv", log_with_gaps())
+    found = run(path)
+    again = load_result(found.save(tmp_path / "result"))
+    assert found.lines["drive"].is_missing.sum() == 4
+    assert_same_lines(again.lines["drive"], found.lines["drive"])
+    for node, values in found.evidence.likelihoods.items():
+        np.testing.assert_array_equal(again.evidence.likelihoods[node], values)
+
+
+def test_a_loaded_result_runs_again(saved: Path, tmp_path: Path) -> None:
+    one = load_result(saved)
+    for again in (run(one), run(saved / "experiment.yaml")):
+        assert_frame_equal(again.frames, one.frames)
+        assert again.scores == one.scores
+        assert again.run["config"] == one.run["config"]
+
+
+def test_a_result_of_lines_in_memory_runs_again(tmp_path: Path) -> None:
+    options = {"experiment": simulated(), "n_lanes": 3, "ground_truth": short_drive().truth}
+    found = run(log_with_gaps(), {"recording.missing_frames": "hold"}, **options)
+    again = load_result(found.save(tmp_path / "result"))
+    for other in (run(found), run(again), run(tmp_path / "result" / "experiment.yaml")):
+        kept = found.frames.drop(columns=["true_lane", "is_crossing"])
+        assert_frame_equal(other.frames[kept.columns], kept)
+    assert run(found).scores == found.scores
+
+
+def test_a_result_of_several_drives_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
+    log = short_drive().log
+    clips = replace(log, clip=np.where(np.arange(len(log)) < 70, "one", "two"))
+    found = run(clips, experiment=simulated(), n_lanes=3)
+    again = load_result(found.save(tmp_path / "result"))
+    assert_frame_equal(again.frames, found.frames)
+    assert [*again.lines] == ["one", "two"]
+    assert_same_lines(again.lines["two"], found.lines["two"])
+
+
+def test_ones_own_plugin_is_copied_and_used(tmp_path: Path) -> None:
+    graph, rule = tmp_path / "graph_mine.py", tmp_path / "rule.py"
+    shutil.copy(str(no_wor.__file__), graph)
+    rule.write_text(
+        "from egolane_pgm.evidence.counting import PARAMETERS, PROVIDES, TENTATIVE, evidence\n"
+    )
+    path = write_drive(tmp_path, graph="./graph_mine.py", evidence="./rule.py")
+    found = run(path)
+    saved = found.save(tmp_path / "result")
+    graph.unlink()
+    rule.unlink()
+    assert {"graph_mine.py", "evidence_rule.py"} <= {file.name for file in saved.iterdir()}
+    assert_frame_equal(run(saved / "experiment.yaml").frames, found.frames)
+    # Saved over itself, it stays whole.
+    load_result(saved).save(saved)
+    assert_frame_equal(run(load_result(saved)).frames, found.frames)
+
+
+def test_a_network_in_memory_is_saved_as_the_graph_that_it_is(tmp_path: Path) -> None:
+    own = simulated(parameters={"sigma1": 0.4, "bonus_value": 5})
+    found = run(own, graph=compile_model(own).network)
+    assert found.experiment.parameters == {"bonus_value": 5}
+    np.testing.assert_allclose(found.node("Lane"), run(own).node("Lane"), rtol=0, atol=1e-12)
+    again = run(found.save(tmp_path / "run") / "experiment.yaml")
+    assert_frame_equal(again.frames, found.frames)
+
+
+def test_a_result_has_its_provenance(
+    drive: Path, saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = load_result(saved).run
+    files = [drive.parent / name for name in ("lines.csv", "ground_truth.txt")]
+    assert found["data"] == [
+        {"path": str(file), "sha256": file_sha256(file), "bytes": file.stat().st_size}
+        for file in files
+    ]
+    assert set(found["versions"]) >= {"python", "egolane-pgm", "numpy", "numba", "pgmpy"}
+    assert "not installed" not in found["versions"].values()
+    assert found["git"] is None or set(found["git"]) == {"commit", "dirty"}
+    assert found["created"].endswith("+00:00")
+    changed = run(drive, ["parameters.sigma1=0.41"])
+    assert changed.run["identity"] != found["identity"]
     monkeypatch.setenv("PATH", "/nonexistent")
     assert git_state.__wrapped__() is None
 
 
-def damaged(saved: Path, folder: Path, change: Callable[[Path], object]) -> Path:
-    copy = folder / "copy"
-    for name, content in contents(saved).items():
-        (copy / name).parent.mkdir(parents=True, exist_ok=True)
-        (copy / name).write_bytes(content)
-    read_result(copy)
-    change(copy)
-    return copy
+# --- damage --------------------------------------------------------------------------------------
 
 
 def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
@@ -235,73 +325,54 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
     return change
 
 
-def without_lane_2(folder: Path) -> None:
-    file = folder / "beliefs.parquet"
-    parquet.write_table(parquet.read_table(file).drop_columns(["Lane_2"]), file)
-
-
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda d: (d / "run.json").unlink(), ": is not a result directory"),
-        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "/beliefs.parquet: is not a who"),
-        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "/lines.parquet: is not a whole"),
-        (lambda d: (d / "scores.json").write_text("{"), "/scores.json: is not JSON (EOF while"),
-        (rewrite("run.json", schema_version=99), "/run.json: has schema_version 99, this program"),
-        (rewrite("run.json", values=None), "/run.json: values: is missing"),
-        (rewrite("run.json", frames=7), "/beliefs.parquet: has 150 frames, run.json says 7; run"),
-        (without_lane_2, ': is damaged (KeyError: \'Field "Lane_2" does not exist'),
+        (lambda d: (d / "run.json").unlink(), "is not a result directory (no run.json and scor"),
+        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "is damaged (ArrowInvalid: "),
+        (lambda d: (d / "beliefs.parquet").unlink(), "is damaged (FileNotFoundError: "),
+        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "is damaged (ArrowInvalid: "),
+        (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
+        (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
     ],
 )
 def test_a_damaged_result_is_refused_in_a_line_that_names_it(
     saved: Path, tmp_path: Path, change: Callable[[Path], object], said: str
 ) -> None:
-    copy = damaged(saved, tmp_path, change)
+    copy = shutil.copytree(saved, tmp_path / "copy")
+    load_result(copy)
+    change(copy)
     with pytest.raises(InputError) as info:
-        read_result(copy)
-    assert str(info.value).startswith(f"{copy}{said}")
+        load_result(copy)
+    assert str(info.value).startswith(f"{copy}: {said}")
     assert "\n" not in str(info.value)
 
 
-def test_further_keys_and_columns_are_no_damage(saved: Path, tmp_path: Path) -> None:
-    copy = damaged(saved, tmp_path, rewrite("run.json", note="of mine"))
-    file = copy / "beliefs.parquet"
-    table = parquet.read_table(file)
-    parquet.write_table(table.append_column("mine", pa.array(["x"] * len(table))), file)
-    assert read_result(copy).run["note"] == "of mine"
-
-
-def earlier_result(folder: Path) -> Path:
-    with staged(folder / "result") as new:
-        (new / "run.json").write_text("old")
-        (new / "scores.json").write_text("old")
-    return folder / "result"
-
-
-def test_check_writable_allows_new_empty_and_earlier_directories_only(tmp_path: Path) -> None:
+def test_new_empty_and_earlier_directories_are_written_only(saved: Path, tmp_path: Path) -> None:
     check_writable(tmp_path / "a" / "b" / "new")
-    check_writable(earlier_result(tmp_path))
-    (tmp_path / "empty").mkdir()
-    check_writable(tmp_path / "empty")
-    with pytest.raises(InputError, match="is not a result directory"):
+    copy = shutil.copytree(saved, tmp_path / "result")
+    check_writable(copy)
+    with pytest.raises(InputError, match="exists and is not a result directory; name another"):
         check_writable(tmp_path)
     with pytest.raises(InputError, match=r"run\.json: is a file, not a directory"):
-        check_writable(tmp_path / "result" / "run.json")
-    assert {p.name for p in tmp_path.iterdir()} == {"result", "empty"}
+        check_writable(copy / "run.json")
 
 
-@pytest.mark.parametrize("is_there", [False, True])
-def test_an_interrupted_run_leaves_no_result_and_an_earlier_one_untouched(
-    drive: Path, saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_there: bool
+def test_run_json_is_written_last_and_removed_first(
+    result: Result, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def interrupted(_: object, path: Path) -> None:
-        assert is_result(path.parents[1])
-        raise KeyboardInterrupt
+    place = result.save(tmp_path / "result")
+    (place / "notes.txt").write_text("mine")
+    before = contents(place)
 
-    result = tmp_path / "result"
-    if is_there:
-        damaged(saved, tmp_path, lambda copy: copy.rename(result))
-    before = contents(tmp_path)
-    monkeypatch.setattr("egolane_pgm.views.strips.draw_strips", interrupted)
-    assert command("run", drive, "--out", result).exit_code == 130
-    assert contents(tmp_path) == before
+    def fails(*_: Any, **__: Any) -> None:
+        assert not (place / "run.json").exists()
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pd.DataFrame, "to_parquet", fails)
+        with pytest.raises(InputError, match="result: cannot be written: No space left on device"):
+            result.save(place)
+    assert not is_result(place)
+    result.save(place)
+    assert contents(place) == before
