@@ -14,17 +14,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from egolane_pgm.recordings.decoding import Decoder, Fields, stamp_parts
 from egolane_pgm.types import InputError
 
 #: What a file has on its topics: the type of the messages, and how many there are.
 Topics = dict[str, tuple[str, int]]
-
-#: The parts of a stamp as ROS 1, ROS 2 and Foxglove's schemas call them.
-_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
 
 
 class Message(NamedTuple):
@@ -92,39 +91,63 @@ def topics_of(path: Path) -> Topics:
 
 
 def messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
-    """See `recordings.topics`. Warns of a bag that says it has more messages than it has."""
+    """See `recordings.topics`. Warns of a bag that has fewer messages than its index."""
     found = 0
     with open_bag(path) as bag:
-        chosen = [c for c in bag.connections if topics is None or c.topic in topics]
-        _check_definitions(bag, path, chosen)
+        chosen = _connections(bag, path, topics)
         for connection, logged_ns, raw in bag.messages(chosen):
             found += 1
             value = plain(bag.deserialize(raw, connection.msgtype))
             yield Message(time_of(value, logged_ns), connection.topic, value)
-        counted = sum(bag.topics[name].msgcount for name in {c.topic for c in chosen})
+        _check_count(bag, path, chosen, found)
+
+
+def fields_of(path: Path, topic: str) -> Fields:
+    """The fields of all messages on a topic, and their times, `time_s` (N,), if they have none;
+    empty without messages. Warns as `messages`."""
+    with open_bag(path) as bag:
+        chosen = _connections(bag, path, [topic])
+        if len({connection.msgtype for connection in chosen}) > 1:
+            raise InputError(f"{path}: {topic} has messages of several types; split the bag")
+        found = list(bag.messages(chosen))
+        _check_count(bag, path, chosen, len(found))
+        if not found:
+            return {}
+        decoder = Decoder(bag.typestore.fielddefs, [raw for _, _, raw in found], bag.is2)
+        fields = decoder.decode(chosen[0].msgtype)
+    logged_ns = np.array([ns for _, ns, _ in found])
+    stamp = fields.get("header.stamp", np.zeros(len(found)))
+    return {"time_s": np.where(stamp != 0, stamp, _seconds(logged_ns)), **fields}
+
+
+def _check_count(bag: AnyReader, path: Path, chosen: Sequence[Connection], found: int) -> None:
+    counted = sum(bag.topics[name].msgcount for name in {c.topic for c in chosen})
     if counted > found:
         said = f"{path}: {found} messages were read of the {counted} that it says are on"
         names = ", ".join(sorted({c.topic for c in chosen}))
-        warnings.warn(f"{said} {names}; it is damaged", UserWarning, stacklevel=3)
+        warnings.warn(f"{said} {names}; it is damaged", UserWarning, stacklevel=4)
 
 
 @contextmanager
 def open_bag(path: Path) -> Iterator[AnyReader]:
     """An open bag. Raises InputError for whatever rosbags raises here or in the block, where the
     file is read."""
-    typestore = get_typestore(Stores.LATEST)
-    for name, text in DEFINITIONS_2.items():
-        typestore.register(get_types_from_msg(text, name))
+    typestore = None
+    # ROS 1 bags have their definitions.
+    if path.suffix != ".bag":
+        typestore = get_typestore(Stores.LATEST)
+        for name, text in DEFINITIONS_2.items():
+            typestore.register(get_types_from_msg(text, name))
     repair = _REPAIRS.get(path.suffix, _REPAIRS[""])
     cure = f"; if it was cut off or damaged, record or copy it again, or try {repair}"
-    # ROS 1 bags have their definitions.
-    default = None if path.suffix == ".bag" else typestore
-    with reading(path, "a bag", cure), AnyReader([path], default_typestore=default) as bag:
+    with reading(path, "a bag", cure), AnyReader([path], default_typestore=typestore) as bag:
         yield bag
 
 
-def _check_definitions(bag: AnyReader, path: Path, chosen: Sequence[Connection]) -> None:
-    """Raise InputError for a type that is not defined, or is in several ways."""
+def _connections(bag: AnyReader, path: Path, topics: Collection[str] | None) -> list[Connection]:
+    """The connections on some topics, None for all. Raises InputError for a type that is not
+    defined, or is in several ways."""
+    chosen = [each for each in bag.connections if topics is None or each.topic in topics]
     of_type: dict[str, Connection] = {}
     for connection in chosen:
         kind = connection.msgtype
@@ -138,6 +161,7 @@ def _check_definitions(bag: AnyReader, path: Path, chosen: Sequence[Connection])
                 f"{path}: has no definition of {kind}; convert it to MCAP where that type is known:"
                 " `ros2 bag convert`"
             )
+    return chosen
 
 
 def plain(value: Any) -> Any:
@@ -169,16 +193,18 @@ def time_of(value: Any, logged_ns: int) -> float:
     """
     header = value.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else value.get("timestamp")
+    return stamp_s(stamp) or _seconds(logged_ns)
+
+
+def _seconds(ns: Any) -> Any:
     # Nanoseconds since 1970 have more digits than a float.
-    return stamp_s(stamp) or logged_ns // 10**9 + logged_ns % 10**9 / 1e9
+    return ns // 10**9 + ns % 10**9 / 1e9
 
 
 def stamp_s(value: Any) -> float | None:
     """A time stamp as seconds, None for anything else."""
-    if not isinstance(value, dict):
-        return None
-    parts = [[value[name] for name in names if name in value] for names in (_SECONDS, _NANOSECONDS)]
-    return int(parts[0][0]) + int(parts[1][0]) / 1e9 if all(parts) else None
+    parts = stamp_parts(value) if isinstance(value, dict) else None
+    return None if parts is None else int(parts[0]) + int(parts[1]) / 1e9
 
 
 @contextmanager

@@ -9,17 +9,18 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns
+from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns, typed
+from egolane_pgm.recordings.decoding import Fields, Items
 from egolane_pgm.recordings.rosbag import Message, Topics, stamp_s
-from egolane_pgm.types import InputError, LineLog, near_word
+from egolane_pgm.types import InputError, IntArray, LineLog, near_word
 
 #: The topics of the lines in the published recordings and in MCAP files of a result.
 TOPICS = ("/isis_line_detector/lines", "/lines")
@@ -53,23 +54,29 @@ def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterato
     file that holds no message on them.
     """
     file = Path(path)
-    reader = _reader(file)
     if topics is not None:
-        there = reader.topics_of(file)
-        names = {name.strip("/"): name for name in there}
-        for topic in topics:
-            if topic.strip("/") not in names:
-                meant = near_word(topic, there)
-                raise InputError(f"{file}: no topic {topic}{meant}; the file has {listed(there)}")
-        topics = [names[topic.strip("/")] for topic in topics]
+        topics = [_named(file, topic) for topic in topics]
     is_empty = True
-    for message in reader.messages(file, topics):
+    for message in _reader(file).messages(file, topics):
         is_empty = False
         yield message
     if is_empty:
+        raise _no_messages(file, topics or ())
+
+
+def _named(path: Path, topic: str) -> str:
+    """A topic as the file has it, which may be given without its slashes."""
+    there = topics_of(path)
+    found = {name.strip("/"): name for name in there}.get(topic.strip("/"))
+    if found is None:
         raise InputError(
-            f"{file}: holds no messages{' on ' if topics else ''}{', '.join(topics or ())}"
+            f"{path}: no topic {topic}{near_word(topic, there)}; the file has {listed(there)}"
         )
+    return found
+
+
+def _no_messages(path: Path, topics: Collection[str]) -> InputError:
+    return InputError(f"{path}: holds no messages{' on ' if topics else ''}{', '.join(topics)}")
 
 
 def read_topic(
@@ -88,6 +95,7 @@ def read_topic(
 
     Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
     """
+    path = Path(path)
     if topic is None:
         there = topics_of(path)
         topic = next((name for name in (*TOPICS, *there) if name in there), None)
@@ -95,15 +103,23 @@ def read_topic(
             raise InputError(
                 f"{path}: topic: is missing; the file has {listed(there)} (`egolane show {path}`)"
             )
-    found = list(messages(path, None if topic is None else [str(topic)]))
+    else:
+        topic = _named(path, topic)
+    if _reader(path) is rosbag and topic is not None:
+        fields_of_all = rosbag.fields_of(path, topic)
+        if not fields_of_all:
+            raise _no_messages(path, [topic])
+        table, row = _table_of(fields_of_all)
+    else:
+        found = list(messages(path, None if topic is None else [topic]))
+        table, row = as_columns([{"time_s": each.time_s, **fields(each.value)} for each in found])
     said = columns or Columns()
-    rows = [{"time_s": message.time_s, **fields(message.value)} for message in found]
-    if said.offset_m is None and {"lines", "way_id"} <= found[0].value.keys():
-        is_ros1 = Path(path).suffix == ".bag"
+    if said.offset_m is None and {"line", "way_id"} <= table.keys():
+        is_ros1 = path.suffix == ".bag"
         said = Columns(**{**_PUBLISHED, "is_valid": _VALID[is_ros1], **said.model_dump()})
         if said.time_s is None and said.frame_id is not None:
-            rows = _with_times(Path(path), rows, said.frame_id, is_ros1)
-    return lines_of_messages(rows, said, str(path), frame_rate)
+            table = _with_times(path, table, row, said.frame_id, is_ros1)
+    return _lines_of(table, row, said, path, frame_rate)
 
 
 def lines_of_messages(
@@ -131,11 +147,22 @@ def lines_of_messages(
     [[-1.8, 1.7]]
     """
     columns, row = as_columns(rows)
+    return _lines_of(columns, row, said, Path(where), frame_rate, first)
+
+
+def _lines_of(
+    columns: Mapping[str, Any],
+    row: IntArray,
+    said: Columns | None,
+    path: Path,
+    frame_rate: float,
+    first: int = 0,
+) -> LineLog:
     if "line" in columns and not any(columns["line"]):
         # Of lists that are always empty the fields are not known.
         names = [getattr(said, name, None) or name for name in ("offset_m", *OF_LINE)]
         columns = {**{name: [None] * len(row) for name in names}, **columns}
-    return lines_of_columns(columns, said, Path(where), frame_rate, first=first, row=row)
+    return lines_of_columns(columns, said, path, frame_rate, first=first, row=row)
 
 
 def fields(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
@@ -155,7 +182,7 @@ def fields(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
     return found
 
 
-def as_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, list[Any]], Any]:
+def as_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], IntArray]:
     """The columns of messages, a row for each line of those that have a list of lines (`lines`, or
     their only list), and the message of each row, (N,)."""
     lists = {
@@ -181,30 +208,57 @@ def as_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, list[Any]],
     return {name: [row.get(name) for row in found] for name in names}, np.array(at, dtype=np.int64)
 
 
+def _table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
+    """As `as_columns`, of the fields of decoded messages."""
+    lists = [name for name, values in fields.items() if isinstance(values, Items)]
+    of_lines = "lines" if "lines" in lists else lists[0] if len(lists) == 1 else None
+    table = {name: values for name, values in fields.items() if name not in lists}
+    if of_lines is None:
+        # Which list is meant has to be known; the others are named in messages only.
+        table |= {name: [[None] * n for n in fields[name].counts] for name in lists}
+        return table, np.arange(len(fields["time_s"]))
+    count, of_line = fields[of_lines]
+    rows = np.maximum(count, 1)
+    row = np.repeat(np.arange(len(count)), rows)
+    number = np.arange(len(row)) - (np.cumsum(rows) - rows)[row] + 1
+    is_empty = (count == 0)[row]
+    table = {name: values[row] for name, values in table.items()}
+    table["line"] = pa.array(number, mask=is_empty)
+    for name, values in of_line.items():
+        cells = np.zeros(len(row), dtype=values.dtype)
+        cells[~is_empty] = values
+        table[name] = pa.array(cells, mask=is_empty)
+    return table, row
+
+
 def _with_times(
-    path: Path, rows: list[dict[str, Any]], frame_id: str, is_ros1: bool
-) -> list[dict[str, Any]]:
+    path: Path, table: dict[str, Any], row: IntArray, frame_id: str, is_ros1: bool
+) -> dict[str, Any]:
     """Messages of the published type with times that increase, or without any.
 
     The stamps of the published ROS 1 bags say when they were processed, jump by minutes or are all
     zero: time is frame id over frame rate there.
     """
-    ids = [row.get(frame_id) for row in rows]
-    for one, other in pairwise(ids):
-        if one is not None and other is not None and other <= one:
-            raise InputError(
-                f"{path}: frame ids must increase, but {one} is followed by {other}; split the file"
-                " there, or, where it does not fill in way_id, take `columns: {frame_id:"
-                " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
-            )
-    backwards = np.diff([row["time_s"] for row in rows]) <= 0
-    if backwards.any() and not is_ros1:
-        one, other = ids[np.argmax(backwards) :][:2]
-        said = f"{path}: the stamps of frames {one} and {other} do not increase"
+    begins = np.flatnonzero(np.diff(row, prepend=-1))
+    if frame_id not in table:
+        return table
+    ids = typed(path, "frame_id", table[frame_id])[begins]
+    back = np.diff(ids) <= 0
+    if back.any():
+        one, other = ids[np.argmax(back) :][:2]
+        raise InputError(
+            f"{path}: frame ids must increase, but {one:.0f} is followed by {other:.0f}; split the"
+            " file there, or, where it does not fill in way_id, take `columns: {frame_id:"
+            " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
+        )
+    is_back = np.diff(np.asarray(table["time_s"])[begins]) <= 0
+    if is_back.any() and not is_ros1:
+        one, other = ids[np.argmax(is_back) :][:2]
+        said = f"{path}: the stamps of frames {one:.0f} and {other:.0f} do not increase"
         warnings.warn(f"{said}; time is frame id over frame rate", UserWarning, stacklevel=4)
-    if is_ros1 or backwards.any():
-        return [{name: each for name, each in row.items() if name != "time_s"} for row in rows]
-    return rows
+    if is_ros1 or is_back.any():
+        return {name: each for name, each in table.items() if name != "time_s"}
+    return table
 
 
 def listed(topics: Topics) -> str:

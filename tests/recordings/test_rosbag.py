@@ -209,7 +209,7 @@ def killed(path: Path) -> None:
             {},
             "no column offset_m; the table has time_s, way, rest",
         ),
-        (lambda path: write_bag(path, [GOOD_MESSAGE, b""]), {}, "Could not deserialize"),
+        (lambda path: write_bag(path, [GOOD_MESSAGE, b""]), {}, "message 2 is cut off"),
         (
             of_ids(0, 0, 0),
             {},
