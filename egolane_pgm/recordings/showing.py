@@ -11,7 +11,6 @@ import shlex
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +20,8 @@ from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.columns import contradictions, lines_of_columns, typed
 from egolane_pgm.recordings.table import TABLES, read_columns, separator_of
-from egolane_pgm.recordings.topics import as_columns, fields, messages, topics_of
+from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
 from egolane_pgm.types import FloatArray, InputError
-
-#: Messages of a topic that are looked at.
-LOOKED_AT = 2000
 
 #: Names of columns, without their unit, that mostly mean ours.
 _NAMES = {
@@ -57,12 +53,12 @@ def show_recording(path: Path) -> str:
         if not count or "Image" in kind:
             continue
         try:
-            some = [*islice(messages(path, [topic]), LOOKED_AT)]
+            fields = fields_of(path, topic)
         except InputError as error:
             text.append(f"  {error}")
             continue
-        text[-1] += f"; in {len(some)} of them {_pace(np.array([m.time_s for m in some]))}"
-        columns, _ = as_columns([{"time_s": m.time_s, **fields(m.value)} for m in some])
+        text[-1] += f"; {_pace(np.asarray(fields['time_s']))}"
+        columns, _ = table_of(fields)
         text += [*_spans(columns), *_verdict(path, columns, {}, topic)]
     return "\n".join(text or [f"{path}: has no topics"])
 

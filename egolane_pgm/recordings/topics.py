@@ -14,12 +14,19 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns, typed
-from egolane_pgm.recordings.decoding import Fields, Items
-from egolane_pgm.recordings.rosbag import Message, Topics, stamp_s
+from egolane_pgm.recordings.columns import (
+    FRAME_RATE,
+    OF_LINE,
+    arrow_column,
+    lines_of_columns,
+    typed,
+)
+from egolane_pgm.recordings.decoding import Fields, Items, stamp_parts
+from egolane_pgm.recordings.rosbag import Message, Topics
 from egolane_pgm.types import InputError, IntArray, LineLog, near_word
 
 #: The topics of the lines in the published recordings and in MCAP files of a result.
@@ -55,7 +62,7 @@ def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterato
     """
     file = Path(path)
     if topics is not None:
-        topics = [_named(file, topic) for topic in topics]
+        topics = [_topic_of(file, topic) for topic in topics]
     is_empty = True
     for message in _reader(file).messages(file, topics):
         is_empty = False
@@ -64,9 +71,19 @@ def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterato
         raise _no_messages(file, topics or ())
 
 
-def _named(path: Path, topic: str) -> str:
-    """A topic as the file has it, which may be given without its slashes."""
+def _topic_of(path: Path, topic: str | None = None) -> str:
+    """A topic as the file has it, which may be given without its slashes; by default the one of the
+    lines. Raises InputError for one that is not there, and where several may be meant."""
     there = topics_of(path)
+    if topic is None:
+        usual = [name for name in TOPICS if name in there] or list(there)
+        if len(usual) > 1 and usual[0] not in TOPICS:
+            raise InputError(
+                f"{path}: topic: is missing; the file has {listed(there)} (`egolane show {path}`)"
+            )
+        if not usual:
+            raise _no_messages(path, ())
+        return usual[0]
     found = {name.strip("/"): name for name in there}.get(topic.strip("/"))
     if found is None:
         raise InputError(
@@ -96,23 +113,7 @@ def read_topic(
     Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
     """
     path = Path(path)
-    if topic is None:
-        there = topics_of(path)
-        topic = next((name for name in (*TOPICS, *there) if name in there), None)
-        if len(there) > 1 and topic not in TOPICS:
-            raise InputError(
-                f"{path}: topic: is missing; the file has {listed(there)} (`egolane show {path}`)"
-            )
-    else:
-        topic = _named(path, topic)
-    if _reader(path) is rosbag and topic is not None:
-        fields_of_all = rosbag.fields_of(path, topic)
-        if not fields_of_all:
-            raise _no_messages(path, [topic])
-        table, row = _table_of(fields_of_all)
-    else:
-        found = list(messages(path, None if topic is None else [topic]))
-        table, row = as_columns([{"time_s": each.time_s, **fields(each.value)} for each in found])
+    table, row = table_of(fields_of(path, topic))
     said = columns or Columns()
     if said.offset_m is None and {"line", "way_id"} <= table.keys():
         is_ros1 = path.suffix == ".bag"
@@ -122,8 +123,23 @@ def read_topic(
     return _lines_of(table, row, said, path, frame_rate)
 
 
+def fields_of(path: Path, topic: str | None) -> Fields:
+    """The fields of all messages on a topic, by default that of the lines, and `time_s`, when each
+    was made, if none of them is called so. Raises InputError as `messages`."""
+    topic = _topic_of(path, topic)
+    reader = _reader(path)
+    if reader is rosbag:
+        fields = rosbag.fields_of(path, topic)
+    else:
+        found = [{"time_s": m.time_s, **m.value} for m in reader.messages(path, [topic])]
+        fields = _fields(found, str(path)) if found else {}
+    if not fields:
+        raise _no_messages(path, [topic])
+    return fields
+
+
 def lines_of_messages(
-    rows: Sequence[Mapping[str, Any]],
+    messages: Sequence[Mapping[str, Any]],
     said: Columns | None,
     where: str,
     frame_rate: float = FRAME_RATE,
@@ -131,7 +147,6 @@ def lines_of_messages(
 ) -> LineLog:
     """The lines of messages, T frames of at most L lines.
 
-    - rows: their `fields`.
     - said: which fields are what; None for our own names.
     - where: names the file in what is said of it.
     - frame_rate: frames per second where the messages have frame ids but no times.
@@ -139,14 +154,14 @@ def lines_of_messages(
 
     Raises InputError as `recordings.columns.lines_of_columns`.
 
-    >>> from egolane_pgm.recordings.topics import fields, lines_of_messages
+    >>> from egolane_pgm.recordings.topics import lines_of_messages
     >>> from egolane_pgm.experiment import Columns
-    >>> message = fields({"t": 12.0, "lanes": [{"c0": 1.8}, {"c0": -1.7}]})
+    >>> message = {"t": 12.0, "lanes": [{"c0": 1.8}, {"c0": -1.7}]}
     >>> said = Columns(time_s="t", offset_m="c0", left_positive=True)
     >>> lines_of_messages([message], said, "drive.mcap").offset_m.tolist()
     [[-1.8, 1.7]]
     """
-    columns, row = as_columns(rows)
+    columns, row = table_of(_fields(messages, where))
     return _lines_of(columns, row, said, Path(where), frame_rate, first)
 
 
@@ -158,77 +173,65 @@ def _lines_of(
     frame_rate: float,
     first: int = 0,
 ) -> LineLog:
-    if "line" in columns and not any(columns["line"]):
-        # Of lists that are always empty the fields are not known.
+    if "line" in columns and columns["line"].null_count == len(row):
+        # Of lists that are always empty the fields may not be known.
         names = [getattr(said, name, None) or name for name in ("offset_m", *OF_LINE)]
-        columns = {**{name: [None] * len(row) for name in names}, **columns}
+        columns = {**dict.fromkeys(names, pa.nulls(len(row))), **columns}
     return lines_of_columns(columns, said, path, frame_rate, first=first, row=row)
 
 
-def fields(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """The fields of a message, those of its sections by their path; a stamp is in seconds.
+def _fields(messages: Sequence[Mapping[str, Any]], where: str) -> Fields:
+    """The fields of messages that are dicts."""
+    try:
+        return _fields_in(pa.array(messages))
+    except pa.ArrowException as error:
+        raise InputError(f"{where}: a field has values of several types ({error})") from None
 
-    >>> fields({"header": {"seq": 7, "stamp": {"sec": 12, "nanosec": 0}}, "c0": -1.8})
-    {'header.seq': 7, 'header.stamp': 12.0, 'c0': -1.8}
-    """
-    found: dict[str, Any] = {}
-    for name, each in value.items():
-        if not isinstance(each, dict):
-            found[before + name] = each
-        elif (time_s := stamp_s(each)) is not None:
-            found[before + name] = time_s
+
+def _fields_in(values: pa.StructArray) -> Fields:
+    """The columns of sections, those of sections in them by their path; a stamp is in seconds."""
+    inner = {field.name: pc.struct_field(values, field.name) for field in values.type}
+    if (parts := stamp_parts(inner)) is not None:
+        seconds, nanoseconds = (np.asarray(part.cast(pa.int64())) for part in parts)
+        return {"": seconds + nanoseconds / 1e9}
+    found: Fields = {}
+    for name, each in inner.items():
+        if pa.types.is_struct(each.type):
+            fields = _fields_in(each)
+            found |= {f"{name}.{key}" if key else name: values for key, values in fields.items()}
+        elif pa.types.is_list(each.type) and pa.types.is_struct(each.type.value_type):
+            found[name] = Items(_counts(each), _fields_in(each.flatten()))
+        elif pa.types.is_list(each.type) and pa.types.is_null(each.type.value_type):
+            found[name] = Items(_counts(each), {})
         else:
-            found |= fields(each, f"{before}{name}.")
+            found[name] = each
     return found
 
 
-def as_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, Any], IntArray]:
+def _counts(lists: pa.ListArray) -> IntArray:
+    return np.asarray(pc.list_value_length(lists).fill_null(0)).astype(np.int64)
+
+
+def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
     """The columns of messages, a row for each line of those that have a list of lines (`lines`, or
     their only list), and the message of each row, (N,)."""
-    lists = {
-        name
-        for row in rows
-        for name, each in row.items()
-        if isinstance(each, list) and all(isinstance(one, Mapping) for one in each)
-    }
-    of_lines = "lines" if "lines" in lists else lists.pop() if len(lists) == 1 else None
-    found: list[dict[str, Any]] = []
-    at: list[int] = []
-    for k, row in enumerate(rows):
-        frame = {name: value for name, value in row.items() if name != of_lines}
-        if of_lines is None:
-            found.append(frame)
-        elif row.get(of_lines):
-            lines = enumerate(map(fields, row[of_lines]), start=1)
-            found += [{**frame, "line": number, **line} for number, line in lines]
-        else:
-            found.append({**frame, "line": None})
-        at += [k] * (len(found) - len(at))
-    names = dict.fromkeys(name for row in found for name in row)
-    return {name: [row.get(name) for row in found] for name in names}, np.array(at, dtype=np.int64)
-
-
-def _table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
-    """As `as_columns`, of the fields of decoded messages."""
     lists = [name for name, values in fields.items() if isinstance(values, Items)]
     of_lines = "lines" if "lines" in lists else lists[0] if len(lists) == 1 else None
-    table = {name: values for name, values in fields.items() if name not in lists}
+    table = {name: arrow_column(each) for name, each in fields.items() if name not in lists}
     if of_lines is None:
-        # Which list is meant has to be known; the others are named in messages only.
-        table |= {name: [[None] * n for n in fields[name].counts] for name in lists}
-        return table, np.arange(len(fields["time_s"]))
-    count, of_line = fields[of_lines]
-    rows = np.maximum(count, 1)
-    row = np.repeat(np.arange(len(count)), rows)
+        # The lists are named in messages.
+        table |= {name: pa.array([[None] * n for n in fields[name].counts]) for name in lists}
+        return table, np.arange(len(next(iter(table.values()), ())))
+    counts, of_line = fields[of_lines]
+    # A message without lines has a row with an empty one.
+    rows = np.maximum(counts, 1)
+    row = np.repeat(np.arange(len(counts)), rows)
+    is_empty = (counts == 0)[row]
     number = np.arange(len(row)) - (np.cumsum(rows) - rows)[row] + 1
-    is_empty = (count == 0)[row]
-    table = {name: values[row] for name, values in table.items()}
+    line = pa.array(np.cumsum(~is_empty) - 1, mask=is_empty)
+    table = {name: values.take(pa.array(row)) for name, values in table.items()}
     table["line"] = pa.array(number, mask=is_empty)
-    for name, values in of_line.items():
-        cells = np.zeros(len(row), dtype=values.dtype)
-        cells[~is_empty] = values
-        table[name] = pa.array(cells, mask=is_empty)
-    return table, row
+    return table | {name: arrow_column(each).take(line) for name, each in of_line.items()}, row
 
 
 def _with_times(

@@ -101,7 +101,7 @@ def test_messages_of_ones_own_are_described_and_not_guessed(
 ) -> None:
     make(tmp_path / name)
     shown = done("show", tmp_path / name).stdout
-    assert "): 100 messages; in 100 of them 10 per second, gaps: 0" in shown
+    assert "): 100 messages; 10 per second, gaps: 0" in shown
     assert "  c0                       -5.55 to 5.55" in shown
     assert "egolane run" not in shown
 
