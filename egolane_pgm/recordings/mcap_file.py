@@ -18,22 +18,22 @@ with needed("an .mcap file outside ROS 2", "mcap"):
     from mcap.reader import McapReader, make_reader
     from mcap.records import Schema
 
+_CURE = "; if it was cut off or damaged, try `mcap recover`"
+
 #: What makes a dict of the bytes of a message.
 _Decode = Callable[[bytes], Any]
 
 
 def topics_of(path: Path) -> Topics:
-    """See `recordings.topics`. Without a summary at its end the whole file is read."""
+    """See `recordings.topics`."""
     found: Topics = {}
     with _open(path) as reader:
         summary = reader.get_summary()
-        if summary is not None and summary.statistics is not None:
-            counts = summary.statistics.channel_message_counts
-            channels = [(summary.channels[k], count) for k, count in counts.items() if count]
-            each = [(summary.schemas.get(c.schema_id), c, count) for c, count in channels]
-        else:
-            each = [(schema, channel, 1) for schema, channel, _ in reader.iter_messages()]
-        for schema, channel, count in each:
+        if summary is None or summary.statistics is None:
+            raise InputError(f"{path}: has no summary at its end{_CURE}")
+        for key, count in summary.statistics.channel_message_counts.items():
+            channel = summary.channels[key]
+            schema = summary.schemas.get(channel.schema_id)
             kind = f"{schema.name if schema else 'no schema'}, {channel.message_encoding}"
             found[channel.topic] = (kind, found.get(channel.topic, (kind, 0))[1] + count)
     return found
@@ -52,8 +52,7 @@ def messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
 
 @contextmanager
 def _open(path: Path) -> Iterator[McapReader]:
-    cure = "; if it was cut off or damaged, try `mcap recover`"
-    with reading(path, "MCAP", cure), path.open("rb") as file:
+    with reading(path, "MCAP", _CURE), path.open("rb") as file:
         yield make_reader(file)
 
 

@@ -1,13 +1,11 @@
 """Bags, ROS 1 and ROS 2, and MCAP files of ROS 2, read without ROS; and what a message is.
 
-The definitions of the messages are taken from the file. ROS 2 allows no capitals in the name of a
-field: there `isValid` of the published recordings is `is_valid`.
+The definitions of the messages are taken from the file.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import functools
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -17,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import Stores, get_typestore
 
 from egolane_pgm.recordings.decoding import Decoder, Fields, stamp_parts
 from egolane_pgm.types import InputError
@@ -38,47 +36,11 @@ class Message(NamedTuple):
     value: Mapping[str, Any]
 
 
-#: The published definitions. ROS tells types apart by a checksum of these.
-LINES_TYPE, LINE_TYPE = (
-    "road_layout_estimation/msg/msg_lines",
-    "road_layout_estimation/msg/msg_lineInfo",
+#: What may help with a file that is cut off.
+_CURE = (
+    "; if it was cut off or damaged, record or copy it again, or try `rosbag reindex` (.bag),"
+    " `mcap recover` (.mcap) or `ros2 bag reindex`"
 )
-DEFINITIONS = {
-    LINES_TYPE: """\
-Header header
-float64 number_of_lines
-float64 goodLines
-float64 width
-float64 naive_width
-int64 way_id
-msg_lineInfo[] lines
-""",
-    LINE_TYPE: """\
-bool isValid
-bool continuous
-int32 counter
-float32 offset
-""",
-}
-
-#: The same, with names that ROS 2 allows.
-LINES_TYPE_2 = "road_layout_estimation/msg/MsgLines"
-LINE_TYPE_2 = "road_layout_estimation/msg/MsgLineInfo"
-DEFINITIONS_2 = {
-    LINES_TYPE_2: DEFINITIONS[LINES_TYPE]
-    .replace("Header", "std_msgs/Header")
-    .replace("goodLines", "good_lines")
-    .replace("msg_lineInfo", "MsgLineInfo"),
-    LINE_TYPE_2: DEFINITIONS[LINE_TYPE].replace("isValid", "is_valid"),
-}
-
-#: What may help with a file that is cut off, by its ending; the last is of a ROS 2 folder.
-_REPAIRS = {
-    ".bag": "`rosbag reindex`",
-    ".mcap": "`mcap recover`",
-    ".db3": "`ros2 bag reindex`",
-    "": "`ros2 bag reindex`, or name the .mcap or .db3 in it",
-}
 
 
 def topics_of(path: Path) -> Topics:
@@ -132,15 +94,9 @@ def _check_count(bag: AnyReader, path: Path, chosen: Sequence[Connection], found
 def open_bag(path: Path) -> Iterator[AnyReader]:
     """An open bag. Raises InputError for whatever rosbags raises here or in the block, where the
     file is read."""
-    typestore = None
-    # ROS 1 bags have their definitions.
-    if path.suffix != ".bag":
-        typestore = get_typestore(Stores.LATEST)
-        for name, text in DEFINITIONS_2.items():
-            typestore.register(get_types_from_msg(text, name))
-    repair = _REPAIRS.get(path.suffix, _REPAIRS[""])
-    cure = f"; if it was cut off or damaged, record or copy it again, or try {repair}"
-    with reading(path, "a bag", cure), AnyReader([path], default_typestore=typestore) as bag:
+    # ROS 1 bags have their definitions; ROS 2 bags of databases may lack those of ROS itself.
+    typestore = None if path.suffix == ".bag" else get_typestore(Stores.LATEST)
+    with reading(path, "a bag", _CURE), AnyReader([path], default_typestore=typestore) as bag:
         yield bag
 
 
@@ -171,15 +127,9 @@ def plain(value: Any) -> Any:
         return [plain(each) for each in value]
     if not hasattr(value, "__msgtype__"):
         return value
-    values = ((name, getattr(value, name)) for name in _names(value.__class__))
-    # Most values are numbers, and a call for each of them takes longest of all.
-    return {name: each if isinstance(each, int | float) else plain(each) for name, each in values}
-
-
-@functools.cache
-def _names(kind: type) -> tuple[str, ...]:
-    """The fields of a type of message. Its constants are no fields."""
-    return tuple(f.name for f in dataclasses.fields(kind) if f.name != "__msgtype__")
+    # Constants of a type are no fields.
+    names = (field.name for field in dataclasses.fields(value) if field.name != "__msgtype__")
+    return {name: plain(getattr(value, name)) for name in names}
 
 
 def time_of(value: Any, logged_ns: int) -> float:

@@ -160,15 +160,6 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
 
 
-def test_a_bag_without_definitions_is_read_by_the_published_ones(
-    log: LineLog, tmp_path: Path
-) -> None:
-    name = "road_layout_estimation/msg/MsgLines"
-    bag = write_bag2(tmp_path / "bag", log, msgtype=name)
-    forget_definitions(bag)
-    assert_same(read_topic(bag), log)
-
-
 def test_a_bag_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_path: Path) -> None:
     bag = write_bag2(tmp_path / "bag", log, msgtype="my_msgs/msg/Lanes")
     forget_definitions(bag)
@@ -205,7 +196,6 @@ def without_metadata(path: Path, log: LineLog) -> None:
         ("a.mcap", lambda path, _: path.write_text("frame_id\n"), "File magic is invalid"),
         ("a.db3", lambda path, _: path.touch(), "Cannot open database"),
         ("bag", without_metadata, "Expected metadata file"),
-        ("bag", without_metadata, "or name the .mcap or .db3 in it"),
     ],
 )
 def test_what_is_no_ros2_bag_is_refused(
