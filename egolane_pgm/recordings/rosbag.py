@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from rosbags.interfaces import Connection
+from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys import Stores, get_typestore
 
 from egolane_pgm.recordings.decoding import Decoder, Fields, stamp_parts
@@ -75,10 +75,13 @@ def fields_of(path: Path, topic: str) -> Fields:
         _check_count(bag, path, chosen, len(found))
         if not found:
             return {}
-        decoder = Decoder(bag.typestore.fielddefs, [raw for _, _, raw in found], bag.is2)
-        fields = decoder.decode(chosen[0].msgtype)
+        types, kind = bag.typestore.fielddefs, chosen[0].msgtype
+        fields = Decoder(types, [raw for _, _, raw in found], bag.is2).decode(kind)
     logged_ns = np.array([ns for _, ns, _ in found])
-    stamp = fields.get("header.stamp", np.zeros(len(found)))
+    named = "header.stamp"
+    if ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]:
+        named = "timestamp"
+    stamp = fields.get(named, np.zeros(len(found)))
     return {"time_s": np.where(stamp != 0, stamp, _seconds(logged_ns)), **fields}
 
 

@@ -72,8 +72,8 @@ def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterato
 
 
 def _topic_of(path: Path, topic: str | None = None) -> str:
-    """A topic as the file has it, which may be given without its slashes; by default the one of the
-    lines. Raises InputError for one that is not there, and where several may be meant."""
+    """A topic of a file, by default the one of the lines. Raises InputError for one that is not
+    there, and if several may be meant."""
     there = topics_of(path)
     if topic is None:
         usual = [name for name in TOPICS if name in there] or list(there)
@@ -84,12 +84,11 @@ def _topic_of(path: Path, topic: str | None = None) -> str:
         if not usual:
             raise _no_messages(path, ())
         return usual[0]
-    found = {name.strip("/"): name for name in there}.get(topic.strip("/"))
-    if found is None:
+    if topic not in there:
         raise InputError(
             f"{path}: no topic {topic}{near_word(topic, there)}; the file has {listed(there)}"
         )
-    return found
+    return topic
 
 
 def _no_messages(path: Path, topics: Collection[str]) -> InputError:

@@ -152,13 +152,6 @@ def test_a_topic_of_two_nodes_is_read_if_they_have_one_definition(tmp_path: Path
     assert "several definitions" in refused(two_nodes(tmp_path / "b.bag", commented))
 
 
-@pytest.mark.parametrize("kind", ["BZ2", "LZ4"])
-def test_compressed_bags_are_read(tmp_path: Path, kind: str) -> None:
-    raw = [plain_message(k, lines) for k, lines in enumerate(LINES)]
-    plain = read_topic(write_bag(tmp_path / "plain.bag", raw))
-    assert_same(plain, read_topic(write_bag(tmp_path / "a.bag", raw, compression=kind)))
-
-
 def refused(path: Path, **options: object) -> str:
     with pytest.raises(InputError) as info:
         read_lines(path, **options)
@@ -195,7 +188,6 @@ def killed(path: Path) -> None:
     ("make", "options", "said"),
     [
         (lambda path: None, {}, ": no such file"),
-        (of_bytes(b""), {}, "seems to be empty"),
         (of_bytes(b"frame_id,line\n"), {}, "cannot be read as a bag (File magic is invalid)"),
         (killed, {}, "is not indexed, reindex before reading); if it was cut off"),
         (lambda path: write_bag(path, []), {}, "holds no messages on /isis_line"),
@@ -218,7 +210,6 @@ def killed(path: Path) -> None:
         ),
         (of_ids(1, 5, 4), {}, "frame ids must increase, but 5 is followed by 4"),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
-        (of_ids(0), {"format": "rosbg"}, "did you mean 'rosbag'"),
     ],
 )
 def test_what_cannot_be_read_is_refused(
