@@ -275,7 +275,7 @@ def test_files_with_nothing_in_them_are_refused(tmp_path: Path) -> None:
     assert whats_wrong(empty) == f"{empty}: no frame in it"
     (tmp_path / "d").mkdir()
     said = whats_wrong(tmp_path / "d")
-    assert "a folder without lines (*.mcap, *.db3, *.zstd); pictures need" in said
+    assert "a folder without a bag (*.mcap, *.db3, *.zstd); pictures need" in said
 
 
 def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Path) -> None:
