@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Columns, validated
 from egolane_pgm.tools.yaml import parse_yaml
@@ -123,16 +124,30 @@ def lines_of_columns(
     if not n_rows:
         raise InputError(f"{path}: the table has no rows")
     table = _Table(columns, said or Columns(), path, np.arange(n_rows) if row is None else row)
-    cells, at = _lines_of(table)
-    cells |= {name: values[at] for name, values in _frames_of(table, first).items()}
-    if "line" not in cells:
-        # The rows of a frame are its lines; a single one without an offset says that it has none.
-        frame = cells["frame_id"]
-        before = np.searchsorted(frame, frame)
-        is_alone = np.searchsorted(frame, frame, "right") - before == 1
-        number = np.arange(1, len(at) + 1) - before
-        cells["line"] = np.where(np.isnan(cells["offset_m"]) & is_alone, np.nan, number)
-    log = _assemble(path, cells, table.row[at], frame_rate)
+    frames = _frames_of(table, first)
+    frame_id = frames["frame_id"].astype(np.int64)
+    step = np.diff(frame_id, prepend=frame_id[0] - 1)
+    table.refuse(step < 0, "its frame comes after a later one; sort the table by frame_id")
+    starts = step > 0
+    if "time_s" in frames:
+        is_later = np.diff(frames["time_s"], prepend=-np.inf) > 0
+        table.refuse(starts & ~is_later, "time_s is not later than that of the frame before")
+    at = np.cumsum(starts) - 1
+    lines = _lines_of(table, at)
+    log = LineLog.from_rows(
+        frame_id[starts],
+        frame_rate,
+        at[lines["row"]],
+        lines["offset_m"],
+        lines["is_valid"] == 1,
+        lines["is_continuous"] == 1,
+        lines["lri"],
+        row_line=lines["line"].astype(np.int64) - 1,
+        is_missing=frames["is_missing"][starts] == 1 if "is_missing" in frames else None,
+        source=str(path),
+    )
+    if "time_s" in frames:
+        log = replace(log, time_s=frames["time_s"][starts])
     if row is None and table.said.offset_m is None:
         known = {*(COLUMNS if table.named("offset_m") else _OF_FRAME)} - table.used
         unused = [name + near_word(name, known) for name in columns if name not in table.used]
@@ -162,9 +177,7 @@ class _Table:
         """What the table calls a column of ours: a name, several, or None where it has none."""
         if ours in self.said.model_fields_set:
             return getattr(self.said, ours)
-        if ours in self.columns:
-            return ours
-        return next((name for name in self.columns if name.casefold() == ours), None)
+        return ours if ours in self.columns else None
 
     def column(self, ours: str, theirs: str) -> Any:
         """A column. Raises InputError where it is not there."""
@@ -179,6 +192,16 @@ class _Table:
     def cells(self, ours: str, theirs: str) -> FloatArray:
         """A column as numbers, (N,)."""
         return typed(self.path, ours, self.column(ours, theirs), theirs, self.row)
+
+    def refuse(self, bad: BoolArray, why: str, at: IntArray | None = None) -> None:
+        """Raise InputError for the first row that is bad.
+
+        - at: the row of each value of `bad`, by default one after the other.
+        """
+        if bad.any():
+            k = int(np.argmax(bad))
+            k = k if at is None else int(at[k])
+            raise InputError(f"{_place(self.path, int(self.row[k]))}: {why}")
 
 
 # --- lines and frames ----------------------------------------------------------------------------
@@ -208,42 +231,51 @@ def _slots(table: _Table) -> list[dict[str, str]]:
     return found
 
 
-def _lines_of(table: _Table) -> tuple[Cells, IntArray]:
-    """The lines of a table by our names, and the row of each, in the order of the rows; a row
-    without lines has an empty one."""
-    found: list[tuple[Cells, IntArray]] = []
-    rows = np.arange(len(table.row))
+def _lines_of(table: _Table, at: IntArray) -> dict[str, NDArray[Any]]:
+    """The lines of a table by our names, and the `row` of each.
+
+    - at (N,): the frame of each row, from 0.
+    """
+    found: list[dict[str, NDArray[Any]]] = []
+    rows = np.arange(len(at))
     is_long = isinstance(table.named("offset_m"), str)
     for number, names in enumerate(_slots(table), start=1):
         cells = {ours: table.cells(ours, theirs) for ours, theirs in names.items()}
         offset = cells["offset_m"] / _PER_METRE[table.said.unit]
+        is_empty = np.isnan(offset)
         cells = {
-            "is_valid": np.where(np.isnan(offset), 0.0, 1.0),
+            "is_valid": np.where(is_empty, 0.0, 1.0),
             "is_continuous": np.zeros(len(rows)),
             "lri": np.full(len(rows), np.nan),
             **cells,
             "offset_m": -offset if table.said.left_positive else offset,
         }
-        there = rows >= 0
         if not is_long:
             # A line that is said to be valid is there, and without an offset it is a mistake.
-            there = ~np.isnan(offset) | (cells["is_valid"] == 1)
+            is_there = ~is_empty | (cells["is_valid"] == 1)
             cells["line"] = np.full(len(rows), float(number))
-            cells = {name: values[there] for name, values in cells.items()}
         elif "line" in cells:
             check_whole(table.path, cells, "line", table.row)
+            is_there = ~np.isnan(cells["line"])
+            table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
             # Lines may be numbered from 0.
             cells["line"] = cells["line"] + (np.nanmin(cells["line"], initial=1) == 0)
-        found.append((cells, rows[there]))
-    row = np.concatenate([at for _, at in found])
-    absent = np.setdiff1d(rows, row)
-    row = np.concatenate([row, absent])
-    empty = np.full(len(absent), np.nan)
-    whole = {
-        name: np.concatenate([*(cells[name] for cells, _ in found), empty]) for name in found[0][0]
-    }
-    order = np.lexsort((whole.get("line", row), row))
-    return {name: values[order] for name, values in whole.items()}, row[order]
+        else:
+            # The rows of a frame are its lines; a single one without an offset says that it has
+            # none.
+            is_there = ~is_empty | (np.bincount(at)[at] > 1)
+            cells["line"] = (rows - np.searchsorted(at, at) + 1).astype(np.float64)
+        for name in ("is_valid", "is_continuous"):
+            # A line that is not there needs no flags.
+            table.refuse(np.isnan(cells[name]) & is_there & ~is_empty, f"{name} is empty")
+        found.append({name: each[is_there] for name, each in {**cells, "row": rows}.items()})
+    lines = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    is_odd = (lines["line"] < 1) | (lines["line"] > MAX_LINES)
+    table.refuse(is_odd, f"line is not in 1..{MAX_LINES}", lines["row"])
+    first = np.unique(at[lines["row"]] * MAX_LINES + lines["line"], return_index=True)[1]
+    is_first = np.isin(np.arange(len(is_odd)), first)
+    table.refuse(~is_first, "its frame has this line twice", lines["row"])
+    return lines
 
 
 def _frames_of(table: _Table, first: int) -> Cells:
@@ -268,6 +300,8 @@ def _frames_of(table: _Table, first: int) -> Cells:
         )
     if missing is not None:
         cells["is_missing"] = table.cells("is_missing", missing)
+    for name, values in cells.items():
+        table.refuse(np.isnan(values), f"{name} is empty")
     return cells
 
 
@@ -297,9 +331,7 @@ def _ids_of(table: _Table, time_s: FloatArray) -> FloatArray:
     """Frame ids by the time stamps (N,) of rows; they begin with 0. A step of the median counts as
     one frame, and a longer one as the whole multiple that is nearest to it: gaps stay gaps."""
     step = np.diff(time_s, prepend=-np.inf)
-    if not (step >= 0).all():
-        at = int(table.row[np.argmin(step >= 0)])
-        raise InputError(f"{_place(table.path, at)}: time is empty or goes back; sort by time")
+    table.refuse(~(step >= 0), "time is empty or goes back; sort by time")
     step = step[1:]
     later = step[step > 0]
     if not len(later):
@@ -315,56 +347,6 @@ def _ids_of(table: _Table, time_s: FloatArray) -> FloatArray:
         )
     frames = np.where(step > 0, np.maximum(1, np.rint(step / usual)), 0)
     return np.concatenate([[0.0], np.cumsum(frames)])
-
-
-def _assemble(path: Path, cells: Cells, row: IntArray, frame_rate: float) -> LineLog:
-    """The frames of a table that has a row for each line; row (N,): where each is in the file."""
-
-    def refuse(bad: BoolArray, why: str) -> None:
-        """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
-        if bad.any():
-            k = int(np.argmax(bad))
-            said = why.replace("{}", f"{cells['frame_id'][k]:.0f}")
-            raise InputError(f"{_place(path, int(row[k]))}: {said}")
-
-    for name in (name for name in _OF_FRAME if name in cells):
-        refuse(np.isnan(cells[name]), f"{name} is empty")
-    frame, offset = cells["frame_id"].astype(np.int64), cells["offset_m"]
-    has_line = ~np.isnan(cells["line"])
-    line = np.where(has_line, cells["line"], 0).astype(np.int64) - 1
-    step = np.diff(frame, prepend=frame[0])
-    refuse(step < 0, "frame {} comes after a later one; sort the table by frame_id")
-    refuse(has_line & ((line < 0) | (line >= MAX_LINES)), f"line is not in 1..{MAX_LINES}")
-    starts = step != 0
-    starts[0] = True
-    if "time_s" in cells:
-        is_later = np.diff(cells["time_s"], prepend=-np.inf) > 0
-        refuse(starts & ~is_later, "time_s of frame {} is not later than that before")
-    at = np.cumsum(starts) - 1
-    is_lone_frame = (np.bincount(at)[at] == 1) & np.isnan(offset)
-    refuse(
-        ~has_line & ~is_lone_frame,
-        "frame {} has a row with an empty line, but with an offset or next to other rows",
-    )
-    first = np.unique(at * MAX_LINES + line, return_index=True)[1]
-    refuse(has_line & ~np.isin(np.arange(len(at)), first), "frame {} has this line twice")
-    for name in ("is_valid", "is_continuous"):
-        # A line that is not there needs no flags.
-        is_empty = np.isnan(cells[name]) & has_line & ~np.isnan(offset)
-        refuse(is_empty, f"frame {{}} has a line with empty {name}")
-    log = LineLog.from_rows(
-        frame[starts],
-        frame_rate,
-        at[has_line],
-        offset[has_line],
-        cells["is_valid"][has_line] == 1,
-        cells["is_continuous"][has_line] == 1,
-        cells["lri"][has_line],
-        row_line=line[has_line],
-        is_missing=cells["is_missing"][starts] == 1 if "is_missing" in cells else None,
-        source=str(path),
-    )
-    return replace(log, time_s=cells["time_s"][starts]) if "time_s" in cells else log
 
 
 def contradictions(log: LineLog, is_left_positive: bool = False) -> dict[str, str]:

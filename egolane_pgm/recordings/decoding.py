@@ -1,21 +1,21 @@
-"""Decodes the messages of a ROS type into columns, a field of all messages at a time.
+"""Decode the messages of a ROS type into columns, a field of all messages at a time.
 
-A message of rosbags is an object with an object for each of its lines: of a drive of 12,000 frames
-those are 80,000, and to make and walk them takes ten times as long as to read the file.
+rosbags makes an object of each message and of each line in it, which takes most of the time of
+reading a drive.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
-from egolane_pgm.types import IntArray
+from egolane_pgm.types import BoolArray, IntArray
 
-#: The types of a message's fields that NumPy calls otherwise.
+#: The types of fields that NumPy calls otherwise.
 _DTYPES = {
     "bool": "u1",
     "byte": "u1",
@@ -33,8 +33,11 @@ Fields = dict[str, Any]
 
 
 class Items(NamedTuple):
-    """A list of messages in each of N messages: how many there are, (N,), and their fields, those
-    of the first message first."""
+    """The list of messages in each of N messages.
+
+    - counts (N,): how many there are.
+    - fields: their fields, those in the first message first.
+    """
 
     counts: IntArray
     fields: Fields
@@ -49,8 +52,8 @@ def stamp_parts(value: Mapping[str, Any]) -> tuple[Any, Any] | None:
 class Decoder:
     """Decodes messages of one type.
 
-    - fielddefs: the fields of each type, see `rosbags.typesys.store.Typestore`.
-    - raw: the bytes of each message, as in a bag.
+    - fielddefs: the fields of each type, as a typestore of rosbags has them.
+    - raw: the bytes of each message, little-endian.
     - is_cdr: whether they are of ROS 2, which aligns numbers to multiples of their size.
     """
 
@@ -60,20 +63,20 @@ class Decoder:
         self.bytes = b"".join(raw)
         self.array = np.frombuffer(self.bytes, np.uint8)
         self.end = np.cumsum([len(each) for each in raw])
+        # In CDR four bytes come first, of which the second is the byte order.
+        self.start = np.concatenate([[0], self.end[:-1]]) + 4 * is_cdr
         #: Where each message is decoded next.
-        self.at = np.concatenate([[0], self.end[:-1]])
-        self.order: Literal["<", ">"] = "<"
-        if is_cdr:
-            self.order = "<" if self.bytes[1] else ">"
-            self.at += 4
-        self.start = self.at.copy()
+        self.at = self.start.copy()
 
     def decode(self, kind: str) -> Fields:
         """The fields of all messages. Raises ValueError for bytes that are not of that type."""
-        found = self._message(kind, np.arange(len(self.end)))
+        every = np.arange(len(self.end))
+        self._check(self.start > self.end, every, "is cut off")
+        if self.is_cdr:
+            self._check(self.array[self.start - 3] != 1, every, "is not little-endian")
+        found = self._message(kind, every)
         # CDR may be padded.
-        left = self.end - self.at
-        self._check(left > 3 * self.is_cdr, np.arange(len(left)), f"is longer than a {kind}")
+        self._check(self.end - self.at > 3 * self.is_cdr, every, f"is longer than a {kind}")
         return found
 
     def _message(self, kind: str, of: IntArray) -> Fields:
@@ -82,10 +85,11 @@ class Decoder:
         for name, (node, detail) in self.fielddefs[kind][1]:
             if node == Nodetype.BASE:
                 found[name] = self._values(detail[0], of)
-            elif node != Nodetype.NAME:
-                found[name] = self._list(
-                    detail[0], detail[1] if node == Nodetype.ARRAY else None, of
-                )
+            elif node == Nodetype.ARRAY:
+                found[name] = self._list(detail[0], np.full(len(of), detail[1]), of)
+            elif node == Nodetype.SEQUENCE:
+                counts = self._values("uint32", of).astype(np.int64)
+                found[name] = self._list(detail[0], counts, of)
             else:
                 inner = self._message(detail, of)
                 if (parts := stamp_parts(inner)) is not None:
@@ -94,41 +98,29 @@ class Decoder:
                     found |= {f"{name}.{each}": values for each, values in inner.items()}
         return found
 
-    def _list(self, item: tuple[Any, Any], length: int | None, of: IntArray) -> Any:
-        """The lists that come next: Items of messages, an array (N,) of lists of anything else.
-
-        length: of each, None where the messages say it.
-        """
-        count = np.full(len(of), length) if length else self._values("uint32", of).astype(np.int64)
-        self._check(count > (self.end - self.at)[of], of, "is cut off")
+    def _list(self, item: tuple[Any, Any], counts: IntArray, of: IntArray) -> Any:
+        """The lists that come next, (N,): Items of messages, or an array of anything else."""
+        self._check(counts > (self.end - self.at)[of], of, "is cut off")
         node, detail = item
         if node == Nodetype.BASE and detail[0] != "string":
-            dtype = self._dtype(detail[0])
-            self._align(dtype.itemsize, of[count > 0])
-            begin = self._skip(count * dtype.itemsize, of)
-            each = zip(count.tolist(), begin.tolist(), strict=True)
-            return _objects([np.frombuffer(self.bytes, dtype, n, at) for n, at in each])
-        parts, row = [], []
-        for k in range(int(count.max(initial=0))):
-            row.append(np.flatnonzero(count > k))
-            some = of[row[-1]]
-            is_text = node == Nodetype.BASE
-            parts.append(
-                {"": self._values("string", some)} if is_text else self._message(detail, some)
-            )
-        if not parts:
-            # Their names are known, even if all lists are empty.
-            parts = (
-                [self._message(detail, of[:0])] if node == Nodetype.NAME else [{"": np.array([])}]
-            )
-            row = [of[:0]]
+            dtype = _dtype(detail[0])
+            self._align(dtype.itemsize, of[counts > 0])
+            begin = self._skip(counts * dtype.itemsize, of)
+            each = zip(counts.tolist(), begin.tolist(), strict=True)
+            return _objects(np.frombuffer(self.bytes, dtype, n, at) for n, at in each)
+        # The first entry of all lists, then the second; without any, the names of the fields.
+        row = [np.flatnonzero(counts > k) for k in range(max(1, counts.max()))]
+        if node == Nodetype.BASE:
+            parts = [{"": self._values("string", of[some])} for some in row]
+        else:
+            parts = [self._message(detail, of[some]) for some in row]
         order = np.argsort(np.concatenate(row), kind="stable")
         # Lists of messages in those of a list are left out.
         names = [name for name, values in parts[0].items() if not isinstance(values, Items)]
         fields = {name: np.concatenate([part[name] for part in parts])[order] for name in names}
-        if node == Nodetype.NAME:
-            return Items(count, fields)
-        return _objects(map(list, np.split(fields[""], np.cumsum(count)[:-1])))
+        if node == Nodetype.BASE:
+            return _objects(map(list, np.split(fields[""], np.cumsum(counts)[:-1])))
+        return Items(counts, fields)
 
     def _values(self, kind: str, of: IntArray) -> NDArray[Any]:
         """The numbers or texts that come next, (N,)."""
@@ -136,18 +128,14 @@ class Decoder:
             length = self._values("uint32", of).astype(np.int64)
             begin = self._skip(length, of)
             # In CDR a zero ends them.
-            ends = (begin + length - self.is_cdr).tolist()
-            each = zip(begin.tolist(), ends, strict=True)
-            return _objects([self.bytes[at:end].decode() for at, end in each])
-        dtype = self._dtype(kind)
+            each = zip(begin.tolist(), (begin + length - self.is_cdr).tolist(), strict=True)
+            return _objects(self.bytes[at:end].decode() for at, end in each)
+        dtype = _dtype(kind)
         self._align(dtype.itemsize, of)
         begin = self._skip(np.full(len(of), dtype.itemsize), of)
         values = self.array[begin[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
-        found: NDArray[Any] = values.astype(bool if kind == "bool" else dtype.newbyteorder("="))
+        found: NDArray[Any] = values.astype(bool if kind == "bool" else dtype)
         return found
-
-    def _dtype(self, kind: str) -> np.dtype[Any]:
-        return np.dtype(_DTYPES.get(kind, kind)).newbyteorder(self.order)
 
     def _align(self, size: int, of: IntArray) -> None:
         if self.is_cdr:
@@ -160,11 +148,14 @@ class Decoder:
         self._check(self.at[of] > self.end[of], of, "is cut off")
         return begin
 
-    def _check(self, bad: NDArray[np.bool_], of: IntArray, said: str) -> None:
+    def _check(self, bad: BoolArray, of: IntArray, problem: str) -> None:
         if bad.any():
-            raise ValueError(f"message {of[np.argmax(bad)] + 1} {said}")
+            raise ValueError(f"message {of[np.argmax(bad)] + 1} {problem}")
+
+
+def _dtype(kind: str) -> np.dtype[Any]:
+    return np.dtype(_DTYPES.get(kind, kind)).newbyteorder("<")
 
 
 def _objects(values: Iterable[Any]) -> NDArray[Any]:
-    """An array of texts or lists."""
     return np.fromiter(values, dtype=object)

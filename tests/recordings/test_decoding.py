@@ -63,15 +63,14 @@ def drawn(store: Any, random: np.random.Generator) -> Any:
     )
 
 
-@pytest.mark.parametrize("kind", ["ros1", "little", "big"])
+@pytest.mark.parametrize("kind", ["ros1", "cdr"])
 def test_columns_have_what_the_messages_have(store: Any, kind: str) -> None:
     random = np.random.default_rng(3)
     made = [drawn(store, random) for _ in range(20)]
     if kind == "ros1":
         raw = [bytes(store.serialize_ros1(each, "own/msg/Everything")) for each in made]
     else:
-        order = {"little_endian": kind == "little"}
-        raw = [bytes(store.serialize_cdr(each, "own/msg/Everything", **order)) for each in made]
+        raw = [bytes(store.serialize_cdr(each, "own/msg/Everything")) for each in made]
     found = Decoder(store.fielddefs, raw, kind != "ros1").decode("own/msg/Everything")
     for name in ("flag", "text", "small", "last"):
         assert found[name].tolist() == [getattr(each, name) for each in made]

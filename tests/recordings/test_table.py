@@ -179,11 +179,11 @@ def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_p
         ("2.5,1,2.0,true,false,3", "frame_id is 2.5, not a whole number"),
         (",1,2.0,true,false,3", "frame_id is empty"),
         ("2,1,2.0,yes,false,3", "is_valid is 'yes', not true, false, 1 or 0"),
-        ("2,1,2.0,,false,3", "frame 2 has a line with empty is_valid"),
+        ("2,1,2.0,,false,3", "is_valid is empty"),
         ("2,-1,2.0,true,false,3", "line is not in 1..1000"),
-        ("2,,2.0,true,false,3", "frame 2 has a row with an empty line, but with an offset"),
-        ("1,1,2.0,true,false,3", "frame 1 has this line twice"),
-        ("0,1,2.0,true,false,3", "frame 0 comes after a later one"),
+        ("2,,2.0,true,false,3", "line is empty, but there is an offset"),
+        ("1,1,2.0,true,false,3", "its frame has this line twice"),
+        ("0,1,2.0,true,false,3", "its frame comes after a later one"),
     ],
 )
 def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: str) -> None:
@@ -211,7 +211,7 @@ def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: st
         ),
         (
             "frame_id,time_s,offset_m\n3,0.3,2\n3,0.3,4\n4,0.3,2\n",
-            "row 3: time_s of frame 4 is not later than that before",
+            "row 3: time_s is not later than that of the frame before",
         ),
         ("frame_id,time_s,offset_m\n3,,2\n", "row 1: time_s is empty"),
     ],
@@ -266,8 +266,8 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     [
         ("7,,,,,true", "frame 7: line 1 is valid but its offset is nan; drop it"),
         ("7,1,2,x,,true", "row 1: offset_3 (offset_m) is 'x', not a number"),
-        ("7,1,,,,true\n7,1,,,,true", "row 2: frame 7 has this line twice"),
-        ("7,1,2,3,,", "row 1: frame 7 has a line with empty is_valid"),
+        ("7,1,,,,true\n7,1,,,,true", "row 2: its frame has this line twice"),
+        ("7,1,2,3,,", "row 1: is_valid is empty"),
     ],
 )
 def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, said: str) -> None:
