@@ -84,13 +84,6 @@ def test_a_list_of_columns_is_a_line_each() -> None:
     assert log.is_valid.tolist() == [[True, True], [False, False]]
 
 
-def test_a_line_without_an_offset_needs_no_flags() -> None:
-    rows = {"frame_id": [0, 1, 2], "line": 1, "offset_m": [-1.8, None, -1.8]}
-    log = ego.run(pd.DataFrame({**rows, "is_continuous": [1, None, 1]}), n_lanes=3).lines
-    assert log is not None
-    assert log.is_valid.tolist() == [[True], [False], [True]]
-
-
 def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Path) -> None:
     foreign_table(tmp_path / "a.csv")
     words = ("--n-lanes", 3, "--columns", FOREIGN, "--no-figures", "--out", tmp_path / "out")

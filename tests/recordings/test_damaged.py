@@ -51,7 +51,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_line(tmp_path: Path, name: str
     make, read = FILES[name]
     make(tmp_path / name)
     whole, rng, refused = (tmp_path / name).read_bytes(), np.random.default_rng(0), []
-    for k in range(40):
+    for k in range(30):
         damaged, at = bytearray(whole), int(rng.integers(len(whole)))
         if k % 4 == 0:
             del damaged[at:]

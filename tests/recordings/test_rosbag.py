@@ -15,7 +15,7 @@ from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.select import recording_warnings
 from egolane_pgm.recordings.topics import TOPICS, read_topic
-from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.types import InputError
 from tests.kits.bags import (
     PLAIN_BODY,
     PLAIN_CHECKSUM,
@@ -47,27 +47,6 @@ LINES: list[list[Line]] = [
     [],
     [(True, True, 10, 1.5), (False, False, -2147483648, float("nan")), (True, False, 3, 5.25)],
 ]
-
-
-def extended_message(way_id: int, lines: list[Line], seq: int = 0) -> bytes:
-    """The same content with other fields around it, and in another order."""
-    raw = struct.pack("<I", len(lines))
-    raw += b"".join(struct.pack("<df?i?", 0.5, off, c, lri, v) for v, c, lri, off in lines)
-    raw += struct.pack("<i", way_id) + struct.pack("<IIII", seq, 0, 0, 2) + b"ab"
-    return raw + struct.pack("<I", 5) + b"hello"
-
-
-EXTENDED = definition(
-    "msg_lineInfo[] lines\nint32 way_id\nHeader header\nstring remark\n",
-    "float64 width\nfloat32 offset\nbool continuous\nint32 counter\nbool isValid\n",
-)
-
-
-def assert_same(one: LineLog, other: LineLog) -> None:
-    for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
-        a, b = getattr(one, name), getattr(other, name)
-        assert a.dtype == b.dtype, name
-        np.testing.assert_array_equal(a, b, err_msg=name)
 
 
 @pytest.fixture(scope="module")
@@ -103,53 +82,20 @@ def test_header_seq_can_be_the_frame_id(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.frame_id, [20, 21, 22])
 
 
-@pytest.mark.parametrize("columns", [None, SEQ])
-def test_another_layout_with_the_needed_fields_gives_the_same_arrays(
-    tmp_path: Path, columns: Columns | None
-) -> None:
-    plain = [plain_message(k + 3, lines, seq=2 * k) for k, lines in enumerate(LINES)]
-    extended = [extended_message(k + 3, lines, seq=2 * k) for k, lines in enumerate(LINES)]
-    one = read_topic(write_bag(tmp_path / "a.bag", plain), columns=columns)
-    other = read_topic(write_bag(tmp_path / "b.bag", extended, text=EXTENDED), columns=columns)
-    assert_same(one, other)
-
-
-def test_messages_are_taken_in_the_order_of_recording(tmp_path: Path) -> None:
-    raw = [plain_message(k, [(True, False, 5, float(k))]) for k in range(60)]
-    later = np.random.default_rng(1).permutation(60)
-    # Of two that were recorded at the same time the first in the file comes first.
-    stamps, messages = [int(k) // 2 for k in sorted(later, key=lambda k: k // 2)], raw
-    bag = write_bag(tmp_path / "a.bag", messages, stamps=stamps, chunk_bytes=300)
-    np.testing.assert_array_equal(read_topic(bag).frame_id, np.arange(60))
-    bag = write_bag(
-        tmp_path / "b.bag", [raw[k] for k in later], stamps=later.tolist(), chunk_bytes=300
-    )
-    log = read_topic(bag)
-    np.testing.assert_array_equal(log.frame_id, np.arange(60))
-    np.testing.assert_array_equal(log.offset_m[:, 0], np.arange(60.0))
-
-
-def two_nodes(path: Path, text: str) -> Path:
-    """A topic that a second node went on with; text: its definition."""
+def test_a_topic_of_several_definitions_is_refused(tmp_path: Path) -> None:
     from rosbags.rosbag1 import Writer
 
-    with Writer(path) as bag:
-        for k, message in enumerate((plain_message(0, LINES[0]), plain_message(1, LINES[0]))):
+    with Writer(tmp_path / "a.bag") as bag:
+        for k, text in enumerate((definition(), definition(PLAIN_BODY + "# once more\n"))):
             connection = bag.add_connection(
                 TOPICS[0],
                 "pkg/msg/msg_lines",
-                msgdef=text if k else definition(),
+                msgdef=text,
                 md5sum=PLAIN_CHECKSUM,
                 callerid=f"/node{k}",
             )
-            bag.write(connection, k, message)
-    return path
-
-
-def test_a_topic_of_two_nodes_is_read_if_they_have_one_definition(tmp_path: Path) -> None:
-    assert len(read_topic(two_nodes(tmp_path / "a.bag", definition()))) == 2
-    commented = definition(PLAIN_BODY + "# once more\n")
-    assert "several definitions" in refused(two_nodes(tmp_path / "b.bag", commented))
+            bag.write(connection, k, plain_message(k, LINES[0]))
+    assert "several definitions" in refused(tmp_path / "a.bag")
 
 
 def refused(path: Path, **options: object) -> str:
