@@ -32,7 +32,7 @@ def topics_of(path: Path) -> Topics:
     return found
 
 
-def messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
+def messages(path: Path, topics: Collection[str]) -> Iterator[Message]:
     """See `recordings.topics`. Raises InputError for messages that are not JSON."""
     with _open(path) as reader:
         for _, channel, message in reader.iter_messages(topics):

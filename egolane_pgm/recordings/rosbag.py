@@ -52,7 +52,7 @@ def topics_of(path: Path) -> Topics:
         }
 
 
-def messages(path: Path, topics: Collection[str] | None) -> Iterator[Message]:
+def messages(path: Path, topics: Collection[str]) -> Iterator[Message]:
     """See `recordings.topics`. Warns of a bag that has fewer messages than its index."""
     found = 0
     with open_bag(path) as bag:
@@ -103,10 +103,10 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
         yield bag
 
 
-def _connections(bag: AnyReader, path: Path, topics: Collection[str] | None) -> list[Connection]:
-    """The connections on some topics, None for all. Raises InputError for a type that is not
+def _connections(bag: AnyReader, path: Path, topics: Collection[str]) -> list[Connection]:
+    """The connections on some topics. Raises InputError for a type that is not
     defined, or is in several ways."""
-    chosen = [each for each in bag.connections if topics is None or each.topic in topics]
+    chosen = [each for each in bag.connections if each.topic in topics]
     of_type: dict[str, Connection] = {}
     for connection in chosen:
         kind = connection.msgtype

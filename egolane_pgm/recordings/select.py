@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LaneTruth, LineLog
+from egolane_pgm.types import FloatArray, InputError, IntArray, LaneTruth, LineLog
 
 #: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
@@ -136,20 +136,18 @@ def recording_warnings(
     Odd are: LRI of valid lines outside 0..max_lri, absurd offsets, more valid lines than the
     n_lanes + 1 that a road has, no valid line at all, and times of another frame rate.
     """
-    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
-    beyond = f"an offset beyond {ABSURD_OFFSET_M:g} m"
-    kinds = (
-        (log.is_valid & ((log.lri < 0) | (log.lri > max_lri)), "",
-         f"valid line(s) have an LRI outside 0..{max_lri:g} (`lri: clip` clips them)"),
-        (~log.is_valid & absurd, NOTE, f"line(s) that are not valid have {beyond}"),
-        (log.is_valid & absurd, "", f"valid line(s) have {beyond}"),
-        (log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1, "",
-         f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s)"),
-    )  # fmt: skip
+    is_odd_lri = log.is_valid & ((log.lri < 0) | (log.lri > max_lri))
+    is_absurd = log.is_valid & (np.abs(log.offset_m) > ABSURD_OFFSET_M)
+    has_many = log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1
+    kinds = {
+        f"valid line(s) have an LRI outside 0..{max_lri:g} (`lri: clip` clips them)": is_odd_lri,
+        f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m": is_absurd,
+        f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s)": has_many,
+    }
     warned = [
-        f"{begins}{log.source}: {np.count_nonzero(odd)} {what}, first in frame"
+        f"{log.source}: {np.count_nonzero(odd)} {what}, first in frame"
         f" {log.frame_id[odd.any(axis=1).argmax()]}"
-        for odd, begins, what in kinds
+        for what, odd in kinds.items()
         if odd.any()
     ]
     if len(log) and not log.is_valid.any():

@@ -51,24 +51,21 @@ def topics_of(path: str | Path) -> Topics:
     return topics
 
 
-def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Message]:
+def messages(path: str | Path, topics: Collection[str]) -> Iterator[Message]:
     """The messages of a file in the order of their recording. The time of one is the stamp in its
     header, or else when it was recorded, seconds.
-
-    - topics: those that are read; None for all.
 
     Raises InputError as `topics_of`, for a topic that is not there, with those that are, and for a
     file that holds no message on them.
     """
     file = Path(path)
-    if topics is not None:
-        topics = [_topic_of(file, topic) for topic in topics]
+    topics = [_topic_of(file, topic) for topic in topics]
     is_empty = True
     for message in _reader(file).messages(file, topics):
         is_empty = False
         yield message
     if is_empty:
-        raise _no_messages(file, topics or ())
+        raise InputError(f"{file}: holds no messages on {', '.join(topics)}")
 
 
 def _topic_of(path: Path, topic: str | None = None) -> str:
@@ -76,23 +73,15 @@ def _topic_of(path: Path, topic: str | None = None) -> str:
     there, and if several may be meant."""
     there = topics_of(path)
     if topic is None:
-        usual = [name for name in TOPICS if name in there] or list(there)
-        if len(usual) > 1 and usual[0] not in TOPICS:
-            raise InputError(
-                f"{path}: topic: is missing; the file has {listed(there)} (`egolane show {path}`)"
-            )
-        if not usual:
-            raise _no_messages(path, ())
-        return usual[0]
-    if topic not in there:
-        raise InputError(
-            f"{path}: no topic {topic}{near_word(topic, there)}; the file has {listed(there)}"
-        )
-    return topic
-
-
-def _no_messages(path: Path, topics: Collection[str]) -> InputError:
-    return InputError(f"{path}: holds no messages{' on ' if topics else ''}{', '.join(topics)}")
+        found = [name for name in TOPICS if name in there][:1] or [*there]
+        if len(found) == 1:
+            return found[0]
+        problem = "topic: is missing" if found else "holds no messages"
+    elif topic in there:
+        return topic
+    else:
+        problem = f"no topic {topic}{near_word(topic, there)}"
+    raise InputError(f"{path}: {problem}; the file has {listed(there)} (`egolane show {path}`)")
 
 
 def read_topic(
@@ -133,7 +122,7 @@ def fields_of(path: Path, topic: str | None) -> Fields:
         found = [{"time_s": m.time_s, **m.value} for m in reader.messages(path, [topic])]
         fields = _fields(found, str(path)) if found else {}
     if not fields:
-        raise _no_messages(path, [topic])
+        raise InputError(f"{path}: holds no messages on {topic}")
     return fields
 
 
@@ -245,22 +234,20 @@ def _with_times(
     if frame_id not in table:
         return table
     ids = typed(path, "frame_id", table[frame_id])[begins]
-    back = np.diff(ids) <= 0
-    if back.any():
-        one, other = ids[np.argmax(back) :][:2]
-        raise InputError(
-            f"{path}: frame ids must increase, but {one:.0f} is followed by {other:.0f}; split the"
-            " file there, or, where it does not fill in way_id, take `columns: {frame_id:"
-            " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
-        )
-    is_back = np.diff(np.asarray(table["time_s"])[begins]) <= 0
-    if is_back.any() and not is_ros1:
+    is_back = np.diff(ids) <= 0
+    if is_back.any():
         one, other = ids[np.argmax(is_back) :][:2]
-        said = f"{path}: the stamps of frames {one:.0f} and {other:.0f} do not increase"
-        warnings.warn(f"{said}; time is frame id over frame rate", UserWarning, stacklevel=4)
-    if is_ros1 or is_back.any():
-        return {name: each for name, each in table.items() if name != "time_s"}
-    return table
+        raise InputError(
+            f"{path}: frame ids must increase, but {one:.0f} is followed by {other:.0f}; without"
+            " way_id take `columns: {frame_id: header.seq}` (ROS 1) or `{frame_id: null}`, which"
+            " numbers frames by their times"
+        )
+    if not is_ros1:
+        if (np.diff(np.asarray(table["time_s"])[begins]) > 0).all():
+            return table
+        said = f"{path}: stamps do not increase; time is frame id over frame rate"
+        warnings.warn(said, UserWarning, stacklevel=4)
+    return {name: each for name, each in table.items() if name != "time_s"}
 
 
 def listed(topics: Topics) -> str:
