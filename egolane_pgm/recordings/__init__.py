@@ -61,8 +61,8 @@ def read_lines(
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
     """
-    said = {"frame_rate": frame_rate, "columns": columns}
-    given = {**options, **{key: value for key, value in said.items() if value is not None}}
+    given = {**options, "frame_rate": frame_rate, "columns": columns}
+    given = {key: value for key, value in given.items() if value is not None}
     # Only a format whose lines are in pixels has a reader that takes a camera.
     if camera is not None and "camera" in reader_of(format or format_of(path)).__kwdefaults__:
         given["camera"] = camera

@@ -19,15 +19,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Columns, validated
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import (
-    NOTE,
-    BoolArray,
-    FloatArray,
-    InputError,
-    IntArray,
-    LineLog,
-    near_word,
-)
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, near_word
 
 #: What each column of a table means; messages have the same names.
 COLUMNS = {
@@ -201,7 +193,7 @@ class _Table:
         if bad.any():
             k = int(np.argmax(bad))
             k = k if at is None else int(at[k])
-            raise InputError(f"{_place(self.path, int(self.row[k]))}: {why}")
+            raise InputError(f"{self.path}: row {self.row[k] + 1}: {why}")
 
 
 # --- lines and frames ----------------------------------------------------------------------------
@@ -319,10 +311,9 @@ def _seconds(table: _Table, theirs: str) -> FloatArray:
         time_s = typed(table.path, "time_s", values, theirs, table.row) / per
     longest = float(np.nanmax(np.abs(time_s), initial=0))
     if longest > 1e11:
-        likely = next(name for name, n in _PER_SECOND.items() if longest * per / n < 1e11)
         raise InputError(
-            f"{table.path}: {theirs} is {longest * per:.4g}, which is no time in {unit}: `columns:"
-            f" {{time_s: {theirs}, time_unit: {likely}}}`"
+            f"{table.path}: {theirs} is {longest * per:.4g}, which is no time in {unit}; set"
+            " `columns: {time_unit: ns}` (or ms, us)"
         )
     return time_s
 
@@ -333,18 +324,9 @@ def _ids_of(table: _Table, time_s: FloatArray) -> FloatArray:
     step = np.diff(time_s, prepend=-np.inf)
     table.refuse(~(step >= 0), "time is empty or goes back; sort by time")
     step = step[1:]
-    later = step[step > 0]
-    if not len(later):
+    if not (step > 0).any():
         return np.zeros(len(time_s))
-    usual = float(np.median(later))
-    share = float(np.mean(np.abs(later / usual - np.rint(later / usual)) > 0.25))
-    if share > 0.05:
-        warnings.warn(
-            f"{NOTE}{table.path}: {share:.0%} of the steps between its time stamps are no multiple"
-            f" of their median, {usual:.4g} s, by which frames are counted",
-            UserWarning,
-            stacklevel=5,
-        )
+    usual = np.median(step[step > 0])
     frames = np.where(step > 0, np.maximum(1, np.rint(step / usual)), 0)
     return np.concatenate([[0.0], np.cumsum(frames)])
 
@@ -402,8 +384,8 @@ def typed(
     needed = "true, false, 1 or 0" if is_flag else "a number"
 
     def refuse(row: int, cell: str) -> InputError:
-        where = _place(path, row if rows is None else int(rows[row]))
-        return InputError(f"{where}: {called} is {cell}, not {needed}")
+        number = 1 + int(row if rows is None else rows[row])
+        return InputError(f"{path}: row {number}: {called} is {cell}, not {needed}")
 
     try:
         column = arrow_column(column)
@@ -430,11 +412,6 @@ def typed(
     return values
 
 
-def _place(path: Path, row: int) -> str:
-    """A row, counted from 1 below the heading."""
-    return f"{path}: row {row + 1}"
-
-
 def check_whole(path: Path, cells: Cells, name: str, row: IntArray) -> None:
     """Raise InputError for a cell that is neither empty nor a whole number."""
     number = cells[name]
@@ -442,5 +419,5 @@ def check_whole(path: Path, cells: Cells, name: str, row: IntArray) -> None:
     bad = ~np.isnan(number) & ~((np.floor(number) == number) & (np.abs(number) < 2.0**53))
     if bad.any():
         k = int(np.argmax(bad))
-        where = _place(path, int(row[k]))
-        raise InputError(f"{where}: {name} is {number[k]:.17g}, not a whole number")
+        problem = f"{name} is {number[k]:.17g}, not a whole number"
+        raise InputError(f"{path}: row {row[k] + 1}: {problem}")

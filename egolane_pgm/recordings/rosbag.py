@@ -69,8 +69,6 @@ def fields_of(path: Path, topic: str) -> Fields:
     empty without messages. Warns as `messages`."""
     with open_bag(path) as bag:
         chosen = _connections(bag, path, [topic])
-        if len({connection.msgtype for connection in chosen}) > 1:
-            raise InputError(f"{path}: {topic} has messages of several types; split the bag")
         found = list(bag.messages(chosen))
         _check_count(bag, path, chosen, len(found))
         if not found:
@@ -78,10 +76,10 @@ def fields_of(path: Path, topic: str) -> Fields:
         types, kind = bag.typestore.fielddefs, chosen[0].msgtype
         fields = Decoder(types, [raw for _, _, raw in found], bag.is2).decode(kind)
     logged_ns = np.array([ns for _, ns, _ in found])
-    named = "header.stamp"
-    if ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]:
-        named = "timestamp"
-    stamp = fields.get(named, np.zeros(len(found)))
+    stamp = fields.get("header.stamp")
+    if stamp is None:
+        is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
+        stamp = fields["timestamp"] if is_stamp else np.zeros(len(found))
     return {"time_s": np.where(stamp != 0, stamp, _seconds(logged_ns)), **fields}
 
 
@@ -104,22 +102,19 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
 
 
 def _connections(bag: AnyReader, path: Path, topics: Collection[str]) -> list[Connection]:
-    """The connections on some topics. Raises InputError for a type that is not
-    defined, or is in several ways."""
+    """The connections on some topics. Raises InputError for a type that is not defined, or is in
+    several ways."""
     chosen = [each for each in bag.connections if each.topic in topics]
-    of_type: dict[str, Connection] = {}
-    for connection in chosen:
-        kind = connection.msgtype
-        if of_type.setdefault(kind, connection).msgdef != connection.msgdef:
-            raise InputError(
-                f"{path}: the messages on {connection.topic} have several definitions (its node was"
-                " rebuilt while it recorded); split the bag"
-            )
-        if kind not in bag.typestore.fielddefs:
-            raise InputError(
-                f"{path}: has no definition of {kind}; convert it to MCAP where that type is known:"
-                " `ros2 bag convert`"
-            )
+    if len({(each.topic, each.msgtype, each.msgdef) for each in chosen}) > len(set(topics)):
+        raise InputError(
+            f"{path}: the messages on {', '.join(topics)} have several definitions (a node was"
+            " rebuilt while it recorded); split the bag"
+        )
+    for kind in {each.msgtype for each in chosen} - bag.typestore.fielddefs.keys():
+        raise InputError(
+            f"{path}: has no definition of {kind}; convert it to MCAP where that type is known:"
+            " `ros2 bag convert`"
+        )
     return chosen
 
 

@@ -95,16 +95,6 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
     np.testing.assert_array_equal(again.beliefs.lane, result.beliefs.lane)
 
 
-def test_steps_that_are_no_multiple_are_said_and_kept() -> None:
-    time_s = np.cumsum(np.tile([0.1, 0.1, 0.14, 0.1, 0.3], 10))
-    table = pd.DataFrame({"time_s": time_s, "offset_m": 1.0})
-    with pytest.warns(UserWarning, match="20% of the steps"):
-        run = ego.run(table, n_lanes=3)
-    assert run.lines is not None
-    np.testing.assert_array_equal(np.diff(run.lines.frame_id)[:5], [1, 1, 1, 3, 1])
-    np.testing.assert_array_equal(run.lines.time_s, time_s)
-
-
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
@@ -138,7 +128,10 @@ def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str,
     ("text", "said"),
     [
         ("stamp,offset_m\n1.7e18,2\n", "`columns: {frame_id: NAME}` or `{time_s: NAME"),
-        ("time_s,offset_m\n1700000000000000000,2\n", "{time_s: time_s, time_unit: ns}"),
+        (
+            "time_s,offset_m\n1700000000000000000,2\n",
+            "which is no time in s; set `columns: {time_unit: ns}`",
+        ),
         ("frame,offset_m\n1,2\n", "no column frame_id (did you mean 'frame'?)"),
         ("frame_id,offset_m\n0.05,2\n", "frame_id is 0.050000000000000003, not a whole number"),
         ("time_s,offset_m\n2,1\n1,1\n", "row 2: time is empty or goes back; sort by time"),
