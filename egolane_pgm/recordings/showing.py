@@ -19,6 +19,7 @@ import numpy as np
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.columns import contradictions, lines_of_columns, typed
+from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.table import TABLES, read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
 from egolane_pgm.types import FloatArray, InputError
@@ -89,13 +90,17 @@ def _pace(time_s: FloatArray) -> str:
 def _verdict(path: Path, columns: Mapping[str, Any], topic: str | None = None) -> list[str]:
     """What would run a table or a topic, with every guess in it; or why nothing plainly would."""
     options: dict[str, Any] = {} if topic is None else {"topic": topic}
-    is_published = {"way_id", "line"} <= columns.keys()
+    guesses: list[str] = []
+    keys: dict[str, Any] = {}
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            keys, guesses = ({}, []) if is_published else _guessed(path, columns)
-            caught.clear()
-            log = read_lines(path, columns=keys, **options)
+            try:
+                log = read_lines(path, **options)
+            except InputError:
+                keys = _guessed(path, columns, guesses)
+                caught.clear()
+                log = read_lines(path, columns=keys, **options)
         if not log.is_valid.any() or "one-sided" in contradictions(log):
             raise InputError("the offsets are not those of lines on both sides of the car")
     except InputError as error:
@@ -105,11 +110,10 @@ def _verdict(path: Path, columns: Mapping[str, Any], topic: str | None = None) -
     options |= {"columns": ",".join(words)} if words else {}
     given = "".join(f" --{name} {shlex.quote(value)}" for name, value in options.items())
     valid = log.offset_m[log.is_valid]
-    pace = _pace(log.time_s)
-    if is_published or "time_s" not in {*keys, *columns}:
-        pace = f"no times, gaps: {(np.diff(log.frame_id) > 1).sum()}"
+    n_gaps = (np.diff(log.frame_id) > 1).sum()
     return [
-        f"  {len(log)} frames, {pace}; lines from {valid.min():.2f} to {valid.max():.2f} m",
+        f"  {len(log)} frames, {rate_of(log.frame_id, log.time_s)} per second, gaps: {n_gaps};"
+        f" lines from {valid.min():.2f} to {valid.max():.2f} m",
         *(f"  warning: {str(each.message).removeprefix(f'{path}: ')}" for each in caught),
         *(f"  guess: {each}" for each in guesses),
         f"  {'if the guesses are right' if guesses else 'to run it'} (N: the lanes of the road):",
@@ -117,27 +121,25 @@ def _verdict(path: Path, columns: Mapping[str, Any], topic: str | None = None) -
     ]
 
 
-def _guessed(path: Path, columns: Mapping[str, Any]) -> tuple[dict[str, Any], list[str]]:
-    """The columns that names plainly mean, with units and sign, and the guesses in them. Raises
-    InputError where several may be meant, or a unit or the sign is not plain."""
+def _guessed(path: Path, columns: Mapping[str, Any], guesses: list[str]) -> dict[str, Any]:
+    """The columns that names plainly mean, with units and sign; append each guess to `guesses`.
+    Raises InputError where several may be meant, or a unit or the sign is not plain."""
     keys: dict[str, Any] = {}
-    guesses: list[str] = []
     plain, units = {}, {}
     for name in columns:
         last = re.sub(r"([a-z])([A-Z])", r"\1_\2", name.rpartition(".")[2]).lower()
         match = _UNIT.fullmatch(last)
         word, units[name] = match.groups() if match else (last, "")
         plain[name] = re.sub(r"[\W_]", "", word)
-    known = {"offset_m" if re.fullmatch(r"offset_\d+", name) else name for name in columns}
     for ours, words in _NAMES.items():
         theirs = [name for name, word in plain.items() if word in words]
-        if ours in known or not theirs:
+        if ours in columns or not theirs:
             continue
         if len(theirs) > 1:
             raise InputError(f"{ours} may be {' or '.join(theirs)}")
         keys[ours] = theirs[0]
     sides = [[n for n, w in plain.items() if w in (s, f"{s}offset")] for s in ("left", "right")]
-    if "offset_m" not in {*keys, *known}:
+    if "offset_m" not in {*keys, *columns}:
         if [len(side) for side in sides] != [1, 1]:
             raise InputError("no name is plainly that of an offset")
         keys["offset_m"] = [sides[0][0], sides[1][0]]
@@ -162,7 +164,7 @@ def _guessed(path: Path, columns: Mapping[str, Any]) -> tuple[dict[str, Any], li
         keys |= {"left_positive": "true"} if is_turned else {}
         side = "left" if is_turned else "right"
         guesses.append(f"positive offsets are to the {side}: then lines go from left to right")
-    return keys, guesses
+    return keys
 
 
 def _unit(ours: str, unit: str, steps: FloatArray, guesses: list[str]) -> str:

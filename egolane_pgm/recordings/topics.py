@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import rosbag
@@ -178,7 +177,7 @@ def _fields(messages: Sequence[Mapping[str, Any]], where: str) -> Fields:
 
 def _fields_in(values: pa.StructArray) -> Fields:
     """The columns of sections, those of sections in them by their path; a stamp is in seconds."""
-    inner = {field.name: pc.struct_field(values, field.name) for field in values.type}
+    inner = dict(zip([field.name for field in values.type], values.flatten(), strict=True))
     if (parts := stamp_parts(inner)) is not None:
         seconds, nanoseconds = (np.asarray(part.cast(pa.int64())) for part in parts)
         return {"": seconds + nanoseconds / 1e9}
@@ -197,7 +196,7 @@ def _fields_in(values: pa.StructArray) -> Fields:
 
 
 def _counts(lists: pa.ListArray) -> IntArray:
-    return np.asarray(pc.list_value_length(lists).fill_null(0)).astype(np.int64)
+    return np.asarray(lists.value_lengths().fill_null(0)).astype(np.int64)
 
 
 def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:

@@ -54,7 +54,7 @@ def test_every_guess_is_marked_and_rate_gaps_and_spans_are_said(tmp_path: Path) 
     foreign_table(tmp_path / "a.csv")
     shown = done("show", tmp_path / "a.csv").stdout
     assert re.search(r"  lateral_cm +-55\d[.\d]* to 55\d", shown)
-    assert "90 frames, 10 per second, gaps: 1 (the longest 1.1 s)" in shown
+    assert "90 frames, 10.0 per second, gaps: 1; lines from -5.55 to 5.55 m" in shown
     guesses = [line for line in shown.splitlines() if line.startswith("  guess: ")]
     assert len(guesses) == 6
     assert "  guess: positive offsets are to the left: then lines go from left to right" in guesses
