@@ -106,7 +106,7 @@ def _verdict(path: Path, columns: Mapping[str, Any], topic: str | None = None) -
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
         return [f"  no command, since what is a line here is not plain: {why}"]
-    words = [f"{k}=[{','.join(v)}]" if isinstance(v, list) else f"{k}={v}" for k, v in keys.items()]
+    words = [f"{key}={value}" for key, value in keys.items()]
     options |= {"columns": ",".join(words)} if words else {}
     given = "".join(f" --{name} {shlex.quote(value)}" for name, value in options.items())
     valid = log.offset_m[log.is_valid]
@@ -138,14 +138,9 @@ def _guessed(path: Path, columns: Mapping[str, Any], guesses: list[str]) -> dict
         if len(theirs) > 1:
             raise InputError(f"{ours} may be {' or '.join(theirs)}")
         keys[ours] = theirs[0]
-    sides = [[n for n, w in plain.items() if w in (s, f"{s}offset")] for s in ("left", "right")]
-    if "offset_m" not in {*keys, *columns}:
-        if [len(side) for side in sides] != [1, 1]:
-            raise InputError("no name is plainly that of an offset")
-        keys["offset_m"] = [sides[0][0], sides[1][0]]
-    for ours, theirs in keys.items():
-        several = " and ".join(theirs) if isinstance(theirs, list) else theirs
-        guesses.append(f"{ours} is {several}, by its name")
+        guesses.append(f"{ours} is {theirs[0]}, by its name")
+    if not {"offset_m", "offset_1"} & {*keys, *columns}:
+        raise InputError("no name is plainly that of an offset")
     if "time_s" in keys:
         times = typed(path, "time_s", columns[keys["time_s"]])
         unit = _unit("time_s", units[keys["time_s"]], np.diff(times), guesses)
@@ -154,8 +149,7 @@ def _guessed(path: Path, columns: Mapping[str, Any], guesses: list[str]) -> dict
         rows = np.arange(len(next(iter(columns.values()))))
         log = lines_of_columns(columns, Columns(**keys), path, row=rows)
         steps = np.diff(np.sort(np.where(log.is_valid, log.offset_m, np.nan), axis=1), axis=1)
-        named = keys["offset_m"] if isinstance(keys["offset_m"], str) else keys["offset_m"][0]
-        unit = _unit("offset_m", units[named], steps, guesses)
+        unit = _unit("offset_m", units[keys["offset_m"]], steps, guesses)
         keys |= {"unit": unit} if unit != "m" else {}
         ways = (log, replace(log, offset_m=-log.offset_m))
         is_turned, is_not = ("backwards" in contradictions(way) for way in ways)

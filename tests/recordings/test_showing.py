@@ -26,16 +26,10 @@ def command_of(path: Path) -> list[str]:
     return shlex.split(command.replace("--n-lanes N", "--n-lanes 3"))[1:]
 
 
-def sides(path: Path) -> None:
-    table = {"stamp": 10**18 + np.arange(N_FRAMES) * 10**8}
-    pd.DataFrame({**table, "left": OFFSETS[:, 1], "right": OFFSETS[:, 2]}).to_csv(path, index=False)
-
-
 @pytest.mark.parametrize(
     ("name", "make", "which"),
     [
         ("foreign.csv", foreign_table, slice(4)),
-        ("sides.csv", sides, slice(1, 3)),
         ("own.parquet", lambda path: per_line(
             frame_id=lambda t, k, y: t, offset_m=lambda t, k, y: y).to_parquet(path), slice(4)),
     ],
@@ -67,9 +61,11 @@ def test_every_guess_is_marked_and_rate_gaps_and_spans_are_said(tmp_path: Path) 
             {"dist_l": OFFSETS[:, 2], "dist_r": OFFSETS[:, 2]},
             "no name is plainly that of an offset",
         ),
-        ({"left": -OFFSETS[:, 1], "right": OFFSETS[:, 2]}, "the unit of offset_m is not plain"),
-        ({"left_m": -OFFSETS[:, 1], "right_m": OFFSETS[:, 2]}, "the data do not show whether"),
-        ({"left": OFFSETS[:, 2], "right": OFFSETS[:, 3]}, "not those of lines on both sides"),
+        ({"offset": OFFSETS[:, 2]}, "the unit of offset_m is not plain"),
+        (
+            {"offset_1": OFFSETS[:, 2], "offset_2": OFFSETS[:, 3]},
+            "not those of lines on both sides",
+        ),
         ({"x": OFFSETS[:, 2], "y": OFFSETS[:, 1]}, "no name is plainly that of an offset"),
         ({"lateral": OFFSETS[:, 2], "offset": OFFSETS[:, 2]}, "offset_m may be lateral or offset"),
     ],
