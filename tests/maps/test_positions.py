@@ -123,7 +123,7 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
     [
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
         ("t,lat,lat,lon\n0,52,52,4\n", "column lat occurs more than once"),
-        ("t,lat,lon\n0,52,4\n1,x,4\n", r"line 3: lat \(latitude\) is 'x', not a number"),
+        ("t,lat,lon\n0,52,4\n1,x,4\n", r"row 2: lat \(latitude\) is 'x', not a number"),
         ("t,lat,lon\nsoon,52,4\n", "row 1: t is 'soon', not a number or a date"),
         ("t,lat,lon\n,52,4\n", "position 1 has no time"),
         ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
