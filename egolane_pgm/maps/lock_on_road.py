@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.maps.index import RoadIndex, near
+from egolane_pgm.maps.index import near
+from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.matching import Matched, headings, no_match
 from egolane_pgm.maps.positions import Positions
 
@@ -20,16 +21,16 @@ RADII_M = (20.0, 100.0, 200.0)
 SIGMA_M, SIGMA_RAD = 1.0, 0.15
 
 
-def lock_on_road(index: RoadIndex, positions: Positions) -> Matched:
+def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
     """The road at each of T positions. `sure` is the segment's share of the score of all that are
     within the radius. A position whose heading is not known is scored by distance."""
-    place = index.plane.metres(positions.latitude, positions.longitude)
+    place = graph.plane.metres(positions.latitude, positions.longitude)
     heading, _ = headings(positions, place)
     matched = no_match(len(positions), np.zeros(len(positions), dtype=np.bool_))
     matched.sure[:] = 1.0
     left = np.arange(len(positions))
     for radius in RADII_M:
-        found = near(index, place[left], radius)
+        found = near(graph, place[left], radius)
         count = np.diff(found.start)
         turn = found.heading - np.repeat(heading[left], count)
         turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.maps.index import Near, RoadIndex, near
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
+from egolane_pgm.maps.index import Near, near
+from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
@@ -77,20 +77,18 @@ def no_match(n: int, is_outlier: BoolArray) -> Matched:
     return Matched(np.full(n, OFF), blank, blank.copy(), np.zeros(n), is_outlier)
 
 
-def match(
-    graph: LaneGraph, index: RoadIndex, positions: Positions, *, online: bool = False
-) -> Matched:
+def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Matched:
     """The road at each of T positions.
 
     - online: each answer knows the positions up to its own only (the filter's most probable
       segment). By default the answer is the most probable path of the whole drive (Viterbi), and
       how sure it is comes from all positions (forward and backward).
     """
-    place = index.plane.metres(positions.latitude, positions.longitude)
+    place = graph.plane.metres(positions.latitude, positions.longitude)
     outlier = np.empty(len(positions), dtype=np.bool_)
     _find_outliers(positions.t_s, place, outlier)
     used = np.flatnonzero(~outlier)
-    found = near(index, place[used], RADIUS_M)
+    found = near(graph, place[used], RADIUS_M)
     said = _emissions(positions, place, used, found)
     block, transition = _transitions(graph, place[used], found)
     first = found.start + np.arange(len(found.start))
@@ -182,7 +180,7 @@ def _transitions(graph: LaneGraph, place: FloatArray, found: Near) -> tuple[IntA
     block = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
     transition = np.empty(block[-1])
     _fill_transitions(
-        found.start, found.segment, found.along_m, place, joins_from(graph), graph.after,
+        found.start, found.segment, found.along_m, place, graph.join_start, graph.after,
         graph.length_m, block, transition,
     )  # fmt: skip
     return block, transition
