@@ -29,7 +29,6 @@ from tests.conformance.networks import (
     graph_names,
     shuffle_axes,
 )
-from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 GRAPHS = graph_names()
 every_graph = pytest.mark.parametrize("name", GRAPHS)
@@ -94,25 +93,6 @@ def test_parameters_have_a_default_that_passes_their_own_check_and_a_meaning(nam
 
 
 @every_graph
-@every_n
-@pytest.mark.parametrize("seed", [0, 1])
-def test_both_filters_agree_with_the_oracle(name: str, n_lanes: int, seed: int) -> None:
-    rng = np.random.default_rng([seed, n_lanes])
-    module = graph(name)
-    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
-    network = module.build(n_lanes, parameters)
-    roles = (module.HIDDEN, module.OBSERVED)
-    inputs = graph_inputs(module)
-    compiled = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=inputs)
-    evidence = draw_evidence(compiled, 4, rng)
-    right = {
-        "exact": oracle_filter(network, *roles, evidence, inputs),
-        "assumed_density": oracle_assumed_density(network, *roles, evidence, inputs),
-    }
-    assert_filters_agree(compiled, evidence, right)
-
-
-@every_graph
 @pytest.mark.parametrize("method", METHODS)
 def test_both_filters_agree_with_brute_force_on_tiny_cases(name: str, method: str) -> None:
     module = graph(name)
@@ -124,27 +104,6 @@ def test_both_filters_agree_with_brute_force_on_tiny_cases(name: str, method: st
         evidence = draw_evidence(compiled, 2, rng)
         right = brute_force(module.tables(n_lanes, parameters), module.HIDDEN, evidence, method)
         assert_filters_agree(compiled, evidence, {method: right})
-
-
-@every_graph
-@pytest.mark.parametrize("zeroed", ["one", "all"])
-def test_a_frame_of_zero_joint_likelihood_is_kept_as_predicted_by_the_oracle_too(
-    name: str, zeroed: str
-) -> None:
-    module = graph(name)
-    network = module.build(3, defaults(name, 3))
-    roles = (module.HIDDEN, module.OBSERVED)
-    inputs = graph_inputs(module)
-    compiled = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=inputs)
-    evidence = draw_evidence(compiled, 4, np.random.default_rng(5), zeros=0)
-    for key in module.OBSERVED[: 1 if zeroed == "one" else None]:
-        evidence.likelihoods[key][[0, 2]] = 0
-    right = {
-        "exact": oracle_filter(network, *roles, evidence, inputs),
-        "assumed_density": oracle_assumed_density(network, *roles, evidence, inputs),
-    }
-    assert right["exact"].is_impossible.tolist() == [True, False, True, False]
-    assert_filters_agree(compiled, evidence, right)
 
 
 @every_graph

@@ -10,7 +10,7 @@ import pytest
 
 from egolane_pgm.evidence import counting, counting_levels
 from egolane_pgm.graphs.wor_levels import binomial
-from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import simulate
@@ -19,13 +19,13 @@ from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
     assert_same_beliefs,
+    brute_force,
     compiled_graph,
     draw_evidence,
     draw_parameters,
     graph,
 )
 from tests.kits.drives import done, refused, write_drive
-from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 
 def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
@@ -83,18 +83,14 @@ def test_two_levels_of_wor_are_the_papers_graph_and_rule(n_lanes: int) -> None:
 
 
 @pytest.mark.parametrize("levels", [2, 4, 7])
-def test_any_number_of_levels_agrees_with_the_oracle(levels: int) -> None:
+def test_any_number_of_levels_agrees_with_brute_force(levels: int) -> None:
     module = graph("wor_levels")
     parameters = resolve_parameters(module.PARAMETERS, {"wor_levels": levels, "p3": 0.8}, 3)
-    network = module.build(3, parameters)
-    roles = (module.HIDDEN, module.OBSERVED)
-    found = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED)
-    evidence = draw_evidence(found, 3, np.random.default_rng(levels))
-    assert evidence.likelihoods["WOR"].shape == (3, levels)
-    right = {
-        "exact": oracle_filter(network, *roles, evidence),
-        "assumed_density": oracle_assumed_density(network, *roles, evidence),
-    }
+    found = compiled("wor_levels", 3, parameters)
+    evidence = draw_evidence(found, 2, np.random.default_rng(levels))
+    assert evidence.likelihoods["WOR"].shape == (2, levels)
+    tables = module.tables(3, parameters)
+    right = {m: brute_force(tables, module.HIDDEN, evidence, m) for m in METHODS}
     assert_filters_agree(found, evidence, right)
 
 
