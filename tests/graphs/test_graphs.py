@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.graphs.cpds import declare, ve_name
+from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -32,7 +32,6 @@ from tests.conformance.networks import (
 
 GRAPHS = graph_names()
 every_graph = pytest.mark.parametrize("name", GRAPHS)
-every_n = pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])
 
 
 def defaults(name: str, n_lanes: int, **given: object) -> Parameters:
@@ -63,21 +62,6 @@ def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
     np.testing.assert_array_equal(of_tables.transition, of_network.transition)
     for ours, theirs in zip(of_tables.groups, of_network.groups, strict=True):
         np.testing.assert_array_equal(ours.emission, theirs.emission)
-
-
-@every_graph
-@every_n
-def test_build_declares_both_slices_in_full(name: str, n_lanes: int) -> None:
-    module = graph(name)
-    network = module.build(n_lanes, defaults(name, n_lanes))
-    assert network.check_model()
-    declared = {(str(cpd.variable[0]), int(cpd.variable[1])) for cpd in network.cpds}
-    nodes = {*module.HIDDEN, *graph_inputs(module), *map(ve_name, module.OBSERVED)}
-    nodes |= {n for key in module.OBSERVED for n in ((key,) if isinstance(key, str) else key)}
-    assert declared == {(node, s) for node in nodes for s in (0, 1)}
-    assert "Lane" in module.HIDDEN
-    lanes = {cpd.variable_card for cpd in network.cpds if cpd.variable[0] == "Lane"}
-    assert lanes == {n_lanes}
 
 
 @every_graph
@@ -226,17 +210,6 @@ def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
     return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
 
 
-def test_wor_that_differs_per_lane_moves_the_belief_over_lanes() -> None:
-    parameters = defaults("wor_on_lane", 3, p3=[0.2, 0.9, 0.2], p4=[0.8, 0.1, 0.8])
-    compiled = compiled_graph(graph("wor_on_lane"), 3, parameters)
-    uniform = np.full((1, 3), 1 / 3)
-    evidence = Evidence({"DetectorOutput": uniform, "WOR": np.array([[1.0, 0.0]])})
-    # Both sensor states give WOR OK .2, .9, .2 in the three lanes; Bayes from a uniform prior.
-    np.testing.assert_allclose(
-        filter_beliefs(compiled, evidence).lane[0], np.array([0.2, 0.9, 0.2]) / 1.3, atol=1e-12
-    )
-
-
 def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
     rng = np.random.default_rng(0)
     parameters = resolve("sensor_failure", {"p3": 0.5, "p4": 0.5, "p1": 0.8, "p2": 0.7}, 3)
@@ -252,54 +225,6 @@ def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
         np.testing.assert_allclose(
             ours.marginals["SensorState"], right.marginals["SensorState"], atol=1e-12
         )
-
-
-def test_a_sensor_that_never_fails_makes_no_wor_equal_lane_only_from_a_certain_start() -> None:
-    # p1 = 1 and p2 = 0: after one transition the sensor is OK for good.
-    sensor = compiled_graph(graph("no_wor"), 4, defaults("no_wor", 4, p1=1.0, p2=0.0))
-    plain = compiled_graph(graph("lane_only"), 4, defaults("lane_only", 4))
-    evidence = draw_evidence(plain, 30, np.random.default_rng(1), zeros=0)
-    likelihood = evidence.likelihoods["DetectorOutput"]
-    likelihood[0] = 1.0  # says nothing in the frame in which the sensor may be BAD
-    for method in METHODS:
-        ours = filter_beliefs(sensor, evidence, method)
-        np.testing.assert_allclose(
-            ours.lane, filter_beliefs(plain, evidence, method).lane, atol=1e-12
-        )
-        np.testing.assert_allclose(ours.marginals["SensorState"][1:, 0], 1.0)
-
-
-@pytest.mark.parametrize("name", ["sensor_failure", "wor_on_lane", "lane_only", "no_wor"])
-def test_a_detector_of_boundless_sigma_says_nothing_about_the_lane(name: str) -> None:
-    wor_says_nothing = {"p3": 0.5, "p4": 0.5} if "WOR" in graph(name).OBSERVED else {}
-    compiled = compiled_graph(graph(name), 4, defaults(name, 4, sigma2=1e12, **wor_says_nothing))
-    evidence = draw_evidence(compiled, 20, np.random.default_rng(2), zeros=0)
-    nothing = Evidence({k: np.ones_like(v) for k, v in evidence.likelihoods.items()})
-    for method in METHODS:
-        np.testing.assert_allclose(
-            filter_beliefs(compiled, evidence, method).lane,
-            filter_beliefs(compiled, nothing, method).lane,
-            atol=1e-9,
-        )
-
-
-def test_tiny_sigmas_hold_the_lane_and_believe_the_detector() -> None:
-    compiled = compiled_graph(
-        graph("lane_only"), 4, defaults("lane_only", 4, sigma1=1e-3, sigma2=1e-3)
-    )
-    likelihood = np.array([[0.1, 0.4, 0.3, 0.2], [0.2, 0.2, 0.5, 0.1], [1.0, 0.0, 0.0, 0.0]])
-    lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood}), "exact").lane
-    for t in range(3):
-        product = likelihood[: t + 1].prod(axis=0)
-        np.testing.assert_allclose(lane[t], product / product.sum(), atol=1e-12)
-
-
-def test_boundless_sigma1_forgets_the_lane_in_one_frame() -> None:
-    parameters = defaults("lane_only", 3, sigma1=1e9, sigma2=1e-3)
-    compiled = compiled_graph(graph("lane_only"), 3, parameters)
-    likelihood = np.array([[0.98, 0.01, 0.01], [0.2, 0.3, 0.5]])
-    lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood})).lane
-    np.testing.assert_allclose(lane[1], likelihood[1], atol=1e-9)
 
 
 def test_the_papers_tables_are_the_papers_rows() -> None:

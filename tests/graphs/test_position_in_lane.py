@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane as graph
-from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.inference.kernels.banded import find_band
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.types import Evidence, InputError
+from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     METHODS,
     assert_same_beliefs,
@@ -85,30 +85,11 @@ def test_the_banded_kernel_equals_the_plain_recursion(cells: int, method: str) -
     np.testing.assert_allclose(np.stack(answers), right.lane, rtol=0, atol=1e-12)
 
 
-def test_the_order_of_the_hidden_nodes_does_not_matter_to_the_banded_kernel() -> None:
-    parameters = resolved(3, cells=8, motion_bins=7)
-    network = graph.build(3, parameters)
-    ours, turned = (
-        compile(network, hidden=hidden, observed=graph.OBSERVED, inputs=graph.INPUTS)
-        for hidden in (graph.HIDDEN, graph.HIDDEN[::-1])
-    )
-    assert turned.state_nodes == ours.state_nodes == ("SensorState", "RoadPosition")
-    assert find_band(turned) is not None
-    evidence = draw_evidence(ours, 30, np.random.default_rng(6))
-    for method in METHODS:
-        right = reference.filter_beliefs(ours, evidence, method)
-        assert_same_beliefs(filter_beliefs(turned, evidence, method), right, 1e-12)
-
-
 def test_a_transition_that_is_no_product_is_left_to_the_plain_kernel() -> None:
     network = compiled(3, resolved(3, cells=8, motion_bins=7))
     mixed = network.transition.copy()
     mixed[2, 5] = np.roll(mixed[2, 5], 1)
     assert find_band(replace(network, transition=mixed)) is None
-
-
-def test_a_small_road_is_left_to_the_plain_kernel() -> None:
-    assert find_band(compiled(2, resolved(2, cells=3))) is None
 
 
 @settings(max_examples=30, deadline=None)
@@ -134,21 +115,6 @@ def test_lines_that_drift_to_the_left_carry_the_vehicle_into_the_lane_to_the_rig
     assert lane[0].argmax() == 0
     assert lane[-1].argmax() == 1
     assert lane[-1, 1] > 0.9
-
-
-@pytest.mark.parametrize("steps", [1, 2])
-def test_unknown_motion_of_lines_that_stood_still_spreads_but_does_not_drift(steps: int) -> None:
-    parameters = resolved(3, jump=0)
-    network = compiled(3, parameters)
-    motion = graph.motion_index(np.full(4, np.nan), np.full(4, steps), np.zeros(4), parameters)
-    evidence = silent(network, motion.tolist())
-    evidence.likelihoods[JOINT][0] = 0
-    evidence.likelihoods[JOINT][0, 24] = 1
-    position = filter_beliefs(network, evidence, "exact").marginals["RoadPosition"]
-    mean = position @ np.arange(48)
-    spread = (position * (np.arange(48) - mean[:, None]) ** 2).sum(axis=1)
-    np.testing.assert_allclose(mean, 24, atol=1e-9)
-    assert (np.diff(spread) > 0).all()
 
 
 def gap_and_frames(
@@ -232,11 +198,6 @@ def test_the_value_of_line_motion() -> None:
     index = graph.motion_index(displacement, steps, velocity, parameters)
     assert index.tolist() == value.tolist()
     assert graph.motion_values(parameters) == 4 + 7 * len(graph.STEPS)
-
-
-def test_no_cells_at_all_are_refused() -> None:
-    with pytest.raises(InputError, match=r"parameters\.cells: 0 must be at least 1"):
-        resolved(3, cells=0)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

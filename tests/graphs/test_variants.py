@@ -146,18 +146,6 @@ def test_wor_that_never_repeats_itself_is_autoregressive(n_lanes: int) -> None:
     assert_filtered_alike(ours, plain, rng, ["exact"])
 
 
-def test_an_answer_that_is_repeated_says_nothing_new_of_the_lane() -> None:
-    """A sensor that is OK for good and always repeats itself says lane 1 in twenty frames."""
-    given = {"sigma1": 1e-3, "sigma2": 1.0, "p1": 1.0, "p2": 0.0}
-    said = np.eye(3)[np.zeros(20, dtype=int)]
-    evidence = Evidence({"DetectorOutput": said, "WOR": np.tile([1.0, 0.0], (20, 1))})
-    anew = filter_beliefs(compiled("sensor_failure", 3, given), evidence, "exact").lane
-    repeats = compiled("autoregressive", 3, {**given, "p_repeat_ok": 1.0})
-    repeated = filter_beliefs(repeats, evidence, "exact").lane
-    np.testing.assert_allclose(repeated[1:], np.tile(repeated[1], (19, 1)), atol=1e-12)
-    assert repeated[-1, 0] < 0.9 < 0.999 < anew[-1, 0]
-
-
 @pytest.mark.parametrize("n_lanes", [1, 3, 4])
 def test_a_failure_of_one_phase_is_the_papers_graph(n_lanes: int) -> None:
     rng = np.random.default_rng(n_lanes)
@@ -212,14 +200,3 @@ def test_a_sensor_that_is_biased_for_long_is_found_out() -> None:
     assert biased.lane[-1].argmax() == 2
     assert biased.marginals["SensorState"][-1].argmax() == 2
     assert biased.marginals["SensorState"][30].argmax() == 0
-
-
-def test_direct_wor_trusts_each_frame_as_far_as_its_own_wor() -> None:
-    given = {"sigma1": 1e9, "sigma2": 1e-3, "p_wor": 0.5}
-    detector = np.tile([1.0, 0.0, 0.0], (3, 1))
-    wor = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, 0.5]])
-    found = compiled("wor_direct", 3, given)
-    lane = filter_beliefs(found, Evidence({"DetectorOutput": detector, "WOR": wor})).lane
-    # Lane 1 if WOR is OK, else it may be any: (.5 + .5 / 3) over its sum with 2 * .5 / 3.
-    mixed = np.array([0.5 + 0.5 / 3, 0.5 / 3, 0.5 / 3])
-    np.testing.assert_allclose(lane, [[1, 0, 0], np.full(3, 1 / 3), mixed / mixed.sum()], atol=1e-9)
