@@ -13,7 +13,7 @@ import numpy as np
 
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import IntArray

@@ -296,13 +296,13 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
             if (name, 0) not in parents:
                 raise InputError(f"observed node {name}: there is no table for it")
     check_structure(tables)
-    for name, s in sorted(parents):
-        node, other = (name, s), (name, 1 - s)
-        for parent, at in sorted(parents[node]):
-            if at == s and (parent, 1 - s) not in parents.get(other, ()):
+    for node in sorted(parents):
+        s, other = node[1], (node[0], 1 - node[1])
+        for name, at in sorted(parents[node]):
+            if at == s and (name, 1 - s) not in parents.get(other, ()):
                 raise InputError(
-                    f"{_spell(node)} depends on {_spell((parent, s))}, but {_spell(other)} does not"
-                    f" depend on {_spell((parent, 1 - s))}: give both tables the same parent"
+                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
+                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
                 )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.maps import road_table
 from egolane_pgm.maps.locating import locate as locate_on
-from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import RoadTable

@@ -11,11 +11,9 @@ pytest.importorskip("shapely")
 pytest.importorskip("pyproj")
 
 from egolane_pgm.maps import matching
-from egolane_pgm.maps.index import near
-from egolane_pgm.maps.lane_graph import LaneGraph, guess_lanes
+from egolane_pgm.maps.lane_graph import LaneGraph, guess_lanes, near
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.lock_on_road import lock_on_road
-from egolane_pgm.maps.matching import match
+from egolane_pgm.maps.matching import lock_on_road, match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.lane_maps import PLANE, interchange, lane_map, random_trip

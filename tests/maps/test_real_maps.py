@@ -17,8 +17,7 @@ pytest.importorskip("pyproj")
 
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.lock_on_road import lock_on_road
-from egolane_pgm.maps.matching import match
+from egolane_pgm.maps.matching import lock_on_road, match
 from egolane_pgm.maps.osm import read_osm
 from tests.conftest import needs_compiler
 from tests.kits.lane_maps import random_trip
