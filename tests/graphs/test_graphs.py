@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -27,7 +26,6 @@ from tests.conformance.networks import (
     graph,
     graph_inputs,
     graph_names,
-    shuffle_axes,
 )
 
 GRAPHS = graph_names()
@@ -99,24 +97,6 @@ def test_new_parameters_in_a_compiled_graph_equal_a_graph_built_with_them(name: 
         parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
         quick = with_tables(compiled, module.tables(n_lanes, parameters))
         assert_same_arrays(quick, compiled_graph(graph(name), n_lanes, parameters))
-
-
-@every_graph
-def test_the_order_of_a_tables_axes_does_not_matter(name: str) -> None:
-    module = graph(name)
-    rng = np.random.default_rng(3)
-    parameters = draw_parameters(module.PARAMETERS, 3, rng)
-    tables = module.tables(3, parameters)
-    compiled = compiled_graph(graph(name), 3, parameters)
-    for _ in range(3):
-        shuffled = shuffle_axes(tables, rng)
-        rng.shuffle(shuffled)  # type: ignore[arg-type]
-        network = declare(shuffled, module.OBSERVED)
-        other = compile(
-            network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
-        )
-        assert_same_arrays(other, compiled)
-        assert_same_arrays(with_tables(compiled, shuffled), compiled)
 
 
 def assert_same_arrays(ours: Compiled, right: Compiled) -> None:
@@ -208,23 +188,6 @@ def test_wor_on_lane_with_equal_numbers_for_all_lanes_is_sensor_failure(n_lanes:
 
 def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
     return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
-
-
-def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
-    rng = np.random.default_rng(0)
-    parameters = resolve("sensor_failure", {"p3": 0.5, "p4": 0.5, "p1": 0.8, "p2": 0.7}, 3)
-    short = {k: v for k, v in parameters.items() if k not in ("p3", "p4")}
-    with_wor = compiled_graph(graph("sensor_failure"), 3, parameters)
-    without = compiled_graph(graph("no_wor"), 3, short)
-    evidence = draw_evidence(with_wor, 30, rng, zeros=0)
-    tentative = Evidence({"DetectorOutput": evidence.likelihoods["DetectorOutput"]})
-    for method in METHODS:
-        ours = filter_beliefs(with_wor, evidence, method)
-        right = filter_beliefs(without, tentative, method)
-        np.testing.assert_allclose(ours.lane, right.lane, atol=1e-12)
-        np.testing.assert_allclose(
-            ours.marginals["SensorState"], right.marginals["SensorState"], atol=1e-12
-        )
 
 
 def test_the_papers_tables_are_the_papers_rows() -> None:

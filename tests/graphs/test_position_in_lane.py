@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -85,13 +83,6 @@ def test_the_banded_kernel_equals_the_plain_recursion(cells: int, method: str) -
     np.testing.assert_allclose(np.stack(answers), right.lane, rtol=0, atol=1e-12)
 
 
-def test_a_transition_that_is_no_product_is_left_to_the_plain_kernel() -> None:
-    network = compiled(3, resolved(3, cells=8, motion_bins=7))
-    mixed = network.transition.copy()
-    mixed[2, 5] = np.roll(mixed[2, 5], 1)
-    assert find_band(replace(network, transition=mixed)) is None
-
-
 @settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), n_lanes=st.integers(1, 4))
 def test_every_parameter_gives_rows_that_sum_to_one(seed: int, n_lanes: int) -> None:
@@ -147,27 +138,6 @@ def test_a_vehicle_goes_on_over_a_gap_as_it_does_over_frames_without_lines(
         evidence.likelihoods[JOINT][0] = start
         lanes.append(filter_beliefs(network, evidence, "exact").lane[-1])
     np.testing.assert_allclose(lanes[0], lanes[1], atol=0.06)
-
-
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("missing", [1, 2, 5, 7])
-def test_a_gap_diffuses_the_belief_by_as_many_steps_as_frames_are_missing(
-    missing: int, method: str
-) -> None:
-    """One frame after a gap is the same as the missing frames with lines that say nothing."""
-    parameters = resolved(3)
-    network = compiled(3, parameters)
-    jumping, filled = gap_and_frames(network, missing, 0.0, parameters)
-    start = np.zeros((48, 2))
-    start[20] = 1, 0.5
-    for evidence in (jumping, filled):
-        evidence.likelihoods[JOINT][0] = start
-    ours = filter_beliefs(network, jumping, method)
-    right = filter_beliefs(network, filled, method)
-    for node in ("RoadPosition", "SensorState", "Lane"):
-        np.testing.assert_allclose(
-            ours.marginals[node][-1], right.marginals[node][-1], atol=1e-9, err_msg=node
-        )
 
 
 def test_the_value_of_line_motion() -> None:

@@ -25,7 +25,6 @@ from tests.conformance.networks import (
     draw_parameters,
     graph,
 )
-from tests.kits.drives import done, refused, write_drive
 
 
 def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
@@ -98,19 +97,6 @@ def test_the_level_given_the_sensor_state_is_binomial() -> None:
     np.testing.assert_allclose(binomial(0.8, 3), [0.64, 0.32, 0.04])
     np.testing.assert_array_equal(binomial(1.0, 4), [1, 0, 0, 0])
     np.testing.assert_array_equal(binomial(0.0, 4), [0, 0, 0, 1])
-
-
-def test_an_experiment_with_levels_runs_and_one_with_the_wrong_rule_is_refused(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    path = write_drive(
-        tmp_path, 60, graph="wor_levels", evidence="counting_levels", parameters={"wor_levels": 4}
-    )
-    done("run", path, "--no-figures", "--out", tmp_path / "out")
-    said = refused("run", "--dry-run", path, "--set", "parameters.wor_levels=1")
-    assert "parameters.wor_levels: 1 must be at least 2" in said
-    said = refused(
-        "run", path, "--no-figures", "--out", tmp_path / "o", "--set", "evidence=counting"
-    )
-    assert "evidence for WOR: shape (60, 2), the graph needs (60, 4)" in said
 
 
 @pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])
