@@ -28,29 +28,6 @@ def extract(request: pytest.FixtureRequest) -> Path:
     return path
 
 
-def test_lanes_that_part_and_meet_add_up_on_the_real_maps() -> None:
-    """Where roads meet in a motorway, lanes are conserved 6 times of 6 (and where links of the
-    interchange do, once of once); where it parts, 4 of 5: the fifth has a lane that leads to both.
-    """
-    folder = Path(os.environ.get("EGOLANE_DATA", ".")) / "maps"
-    if not folder.is_dir():
-        pytest.skip("maps of motorways: needs EGOLANE_DATA with a folder maps")
-    more: dict[str, list[int]] = {"parts": [], "meets": []}
-    for path in sorted(folder.glob("*.osm")):
-        graph = read_ways(path)
-        for here, there, what in (
-            (graph.before, graph.after, "parts"),
-            (graph.after, graph.before, "meets"),
-        ):
-            three_links = graph.way == 184420576
-            for k in np.flatnonzero((graph.kind == "motorway") | three_links):
-                arms = there[here == k]
-                if len(arms) > 1:
-                    more[what].append(int(graph.n_lanes[arms].sum() - graph.n_lanes[k]))
-    assert sorted(more["parts"]) == [0, 0, 0, 0, 1]
-    assert more["meets"] == [0] * 7
-
-
 def test_ways_are_join_ways_where_nothing_changes_and_keep_their_length(extract: Path) -> None:
     graph = read_ways(extract)
     short = join_ways(graph)

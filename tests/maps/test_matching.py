@@ -98,14 +98,6 @@ def test_the_branch_that_the_car_took_is_known_afterwards_from_where_it_splits(
     assert set(table.segment) == {0, 1, 4, 3}
 
 
-def test_the_table_has_the_lanes_of_each_row(graph: LaneGraph) -> None:
-    table = locate(graph, drive(EASTWARD, 0.0))
-    expected = np.where((EASTWARD >= 2000) & (EASTWARD < 3000), 3, 2)
-    assert (table.n_lanes == expected).mean() > 0.98
-    row = int(np.argmax(EASTWARD >= 1500))
-    np.testing.assert_allclose(table.along_m[row], EASTWARD[row], atol=1)
-
-
 @pytest.mark.parametrize("online", [False, True])
 def test_positions_that_jump_5_km_are_outliers_and_the_car_stays_on_its_road(
     graph: LaneGraph, online: bool
@@ -197,22 +189,6 @@ def test_the_baseline_takes_the_nearest_road_whose_heading_fits(graph: LaneGraph
     # It has no state for being off the map within its last radius.
     assert (far.segment >= 0).all()
     assert (lock_on_road(graph, drive(EASTWARD[:60], 300.0)).segment == -1).all()
-
-
-def test_matching_beats_the_baseline_on_noisy_trips(graph: LaneGraph) -> None:
-    rng = np.random.default_rng(7)
-    right = {"hmm": 0, "online": 0, "baseline": 0}
-    n = 0
-    for _ in range(15):
-        positions, segment = random_trip(graph, rng, noise_m=5.0)
-        n += len(segment)
-        right["hmm"] += (locate(graph, positions).segment == segment).sum()
-        online = locate(graph, positions, online=True)
-        right["online"] += (online.segment == segment).sum()
-        right["baseline"] += (lock_on_road(graph, positions).segment == segment).sum()
-    assert right["hmm"] / n > 0.985
-    assert right["online"] / n > 0.96
-    assert right["baseline"] < right["online"] < right["hmm"]
 
 
 @pytest.mark.parametrize(
