@@ -16,13 +16,16 @@ import json
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic_core import to_jsonable_python
 
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 from egolane_pgm.types import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
