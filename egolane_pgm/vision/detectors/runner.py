@@ -107,19 +107,9 @@ def detect(
         except InputError as error:
             said = str(error)
             raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
-        _check(lines, where)
+        if not isinstance(lines, FrameLines):
+            raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
         yield picture.frame_id, lines
-
-
-def _check(lines: FrameLines, where: str) -> None:
-    if not isinstance(lines, FrameLines):
-        raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
-    if not np.isfinite(lines.shape).all():
-        raise InputError(f"{where}: a line's shape is not finite")
-    if not (np.isfinite(lines.lri) & (lines.lri >= 0)).all():
-        raise InputError(f"{where}: a line's lri is not a count of detections")
-    if (np.diff(lines.offset_m) < 0).any():
-        raise InputError(f"{where}: the lines are not sorted left to right")
 
 
 def _warn_of_own_lane(log: LineLog, camera: Camera) -> None:

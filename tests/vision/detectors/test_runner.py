@@ -47,11 +47,11 @@ def lines(count: int, lri: float = 1.0) -> FrameLines:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("shape", [[0.0, 0.0, 0.0, 0.0]], "shape is list, needs a NumPy array of numbers"),
+        ("shape", [[0.0, 0.0, 0.0, 0.0]], "shape needs a NumPy array of numbers"),
         ("shape", np.array(3.0), r"shape is \(\), needs \(L, 4\)"),
-        ("is_valid", np.array([0.5]), "is_valid is float64, needs a NumPy array of True or False"),
-        ("slot", np.array([1.0]), "slot is float64, needs a NumPy array of whole numbers"),
-        ("slot", np.array([1, 2]), "slot needs one value for each of 1 lines"),
+        ("is_valid", np.array([0.5]), "is_valid needs a NumPy array of True or False"),
+        ("slot", np.array([1, 2]), r"slot is \(2,\), needs \(1,\)"),
+        ("lri", np.array([np.nan]), "a line's lri is not a count of detections"),
     ],
 )
 def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> None:
@@ -71,7 +71,7 @@ def test_two_lines_have_two_slots() -> None:
 @pytest.mark.parametrize(
     ("more", "lri", "said"),
     [
-        ("", "np.nan", "frame 0: a line's lri is not a count of detections"),
+        ("", "np.nan", "frame 0: lines: a line's lri is not a count of detections"),
         ("PARAMETERS = None", "1.0", "PARAMETERS is no tuple of Parameter"),
         ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS has {'contrast': 8}, which is no"),
     ],
