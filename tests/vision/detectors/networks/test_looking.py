@@ -8,29 +8,20 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 import yaml
 
 from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines
-from egolane_pgm.vision.detectors.networks.finding import keep_on_road
 from egolane_pgm.vision.detectors.runner import detect, find_detector, start
-from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
-from egolane_pgm.vision.detectors.simple.markings import marking_mask
-from egolane_pgm.vision.simulated import draw_frame
 from tests.kits.drives import command, refused
 from tests.kits.synthetic_road import CAMERA, drive
-from tests.kits.tiny_network import CAMERA as WIDE
 from tests.kits.tiny_network import (
-    heavy_traffic,
-    labels,
     write_answer,
     write_answers,
     write_known,
@@ -75,27 +66,6 @@ def lines_of(name: str, given: dict[str, Any], pictures: list[Picture]) -> list[
 # --- a detector of its own --------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("name", "given"),
-    [("network", {"network": "lanes.yaml"}), ("mc", {"on_road": "drivable.yaml"})],
-)
-def test_with_a_trained_network_the_lines_of_the_own_lane_are_found(
-    tiny_network: Path, name: str, given: dict[str, str]
-) -> None:
-    """On drives that it was not trained on, in most frames."""
-    found = []
-    for seed in (11, 13):
-        road = simulated_road("a4", seed, 40)
-        step = start(find_detector(name, given, tiny_network, "detector"), WIDE)
-        for k in range(8):
-            lines = step(Picture(k, draw_frame(road, k, WIDE)))
-            true = road.line_offset_m[k]
-            own = [true[true < 0].max(), true[true > 0].min()]
-            away = np.abs(lines.offset_m[:, None] - own).min(axis=0, initial=np.inf)
-            found.append((away < 0.35).all())
-    assert np.mean(found) >= 0.85
-
-
 def test_classes_are_the_continuous_flag_and_probabilities_the_lri(tmp_path: Path) -> None:
     """Three lines of a network with classes, on pictures in which two others are painted; another
     class is no line."""
@@ -117,30 +87,6 @@ def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
 
 
 # --- where the road is ------------------------------------------------------------------------
-
-
-def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
-    given = {"on_road": str(tiny_network / "drivable.yaml")}
-    detector = find_detector("mc", given, Path.cwd(), "detector")
-    view = make_view(WIDE, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
-    road = keep_on_road(WIDE, detector.parameters)
-    assert road is not None
-    counts = np.zeros((2, 2))
-    for k in range(8):
-        frame = heavy_traffic(8, k)
-        above = look(view, np.ascontiguousarray(frame.image[..., 2]))
-        marks = marking_mask(view, above, detector.parameters) > 0
-        kept = road(view, Picture(k, frame.image))
-        paint, _, _ = labels(frame)
-        size = (WIDE.width, WIDE.height)
-        on_paint = look(view, cv2.resize(paint.astype(np.uint8) * 255, size)) > 127
-        on_vehicle = look(view, frame.is_vehicle.astype(np.uint8) * 255) > 127
-        for which, there in enumerate((marks & on_paint, on_vehicle)):
-            counts[which] += there.sum(), (there & kept).sum()
-    paint_kept, vehicle_kept = counts[:, 1] / counts[:, 0]
-    # A last layer of 64 numbers sees most of a vehicle only.
-    assert paint_kept > 0.85
-    assert vehicle_kept < 0.6
 
 
 def test_beside_lines_there_is_a_margin(top_hat: Path) -> None:
