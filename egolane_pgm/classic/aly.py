@@ -131,4 +131,4 @@ def nearest(lines: FrameLines, count: int) -> FrameLines:
     """The `count` lines nearest to the car, valid ones before others."""
     order = np.sort(np.lexsort((np.abs(lines.offset_m), ~lines.is_valid))[:count])
     kept = {field.name: getattr(lines, field.name) for field in fields(lines)}
-    return replace(lines, **{name: a[order] for name, a in kept.items() if a is not None})
+    return replace(lines, **{name: a[order] for name, a in kept.items()})

@@ -165,5 +165,4 @@ def lines_of(slots: Slots, road: Road, parameters: Parameters) -> FrameLines:
         is_valid[order],
         np.zeros(len(order), dtype=bool),
         counter[order],
-        slot[order],
     )

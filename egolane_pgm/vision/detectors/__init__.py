@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
 from egolane_pgm.vision.camera.picture import Image as Image
 from egolane_pgm.vision.camera.picture import Picture
 
@@ -38,7 +38,6 @@ _ARRAYS = (
     ("is_valid", "b", "True or False"),
     ("is_continuous", "b", "True or False"),
     ("lri", "iuf", "numbers"),
-    ("slot", "iu", "whole numbers"),
 )
 
 
@@ -51,8 +50,6 @@ class FrameLines:
       s2 = s3 = 0.
     - is_valid, is_continuous: (L,) bool
     - lri: (L,) the line reliability index, how often the line was detected in the last frames
-    - slot: (L,) a whole number that stays with a line from frame to frame, another one for each
-      line of a frame; None for a detector that follows nothing
 
     Raises InputError for arrays of other shapes or types, for shapes that are not finite or sorted.
     """
@@ -61,13 +58,10 @@ class FrameLines:
     is_valid: BoolArray
     is_continuous: BoolArray
     lri: FloatArray
-    slot: IntArray | None = None
 
     def __post_init__(self) -> None:
         for name, kinds, needed in _ARRAYS:
             value = getattr(self, name)
-            if value is None and name == "slot":
-                continue
             if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
                 raise InputError(f"lines: {name} needs a NumPy array of {needed}")
             wanted = (value.shape[:1] or (0,)) + (4,) if name == "shape" else self.shape.shape[:1]
@@ -80,8 +74,6 @@ class FrameLines:
             raise InputError("lines: a line's lri is not a count of detections")
         if (np.diff(self.offset_m) < 0).any():
             raise InputError("lines: the lines are not sorted left to right")
-        if self.slot is not None and len(np.unique(self.slot)) < len(self.slot):
-            raise InputError(f"lines: slot {self.slot.tolist()} has a number twice")
 
     @property
     def offset_m(self) -> FloatArray:

@@ -82,7 +82,7 @@ class Pictures:
             total=left.n_frames if recording.frames is None else None,
         )
         lines = detect(detector, camera, pictures)
-        done = collect(lines, recording.frame_rate, left.path, left.time_s, camera)
+        done = collect(lines, recording.frame_rate, left.path, left.time_s)
         if isinstance(done.stopped, InputError) and done.log is not None:
             raise InputError(
                 f"{done.stopped}; `egolane detect` writes the lines of the frames before"
