@@ -39,14 +39,6 @@ def turned(path: Path, orientation: int) -> Path:
     return path
 
 
-def test_sixteen_bits_are_scaled_to_eight(tmp_path: Path) -> None:
-    deep = colourful().astype(np.uint16) * 257
-    for name in ("deep.png", "deep.tif"):
-        np.testing.assert_array_equal(read_image(write(tmp_path / name, deep)), colourful())
-    grey = read_image(write(tmp_path / "grey.png", deep[:, :, 0]))
-    np.testing.assert_array_equal(grey, colourful()[:, :, :1].repeat(3, axis=2))
-
-
 def test_grey_transparent_palette_and_cmyk_pictures_have_three_colours(tmp_path: Path) -> None:
     image = colourful()
     grey = read_image(write(tmp_path / "grey.png", image[:, :, 1]))

@@ -92,12 +92,6 @@ def test_the_lines_next_to_the_car_are_found_and_then_lost(
     assert not said[name][-1].is_valid.any()
 
 
-def test_a_line_of_mld_is_valid_above_three_detections(said: dict[str, list[FrameLines]]) -> None:
-    for lines in said["mld"]:
-        assert (lines.is_valid == (lines.lri > 3)).all()
-        assert not lines.is_continuous.any()
-
-
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in (OWN, "mld")])
 def test_dashed_and_continuous_lines_are_told_apart(
     name: str, said: dict[str, list[FrameLines]]
@@ -191,12 +185,6 @@ def test_the_ego_lane_of_a_real_video(is_mirrored: bool) -> None:
     own = carnd.N_LANES if is_mirrored else 1
     assert (lane.lane[start_at:] == own).all()
     assert (lane.lane_zero[start_at:] == own).all()
-
-
-def test_without_the_left_half_of_the_picture_there_is_no_left_line() -> None:
-    _, valid, real = carnd.frames_with_left_line(carnd.left_blanked(folder_of(carnd, "carnd")))
-    assert valid == 0
-    assert real == 0
 
 
 def test_clips_of_a_crowded_motorway_are_followed_as_well_as_by_another_detector() -> None:

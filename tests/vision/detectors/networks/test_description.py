@@ -64,14 +64,6 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
     assert read_network(named).layout == "lanes"
 
 
-def test_a_network_is_found_relative_to_what_names_it(folder: Path) -> None:
-    path = write_network(folder / "net.yaml", **GOOD)
-    detector = find_detector("mc", {"on_road": "net.yaml"}, folder, "detector")
-    assert detector.parameters["on_road"] == str(path.resolve())
-    assert network_files(detector.parameters) == [path.resolve(), (folder / "x.onnx").resolve()]
-    assert network_files(find_detector("mc", {}, folder, "detector").parameters) == []
-
-
 @pytest.mark.parametrize(
     ("name", "given", "said"),
     [

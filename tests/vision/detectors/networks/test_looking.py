@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,12 @@ from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines
 from egolane_pgm.vision.detectors.runner import detect, find_detector, start
-from tests.kits.drives import command, refused
+from tests.kits.drives import command
 from tests.kits.synthetic_road import CAMERA, drive
 from tests.kits.tiny_network import (
     write_answer,
     write_answers,
     write_known,
-    write_network,
     write_top_hat,
 )
 
@@ -33,13 +31,6 @@ from tests.kits.tiny_network import (
 @pytest.fixture(scope="module")
 def top_hat(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_top_hat(tmp_path_factory.mktemp("top_hat"), CAMERA.width, CAMERA.height)
-
-
-def with_keys(path: Path, target: Path, **keys: Any) -> Path:
-    """The YAML of a network with other keys, beside the same ONNX."""
-    content = yaml.safe_load(path.read_text())
-    content["model"] = str(path.parent / content["model"])
-    return write_network(target, **{**content, **keys})
 
 
 def write_segments(folder: Path, lines: Sequence[tuple[float, int, float]], **keys: Any) -> Path:
@@ -98,20 +89,6 @@ def test_beside_lines_there_is_a_margin(top_hat: Path) -> None:
     assert (helped.is_continuous == alone.is_continuous).all()
 
 
-@pytest.mark.parametrize("name", ["ml", "mc", "sl", "sc"])
-def test_every_detector_of_ours_takes_a_network(name: str, tmp_path: Path) -> None:
-    """One that sees the right half of the road only."""
-    half = np.zeros((1, 1, 4, 8))
-    half[..., 4:] = 1
-    path = write_answer(tmp_path, half, layout="drivable", classes=1)
-    detector = find_detector(name, {"on_road": str(path)}, Path.cwd(), "detector")
-    camera = replace(CAMERA, baseline_m=0.4) if detector.is_stereo else CAMERA
-    pictures = drive(4, stereo=detector.is_stereo)
-    *_, (_, lines) = detect(detector, camera, pictures)
-    assert len(lines.offset_m) >= 1
-    assert (lines.offset_m > 0).all()
-
-
 # --- commands ---------------------------------------------------------------------------------
 
 
@@ -163,36 +140,3 @@ def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> N
     done = command("run", seen / "lstr.run.yaml", "--no-figures", "--out", out)
     assert done.exit_code == 0, done.stderr
     assert "ok" in command("run", "--dry-run", out / "experiment.yaml").stdout
-
-
-def test_a_network_of_the_command_line_is_found_from_where_one_stands(
-    seen: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(seen / "nets")
-    words = ["detect", "../drive.avi", "--camera", "../cam.yaml", "-o", tmp_path / "l.csv"]
-    done = command(*words, "--detector", "network", "--set", "network=top_hat.yaml")
-    assert "16 frames" in done.stdout
-    chosen = "recording.detector_parameters.network=top_hat.yaml"
-    experiment = load_experiment(seen / "seen.yaml", [chosen])
-    assert experiment.recording.detector_parameters["network"] == str(
-        seen / "nets" / "top_hat.yaml"
-    )
-    assert refused(*words, "--detector", "network") == (
-        "parameters.network: is missing; it names the YAML file of a network, e.g."
-        " network=lanes.yaml (docs/networks.md shows how to write one)"
-    )
-    assert "absent.yaml: no such file" in refused(
-        *words, "--detector", "ml", "--set", "on_road=absent.yaml"
-    )
-
-
-def test_validate_finds_what_is_wrong_with_a_network(seen: Path, tmp_path: Path) -> None:
-    assert "ok" in command("run", "--dry-run", seen / "seen.yaml").stdout
-    for keys, said in (
-        ({"layout": "lane"}, "layout: 'lane' is not one of"),
-        ({"size": [64, 64]}, "but size [64, 64] makes 1 x 3 x 64 x 64"),
-        ({"classes": 2}, "has 1 classes"),
-    ):
-        path = with_keys(seen / "nets" / "top_hat.yaml", tmp_path / "wrong.yaml", **keys)
-        chosen = f"recording.detector_parameters.network={path}"
-        assert said in refused("run", "--dry-run", seen / "seen.yaml", "--set", chosen)

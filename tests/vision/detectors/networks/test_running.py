@@ -171,28 +171,6 @@ def test_a_picture_goes_in_as_the_numbers_that_the_network_takes(tmp_path: Path,
         assert yaml.safe_load(describe_onnx(tmp_path / "x.onnx"))["scale"] == 1
 
 
-def sums(tmp_path: Path, **keys: Any) -> Path:
-    """A network that adds the sums of two other inputs to the picture's mean: `out`."""
-    nodes = [
-        helper.make_node("ReduceMean", ["picture"], ["p"], axes=[1, 2, 3], keepdims=0),
-        helper.make_node("ReduceSum", ["state", "axes"], ["s"], keepdims=0),
-        helper.make_node("ReduceSum", ["more", "axes"], ["m"], keepdims=0),
-        helper.make_node("Sum", ["p", "s", "m"], ["all"]),
-        helper.make_node("Mul", ["all", "ones"], ["out"]),
-    ]
-    weights = [("axes", np.array([1, 2])), ("ones", np.ones((1, 1, 1, 3), dtype=np.float32))]
-    inputs = {"picture": (1, 3, 40, 80), "state": (1, 2, 2), "more": (1, 1, 2)}
-    write_onnx(tmp_path / "x.onnx", nodes, weights, {"out": (1, 1, 1, 3)}, inputs)
-    keys = {"layout": "lanes", "classes": 1, "size": [80, 40], "scale": 1, **keys}
-    return write_network(tmp_path / "net.yaml", model="x.onnx", **keys)
-
-
-def test_other_inputs_are_constant(tmp_path: Path) -> None:
-    black = np.zeros((120, 160, 3), dtype=np.uint8)
-    run = started(sums(tmp_path, inputs={"state": 0.5, "more": 2}))
-    assert [float(run(black)["mask"][0, 0, 0]) for _ in range(2)] == [6, 6]
-
-
 @pytest.mark.parametrize(
     ("shape", "keys", "said"),
     [
