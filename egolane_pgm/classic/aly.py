@@ -77,7 +77,7 @@ class Found:
 
 def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
     """Makes the function that finds the lines in a picture (H, W, 3), blue green red."""
-    small = smaller(camera, number(parameters, "focal_px"))
+    small = smaller(camera)
     view = view_for(small, parameters)
     find_splines = spline_finder(parameters)
 
