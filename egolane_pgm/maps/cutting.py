@@ -6,7 +6,7 @@ import numpy as np
 
 from egolane_pgm.maps.lane_graph import ways_named
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.types import MAX_LANES, InputError, IntArray, LineLog
+from egolane_pgm.types import MAX_LANES, FloatArray, InputError, IntArray, LineLog
 
 
 def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
@@ -26,6 +26,12 @@ def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
             f"{table.source}: has the times {table.t_s[0]:g} to {table.t_s[-1]:g} s, and"
             f" {log.source} has {span}: they do not overlap"
         )
+    return lanes_at(table, time_s)
+
+
+def lanes_at(table: RoadTable, time_s: FloatArray) -> IntArray:
+    """The number of lanes at some times, (T,) seconds, which may be after those of the table; see
+    `lanes_along`."""
     rows = np.flatnonzero(table.n_lanes > 0)
     if not len(rows):
         raise InputError(f"{table.source}: no row knows how many lanes the road has")
