@@ -8,11 +8,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-from egolane_pgm.parameters import Parameter
 from egolane_pgm.tuning.plan import Plan, Problem, load_plan, make_problem, with_options
 from egolane_pgm.tuning.sampler import from_unit
 from egolane_pgm.tuning.space import Point, SearchSpace, distributions, make_space
+
+from egolane_pgm.parameters import Parameter
 from egolane_pgm.types import FloatArray
 
 EXPERIMENTS = Path(__file__).parents[2] / "experiments"
