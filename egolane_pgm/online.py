@@ -174,11 +174,11 @@ def parse_message(
         raise InputError(f"{where}: is not JSON: {error}") from error
     if columns is not None:
         # Bags are read with it, too, which takes long to load.
-        from egolane_pgm.recordings.topics import fields, lines_of_messages
+        from egolane_pgm.recordings.topics import lines_of_messages
 
         if not isinstance(content, dict):
             raise InputError(f"{where}: is no JSON object")
-        return lines_of_messages([fields(content)], columns, where, frame_rate, after)
+        return lines_of_messages([content], columns, where, frame_rate, after)
     message = validated(_Message, content, where)
     lines, time_s = message.lines, message.time_s
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id

@@ -240,7 +240,12 @@ def run_table(
     folder = Path(out)
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
-    done = list(bar(rows, progress, total=len(inputs), unit="run"))
+    done: list[dict[str, Any]] = []
+    try:
+        done.extend(bar(rows, progress, total=len(inputs), unit="run"))
+    except KeyboardInterrupt:
+        kept = f"{len(done)} of {len(inputs)} runs are in {folder}; the same command goes on"
+        raise KeyboardInterrupt(kept) from None
     summary = pd.DataFrame(done).set_index("name")
     summary.to_parquet(folder / SUMMARY)
     return summary
