@@ -2,9 +2,9 @@
 its function's signature and docstring.
 
 Parameters before the `*` become arguments, the others options; types give their checks, and
-`verbs.given.Option` says what name and type do not. A verb whose result has `to_text` gets
-`--format` and `--wide`, one whose result has a `document`, or is a `dict[str, Any]`, gets
-`--json`.
+`verbs.given.Option` describes what name and type do not. A verb whose result has `to_text`, or
+whose module has `text`, gets `--format` and `--wide`; one whose result is a Result, a DataFrame,
+a dict or has a `document` gets `--json`.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ if TYPE_CHECKING:
 #: imported only when its command is asked for: `--help` stays quick.
 COMMANDS = {
     "calibrate": "Find out how a camera sees the road.",
-    "compare": "Put results, or experiments that are run held out, side by side.",
+    "compare": "Compare results, with paired intervals.",
     "data": "List, download and check the paper's recordings.",
     "detect": "Detect and follow lines in pictures of a camera.",
     "label": "Label a recording's lanes, and list what a human should look at.",
-    "learn": "Learn an experiment from its recording.",
+    "learn": "Fit a model to its recording; score it on held-out frames.",
     "locate": "Find the road of a car on a map.",
     "online": "Filter frame by frame: a JSON line in, its belief out at once.",
     "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
     "reproduce": "Repeat the paper's ten runs, beside the published tables.",
-    "run": "Filter a recording, score it, write a result directory.",
+    "run": "Infer the lane in a recording, score it, write a result directory.",
     "show": "List what there is, or describe it: graphs, rules, detectors, experiments.",
     "simulate": "Simulate a drive, as lines or as pictures.",
     "tune": "Search parameters, and score them on frames they have not seen.",
@@ -72,16 +72,16 @@ def command_of(name: str) -> click.Command:
     module = import_module(f"egolane_pgm.verbs.{own}")
     verb = getattr(module, own)
     if isinstance(verb, Mapping):
-        parts = {each: _made(part, each, None) for each, part in verb.items()}
+        parts = {each: _made(part, each, types.ModuleType(each)) for each, part in verb.items()}
         made: click.Command = click.Group(name, parts, help=module.__doc__)
     else:
-        made = _made(verb, name, getattr(module, "says", None))
+        made = _made(verb, name, module)
     examples = "\n".join(f"  {example}" for example in getattr(module, "EXAMPLES", ()))
     made.epilog = f"\b\nExamples:\n{examples}" if examples else None
     return made
 
 
-def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) -> click.Command:
+def _made(verb: Callable[..., Any], name: str, module: types.ModuleType) -> click.Command:
     from egolane_pgm.types import InputError
 
     hints = typing.get_type_hints(verb, include_extras=True)
@@ -90,7 +90,7 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
     for parameter in inspect.signature(verb).parameters.values():
         params += _params(parameter, hints[parameter.name], said.get(parameter.name, ""))
     results, _ = _parts_of(hints["return"])
-    if any(hasattr(result, "to_text") for result in results):
+    if hasattr(module, "text") or any(hasattr(result, "to_text") for result in results):
         params += _tables()
     if any(_has_document(result) for result in results):
         help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
@@ -102,7 +102,8 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
 
     def callback(**values: Any) -> None:
         try:
-            _invoke(verb, {key: _given(hints.get(key), key, v) for key, v in values.items()}, says)
+            given = {key: _given(hints.get(key), key, v) for key, v in values.items()}
+            _invoke(verb, given, module)
         except InputError as error:
             # What a Python caller knows as a parameter is an option here.
             said = _LEADING.sub(lambda m: names.get(m[0], m[0]), str(error))
@@ -113,10 +114,24 @@ def _made(verb: Callable[..., Any], name: str, says: Callable[..., str] | None) 
 
 def _has_document(result: Any) -> bool:
     """Whether a verb's result, of some type, can be written as JSON."""
-    return typing.get_origin(result) is dict or "document" in (
-        *dir(result),
-        *getattr(result, "__annotations__", ()),
+    names = (*dir(result), *getattr(result, "__annotations__", ()))
+    return typing.get_origin(result) is dict or not {"document", "scores", "to_dict"}.isdisjoint(
+        names
     )
+
+
+def document_of(done: Any) -> Any:
+    """The unrounded numbers of a verb's result, ready for JSON."""
+    from egolane_pgm.tools.files import plain
+
+    if hasattr(done, "document"):
+        return done.document
+    if hasattr(done, "scores"):
+        return {"run": done.run, "scores": done.scores}
+    if hasattr(done, "to_dict"):
+        rows = done.reset_index().astype(object)
+        return plain({"rows": rows.where(rows.notna(), None).to_dict("records")})
+    return done
 
 
 def _docstring(text: str) -> tuple[str, dict[str, str]]:
@@ -192,10 +207,7 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
     if looks.many or _is_mapping(kinds):
         settings["multiple"] = True
     made = click.Option([*looks.names, *long, name], help=help, **settings)
-    if name != "jobs":
-        return [made]
-    cluster = "Instead of --jobs: the scheduler of a Dask cluster, or one of N processes here."
-    return [made, click.Option(["--cluster"], metavar="ADDRESS|local:N", help=cluster)]
+    return [made]
 
 
 def _dashed(name: str) -> str:
@@ -246,12 +258,11 @@ def _tables() -> list[click.Parameter]:
 # --- what a command does -----------------------------------------------------------------------
 
 
-def _invoke(
-    verb: Callable[..., Any], values: dict[str, Any], says: Callable[..., str] | None
-) -> None:
+def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.ModuleType) -> None:
     """Call a verb with what the command line gave, and print what it returns.
 
-    - values: by the names of the parameters; also `table_style`, `wide`, `json_file` and `cluster`.
+    - values: by the names of the parameters; also `table_style`, `wide` and `json_file`.
+    - module: of the verb; its `text` and `says` make the output.
     """
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
     from egolane_pgm.verbs.given import several_of
@@ -259,58 +270,58 @@ def _invoke(
     style, wide = values.pop("table_style", "markdown"), values.pop("wide", False)
     json_file = values.pop("json_file", None)
     given = {name: value for name, value in values.items() if value != ()}
-    cluster = given.pop("cluster", None)
-    if cluster is not None:
-        given["jobs"] = cluster
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file is not None and json_file != "-":
         each_given = (v for value in given.values() for v in several_of(value))
         paths = [Path(each) for each in each_given if isinstance(each, str) and each]
         check_not_read(Path(json_file), [file for path in paths for file in _files_of(path)])
         check_place(Path(json_file))
+    texts, says = getattr(module, "text", None), getattr(module, "says", None)
     with contextlib.redirect_stdout(prints):
         done = verb(**given)
         # The file is written before anything is printed, because a reader may close the pipe.
         if json_file not in (None, "-"):
-            write_json(Path(json_file), getattr(done, "document", done))
+            write_json(Path(json_file), document_of(done))
         for note in getattr(done, "notes", ()):
             warn(note)
-        if hasattr(done, "to_text"):
-            click.echo(done.to_text(style=style, wide=wide))
-        elif isinstance(done, str) and says is None:
-            click.echo(done)
-        if says is not None:
-            apart = hasattr(done, "to_text")
-            said = says(done, given)
-            click.echo(("\n" if apart else "") + said, err=apart and style != "markdown")
+        printed = ""
+        if texts is not None:
+            printed = texts(done, style, wide)
+        elif hasattr(done, "to_text"):
+            printed = done.to_text(style=style, wide=wide)
+        elif isinstance(done, str):
+            printed = done
+        if printed:
+            click.echo(printed)
+        said = says(done, given) if says is not None and done is not None else ""
+        if said:
+            click.echo(("\n" if printed else "") + said, err=style != "markdown")
     if json_file == "-":
-        click.echo(json_text(getattr(done, "document", done)), nl=False)
-    failed = list(getattr(done, "failed", ()))
+        click.echo(json_text(document_of(done)), nl=False)
+    failed = getattr(module, "failed", lambda done: [])(done)
     for title, why in failed[:_MANY]:
         for line in why.splitlines():
             _say(f"failed: {title}: {line}")
     if len(failed) > _MANY:
         _say(f"failed: {len(failed) - _MANY} more")
-    if getattr(done, "stopped", None) is not None:
-        raise done.stopped
     if failed:
         raise SystemExit(1)
 
 
 def _files_of(path: Path) -> list[Path]:
     """A file, and of an experiment those that it names."""
-    from egolane_pgm.drive import named_files
-    from egolane_pgm.experiment import load_experiment
+    from egolane_pgm.drives import data_files
+    from egolane_pgm.loading import load_experiment
     from egolane_pgm.types import InputError
 
     with contextlib.suppress(InputError):
-        return named_files(load_experiment(path))
+        return [path, *data_files(load_experiment(path))]
     return [path]
 
 
 def _given(hint: Any, name: str, value: Any) -> Any:
     """A value of the command line as the verb takes it: several that are one as that one."""
-    from egolane_pgm.experiment import read_override
+    from egolane_pgm.loading import read_override
     from egolane_pgm.types import InputError
 
     kinds, extras = _parts_of(hint)

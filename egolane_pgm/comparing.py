@@ -169,7 +169,7 @@ def _counts(results: Sequence[Result], node: str) -> list[tuple[str, Mapping[str
     for drive, truth in zip(drives, truths, strict=True):
         ids = truth.index.to_numpy()
         timeline[drive] = np.union1d(timeline.get(drive, ids), ids)
-    found = []
+    found: list[tuple[str, Mapping[str, Any]]] = []
     for drive, each, truth in zip(drives, frames, truths, strict=True):
         lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
         assigned = each[column].to_numpy()

@@ -9,28 +9,20 @@ frame in that a lane change happens once, also while the belief hovers about a h
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
-from egolane_pgm.drive import ONE_DRIVE, Recorded
-from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.inference.events import crossing_probability
 from egolane_pgm.inference.kernels.sweeps import best_path
-from egolane_pgm.recordings import check_one_drive
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.recordings.source import Read
-from egolane_pgm.results import SCHEMA_VERSION, Result, staged, write_result
-from egolane_pgm.running import run_experiment
-from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.result import Result, score
+from egolane_pgm.runs import Input, run_input
 from egolane_pgm.tools.files import plain, write_text
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LaneTruth, joined
-
-if TYPE_CHECKING:
-    import pandas as pd
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, joined, lane_truth
 
 #: Labels with a smaller probability are not sure.
 BELOW = 0.99
@@ -51,29 +43,20 @@ class Labels:
     """The labels of T frames.
 
     - run: the experiment, smoothed.
-    - lane (T,): 1 (leftmost) to n.
-    - possible (T, n): marks the label's lane and, while the car crosses a line, the lane on the
-      line's other side.
-    - below: labels with a smaller probability are not sure.
+    - frames: a row per frame, by `frame_id`: `lane`, 1 (leftmost) to n; `confidence`, the smoothed
+      probability of the label, while the car crosses a line that of both lanes; `is_crossing`; and
+      `time_s`.
+    - below: labels with a smaller confidence are not sure.
 
     >>> import egolane_pgm as ego
-    >>> labels = ego.label(experiment="zero_label", overrides={"recording.frames": [0, 300]})
-    >>> labels.to_pandas()["lane"].value_counts().to_dict()
+    >>> labels = ego.label("zero_label", overrides={"recording.frames": [0, 300]})
+    >>> labels.frames["lane"].value_counts().to_dict()
     {1: 197, 2: 70, 3: 33}
     """
 
     run: Result
-    lane: IntArray
-    possible: BoolArray
+    frames: pd.DataFrame
     below: float
-
-    def __len__(self) -> int:
-        return len(self.lane)
-
-    @property
-    def name(self) -> str:
-        """The name of the experiment."""
-        return self.run.experiment.name
 
     @property
     def notes(self) -> list[str]:
@@ -81,58 +64,30 @@ class Labels:
         return self.run.notes
 
     @property
-    def frame_id(self) -> IntArray:
-        """(T,)."""
-        return self.run.frame_id
-
-    @property
-    def is_crossing(self) -> BoolArray:
-        """(T,): marks frames in which the car crosses a line on its way to another lane."""
-        return np.asarray(self.possible.sum(axis=1) > 1)
-
-    @property
-    def confidence(self) -> FloatArray:
-        """(T,): the smoothed probability of the label."""
-        return self.run.beliefs.lane[np.arange(len(self)), self.lane - 1]
-
-    @property
-    def truth(self) -> LaneTruth:
-        """The labels as what a ground-truth file says."""
-        return LaneTruth(self.frame_id, self.lane, self.is_crossing, "labels")
+    def truth(self) -> pd.DataFrame:
+        """The labels as ground truth: true_lane and is_crossing."""
+        frames = self.frames
+        return lane_truth(frames.index, frames["lane"], frames["is_crossing"], "labels")
 
     def segments(self) -> pd.DataFrame:
         """A row per segment whose labels are not sure: `first_frame`, `last_frame`, `first_s`,
-        `last_s`, `frames` and `lowest_confidence`.
-
-        While the car crosses a line both lanes are right, so their probabilities are added.
-        """
-        import pandas as pd
-
-        is_unsure = (self.run.beliefs.lane * self.possible).sum(axis=1) < self.below
-        ids, time_s = self.frame_id, self.run.time_s
+        `last_s`, `frames` and `lowest_confidence`."""
+        ids, time_s = self.frames.index, self.frames["time_s"].to_numpy()
+        confidence = self.frames["confidence"].to_numpy()
         rows = [
-            (ids[a], ids[b - 1], time_s[a], time_s[b - 1], b - a, self.confidence[a:b].min())
-            for a, b in joined(is_unsure, time_s, JOIN_S)
+            (ids[a], ids[b - 1], time_s[a], time_s[b - 1], b - a, confidence[a:b].min())
+            for a, b in joined(confidence < self.below, time_s, JOIN_S)
         ]
         names = ["first_frame", "last_frame", "first_s", "last_s", "frames", "lowest_confidence"]
         return pd.DataFrame(rows, columns=names)
 
-    def to_pandas(self) -> pd.DataFrame:
-        """A row per frame, by `frame_id`: `lane`, `confidence`, `is_crossing` and `time_s`."""
-        import pandas as pd
-
-        columns: dict[str, Any] = {"lane": self.lane, "confidence": self.confidence}
-        columns |= {"is_crossing": self.is_crossing, "time_s": self.run.time_s}
-        return pd.DataFrame(columns, index=pd.Index(self.frame_id, name="frame_id"))
-
     @property
     def document(self) -> dict[str, Any]:
-        """What `egolane label --json` writes."""
+        """The content of the file of `egolane label --json`."""
         return {
-            "schema_version": SCHEMA_VERSION,
-            "name": self.name,
+            "name": self.run.experiment.name,
             "n_lanes": self.run.experiment.n_lanes,
-            "frames": len(self),
+            "frames": len(self.frames),
             "below": self.below,
             "segments": self.segments().to_dict("records"),
             "warnings": self.notes,
@@ -140,16 +95,15 @@ class Labels:
         }
 
     def __repr__(self) -> str:
-        return f"Labels({self._title()})"
-
-    def _title(self) -> str:
-        unsure = self.segments()["frames"]
-        said = f"{self.name!r}: {len(self)} frames, {self.run.experiment.n_lanes} lanes"
-        said += f", {np.count_nonzero(np.diff(self.lane))} lane changes"
-        said += f", {len(unsure)} segments not sure ({unsure.sum() / max(1, len(self)):.1%})"
+        unsure, n = self.segments()["frames"], len(self.frames)
+        changes = np.count_nonzero(np.diff(self.frames["lane"]))
+        said = f"{self.run.experiment.name!r}: {n} frames, {self.run.experiment.n_lanes} lanes"
+        said += (
+            f", {changes} lane changes, {len(unsure)} segments not sure ({unsure.sum() / n:.1%})"
+        )
         if self.run.truth is not None:
             said += f", accuracy {self.run.scores['model']['accuracy']:.4f}"
-        return said
+        return f"Labels({said})"
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The segments whose labels are not sure; see `Result.to_text`."""
@@ -157,7 +111,7 @@ class Labels:
 
         known = "labels know the whole recording: for the frames themselves, not for a causal score"
         table = self.segments().round(4)
-        parts: list[Any] = [f"{self._title()}\n{known}"]
+        parts: list[Any] = [f"{repr(self)[7:-1]}\n{known}"]
         if len(table):
             parts += [f"segments with labels below {self.below:g}:"]
             parts += [Table(list(table), table.astype(str).to_numpy().tolist())]
@@ -167,49 +121,46 @@ class Labels:
         """Write a result directory, as a run's, with labels.txt (`frame;lane;crossing`, a
         ground-truth file as `run` reads it) and segments.csv in it.
 
-        An older result of that name is replaced. Raises InputError where the directory holds
+        An older result of that name is replaced. Raises InputError if the directory contains
         anything else, or cannot be written.
         """
-        with staged(Path(directory)) as folder:
-            write_result(folder, self.run)
-            write_ground_truth(folder / "labels.txt", self.truth)
-            write_text(folder / "segments.csv", self.segments().to_csv(index=False))
-        return Path(directory)
+        place = self.run.save(directory)
+        write_ground_truth(place / "labels.txt", self.truth)
+        write_text(place / "segments.csv", self.segments().to_csv(index=False))
+        return place
 
 
-def label_experiment(
-    experiment: Experiment,
-    below: float = BELOW,
-    *,
-    recorded: Recorded | None = None,
-    read: Read | None = None,
-) -> Labels:
+def label_input(given: Input, below: float = BELOW) -> Labels:
     """Label the recording of an experiment, which is run smoothed.
 
-    - below: labels with a smaller probability are not sure.
-    - recorded: its recording, where it was read already. read: lines and lanes in memory.
+    - below: labels with a smaller confidence are not sure.
 
-    Raises InputError as `run_experiment` does, and for a threshold that is no probability.
+    Raises InputError for a threshold that is no probability, and for several drives.
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
-    smoothed = load_experiment(
-        experiment,
-        {"filter": "smoothed", "lag": None, "decode": "marginal", "unassigned_below": 0.0},
+    changes = {"filter": "smoothed", "lag": None, "decode": "marginal", "unassigned_below": 0.0}
+    smoothed = load_experiment(given.experiment, changes)
+    run = run_input(given._replace(experiment=smoothed))
+    if len(run.lines) > 1:
+        raise InputError(f"{run.name}: has {len(run.lines)} drives; label them one by one")
+    belief, time_s = run.node("Lane"), run.frames["time_s"].to_numpy()
+    lane = lane_path(belief)
+    crossing = run.frames.get("line_crossing_probability")
+    on_line = None if crossing is None else crossing.to_numpy()
+    possible = crossed_lanes(lane, time_s, belief.shape[1], on_line)
+    frames = pd.DataFrame(
+        {
+            "lane": lane,
+            "is_crossing": possible.sum(axis=1) > 1,
+            "confidence": (belief * possible).sum(axis=1),
+            "time_s": time_s,
+        },
+        index=run.frames.index,
     )
-    run = run_experiment(smoothed, recorded=recorded, read=read)
-    assert run.lines is not None
-    check_one_drive(run.lines, ONE_DRIVE)
-    if not len(run.beliefs):
-        raise InputError(f"{run.lines.source}: has no frames to label")
-    lane = lane_path(run.beliefs.lane)
-    scores = dict(run.scores)
-    if run.truth is not None:
-        k, rate = run.scored, run.experiment.recording.frame_rate
-        found = score_with_intervals(run.beliefs.lane[k], run.truth, rate, assigned=lane[k])
-        scores["model"] = plain(found)
-    run = replace(run, assigned_lane=lane, scores=scores)
-    return Labels(run, lane, crossed_lanes(lane, run.time_s, run.beliefs.marginals), below)
+    answered = run.frames.assign(assigned_lane=lane)
+    scores = plain(score(answered, run.frame_rate))
+    return Labels(replace(run, frames=answered, scores=scores), frames, below)
 
 
 def lane_path(belief: FloatArray) -> IntArray:
@@ -218,38 +169,29 @@ def lane_path(belief: FloatArray) -> IntArray:
     n_frames, n_lanes = belief.shape
     lanes = np.arange(n_lanes)
     step = np.log(CHANGE_WEIGHT) * np.abs(lanes[:, None] - lanes)
-    path = np.zeros(n_frames, dtype=np.int64)
-    if n_frames:
-        with np.errstate(divide="ignore"):
-            log_belief = np.log(belief)
-        index = np.zeros(n_frames, dtype=np.int64)
-        best_path(np.zeros((1, n_lanes)), step[None], log_belief, index, path)
+    path, index = np.zeros(n_frames, dtype=np.int64), np.zeros(n_frames, dtype=np.int64)
+    with np.errstate(divide="ignore"):
+        best_path(np.zeros((1, n_lanes)), step[None], np.log(belief), index, path)
     return path + 1
 
 
 def crossed_lanes(
-    lane: IntArray, time_s: FloatArray, marginals: Mapping[str, FloatArray]
+    lane: IntArray, time_s: FloatArray, n_lanes: int, on_line: FloatArray | None
 ) -> BoolArray:
-    """(T, n): the lanes that the car is in: one, or two in the frames in which it crosses the line
-    between them on a lane change (more where it jumps over lanes).
+    """(T, n): the lanes that the car is in: one, or while it crosses the line between two both.
 
     - lane, time_s (T,): the labels, and seconds.
-    - marginals: the beliefs over Lane (T, n) and, where the graph has it, RoadPosition (T, n times
-      cells).
+    - on_line (T,): the line crossing probability; None if the graph has no position in the lane.
 
-    These are the frames in a row around a change of the label in which the car is more probably
-    than not on a line (`inference.events.crossing_probability`); where the graph has no place in
-    the lane, those within BESIDE_S. The two frames between which the label changes belong to them
-    in any case. A change while nothing was recorded has none.
+    Crossing are the frames in a row around a change of the label in which the car is more probably
+    than not on a line, or, without `on_line`, those within BESIDE_S; and the two between which the
+    label changes. A change while nothing was recorded has none.
     """
-    n_frames, n_lanes = marginals["Lane"].shape
-    on_line = crossing_probability(marginals)
+    n_frames = len(lane)
     possible = lane[:, None] == np.arange(1, n_lanes + 1)
     step = np.diff(time_s)
     is_next = np.append((step >= 0) & (step <= BESIDE_S), False)
-    for t in np.flatnonzero(np.diff(lane) != 0):
-        if not is_next[t]:
-            continue
+    for t in np.flatnonzero((np.diff(lane) != 0) & is_next[:-1]):
         before, after = int(lane[t]), int(lane[t + 1])
         near = np.abs(time_s - (time_s[t] + time_s[t + 1]) / 2) <= BESIDE_S
         if on_line is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -109,6 +109,55 @@ def reproduce_run(number: int, which: str) -> Reproduced:
         for kind, theirs in (("detector", "detector_only"), ("model", "model"))
     }
     return Reproduced(number, entry, run, off["detector"], off["model"])
+
+
+@dataclass(frozen=True, repr=False)
+class Reproduction:
+    """Some runs of the paper; iterating gives their results."""
+
+    runs: Sequence[Reproduced]
+    parameters: str
+
+    def __len__(self) -> int:
+        return len(self.runs)
+
+    def __iter__(self) -> Iterator[Result]:
+        return (each.run for each in self.runs)
+
+    def __repr__(self) -> str:
+        numbers = ", ".join(str(each.number) for each in self.runs)
+        return f"Reproduction(runs {numbers}: {self.summary}; {self.parameters}, in-sample)"
+
+    @property
+    def frames_off(self) -> int:
+        """Frames that differ from the published matrices, of detectors and model."""
+        return sum(each.detector_frames_off + each.model_frames_off for each in self.runs)
+
+    @property
+    def summary(self) -> str:
+        """How many of the classified frames differ."""
+        classified = sum(2 * each.run.scores["frames_scored"] for each in self.runs)
+        return f"{self.frames_off} of {classified} classified frames off"
+
+    @property
+    def document(self) -> dict[str, Any]:
+        """Unrounded scores of each run, ready for JSON."""
+        rows = [
+            {
+                "run": each.number,
+                "name": each.run.name,
+                "tuned_on": each.run.run["tuned_on"],
+                "detector_frames_off": each.detector_frames_off,
+                "model_frames_off": each.model_frames_off,
+                **{kind: each.run.scores[kind] for kind in ("detector", "model")},
+            }
+            for each in self.runs
+        ]
+        return {
+            "parameters": self.parameters,
+            "runs": rows,
+            "total_frames_off": self.frames_off,
+        }
 
 
 def known_parameters(experiment: Experiment) -> list[dict[str, Any]]:

@@ -29,7 +29,7 @@ from egolane_pgm.experiment import FITTING, Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events, lane_segments
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
-from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal, whole_rule
+from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.memory import lines_of
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores

@@ -15,16 +15,14 @@ from hypothesis import strategies as st
 from egolane_pgm import paper
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.labelling import (
-    BELOW,
     BESIDE_S,
     CHANGE_WEIGHT,
-    JOIN_S,
     Labels,
     crossed_lanes,
     label_experiment,
     lane_path,
 )
-from egolane_pgm.types import BoolArray, FloatArray, InputError, joined, runs_of
+from egolane_pgm.types import FloatArray, InputError, runs_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
 
@@ -64,11 +62,6 @@ def test_a_belief_that_hovers_about_a_half_changes_lane_once() -> None:
     belief = np.stack([left, 1 - left], axis=1)
     assert np.count_nonzero(np.diff(belief.argmax(axis=1))) == 5
     assert lane_path(belief).tolist() == [1, 1, 1, 1, 1, 1, 2, 2]
-
-
-def test_a_lane_that_is_impossible_in_a_frame_is_left_there() -> None:
-    belief = np.array([[1.0, 0, 0], [1, 0, 0], [0, 0, 1], [0, 0, 1]])
-    assert lane_path(belief).tolist() == [1, 1, 3, 3]
 
 
 # --- crossing ------------------------------------------------------------------------------------
@@ -121,59 +114,22 @@ def test_a_change_while_nothing_was_recorded_has_no_crossing_frames(then: float)
 # --- segments ----------------------------------------------------------------------------------
 
 
-def stretches_by_brute_force(marked: BoolArray, time_s: FloatArray) -> list[tuple[int, int]]:
-    """Put every marked frame with the one before it if that is near enough, or next to it."""
-    groups: list[list[int]] = []
-    for k in np.flatnonzero(marked):
-        is_next = groups and k == groups[-1][-1] + 1
-        if is_next or (groups and 0 <= time_s[k] - time_s[groups[-1][-1]] <= JOIN_S):
-            groups[-1].append(int(k))
-        else:
-            groups.append([int(k)])
-    return [(group[0], group[-1] + 1) for group in groups]
-
-
-@given(st.lists(st.tuples(st.booleans(), st.sampled_from([0.1, 0.6, 1.5, -9.0])), max_size=40))
-def test_stretches_are_those_that_brute_force_finds(frames: list[tuple[bool, float]]) -> None:
-    marked = np.array([is_marked for is_marked, _ in frames], dtype=bool)
-    time_s = np.cumsum([step for _, step in frames])
-    assert joined(marked, time_s, JOIN_S) == stretches_by_brute_force(marked, time_s)
-
-
-def with_belief(labels: Labels, belief: FloatArray) -> Labels:
-    marginals = {**labels.run.marginals, "Lane": belief}
-    return replace(labels, run=replace(labels.run, marginals=marginals))
-
-
-def segments(labels: Labels) -> list[tuple[int, int, int, float]]:
+def test_segments_join_frames_below_the_confidence() -> None:
+    labels = simulated()
+    confidence = np.ones(300)
+    confidence[[20, 25, 100]] = [0.9, 0.8, 0.98]
+    found = replace(labels, frames=labels.frames.assign(confidence=confidence)).segments()
     names = ["first_frame", "last_frame", "frames", "lowest_confidence"]
-    return list(labels.segments()[names].itertuples(index=False, name=None))
+    assert found[names].to_numpy().tolist() == [[20, 25, 6, 0.8], [100, 100, 1, 0.98]]
 
 
-def test_segments_are_of_frames_whose_label_is_not_sure_but_for_lane_changes() -> None:
+def test_while_a_line_is_crossed_both_lanes_are_right() -> None:
     labels = simulated()
-    sure = np.eye(3)[labels.lane - 1]
-    assert segments(with_belief(labels, sure)) == []
-    belief = sure.copy()
-    aside = np.flatnonzero(~labels.is_crossing)
-    aside = aside[(aside > 10) & (aside < 290)]
-    hard = [int(aside[0]), int(aside[-1])]
-    belief[hard] *= 0.9
-    belief[hard, labels.lane[hard] % 3] += 0.1
-    # The two lanes of a lane change share the belief.
-    crossing = np.flatnonzero(labels.is_crossing)
-    belief[crossing] = labels.possible[crossing] / 2
-    ids = labels.frame_id[hard].tolist()
-    found = segments(with_belief(labels, belief))
-    assert found == [(k, k, 1, pytest.approx(0.9)) for k in ids]
-
-
-def test_a_frame_that_is_just_sure_enough_is_in_no_segment() -> None:
-    labels = simulated()
-    belief = np.eye(3)[labels.lane - 1] * (BELOW - 0.005) + 0.005
-    assert not segments(with_belief(labels, belief / belief.sum(axis=1, keepdims=True)))
-    found = with_belief(replace(labels, below=0.995), belief).segments()
-    assert found["frames"].sum() >= np.count_nonzero(~labels.is_crossing)
+    belief, frames = labels.run.beliefs.lane, labels.frames
+    own = belief[np.arange(300), frames["lane"] - 1]
+    assert (frames["confidence"] >= own - 1e-12).all()
+    aside = ~frames["is_crossing"]
+    np.testing.assert_array_equal(frames["confidence"][aside], own[aside])
 
 
 # --- whole recordings ----------------------------------------------------------------------------
@@ -183,46 +139,23 @@ def test_a_labeller_looks_back() -> None:
     labels = simulated(filter="exact")
     assert labels.run.experiment.filter == "smoothed"
     assert labels.run.model.parameters["lane_width_m"] == "auto"
-    np.testing.assert_array_equal(labels.run.assigned_lane, labels.lane)
+    np.testing.assert_array_equal(labels.run.assigned_lane, labels.frames["lane"])
     given = simulated(**{"parameters.lane_width_m": 3.4}).run.model
     assert given.parameters["lane_width_m"] == 3.4
 
 
-@pytest.mark.parametrize("filter", [{"filter": "fixed_lag", "lag": 5}, {"unassigned_below": 0.5}])
-def test_every_frame_gets_a_label(filter: dict[str, Any]) -> None:
-    np.testing.assert_array_equal(simulated(**filter).lane, simulated().lane)
-
-
-def test_a_graph_without_a_place_in_the_lane_labels_too(tmp_path: Path) -> None:
-    labels = label_experiment(load_experiment(write_drive(tmp_path)))
+def test_a_graph_without_a_place_in_the_lane_labels_every_frame(tmp_path: Path) -> None:
+    labels = label_experiment(load_experiment(write_drive(tmp_path), {"unassigned_below": 0.5}))
     assert "RoadPosition" not in labels.run.beliefs.marginals
-    assert labels.lane.min() >= 1
-    assert labels.is_crossing.any()
+    assert labels.frames["lane"].min() >= 1
+    assert labels.frames["is_crossing"].any()
     assert labels.run.scores["model"]["accuracy"] > 0.5
 
 
-@pytest.mark.parametrize("n_lanes", [1, 3])
-def test_a_recording_of_one_frame_is_labelled(n_lanes: int) -> None:
-    labels = simulated(**{"recording.frames": [7, 8], "n_lanes": n_lanes})
-    assert labels.frame_id.tolist() == [7]
-    assert 1 <= labels.lane[0] <= n_lanes
-    assert not labels.is_crossing.any()
-    assert len(labels.segments()) <= 1
-
-
-@pytest.mark.parametrize("missing", ["skip", "hold", "predict"])
-def test_missing_frames_are_labelled_where_they_are_put_in(missing: str, tmp_path: Path) -> None:
-    path = write_drive(tmp_path, recording__missing_frames=missing)
-    lines = (tmp_path / "lines.csv").read_text().splitlines()
-    gone = tuple(f"{frame}," for frame in range(40, 60))
-    kept = [line for line in lines if not line.startswith(gone)]
-    assert len(kept) < len(lines)
-    (tmp_path / "lines.csv").write_text("\n".join(kept) + "\n")
-    labels = label_experiment(
-        load_experiment(path, {"evidence": "line_geometry", "graph": "position_in_lane"})
-    )
-    is_there = np.isin(np.arange(40, 60), labels.frame_id)
-    assert is_there.all() if missing != "skip" else not is_there.any()
+def test_a_recording_of_one_frame_is_labelled() -> None:
+    labels = simulated(**{"recording.frames": [7, 8]})
+    assert labels.frames.index.tolist() == [7]
+    assert not labels.frames["is_crossing"].any()
 
 
 @pytest.mark.parametrize("below", [-0.1, 1.1, float("nan")])
@@ -247,10 +180,11 @@ def test_labels_that_are_sure_are_right(real: dict[str, Labels]) -> None:
     for name, labels in real.items():
         run, unsure = labels.run, labels.segments()
         assert run.truth is not None
-        is_sure = ~labels.is_crossing
+        is_sure = ~labels.frames["is_crossing"].to_numpy()
+        ids, lane = labels.frames.index, labels.frames["lane"].to_numpy()
         for first, last in zip(unsure["first_frame"], unsure["last_frame"], strict=True):
-            is_sure &= (labels.frame_id < first) | (labels.frame_id > last)
-        is_right = labels.lane[run.scored] == run.truth.lane
+            is_sure &= (ids < first) | (ids > last)
+        is_right = lane[run.scored] == run.truth.lane
         kept = is_sure[run.scored] & ~run.truth.is_crossing & (run.truth.frame_id < 9577)
         assert is_right[kept].mean() >= 0.9999, name
-        assert unsure["frames"].sum() <= 0.1 * len(labels), name
+        assert unsure["frames"].sum() <= 0.1 * len(ids), name

@@ -52,7 +52,7 @@ PARAMETERS = held_fixed(
     (
         *_FINDING,
         *_PAINT,
-        *(replace(p, default=_GATE_M) if p.name == "gate_m" else p for p in TRACKING),
+        *TRACKING,
     )
 )
 
@@ -111,7 +111,7 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     Raises InputError if the camera does not see the region that the parameters ask for.
     """
     find = line_finder(camera, parameters)
-    rule = rules(parameters, curve="clothoid")
+    rule = rules(parameters, curve="clothoid", gate_m=_GATE_M)
     side = number(parameters, "side_m")
     # Only the pixels along the lines are looked at, so that a fine view costs nothing.
     near = make_view(camera, *_PAINT_M, -side, side, along_m=0.1, across_m=0.05)

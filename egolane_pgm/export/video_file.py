@@ -70,5 +70,4 @@ def _scene(result: Result, k: int, lines: FrameLines) -> Scene:
         result.marginals["Lane"][k],
         int(result.assigned_lane[k]),
         truth if truth != UNASSIGNED else None,
-        bool(result.is_crossing[k]),
     )

@@ -54,7 +54,7 @@ def read_lines(
     - columns: which columns of a table, or fields of messages, are what: keys and values of
       `recording.columns`, or `"offset_m=lateral,left_positive=true"`.
     - options: further ones of the format's reader (`read_topic`: topic; `read_tusimple`:
-      valid, frame_step, ahead_m, continuous).
+      valid, frame_step).
 
     Raises InputError for an unknown format, extension or option, and what the reader raises.
 

@@ -44,6 +44,7 @@ from egolane_pgm.studies.search import (
     best_trial,
     check_sampler,
     new_study,
+    quiet,
     search,
 )
 from egolane_pgm.studies.space import (
@@ -344,8 +345,16 @@ def fit_tune(
     - report: called after each trial.
     """
     spaces = search_spaces(drives, tuning)
-    options = {"storage": storage, "starts": starts, "pooled": pooled, "report": report}
-    study = tune_study(drives, train, fold, tuning=tuning, **options)
+    study = tune_study(
+        drives,
+        train,
+        fold,
+        tuning=tuning,
+        storage=storage,
+        starts=starts,
+        pooled=pooled,
+        report=report,
+    )
     values = to_parameters(spaces[0], best_trial(study).params)
     found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
     fitted = Fitted({name: value for name, value in values.items() if name in found})
@@ -389,8 +398,9 @@ def tune_study(
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, spaces[0], storage)
         if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
-            for point in filter(None, (to_point(spaces[0], each) for each in starts)):
-                study.enqueue_trial(dict(point), skip_if_exists=True)
+            with quiet():
+                for point in filter(None, (to_point(spaces[0], each) for each in starts)):
+                    study.enqueue_trial(dict(point), skip_if_exists=True)
         search(study, spaces[0], score, settings, report=report)
     return study
 

@@ -240,6 +240,7 @@ def lacking_lanes(drives: Sequence[Drive], folds: Sequence[Fold]) -> list[str]:
 class Study:
     """A fit to some drives, with scores on held-out frames.
 
+    - name: of the experiment, or of a list of them.
     - experiments: the experiments that were fitted.
     - method: learn or tune.
     - model: with everything fitted to all trusted frames.
@@ -260,6 +261,7 @@ class Study:
     ['bonus_value', 'p1']
     """
 
+    name: str
     experiments: Sequence[Experiment]
     method: str
     model: Model
@@ -269,11 +271,6 @@ class Study:
     trials: pd.DataFrame = field(default_factory=pd.DataFrame)
     settings: Mapping[str, Any] = field(default_factory=dict)
     directory: Path | None = None
-
-    @property
-    def name(self) -> str:
-        """The name of the first experiment."""
-        return self.experiments[0].name
 
     def __repr__(self) -> str:
         from egolane_pgm.views.studies import study_title
@@ -301,9 +298,9 @@ class Study:
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
         content = plain(resolved(self.model.experiment, self.model.parameters))
-        first = self.experiments[0]
+        first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
         how = f"{len(self.trials)} trials" if len(self.trials) else "labels and lines"
-        content["name"] = f"{first.name}_{'tuned' if self.method == 'tune' else 'learned'}"
+        content["name"] = f"{self.name}_{suffix}"
         content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
         # A later run may use one of several training drives.
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
@@ -426,6 +423,7 @@ def run_study(
     method: str,
     folds: Sequence[Fold],
     *,
+    name: str | None = None,
     tuning: Tuning | None = None,
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
@@ -440,6 +438,7 @@ def run_study(
 
     - method: learn or tune.
     - folds: none for no held-out scores.
+    - name: of the study; by default that of the first experiment.
     - tuning: the settings of a search.
     - starts: parameter sets that a search on everything tries first; by default the current ones.
     - storage: where Optuna keeps a study per fold; by default a journal in `directory`, or memory.
@@ -463,8 +462,7 @@ def run_study(
         found = settings_of(tuning, None, first.experiment.source)
         settings = {**plain(found.__dict__), **describe(space)}
         current = [drive.model.parameters for drive in drives] if starts is None else starts
-        options = {"storage": storage, "starts": list(current), "pooled": pooled}
-        fit = partial(fit_tune, tuning=tuning, **options)
+        fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
@@ -480,6 +478,7 @@ def run_study(
     )
     held_out = held_out_result(drives, folds, fitted, notes, begin, method) if folds else None
     study = Study(
+        name or first.experiment.name,
         experiments,
         method,
         fitted_drives[0].model,

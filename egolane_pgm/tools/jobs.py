@@ -10,7 +10,6 @@ import contextlib
 import logging
 import signal
 import sys
-import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -76,7 +75,9 @@ def _client(address: str) -> Iterator[Any]:
         try:
             if address.startswith(_LOCAL):
                 n_workers = max(1, int(address.removeprefix(_LOCAL)))
-                place = LocalCluster(n_workers=n_workers, threads_per_worker=1)  # type: ignore[no-untyped-call]
+                place = LocalCluster(  # type: ignore[no-untyped-call]
+                    n_workers=n_workers, threads_per_worker=1, silence_logs=logging.CRITICAL
+                )
                 stack.enter_context(place)
             client = stack.enter_context(Client(place, timeout=10))  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:

@@ -16,7 +16,6 @@ from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, Progress, StrPath, several_of
 from egolane_pgm.vision.calibration.chessboard import (
     calibrate_lens,
-    check_road_size,
     describe_lens,
 )
 from egolane_pgm.vision.calibration.road_lines import find_in_stills, view_from_stills
@@ -86,21 +85,23 @@ def calibrate(
         paths = shown("chessboards")(files_matching(chessboards))
         lens = calibrate_lens(paths, *_size(board, "board"))
         _warn_of(lens.skipped)
-        check_road_size(lens, size)
-        camera, said = lens.camera, describe_lens(lens, board)
-        each = zip(lens.boards, lens.rms_px, strict=True)
-        said += [f"  {name}: {rms:.2f} px RMS" for name, rms in each]
+        camera, said = lens.camera, [describe_lens(lens, board)]
+        if (camera.width, camera.height) != size:
+            raise InputError(
+                f"the chessboards are {camera.width}x{camera.height}, the road's pictures"
+                f" {size[0]}x{size[1]}; both must come from one camera, uncropped"
+            )
     else:
         degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
-        camera, said = assumed_camera(*size, degrees), describe_assumed_lens(degrees)
+        camera, said = assumed_camera(*size, degrees), [describe_assumed_lens(degrees)]
     camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline)
     camera = _masked(camera, masks)
     found = find_in_stills(camera, pictures, shown("stills"))
     _warn_of(found.skipped)
     view = view_from_stills(camera, found, lane_width)
     n_lines = sum(len(lines) for lines in found.lines)
-    said += describe_view(view, f"{n_lines} lines found in {len(found.paths)} stills")
-    for doubt in doubts_of(view):
+    said.append(describe_view(view, f"{n_lines} lines found in {len(found.paths)} stills"))
+    if doubt := doubts_of(view):
         said.append(doubt)
         warnings.warn(f"{stills}: {doubt}", UserWarning, stacklevel=2)
     if roll:

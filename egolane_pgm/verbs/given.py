@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from annotated_types import Ge
 
-from egolane_pgm.types import InputError, LaneTruth, LineLog
+from egolane_pgm.types import InputError, LineLog
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     #: Lines of a drive: a file, or what is in memory.
     Lines = str | os.PathLike[str] | LineLog | pd.DataFrame
     #: The annotated lanes of a drive; "none" for none.
-    Truth = str | os.PathLike[str] | LaneTruth | pd.DataFrame
+    Truth = str | os.PathLike[str] | pd.DataFrame
 else:
     Lines = Truth = str | os.PathLike[str]
 
@@ -61,14 +61,18 @@ Blocks = Annotated[int, Ge(2)]
 Seed = Annotated[int, Ge(0)]
 Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
-#: Processes that share the work, or a Dask cluster; see `tools.jobs`.
-Jobs = Annotated[int, Ge(1)] | str
+#: Blocks that are held out, 0 for none.
+HeldOutBlocks = Annotated[int, Ge(0)]
+Jobs = Annotated[int, Ge(1)]
+#: A Dask cluster; see `tools.jobs`.
+Cluster = Annotated[str | None, Option("ADDRESS|local:N")]
+Graph = Annotated[Any, Option("NAME|FILE")]
 #: Which columns of a table, or fields of messages, are what; see `recordings.columns`.
 ColumnNames = Annotated[
     str | Sequence[str] | Mapping[str, Any] | None, Option("OURS=THEIRS,...", many=True)
 ]
 Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
-Fleet = Annotated[StrPath | None, Option("FILE")]
+TableOfRuns = Annotated[StrPath | Any | None, Option("FILE")]
 ByTag = Annotated[str | None, Option("NAME")]
 
 

@@ -7,8 +7,9 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated
 
-from egolane_pgm.experiment import Given, Overrides, load_experiment
-from egolane_pgm.online import filter_stream
+from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
+from egolane_pgm.online import online as answers
+from egolane_pgm.online import read_messages
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.verbs.given import ColumnNames, Option
 
@@ -16,7 +17,7 @@ EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
 
 def online(
-    experiment: Given,
+    experiment: ExperimentLike,
     *,
     nodes: Annotated[Sequence[str], Option("NODE", names=("--node",), many=True)] = (),
     columns: ColumnNames = None,
@@ -26,13 +27,13 @@ def online(
 
     Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
     "lri": 10}]}` per line on standard input; of a line of the road only `offset_m` is needed. A
-    time stamp, `"time_s": 12.3`, may stand beside the frame id or in its place. Each answer has the
-    lane, its probability, how probable it is that the car is on a line, and the lane changes that
-    are told with this frame. With `filter: fixed_lag` it comes `lag` frames later.
+    time stamp, `"time_s": 12.3`, may accompany or replace the frame id. Each answer has the lane,
+    its probability, the probability that the car is on a line, and the lane changes since the
+    answer before. With `filter: fixed_lag` it comes `lag` frames later. With `n_lanes: map` frames
+    need the clock of the road table.
 
-    - nodes: answer with the whole belief of this hidden node, too, e.g. Lane.
-    - columns: what other messages call our fields, and how they write them, e.g.
-      offset_m=c0,left_positive=true.
+    - nodes: add the posterior of this hidden node, e.g. Lane.
+    - columns: names and units of other messages' fields, e.g. offset_m=c0,left_positive=true.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
     """
     # Standard input as an iterator would be read ahead in blocks.
@@ -42,5 +43,5 @@ def online(
     chosen = load_experiment(experiment, overrides)
     if columns is not None:
         chosen = load_experiment(chosen, {"recording": {"columns": column_keys(columns)}})
-    for answer in filter_stream(chosen, messages, wanted):
+    for answer in answers(chosen, read_messages(chosen, messages), wanted):
         print(json.dumps(answer), flush=True)

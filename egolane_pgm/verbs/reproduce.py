@@ -6,14 +6,12 @@ import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
-from egolane_pgm.drive_table import DriveTable
-from egolane_pgm.fleet import numbers_of
-from egolane_pgm.paper import Runs, load_published, parse_runs, reproduce_json, reproduce_run
+from egolane_pgm.paper import Reproduction, Runs, load_published, parse_runs, reproduce_run
 from egolane_pgm.recordings import catalog
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, Progress, StrPath, path_of
-from egolane_pgm.views.tables import Table, confusion_table, reproduction_rows
+from egolane_pgm.views.tables import Table, confusion_table, page, reproduction_rows
 
 EXAMPLES = ("egolane reproduce --runs 1-5", "egolane reproduce --format latex > table.tex")
 
@@ -26,8 +24,8 @@ def reproduce(
     if_available: bool = False,
     out: Annotated[StrPath | None, Option("DIR")] = None,
     progress: Progress = None,
-) -> DriveTable | None:
-    """The paper's ten runs: ours beside the 20 published tables, and the difference.
+) -> Reproduction | None:
+    """Repeat the paper's ten runs and compare with the 20 published tables.
 
     - runs: e.g. 1-5,7.
     - parameters: recovered (by a search; run 5 from the authors' code), or as printed (truncated).
@@ -37,12 +35,12 @@ def reproduce(
     - out: keep a result directory per run.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
-    Returns a `DriveTable` with a row per run. Raises InputError for a run that the paper does not
-    have, and where a recording is missing.
+    Returns a `Reproduction`; iterating gives the `Result` of each run. Raises InputError for a run
+    that the paper does not have, and if a recording is missing.
 
     >>> import egolane_pgm as ego
     >>> ego.reproduce(runs=[3, 4])  # doctest: +SKIP
-    DriveTable(runs 3, 4: 0 of 31084 classified frames off; recovered parameters, in-sample)
+    Reproduction(runs 3, 4: 0 of 31084 classified frames off; recovered, in-sample)
     >>> ego.reproduce(runs=[1, 11])
     Traceback (most recent call last):
     ...
@@ -51,39 +49,33 @@ def reproduce(
     numbers = parse_runs(runs)
     if if_available and not _have_recordings():
         return None
-    done, found = [], {}
+    done = []
     for number in bar(numbers, progress, desc="runs", unit="run"):
-        result = reproduce_run(number, parameters)
-        done.append(result)
-        found[result.run.name] = result.run
+        done.append(reproduce_run(number, parameters))
         if out is not None:
-            result.run.save(Path(path_of(out, "out")) / result.run.name, figures=False)
-    document = reproduce_json(done, parameters)
-    entries = document["runs"]
+            done[-1].run.save(Path(path_of(out, "out")) / done[-1].run.name)
+    return Reproduction(done, parameters)
+
+
+def text(done: Reproduction | None, style: str, wide: bool, matrices: bool = False) -> str:
+    """The output of the command."""
+    if done is None:
+        return ""
+    document = done.document
     parts: list[str | Table] = [
         Table(*reproduction_rows(document, load_published()), labels=2, leaves_out=True)
     ]
     if matrices:
         parts += [
             confusion_table(entry[kind]["confusion"], f"run {entry['run']}, {kind}")
-            for entry in entries
+            for entry in document["runs"]
             for kind in ("detector", "model")
         ]
-    classified = sum(2 * int(entry["frames_scored"]) for entry in entries)
-    off = document["total_frames_off"]
     parts.append(
-        f"{off} of {classified} classified frames differ from the published matrices"
-        f" (parameters: {parameters}; in-sample, as in the paper)"
+        f"{done.summary}: cells of the published matrices that differ (parameters:"
+        f" {done.parameters}; in-sample, as in the paper)"
     )
-    title = (
-        f"runs {', '.join(map(str, numbers))}: {off} of {classified} classified frames off;"
-        f" {parameters} parameters, in-sample"
-    )
-    rows = [
-        {"name": name, "error": None, **numbers_of(entry)}
-        for name, entry in zip(found, entries, strict=True)
-    ]
-    return DriveTable(title, rows, parts, document, found)
+    return page(parts, style, wide)
 
 
 def _have_recordings() -> bool:

@@ -14,7 +14,7 @@ from egolane_pgm.plugins import OWN_FILES, plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
-from egolane_pgm.tuning.plan import TuningFile
+from egolane_pgm.verbs.studied import TuningFile
 
 #: The files that have a schema: what is in them.
 KINDS: dict[str, Any] = {

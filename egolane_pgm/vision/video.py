@@ -3,9 +3,8 @@ bird's-eye view, and the belief as bars over the lanes from left to right, with 
 known.
 
 A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also where
-the detector cannot tell (MLD); one that is not valid is light grey and thin. Where the detector
-says which line is which from frame to frame (`FrameLines.slot`), a colour stays with its line
-instead. Only one frame is in memory at a time.
+the detector cannot tell (MLD); one that is not valid is light grey and thin. Only one frame is in
+memory at a time.
 """
 
 from __future__ import annotations
@@ -38,20 +37,9 @@ INK: Colour = (34, 34, 34)
 PAPER: Colour = (255, 255, 255)
 FRAME: Colour = (170, 170, 170)
 
-#: The colours of slots 0, 1, ..., of the same palette; a further slot begins anew.
-SLOTS: tuple[Colour, ...] = (
-    (178, 114, 0),  # blue
-    (0, 159, 230),  # orange
-    (115, 158, 0),  # bluish green
-    (167, 121, 204),  # reddish purple
-    (233, 180, 86),  # sky blue
-    (66, 228, 240),  # yellow
-)
-
-#: The strip below the picture that has the labels of the lines: its height, and the least gap
-#: between two labels, pixels.
-STRIP, GAP = 26, 8
-_LABEL_SCALE = 0.45
+#: The height of the strip below the picture that has the labels of the lines, pixels, and the size
+#: of all text.
+STRIP, TEXT = 26, 0.45
 
 #: Width of the margin with distances, to the right of the bird's-eye view, pixels.
 MARGIN = 44
@@ -74,7 +62,6 @@ class Scene:
     - belief: (n,) over the lanes
     - assigned: the lane that the model answers, 0 for Unassigned
     - truth: the annotated lane; None without one
-    - is_crossing: whether the annotation says that the car is changing lane
     """
 
     frame_id: int
@@ -83,7 +70,6 @@ class Scene:
     belief: FloatArray
     assigned: int
     truth: int | None = None
-    is_crossing: bool = False
 
 
 @dataclass(frozen=True)
@@ -169,14 +155,10 @@ def with_detected_lines(
 
 def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
     """The colour and thickness of line k, and whether it is dashed."""
-    is_valid, is_dashed = bool(lines.is_valid[k]), not lines.is_continuous[k]
-    if lines.slot is not None:
-        colour = SLOTS[int(lines.slot[k]) % len(SLOTS)]
-    elif not is_valid:
-        colour = NOT_VALID
-    else:
-        colour = DASHED if is_dashed else CONTINUOUS
-    return colour, 3 if is_valid else 1, is_dashed
+    is_dashed = not lines.is_continuous[k]
+    if not lines.is_valid[k]:
+        return NOT_VALID, 1, is_dashed
+    return DASHED if is_dashed else CONTINUOUS, 3, is_dashed
 
 
 def _edge(thickness: int) -> Colour:
@@ -199,50 +181,36 @@ def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None
             _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
 
 
-def _foot(places: Layout, lines: FrameLines, k: int) -> float | None:
-    """The column where line k enters the picture from below or from the side, or None where it is
-    not in the picture."""
+def feet(places: Layout, lines: FrameLines) -> dict[int, float]:
+    """The column where each line enters the picture from below or from the side; lines that are not
+    in the picture are left out."""
     x = np.linspace(0.5, 30, 200)
-    u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
     width, height = places.picture
-    u, v = u * places.scale, v * places.scale
-    inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    return float(u[int(np.argmax(inside))]) if inside.any() else None
-
-
-def label_boxes(places: Layout, lines: FrameLines) -> dict[int, tuple[int, int, int, int]]:
-    """The left, top, right and bottom of the label of each line that is in the picture, in the
-    strip below it: side by side in the order of the lines, as near to their feet as there is
-    room."""
-    feet = {k: foot for k in range(len(lines.lri)) if (foot := _foot(places, lines, k)) is not None}
-    width = np.array([_text_width(_label(lines, k), _LABEL_SCALE) + 4.0 for k in feet])
-    room, top = places.picture
-    # Many labels in a narrow picture are written smaller.
-    shrink = min(1.0, room / max(1, width.sum() + GAP * (len(feet) - 1)))
-    width = shrink * width
-    # Where each label begins if all stand side by side, the first at 0.
-    packed = np.cumsum(width + shrink * GAP) - (width + shrink * GAP)
-    wanted = np.maximum(np.array([*feet.values()]) - width / 2, 0.0)
-    left = np.maximum.accumulate(wanted - packed) + packed
-    if len(left):
-        left = np.minimum(left, room - width[-1] - packed[-1] + packed)
-    return {
-        k: (int(at), top, int(at + wide), top + STRIP - 2)
-        for k, at, wide in zip(feet, left, width, strict=True)
-    }
-
-
-def _label(lines: FrameLines, k: int) -> str:
-    return f"{lines.offset_m[k]:+.2f} m"
+    found = {}
+    for k in range(len(lines.lri)):
+        u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
+        u, v = u * places.scale, v * places.scale
+        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
+        if inside.any():
+            found[k] = float(u[int(np.argmax(inside))])
+    return found
 
 
 def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
-    """Writes the offset of each line below its foot, under a bar in the line's colour."""
-    for k, (left, top, right, bottom) in label_boxes(places, lines).items():
+    """Write the offset of each line below its foot, under a bar in the line's colour. Where there
+    is no room for two, that of the line farther to the side is left out."""
+    (width, top), taken = places.picture, [-1000]
+    by_distance = sorted(feet(places, lines).items(), key=lambda e: abs(lines.offset_m[e[0]]))
+    for k, foot in by_distance:
+        text = f"{lines.offset_m[k]:+.2f} m"
+        half = _text_width(text) // 2 + 2
+        middle = min(max(round(foot), half), width - half)
+        if np.abs(np.array(taken) - middle).min() < 2 * half:
+            continue
+        taken.append(middle)
         colour, thickness, _ = _style(lines, k)
-        cv2.rectangle(canvas, (left, top), (right - 1, top + 3), _edge(thickness), -1)
-        cv2.rectangle(canvas, (left, top), (right - 1, top + thickness), colour, -1)
-        _centred(canvas, _label(lines, k), (left + right) // 2, bottom - 4, right - left, INK)
+        cv2.rectangle(canvas, (middle - half, top), (middle + half, top + thickness), colour, -1)
+        _centred(canvas, text, middle, top + STRIP - 6, 2 * half, INK)
 
 
 def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
@@ -312,56 +280,39 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
         name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
         _centred(canvas, name, (left + right) // 2, lower + 15, right - left, INK)
         if k < n_lanes:
-            _centred(
-                canvas, f"{100 * share:.0f} %", (left + right) // 2, upper - 5, right - left, INK
-            )
+            text = f"{100 * share:.0f} %"
+            _centred(canvas, text, (left + right) // 2, upper - 5, right - left, INK)
             if scene.truth == k + 1:
                 cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
-                mark = "truth (crossing)" if scene.is_crossing else "truth"
-                # Nothing else is in its row, so that it may be wider than the bar.
-                wide = _text_width(mark, 0.45)
-                middle = min(max((left + right) // 2, wide // 2), places.picture[0] - wide // 2)
-                _centred(canvas, mark, middle, lower + 32, places.picture[0], TRUTH)
+                _centred(canvas, "truth", (left + right) // 2, lower + 32, right - left, TRUTH)
     cv2.line(canvas, (0, top), (canvas.shape[1], top), FRAME, 1)
 
 
 def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
-    left = places.picture[0] + 10
-    room = canvas.shape[1] - left - 6
-    top, height = places.panel
+    left, top = places.picture[0] + 10, places.panel[0]
     answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
-    has_slots = scene.lines.slot is not None
-    first, second = (INK, INK) if has_slots else (CONTINUOUS, DASHED)
-    rows: list[tuple[str, tuple[Colour, int, bool] | None]] = [
+    rows: list[tuple[str, Colour | None]] = [
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
         (f"answer: {answer}", None),
-        ("valid, continuous", (first, 3, False)),
-        ("valid, dashed or unknown", (second, 3, True)),
-        ("not valid", (NOT_VALID, 1, False)),
+        ("valid, continuous", CONTINUOUS),
+        ("valid, dashed or unknown", DASHED),
+        ("not valid", NOT_VALID),
     ]
-    if has_slots:
-        rows.append(("a colour stays with its line", None))
-    step = (height - 16) // len(rows)
-    for k, (text, style) in enumerate(rows):
-        baseline = top + 22 + k * step
-        start = left
-        if style is not None:
-            start = left + 42
-            colour, thickness, is_dashed = style
-            for a, b in ((0, 14), (20, 34)) if is_dashed else ((0, 34),):
-                ends = (left + a, baseline - 4), (left + b, baseline - 4)
-                cv2.line(canvas, *ends, _edge(thickness), thickness + 2, cv2.LINE_AA)
-                cv2.line(canvas, *ends, colour, thickness, cv2.LINE_AA)
-        scale = min(0.45, 0.45 * (room - (start - left)) / max(1, _text_width(text, 0.45)))
-        _write(canvas, text, (start, baseline), scale, INK)
+    for k, (text, colour) in enumerate(rows):
+        start, baseline = left, top + 22 + k * ((places.panel[1] - 16) // len(rows))
+        if colour is not None:
+            start = left + 24
+            cv2.rectangle(canvas, (left, baseline - 8), (left + 16, baseline), colour, -1)
+        room = canvas.shape[1] - 6 - start
+        _write(canvas, text, (start, baseline), min(TEXT, TEXT * room / _text_width(text)), INK)
 
 
-def _text_width(text: str, scale: float) -> int:
+def _text_width(text: str, scale: float = TEXT) -> int:
     return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0])
 
 
 def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour: Colour) -> None:
-    scale = min(0.45, 0.45 * room / max(1, _text_width(text, 0.45)))
+    scale = min(TEXT, TEXT * room / _text_width(text))
     _write(canvas, text, (middle - _text_width(text, scale) // 2, row), scale, colour)
 
 

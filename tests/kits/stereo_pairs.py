@@ -82,4 +82,4 @@ def plane_of(frame: Drawn, camera: Camera, **more: Any) -> tuple[_stereo.Pair, P
     parameters = settled(**more)
     pair = _stereo.make_pair(camera, parameters)
     disparity = _stereo.disparities(pair, *_stereo.reduced(pair, frame.picture))
-    return pair, _stereo.find_plane(pair, disparity, parameters), disparity
+    return pair, _stereo.find_plane(pair, disparity), disparity

@@ -3,22 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from egolane_pgm.types import BoolArray, FloatArray, IntArray
-
-
-def contour_runs(
-    mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
-) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-    """The runs along the rows of a mask, as `kernels.contour_runs`."""
-    border = np.full(mask.shape, -1, dtype=np.int64)
-    border[points[:, 1], points[:, 0]] = np.repeat(owner, np.diff(starts))
-    change = np.diff(np.pad((mask != 0).astype(np.int8), ((0, 0), (1, 1))), axis=1)
-    row, left = np.nonzero(change == 1)
-    right = np.nonzero(change == -1)[1] - 1
-    sums = np.pad(np.cumsum(mask, axis=1, dtype=np.int64), ((0, 0), (1, 0)))
-    return row, left, right, border[row, left], sums[row, right + 1] - sums[row, left]
+from egolane_pgm.types import BoolArray, FloatArray
 
 
 def common_scores(

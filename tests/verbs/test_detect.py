@@ -96,7 +96,7 @@ def test_a_folder_a_glob_and_a_video_give_the_same_lines(place: Path, tmp_path: 
 
 def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_path: Path) -> None:
     target = tmp_path / "l.csv"
-    words = ("--set", "lri_frames=3", "--set", "detector_parameters.lines=2", "--frames", 4, 9)
+    words = ("--set", "lri_frames=3", "--set", "detector_parameters.side_m=8", "--frames", 4, 9)
     detected(place / "drive.avi", place / "cam.yaml", target, *words)
     log = read_lines(target)
     assert log.frame_id.tolist() == [4, 5, 6, 7, 8]

@@ -3,7 +3,6 @@ belief."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -14,7 +13,7 @@ import pytest
 from egolane_pgm.vision import video
 from egolane_pgm.vision.camera.model import image_to_road, road_to_image
 from egolane_pgm.vision.detectors import FrameLines
-from egolane_pgm.vision.video import bar_boxes, draw_frame, label_boxes, layout
+from egolane_pgm.vision.video import bar_boxes, draw_frame, feet, layout
 from tests.kits.drawn_frames import (
     CAMERA,
     LINES,
@@ -79,45 +78,16 @@ def test_the_birds_eye_view_shows_lines_and_road_to_scale() -> None:
     assert any(is_colour(p, video.CONTINUOUS, 40) for p in around(view, column, 250))
 
 
-def some_lines(offsets: Sequence[float], heading: float = 0.0) -> FrameLines:
-    shape = np.array([[offset, heading, 0.0, 0.0] for offset in sorted(offsets)]).reshape(-1, 4)
-    yes = np.ones(len(shape), dtype=bool)
-    return FrameLines(shape, yes, yes, np.full(len(shape), 10.0))
-
-
 def test_a_label_is_at_the_foot_of_its_line_in_its_colour() -> None:
     """-1.9 m and 1.6 m leave the picture below, 5.2 m at the side; 200 m is not in it."""
-    image = drawn(scene([1, 0], 1))
-    boxes = label_boxes(layout(CAMERA), LINES)
-    for k, colour in enumerate((video.CONTINUOUS, video.DASHED, video.NOT_VALID)):
-        left, top, right, _ = boxes[k]
-        bar = image[top + 1, left : right - 1]
-        assert all(is_colour(pixel, colour, 3) for pixel in bar)
-        if k != 2:
-            _, y = image_to_road(CAMERA, (left + right) / 2, 399.0)
-            assert float(y) == pytest.approx(OFFSETS[k], abs=0.15)
-        else:  # it leaves the picture at the side
-            assert right == 640
-    assert list(label_boxes(layout(CAMERA), some_lines([1.6, 200.0]))) == [0]
-
-
-def in_slots(offsets: Sequence[float], slots: Sequence[int]) -> FrameLines:
-    return replace(some_lines(offsets), slot=np.array(slots))
-
-
-def test_slots_have_colours_that_stay_with_their_lines() -> None:
-    for offsets, slots in (((-1.9, 1.6, 5.2), [2, 0, 5]), ((-5.5, -1.9, 1.6), [4, 2, 0])):
-        lines = in_slots(offsets, slots)
-        image = drawn(scene([1, 0], 1, lines=lines))
-        for slot, (left, top, right, _) in zip(
-            slots, label_boxes(layout(CAMERA), lines).values(), strict=True
-        ):
-            bar = image[top + 1, (left + right) // 2]
-            assert is_colour(bar, video.SLOTS[slot], 3)
-    # There are six colours; a seventh line has the first again.
-    lines = in_slots([1.6], [6])
-    image, boxes = drawn(scene([1, 0], 1, lines=lines)), label_boxes(layout(CAMERA), lines)
-    assert is_colour(image[boxes[0][1] + 1, boxes[0][0] + 5], video.SLOTS[0], 3)
+    image, found = drawn(scene([1, 0], 1)), feet(layout(CAMERA), LINES)
+    for k, colour in enumerate((video.CONTINUOUS, video.DASHED)):
+        assert is_colour(image[401, round(found[k])], colour, 3)
+        _, y = image_to_road(CAMERA, found[k], 399.0)
+        assert float(y) == pytest.approx(OFFSETS[k], abs=0.15)
+    assert found[2] > 630
+    away = replace(LINES, shape=LINES.shape + np.array([200.0, 0, 0, 0]))
+    assert feet(layout(CAMERA), away) == {}
 
 
 def test_bars_show_the_belief_over_the_lanes_from_left_to_right() -> None:
@@ -150,5 +120,3 @@ def test_the_true_lane_is_outlined_where_it_is_known() -> None:
         for k, (left, upper, _, lower) in enumerate(boxes[:3]):
             outline = image[(upper + lower) // 2, left - 3]
             assert is_colour(outline, video.TRUTH, 3) == (truth == k + 1)
-    plain = drawn(scene([0, 1, 0], 2, truth=1))
-    assert (plain != drawn(scene([0, 1, 0], 2, truth=1, is_crossing=True))).any()

@@ -19,15 +19,9 @@ from egolane_pgm.vision.camera.pictures import read_images, size_of
 #: With fewer boards the distortion would be left to chance.
 MIN_BOARDS = 5
 
-#: The most inner corners along one side that a picture can show apart.
-LARGEST_BOARD = 100
-
 #: How many standard errors the third radial coefficient must differ from 0 to be kept. It is rarely
 #: needed, and a coefficient fitted to noise bends the corners of the picture.
 K3_ERRORS = 3.0
-
-#: The smallest part of a board that a message mentions, inner corners.
-_PART = (4, 3)
 
 _SEARCH = cv2.CALIB_CB_NORMALIZE_IMAGE
 
@@ -69,55 +63,39 @@ def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
     return np.asarray(refined, dtype=np.float64).reshape(-1, 2)
 
 
-def _seen_in_part(image: Image, columns: int, rows: int) -> str:
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    flags = _SEARCH | cv2.CALIB_CB_LARGER
-    found, _, layout = cv2.findChessboardCornersSBWithMeta(grey, _PART, flags=flags)
-    if not found:
-        return "no chessboard found"
-    tall, wide = sorted(layout.shape)
-    return f"a chessboard with {wide}x{tall} inner corners seen, not {columns}x{rows}"
-
-
-def calibrate_lens(
-    paths: Iterable[Path], columns: int = 9, rows: int = 6, min_boards: int = MIN_BOARDS
-) -> Lens:
+def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Lens:
     """Finds the lens of the camera that took these pictures of a chessboard.
 
     - paths: the pictures. A file that is no picture, a picture of another size than most, and one
       that does not show the whole board are left out and reported in `skipped`.
     - columns, rows: inner corners of the board
-    - min_boards: the least number of pictures with the whole board
 
-    Raises InputError for a board of impossible size, for fewer than `min_boards` boards, and for
+    Raises InputError for a board of impossible size, for fewer than MIN_BOARDS boards, and for
     boards from which OpenCV finds no lens.
     """
-    if min(columns, rows) < 3 or max(columns, rows) > LARGEST_BOARD:
-        raise InputError(
-            f"board {columns}x{rows}: needs 3x3 to {LARGEST_BOARD}x{LARGEST_BOARD} inner corners"
-        )
+    if min(columns, rows) < 3:
+        raise InputError(f"board {columns}x{rows}: needs at least 3x3 inner corners")
     paths = list(paths)
     skipped: list[str] = []
-    found: list[tuple[Path, tuple[int, int], FloatArray | None, str]] = []
-    for path, image in read_images(paths, skipped):
-        corners = find_board(image, columns, rows)
-        why = "" if corners is not None else _seen_in_part(image, columns, rows)
-        found.append((path, size_of(image), corners, why))
-    sizes = Counter(size for _, size, _, _ in found)
-    usual = max(sizes, key=lambda size: sizes[size]) if sizes else (0, 0)
+    found = [
+        (path, size_of(image), find_board(image, columns, rows))
+        for path, image in read_images(paths, skipped)
+    ]
+    sizes = Counter(size for _, size, _ in found).most_common(1)
+    usual = sizes[0][0] if sizes else (0, 0)
     boards: list[tuple[Path, FloatArray]] = []
-    for path, size, corners, why in found:
+    for path, size, corners in found:
         if size != usual:
             skipped.append(f"{path}: {size[0]}x{size[1]}, most are {usual[0]}x{usual[1]}")
         elif corners is None:
-            skipped.append(f"{path}: {why}")
+            skipped.append(f"{path}: no chessboard of {columns}x{rows} inner corners found")
         else:
             boards.append((path, corners))
-    if len(boards) < min_boards:
+    if len(boards) < MIN_BOARDS:
         first = f"; {skipped[0]}" if skipped else ""
         raise InputError(
             f"{len(boards)} of {len(paths)} pictures show the whole chessboard of {columns}x{rows}"
-            f" inner corners, needs {min_boards} (board says its corners){first}"
+            f" inner corners, needs {MIN_BOARDS} (board says its corners){first}"
         )
     return _solve(boards, usual, columns, rows, skipped)
 
@@ -158,23 +136,15 @@ def _solve(
     )
 
 
-def check_road_size(lens: Lens, size: tuple[int, int]) -> None:
-    """Raises InputError if the road's pictures have another size, width and height in pixels, than
-    those of the chessboards."""
-    seen = lens.camera
-    if (seen.width, seen.height) != size:
-        raise InputError(
-            f"the chessboards are {seen.width}x{seen.height}, the road's pictures {size[0]}x"
-            f"{size[1]}; both must come from one camera, uncropped"
-        )
-
-
-def describe_lens(lens: Lens, board: str) -> list[str]:
-    """Describes a lens in lines of text. board: its inner corners, e.g. "9x6"."""
-    n_pictures = len(lens.boards) + len(lens.skipped)
+def describe_lens(lens: Lens, board: str) -> str:
+    """Describe a lens in some lines. board: its inner corners, e.g. "9x6"."""
     best, worst = min(lens.rms_px), max(lens.rms_px)
-    return [
-        f"Lens: {len(lens.boards)} chessboards ({board} inner corners) of {n_pictures} pictures,"
-        f" {lens.overall_rms_px:.2f} px RMS",
-        f"  ({best:.2f} to {worst:.2f} px from board to board).",
-    ]
+    each = zip(lens.boards, lens.rms_px, strict=True)
+    return "\n".join(
+        [
+            f"Lens: {len(lens.boards)} chessboards ({board} inner corners) of"
+            f" {len(lens.boards) + len(lens.skipped)} pictures, {lens.overall_rms_px:.2f} px RMS",
+            f"  ({best:.2f} to {worst:.2f} px from board to board).",
+            *(f"  {name}: {rms:.2f} px RMS" for name, rms in each),
+        ]
+    )

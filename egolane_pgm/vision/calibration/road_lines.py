@@ -70,6 +70,10 @@ _NEAR, _SHORTEST, _FLATTEST = 0.02, 0.025, 0.12
 _AGREE = 0.08
 
 
+#: How many random pairs of edges are tried over all stills.
+_PAIRS = 3000
+
+
 @dataclass(frozen=True)
 class Fan:
     """A still, resampled along rays through the point where lines meet.
@@ -155,19 +159,16 @@ def _winner(candidates: FloatArray, votes: FloatArray) -> FloatArray:
     return best
 
 
-def meeting_of_stills(
-    stills: Sequence[FloatArray], tries: int = 3000
-) -> tuple[FloatArray, FloatArray]:
+def meeting_of_stills(stills: Sequence[FloatArray]) -> tuple[FloatArray, FloatArray]:
     """The point (2,) where most edges of all stills meet, and the points (F, 2) near it where the
     edges of each still meet (NaN where they do not).
 
-    - stills: the edges (M, 4) of each of the F stills
-    - tries: how many random pairs there are over all stills
+    stills: the edges (M, 4) of each of the F stills.
 
     Raises InputError if the edges do not meet in one point.
     """
     rng = np.random.default_rng(0)
-    n = max(60, tries // max(len(stills), 1))
+    n = max(60, _PAIRS // max(len(stills), 1))
     crossings = [
         _crossings(lines, n, rng) if len(lines) >= 2 else np.zeros((0, 2)) for lines in stills
     ]

@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import (
@@ -79,20 +80,17 @@ class RoadView:
     - camera: with pitch, yaw and height as found
     - vanishing_points: (F, 2) of the single frames, pixels of the undistorted picture
     - vanishing_point: (2,) of all frames, pixels of the undistorted picture
-    - ahead: (2,) the same as a, b
     - spread_px: (2,) half the distance between the 16th and 84th percentiles of vanishing_points
     - gaps_m: (G,) distances between neighbouring lines
-    - is_lane: (G,) which of these count as a lane of lane_width_m
+    - is_lane: (G,) which of these count as a lane of the camera's lane_width_m
     """
 
     camera: Camera
     vanishing_points: FloatArray
     vanishing_point: FloatArray
-    ahead: FloatArray
     spread_px: FloatArray
     gaps_m: FloatArray
     is_lane: BoolArray
-    lane_width_m: float
 
 
 def assumed_camera(
@@ -174,19 +172,10 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
     if len(usable) < 2:
         return None
     low, high = about_b0 - 2 * _MOST_SPREAD[1], about_b0 + 0.9 * NEAREST_TO_HORIZON
-    ratio = (math.sqrt(5) - 1) / 2
-    left, right = high - ratio * (high - low), low + ratio * (high - low)
-    at_left, at_right = _fit_at(usable, left)[1], _fit_at(usable, right)[1]
-    for _ in range(24):
-        if at_left < at_right:
-            high, right, at_right = right, left, at_left
-            left = high - ratio * (high - low)
-            at_left = _fit_at(usable, left)[1]
-        else:
-            low, left, at_left = left, right, at_right
-            right = low + ratio * (high - low)
-            at_right = _fit_at(usable, right)[1]
-    b0 = (low + high) / 2
+    found = minimize_scalar(
+        lambda b0: _fit_at(usable, b0)[1], bounds=(low, high), options={"xatol": 1e-7}
+    )
+    b0 = float(found.x)
     solved, _ = _fit_at(usable, b0)
     slope = np.sort(solved[1:-1])
     if slope[-1] - slope[0] < 0.3:
@@ -198,23 +187,10 @@ def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
     """Which of the gaps (G,) are near the most common one, counted by their weights (G,)."""
     if not gaps.size:
         return np.zeros(0, dtype=bool)
-    order = np.argsort(gaps)
-    common = gaps[order][np.argmax(_alike(gaps[order], weights[order]))]
+    away = np.abs(gaps / gaps[:, None] - 1)
+    common = gaps[np.argmax(np.maximum(1 - away / _SAME_GAP, 0) @ weights)]
     common = np.median(gaps[np.abs(gaps / common - 1) < _SAME_GAP])
     return np.asarray(np.abs(gaps / common - 1) < _SAME_GAP)
-
-
-def _alike(gaps: FloatArray, weights: FloatArray) -> FloatArray:
-    """For each of the ascending gaps g (G,), the sum over all gaps h of their weights times
-    1 - |h / g - 1| / _SAME_GAP, as far as that is above 0. Running sums need memory for each gap; a
-    table of all pairs would fill it."""
-    low = np.searchsorted(gaps, gaps * (1 - _SAME_GAP), "left")
-    middle = np.searchsorted(gaps, gaps, "right")
-    high = np.searchsorted(gaps, gaps * (1 + _SAME_GAP), "right")
-    total, moment = (np.concatenate([[0.0], np.cumsum(a)]) for a in (weights, weights * gaps))
-    below, above = total[middle] - total[low], total[high] - total[middle]
-    tilt = (moment[middle] - moment[low]) - (moment[high] - moment[middle])
-    return np.asarray(below + above + (tilt / gaps - below + above) / _SAME_GAP)
 
 
 def view_from(
@@ -273,11 +249,9 @@ def view_from(
         seen,
         pixels,
         np.array([u, v]),
-        ahead,
         spread,
         gaps * height_m,
         lanes,
-        lane_width_m,
     )
 
 
@@ -287,43 +261,41 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
 
 
-def describe_assumed_lens(field_of_view_deg: float) -> list[str]:
-    """Describes a lens that was not measured in lines of text."""
-    return [
+def describe_assumed_lens(field_of_view_deg: float) -> str:
+    """Describe a lens that was not measured."""
+    return (
         f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
-        " no distortion",
-        "  (offsets hardly depend on it, distances ahead do).",
-    ]
+        " no distortion\n  (offsets hardly depend on it, distances ahead do)."
+    )
 
 
-def doubts_of(view: RoadView) -> list[str]:
+def doubts_of(view: RoadView) -> str:
     """What speaks against a view, in one line, or nothing: a height that cars' cameras do not have,
     or gaps of twice a lane's width that outnumber the lanes, where half the height is usual; else a
     width that lanes do not have."""
-    high, (low, most), one = view.camera.height_m, USUAL_HEIGHTS, view.lane_width_m
+    assert view.camera.lane_width_m is not None
+    high, (low, most), one = view.camera.height_m, USUAL_HEIGHTS, view.camera.lane_width_m
     n_lanes = int(view.is_lane.sum())
     n_double = int((np.abs(view.gaps_m / one - 2) < 2 * _SAME_GAP).sum())
     if low <= high <= most and (high / 2 < low or n_double <= n_lanes):
         said = f"doubtful: lanes are 2.5 to 4.5 m wide almost everywhere, not {one:g} m; the"
-        return [] if 2.5 <= one <= 4.5 else [f"{said} height follows from this width"]
+        return "" if 2.5 <= one <= 4.5 else f"{said} height follows from this width"
     taken, other = ("two lanes were", 2 * high) if high < low else ("half a lane was", high / 2)
-    return [
+    return (
         f"doubtful: with lanes of {one:g} m {said_height(view.camera)} ({n_lanes} gaps between"
         f" lines are lanes, {n_double} twice as wide). If {taken} taken for a lane, it is at"
         f" {other:.2f} m: leave out what is no line of a lane (ignore), or give other stills"
-    ]
+    )
 
 
-def describe_view(view: RoadView, what: str) -> list[str]:
-    """Describes a view in lines of text. what: the lines used."""
-    u, v = view.vanishing_point
-    du, dv = view.spread_px
+def describe_view(view: RoadView, what: str) -> str:
+    """Describe a view in some lines. what: the lines used."""
+    (u, v), (du, dv) = view.vanishing_point, view.spread_px
     lanes = view.gaps_m[view.is_lane]
-    return [
-        f"Road: {what}.",
-        f"  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or take"
-        f" ({du:.1f}, {dv:.1f}) px in {len(view.vanishing_points)} frames.",
-        f"Height: from a lane width of {view.lane_width_m:g} m; {len(lanes)} of"
-        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes",
-        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most).",
-    ]
+    return (
+        f"Road: {what}.\n  They meet at ({u:.1f}, {v:.1f}) px of the undistorted picture, give or"
+        f" take ({du:.1f}, {dv:.1f}) px in {len(view.vanishing_points)} frames.\n"
+        f"Height: from a lane width of {view.camera.lane_width_m:g} m; {len(lanes)} of"
+        f" {len(view.gaps_m)} gaps between neighbouring lines are lanes\n"
+        f"  (standard deviation {np.std(lanes):.2f} m; those near the car count most)."
+    )

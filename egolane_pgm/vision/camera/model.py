@@ -8,10 +8,9 @@ to the right, v down. Detectors read real pictures with this model, the simulati
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -45,9 +44,6 @@ RANGES = {
 
 #: The lowest and the highest camera on usual cars and vans, and the usual width of lanes, metres.
 USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 2.2), 3.66
-
-#: Those that may be missing.
-_OPTIONAL = ("baseline_m", "lane_width_m")
 
 
 @dataclass(frozen=True)
@@ -92,46 +88,39 @@ class Camera:
     def __post_init__(self) -> None:
         for name, (low, high, unit) in RANGES.items():
             value = getattr(self, name)
-            if value is None and name in _OPTIONAL:
+            if value is None and name in ("baseline_m", "lane_width_m"):
                 continue
-            _check_number(name, value)
+            _check_numbers(name, [value])
             if not low <= value <= high:
                 raise InputError(f"{name}: {value} is not between {low} and {high} ({unit})")
-        for name in ("width", "height"):
-            if getattr(self, name) != int(getattr(self, name)):
-                raise InputError(f"{name}: {getattr(self, name)} is not a whole number of pixels")
+            if name in ("width", "height") and value != int(value):
+                raise InputError(f"{name}: {value} is not a whole number of pixels")
         if not isinstance(self.distortion, tuple) or len(self.distortion) != 5:
             raise InputError("distortion: needs the five numbers k1, k2, p1, p2, k3")
-        for value in self.distortion:
-            _check_number("distortion", value)
-        if not isinstance(self.ignore, tuple):
-            raise InputError("ignore: needs a list of rectangles, each left, top, right, bottom")
-        for rectangle in self.ignore:
-            _check_rectangle(rectangle)
+        _check_numbers("distortion", self.distortion)
+        for box in self.ignore if isinstance(self.ignore, tuple) else (None,):
+            if not isinstance(box, tuple) or len(box) != 4:
+                raise InputError(
+                    f"ignore: {self.ignore!r} is not a list of rectangles, each left, top, right,"
+                    " bottom"
+                )
+            _check_numbers("ignore", box)
+            if any(value != int(value) for value in box) or box[0] >= box[2] or box[1] >= box[3]:
+                raise InputError(
+                    f"ignore: {list(box)} needs whole numbers of pixels left, top, right, bottom,"
+                    " with left < right and top < bottom"
+                )
 
 
 #: The keys of a camera's YAML file.
 _KEYS = [f.name for f in fields(Camera) if f.name != "name"]
 
 
-def _check_number(name: str, value: object) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
-        raise InputError(f"{name}: {value!r} is not a finite number")
-
-
-def _check_rectangle(rectangle: object) -> None:
-    if not isinstance(rectangle, tuple) or len(rectangle) != 4:
-        raise InputError(f"ignore: {rectangle!r} is not a list of left, top, right, bottom")
-    for value in rectangle:
-        _check_number("ignore", value)
-        if value != int(value):
-            raise InputError(f"ignore: {value} is not a whole number of pixels")
-    left, top, right, bottom = rectangle
-    if left >= right or top >= bottom:
-        raise InputError(
-            f"ignore: {list(rectangle)} is empty; needs left, top, right, bottom with left < right"
-            " and top < bottom"
-        )
+def _check_numbers(name: str, values: Iterable[object]) -> None:
+    for value in values:
+        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not is_number or not math.isfinite(value):  # type: ignore[arg-type]
+            raise InputError(f"{name}: {value!r} is not a finite number")
 
 
 def said_height(camera: Camera) -> str:
@@ -247,15 +236,10 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     """
     across, along = width / camera.width, height / camera.height
     if abs(across - along) * min(camera.width, camera.height) > 1:
-        is_turned = abs(width * camera.width - height * camera.height) <= max(width, height)
         raise InputError(
             f"pictures of {width}x{height} pixels have another aspect ratio than the"
-            f" {camera.width}x{camera.height} that the camera was calibrated for; "
-            + (
-                "are they, or the orientation that their files say, turned by a quarter?"
-                if is_turned
-                else "calibrate with pictures of this size"
-            )
+            f" {camera.width}x{camera.height} that the camera was calibrated for; calibrate with"
+            " pictures of this size"
         )
     ignore = tuple(
         (
@@ -317,45 +301,30 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
     return free_a, free_b
 
 
-def camera_content(camera: Camera) -> dict[str, Any]:
-    """The camera as the keys of a YAML file."""
-    content = {name: getattr(camera, name) for name in _KEYS}
-    content["distortion"] = list(camera.distortion)
-    content["ignore"] = [list(rectangle) for rectangle in camera.ignore] or None
-    return {key: value for key, value in content.items() if value is not None}
-
-
-def camera_from(content: Mapping[str, Any], where: str) -> Camera:
-    """A camera from the keys of a YAML file.
-
-    Raises InputError, starting with `where` and naming the key, for a key that is missing, unknown
-    or has a wrong value.
-    """
-    for key in content:
+def read_camera(path: str | Path) -> Camera:
+    """The camera of a YAML file. Raises InputError, one line that names file and key, for a key
+    that is missing, unknown or has a wrong value."""
+    values = dict(read_yaml(Path(path), "height_m: 1.3"))
+    for key in values:
         if key not in _KEYS:
-            raise InputError(f"{where}: unknown key '{key}'{suggestion(str(key), _KEYS)}")
+            raise InputError(f"{path}: unknown key '{key}'{suggestion(str(key), _KEYS)}")
     for key in ("width", "height", "fx", "fy", "cx", "cy", "height_m"):
-        if key not in content:
-            raise InputError(f"{where}: {key}: is missing")
-    values = dict(content)
+        if key not in values:
+            raise InputError(f"{path}: {key}: is missing")
     if isinstance(values.get("distortion"), list):
         values["distortion"] = tuple(values["distortion"])
-    if isinstance(values.get("ignore"), list):
-        values["ignore"] = tuple(
-            tuple(rectangle) if isinstance(rectangle, list) else rectangle
-            for rectangle in values["ignore"]
-        )
-    with problems_in(where):
-        return Camera(**values, name=where)
-
-
-def read_camera(path: str | Path) -> Camera:
-    """The camera of a YAML file. Raises InputError, one line that names file and key."""
-    return camera_from(read_yaml(Path(path), "height_m: 1.3"), str(path))
+    if isinstance(boxes := values.get("ignore"), list):
+        values["ignore"] = tuple(tuple(box) if isinstance(box, list) else box for box in boxes)
+    with problems_in(str(path)):
+        return Camera(**values, name=str(path))
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
     """Writes a camera as YAML below a comment that says how it was calibrated, and makes missing
     folders. Raises InputError where the file cannot be written."""
+    content = {name: getattr(camera, name) for name in _KEYS}
+    content["distortion"] = list(camera.distortion)
+    content["ignore"] = [list(rectangle) for rectangle in camera.ignore] or None
     above = "".join(f"# {line}\n" for line in comment.splitlines())
-    write_yaml(Path(path), camera_content(camera), above)
+    kept = {key: value for key, value in content.items() if value is not None}
+    write_yaml(Path(path), kept, above)

@@ -32,6 +32,9 @@ from egolane_pgm.vision.camera.writing import silent
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
 
+#: What is wrong with a pair of sources of which one has more pictures.
+_EQUAL = "the pictures of the two cameras must be equally many"
+
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
 
@@ -188,8 +191,11 @@ def read_pictures(
     than the calibration or the other camera's, and for two cameras with different numbers of
     pictures.
     """
-    if right is not None:
-        _check_pair(source, right)
+    counts = source.n_frames, source.n_frames if right is None else right.n_frames
+    if right is not None and None not in counts and counts[0] != counts[1]:
+        raise InputError(
+            f"{right.path}: has {counts[1]} pictures, {source.path} has {counts[0]}; {_EQUAL}"
+        )
     folders = {file.parent for file in source.files}
     if len(folders) > 1 and len({file.name for file in source.files}) < len(source.files):
         warnings.warn(
@@ -198,43 +204,21 @@ def read_pictures(
             UserWarning,
             stacklevel=2,
         )
-    left_images = images_of(source, frames)
-    if right is None:
-        for frame_id, file, image in left_images:
-            _check_size(file, frame_id, image, camera)
-            yield Picture(frame_id, image)
-        return
-    right_images = images_of(right, _same_frames(source, right, frames))
-    for frame_id, file, image in left_images:
-        other = next(right_images, None)
-        if other is None:
-            raise InputError(
-                f"{right.path}: ends before frame {frame_id} of {source.path}; the pictures of the"
-                " two cameras must be equally many"
-            )
-        _, right_file, right_image = other
-        if image.shape != right_image.shape:
-            raise InputError(
-                f"{right_file}: frame {frame_id}: the picture has {_size(right_image)} pixels, that"
-                f" of the left camera ({file}) has {_size(image)}; the pictures of a pair must have"
-                f" one size, the camera's ({camera.width}x{camera.height})"
-            )
+    seconds = None if right is None else images_of(right, _same_frames(source, right, frames))
+    for frame_id, file, image in images_of(source, frames):
         _check_size(file, frame_id, image, camera)
-        yield Picture(frame_id, image, right_image)
-    if next(right_images, None) is not None:
-        raise InputError(
-            f"{source.path}: ends before {right.path}; the pictures of the two cameras must be"
-            " equally many"
-        )
-
-
-def _check_pair(source: Source, right: Source) -> None:
-    if source.n_frames is None or right.n_frames is None or source.n_frames == right.n_frames:
-        return
-    raise InputError(
-        f"{right.path}: has {right.n_frames} pictures, {source.path} has {source.n_frames}; the"
-        " pictures of the two cameras must be equally many"
-    )
+        if right is None or seconds is None:
+            yield Picture(frame_id, image)
+            continue
+        second = next(seconds, None)
+        if second is None:
+            raise InputError(
+                f"{right.path}: ends before frame {frame_id} of {source.path}; {_EQUAL}"
+            )
+        _check_size(second[1], frame_id, second[2], camera)
+        yield Picture(frame_id, image, second[2])
+    if right is not None and seconds is not None and next(seconds, None) is not None:
+        raise InputError(f"{source.path}: ends before {right.path}; {_EQUAL}")
 
 
 def _same_frames(

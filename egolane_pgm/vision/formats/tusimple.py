@@ -3,47 +3,90 @@
     {"raw_file": "clips/0313-1/6040/20.jpg", "lanes": [[-2, 632, ...], ...],
      "h_samples": [240, ...]}
 
-`lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent. In
-results as the benchmark takes them, with `run_time` but no `h_samples`, these are its own 48 or 56
-rows.
+`lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent.
+Results as the benchmark takes them have no `h_samples`: the rows are then its own 48 or 56.
 `classes` is optional and has the class of each line; 2 (solid white) and 4 (solid yellow) are
-continuous unless the option `continuous` says otherwise. (6, a double white line, is not by
-default: another lane lies beyond it, and the flag is evidence of the road's edge.)
+continuous. (6, a double white line, is not: another lane lies beyond it, and the flag is evidence
+of the road's edge.)
 
 What is a drive follows from the folders. `clips/0313-1/6040/20.jpg` and others whose folder is a
 count and has one picture of the file are frames of one drive: frame 6040 of 0313-1. Any other
-folder is a clip of its own, as `clips/0530/1492626047222176976_0` of the official test labels,
-which have one picture (20.jpg) of each of 2,782 clips; results may have all twenty. The frame
-number is then the last number in the picture's name (`frame_00042.jpg`: 42). Pictures may come in
-any order.
+folder is a clip of its own, and the frame number is then the last number in the picture's name
+(`frame_00042.jpg`: 42). The frame ids of a clip go on after those of the clip before, and no line
+is followed from one into the next.
+
+The points of a line are put on the road by the camera, and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
+to them; the offset is s0. The fit trusts a point as far as a pixel is wide on the road where it
+lies, and expects the heading and curvature of a motorway, so that a line of which only a far piece
+is seen does not get an absurd offset. A line is followed from frame to frame by the nearest offset;
+its LRI counts in how many of the last ten pictures it was seen (the paper's k).
 """
 
 from __future__ import annotations
 
 import json
+import re
+import warnings
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import numpy as np
+
 from egolane_pgm.recordings import known_formats
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import InputError, LineLog
-from egolane_pgm.vision.camera.model import Camera
-from egolane_pgm.vision.formats.image_lines import (
-    COUNT_DIGITS,
-    ImageFrame,
-    ImageLine,
-    camera_of,
-    line_log,
-    points,
+from egolane_pgm.types import (
+    BoolArray,
+    FloatArray,
+    InputError,
+    LineLog,
+    not_one_of,
+    pieces_of,
 )
+from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
 
 #: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.
 _ROWS = {48: list(range(240, 720, 10)), 56: list(range(160, 720, 10))}
 
-#: The largest class of the sets of classes that are in use.
-_LARGEST_CLASS = 20
+#: The classes of continuous lines.
+_SOLID = (2, 4)
+
+#: The paper's k. A line becomes valid at this LRI and stays so until it falls below the second.
+LRI_FRAMES, RELEASE_LRI = 10, 5.0
+
+#: Points farther ahead are left out: a pixel is metres long there, and roads are not flat. A line
+#: whose nearest point is farther ahead than the second has no offset: it says too little.
+FARTHEST_M, NEAREST_M = 50.0, 25.0
+
+#: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
+POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
+
+#: How far a line may move between two pictures: metres, and metres for each second between them.
+GATE_M, GATE_M_PER_S = 0.3, 1.5
+
+#: After a gap of more seconds than this no line is followed any further.
+LONGEST_GAP_S = 1.0
+
+#: How a line becomes valid: by the paper's hysteresis, or always, if the source is trusted.
+VALID = ("hysteresis", "always")
+
+#: A number in a name with more digits is a time stamp, which counts nothing.
+_COUNT_DIGITS = 12
+
+
+@dataclass(frozen=True)
+class ImageLine:
+    """One line: its points u, v (P,) in pixels, and whether it is known to be continuous."""
+
+    u: FloatArray
+    v: FloatArray
+    is_continuous: bool = False
+
+
+#: The place in the file, for messages, and the lines of a picture.
+_Frame = tuple[str, list[ImageLine]]
 
 
 def read_tusimple(
@@ -53,8 +96,6 @@ def read_tusimple(
     camera: Camera | str | Path | None = None,
     valid: str | None = None,
     frame_step: int = 1,
-    ahead_m: float = 0.0,
-    continuous: Collection[int] = (2, 4),
 ) -> LineLog:
     """Read the lines of a TuSimple label or result file, T frames of at most L lines.
 
@@ -65,31 +106,28 @@ def read_tusimple(
       always for clips of which none has ten pictures.
     - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
       frame_step.
-    - ahead_m: how far ahead of the camera offsets are measured, metres; a car that steers to the
-      left is there before it is at the camera.
-    - continuous: the classes that are continuous lines.
 
-    Raises InputError, with the line of the file, for broken JSON, missing keys, rows and columns
-    that do not match, unknown classes, frames given twice, no camera, no frame.
+    Warns of clips that are too short, and of pictures too far apart, to follow a line. Raises
+    InputError, with the line of the file, for broken JSON, missing keys, rows and columns that do
+    not match, frames given twice, no camera, no frame.
     """
     path = Path(path)
     entries = list(read_entries(path))
-    seen_by = camera_of(camera, path)
-    solid = _classes(continuous, path)
-    drives = _drives_and_names([entry["raw_file"] for _, entry in entries])
-    frames = [
-        ImageFrame(name, entry_lines(entry, where, solid), where, drive)
-        for (drive, name), (where, entry) in zip(drives, entries, strict=True)
-    ]
-    return line_log(
-        frames,
-        camera=seen_by,
-        frame_rate=frame_rate,
-        valid=valid,
-        frame_step=frame_step,
-        ahead_m=ahead_m,
-        source=str(path),
-    )
+    if camera is None:
+        raise InputError(
+            f"{path}: its lines are in pixels: name the camera's YAML file (recording.camera, or"
+            " camera; `egolane calibrate` makes one)"
+        )
+    if not isinstance(camera, (Camera, str, Path)):
+        raise InputError(f"{path}: camera: {camera!r} is not the name of a camera's YAML file")
+    seen_by = camera if isinstance(camera, Camera) else read_camera(camera)
+    if valid is not None and valid not in VALID:
+        raise InputError(f"{path}: valid: {not_one_of(valid, VALID)}")
+    if isinstance(frame_step, bool) or not isinstance(frame_step, int) or frame_step < 1:
+        raise InputError(f"{path}: frame_step: {frame_step!r} is not a whole number from 1 up")
+    if not entries:
+        raise InputError(f"{path}: no frame in it")
+    return _log(_clips(entries, seen_by, frame_step), seen_by, frame_rate, valid, str(path))
 
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -102,7 +140,7 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         where = f"{path}: line {number}"
         try:
             entry = json.loads(line)
-        except (ValueError, RecursionError) as error:
+        except ValueError as error:
             raise InputError(
                 f"{where}: is not JSON, which TuSimple's format needs in each line: {error}{others}"
             ) from None
@@ -128,57 +166,225 @@ def _rows_of(lanes: list[Any], where: str) -> list[int]:
     return _ROWS[counts.pop()] if counts else []
 
 
-def _drives_and_names(raw_files: list[str]) -> list[tuple[str, str]]:
-    """Of each picture the folder of its drive, and the part of the name with the frame number."""
-    pictures = [PurePosixPath(raw_file) for raw_file in raw_files]
-    held = Counter(picture.parent for picture in set(pictures))
-    return [
-        (str(folder.parent), folder.name)
-        if folder.name.isdecimal() and len(folder.name) <= COUNT_DIGITS and held[folder] == 1
-        else (str(folder), picture.stem)
-        for picture, folder in ((picture, picture.parent) for picture in pictures)
-    ]
-
-
-def entry_lines(
-    entry: dict[str, Any], where: str, solid: frozenset[int] = frozenset()
-) -> list[ImageLine]:
-    """The lines of a picture's entry that have at least one point.
-
-    - solid: the classes that are continuous.
-
-    Raises InputError as `read_tusimple` does.
-    """
-    rows = points(entry["h_samples"], where, "h_samples")
-    classes = entry.get("classes")
-    if classes is not None and (
-        not isinstance(classes, list) or len(classes) != len(entry["lanes"])
-    ):
-        raise InputError(
-            f"{where}: classes needs one class for each of {len(entry['lanes'])} lanes"
-        )
+def entry_lines(entry: dict[str, Any], where: str) -> list[ImageLine]:
+    """The lines of a picture's entry that have at least one point. Raises InputError as
+    `read_tusimple` does."""
+    rows = _numbers(entry["h_samples"], where, "h_samples")
+    n_lanes = len(entry["lanes"])
+    classes = entry.get("classes", [0] * n_lanes)
+    if not isinstance(classes, list) or len(classes) != n_lanes:
+        raise InputError(f"{where}: classes needs one class for each of {n_lanes} lanes")
     lines = []
     for k, lane in enumerate(entry["lanes"]):
-        columns = points(lane, where, f"lane {k + 1}")
+        columns = _numbers(lane, where, f"lane {k + 1}")
         if len(columns) != len(rows):
             raise InputError(
                 f"{where}: lane {k + 1} has {len(columns)} values for {len(rows)} h_samples"
             )
-        known = 0 if classes is None else classes[k]
-        if isinstance(known, bool) or known not in range(_LARGEST_CLASS + 1):
-            raise InputError(
-                f"{where}: lane {k + 1} has class {known!r}, not one of 0 to {_LARGEST_CLASS}"
-            )
         is_there = columns >= 0
         if is_there.any():
-            lines.append(ImageLine(columns[is_there], rows[is_there], known in solid))
+            lines.append(ImageLine(columns[is_there], rows[is_there], classes[k] in _SOLID))
     return lines
 
 
-def _classes(continuous: Collection[int], path: Path) -> frozenset[int]:
-    given = list(continuous) if isinstance(continuous, (list, tuple, set, frozenset)) else [None]
-    if not all(type(c) is int and 0 <= c <= _LARGEST_CLASS for c in given):
+def _numbers(values: object, where: str, what: str) -> FloatArray:
+    """A list of numbers as an array. Raises InputError for anything else."""
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        array = np.zeros((0, 0))
+    if array.ndim != 1 or not isinstance(values, list):
+        raise InputError(f"{where}: {what} is not a list of numbers")
+    if not np.isfinite(array).all():
+        raise InputError(f"{where}: {what} has a number that is not finite")
+    return array
+
+
+# --- frames and clips ----------------------------------------------------------------------------
+
+
+def _clips(
+    entries: Sequence[tuple[str, dict[str, Any]]], camera: Camera, frame_step: int
+) -> dict[str, dict[int, _Frame]]:
+    """The frames of each clip by their numbers over frame_step, ascending."""
+    pictures = [PurePosixPath(entry["raw_file"]) for _, entry in entries]
+    held = Counter(picture.parent for picture in set(pictures))
+    clips: dict[str, dict[int, _Frame]] = {}
+    for picture, (where, entry) in zip(pictures, entries, strict=True):
+        folder = picture.parent
+        is_frame = folder.name.isdecimal() and len(folder.name) <= _COUNT_DIGITS
+        if is_frame and held[folder] == 1:
+            clip, name = str(folder.parent), folder.name
+        else:
+            clip, name = str(folder), picture.stem
+        number = frame_number(name, where)
+        if number % frame_step:
+            raise InputError(f"{where}: frame {number} is no multiple of frame_step {frame_step}")
+        members = clips.setdefault(clip, {})
+        if (k := number // frame_step) in members:
+            raise InputError(
+                f"{where}: frame {number} is there twice (also {members[k][0]}); keep one"
+            )
+        lines = entry_lines(entry, where)
+        lowest = max((float(line.v.max()) for line in lines), default=0.0)
+        if lowest > 1.1 * camera.height:
+            raise InputError(
+                f"{where}: a line reaches down to row {lowest:.0f}, the camera's pictures have"
+                f" {camera.height}; is it the camera of these pictures?"
+            )
+        members[k] = (where, lines)
+    return {clip: dict(sorted(members.items())) for clip, members in clips.items()}
+
+
+def frame_number(name: str, where: str) -> int:
+    """The frame number in a name: the last run of digits in it. Raises InputError for a name
+    without a number, or with a time stamp."""
+    digits = re.findall(r"\d+", name)
+    if not digits:
+        raise InputError(f"{where}: '{name}' has no frame number in it")
+    if len(digits[-1]) > _COUNT_DIGITS:
         raise InputError(
-            f"{path}: continuous: {continuous!r} is not a list of classes, 0 to {_LARGEST_CLASS}"
+            f"{where}: '{name}' is named by a time stamp; name the pictures by frame numbers"
         )
-    return frozenset(c for c in given if c is not None)
+    return int(digits[-1])
+
+
+def _log(
+    clips: dict[str, dict[int, _Frame]],
+    camera: Camera,
+    frame_rate: float,
+    valid: str | None,
+    source: str,
+) -> LineLog:
+    """Make one log of the clips, the lines of a frame left to right."""
+    numbers: list[int] = []
+    for members in clips.values():
+        # Of several clips the ids start at 0 and go on from clip to clip.
+        shift = (numbers[-1] + 1 if numbers else 0) - min(members) if len(clips) > 1 else 0
+        numbers += [k + shift for k in members]
+    ids = np.array(numbers, dtype=np.int64)
+    offsets, flags = [], []
+    frames = [lines for members in clips.values() for _, lines in members.values()]
+    for lines in frames:
+        offset = np.array([offset_of(line, camera) for line in lines])
+        continuous = np.array([line.is_continuous for line in lines], dtype=bool)
+        order = np.argsort(offset, kind="stable")[: np.isfinite(offset).sum()]
+        offsets.append(offset[order])
+        flags.append(continuous[order])
+    if not any(map(len, offsets)) and any(map(len, frames)):
+        raise InputError(
+            f"{source}: no line has two points on the road within {NEAREST_M:.0f} m ahead of this"
+            " camera; is it the camera of these pictures?"
+        )
+    names = np.repeat(list(clips), list(map(len, clips.values()))) if len(clips) > 1 else None
+    lri, is_valid = [], []
+    for piece in pieces_of(names, len(ids)):
+        counts, flag = persistence(offsets[piece], ids[piece] / frame_rate)
+        lri += counts
+        is_valid += flag
+    all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
+    if valid is None and len(clips) > 1 and max(map(len, clips.values())) < LRI_FRAMES:
+        valid = "always"
+        _warn(
+            f"{source}: its {len(clips)} clips have fewer than {LRI_FRAMES} pictures, too few to"
+            " follow a line: every line counts as valid (recording.options.valid: hysteresis says"
+            " otherwise)"
+        )
+    if valid == "always":
+        all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
+    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
+    if valid != "always" and apart > LONGEST_GAP_S:
+        _warn(
+            f"{source}: the pictures are {apart:.1f} s apart, too far to follow a line: none"
+            " becomes valid (are recording.frame_rate and recording.options.frame_step right?"
+            " options.valid: always trusts every line)"
+        )
+    log = LineLog.from_rows(
+        ids,
+        frame_rate,
+        np.repeat(np.arange(len(ids)), [len(row) for row in offsets]),
+        np.concatenate(offsets),
+        all_valid,
+        np.concatenate(flags),
+        all_lri,
+        source=source,
+    )
+    return replace(log, clip=names)
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, UserWarning, stacklevel=4)
+
+
+# --- lines ---------------------------------------------------------------------------------------
+
+
+def offset_of(line: ImageLine, camera: Camera) -> float:
+    """The offset of the line, metres to the right; NaN if fewer than two of its points lie on the
+    road near enough."""
+    x, y = image_to_road(camera, line.u, line.v)
+    with np.errstate(invalid="ignore"):
+        near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
+    x, y = x[near], y[near]
+    if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
+        return float("nan")
+    prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
+    weight = camera.fx / (POINT_PX * x)
+    rows = np.stack([np.ones_like(x), x, x * x / 2], axis=1) * weight[:, None]
+    values = np.concatenate([y * weight, np.zeros(len(prior))])
+    return float(np.linalg.lstsq(np.concatenate([rows, prior]), values, rcond=None)[0][0])
+
+
+@dataclass
+class _Track:
+    offset: float
+    history: list[bool]
+    is_valid: bool = False
+
+
+def persistence(
+    offsets: Sequence[FloatArray], time_s: FloatArray
+) -> tuple[list[FloatArray], list[BoolArray]]:
+    """The LRI and the valid flag, by the paper's hysteresis, of the lines of each frame.
+
+    - offsets: per frame (L,) in ascending order, metres.
+    - time_s (T,): the times of the frames.
+    """
+    tracks: list[_Track] = []
+    lri, valid = [], []
+    for t, offset in enumerate(offsets):
+        gap = float(time_s[t] - time_s[t - 1]) if t else 0.0
+        if gap > LONGEST_GAP_S + 1e-9:
+            tracks = []
+        matched = _nearest([track.offset for track in tracks], offset, GATE_M + GATE_M_PER_S * gap)
+        for k, track in enumerate(tracks):
+            track.history = [*track.history, k in matched.values()][-LRI_FRAMES:]
+        own = []
+        for line, value in enumerate(offset):
+            if line in matched:
+                own.append(tracks[matched[line]])
+                own[-1].offset = float(value)
+            else:
+                own.append(_Track(float(value), [True]))
+                tracks.append(own[-1])
+        for track in tracks:
+            seen = sum(track.history)
+            # In the first frames of a drive too few pictures were seen to trust a line.
+            track.is_valid = seen == LRI_FRAMES or (track.is_valid and seen >= RELEASE_LRI)
+        tracks = [track for track in tracks if any(track.history)]
+        lri.append(np.array([float(sum(track.history)) for track in own]))
+        valid.append(np.array([track.is_valid for track in own], dtype=bool))
+    return lri, valid
+
+
+def _nearest(before: Sequence[float], now: FloatArray, gate: float) -> dict[int, int]:
+    """Line -> track for the pairs nearer than the gate, nearest first, each used once."""
+    distance = np.abs(np.subtract.outer(np.asarray(now), np.asarray(before)))
+    pairs: dict[int, int] = {}
+    for flat in np.argsort(distance, axis=None, kind="stable"):
+        line, track = divmod(int(flat), len(before))
+        if distance[line, track] > gate:
+            break
+        if line not in pairs and track not in pairs.values():
+            pairs[line] = track
+    return pairs

@@ -1,6 +1,5 @@
 """Calibration of a camera from chessboards and labelled lines."""
 
-import re
 from dataclasses import replace
 
 import cv2
@@ -68,12 +67,9 @@ def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tm
     lens = calibrate_lens(sorted(tmp_path.iterdir()))
     said = {line.split(": ")[0].rsplit("/", 1)[1]: line for line in lens.skipped}
     assert "no picture" in said["x_text.jpg"]
-    assert "no chessboard" in said["x_empty.png"]
+    assert "no chessboard of 9x6" in said["x_empty.png"]
     assert "640x480, most are 1280x720" in said["x_small.png"]
-    part_of = re.search(r"with (\d+)x(\d+) inner corners seen, not 9x6", said["x_part.png"])
-    assert part_of is not None
-    # The longer side first, as a board is named.
-    assert 9 >= int(part_of[1]) > int(part_of[2]) >= 3
+    assert "no chessboard of 9x6" in said["x_part.png"]
     assert "x_part.png" not in lens.boards
 
 
@@ -82,7 +78,7 @@ def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
         calibrate_lens(sorted(boards.iterdir())[:3])
     with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*board says its corners"):
         calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
-    with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard found"):
+    with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard of 9x6"):
         calibrate_lens(sorted(stills.iterdir()))
 
 

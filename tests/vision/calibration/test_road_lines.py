@@ -113,7 +113,6 @@ def test_the_camera_of_the_real_chessboards_and_straight_stills(real_pictures, t
     assert (lens.camera.cx, lens.camera.cy) == pytest.approx((672, 389), abs=8)
     assert len(lens.boards) >= 15
     assert len(lens.boards) + len(lens.skipped) == 20
-    assert any("9x5 inner corners seen" in line for line in lens.skipped)
     camera = replace(lens.camera, ignore=((0, 670, 1280, 720),))
     stills = files_matching(str(folder / "test_images" / "straight_lines*.jpg"))
     found = find_in_stills(camera, stills)

@@ -114,9 +114,9 @@ def test_boards_that_give_no_lens_are_refused_with_what_to_do() -> None:
         _solve(boards, (1280, 720), 9, 6, [])
 
 
-@pytest.mark.parametrize("board", [(2, 6), (9, 2), (101, 6), (9, 101)])
+@pytest.mark.parametrize("board", [(2, 6), (9, 2)])
 def test_boards_that_there_are_not_are_refused(board: tuple[int, int]) -> None:
-    with pytest.raises(InputError, match=f"board {board[0]}x{board[1]}: needs 3x3 to 100x100"):
+    with pytest.raises(InputError, match=f"board {board[0]}x{board[1]}: needs at least 3x3"):
         calibrate_lens([], *board)
 
 
@@ -135,6 +135,6 @@ def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(width: float, sai
     true = replace(PLAIN, height_m=1.4, pitch_deg=-2.0)
     view = view_of_lines(true, PLAIN, [lines_of(true, (-5.4, -1.8, 1.8, 5.4))] * 3, width)
     assert view.camera.lane_width_m == width
-    doubts = doubts_of(view)
-    assert len(doubts) == bool(said)
-    assert said in "".join(doubts)
+    doubt = doubts_of(view)
+    assert bool(doubt) == bool(said)
+    assert said in doubt

@@ -108,7 +108,6 @@ class Network(Section):
     start: _Place = None
     length: _Place = None
     in_pixels: bool = False
-    every: Annotated[int, Field(ge=1)] = 1
 
     @model_validator(mode="after")
     def _fits_its_layout(self) -> Self:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Picture
@@ -21,7 +21,7 @@ from egolane_pgm.vision.detectors.networks.description import (
 from egolane_pgm.vision.detectors.networks.layouts import Answer, Line, answer
 from egolane_pgm.vision.detectors.networks.running import fit_of, load
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look
-from egolane_pgm.vision.detectors.simple.fit import Found, find_lines
+from egolane_pgm.vision.detectors.simple.fit import APART_M, Found, find_lines
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
 PARAMETERS = (
@@ -33,15 +33,11 @@ PARAMETERS = (
         " lines is dropped (docs/networks.md)",
         choices=(NO_NETWORK,),
     ),
-    Parameter(
-        "on_road_margin_m",
-        "non_negative",
-        0.3,
-        "how far beside what the network sees marking is kept, metres, as many networks leave the"
-        " paint out of the road's area",
-        highest=10,
-    ),
 )
+
+#: How far beside what the network sees marking is kept, metres, as many networks leave the paint
+#: out of the road's area.
+_MARGIN_M = 0.3
 
 #: Points of lines that are farther ahead, or to the side, are left out, metres.
 _FARTHEST_M, _ASIDE_M = 150.0, 100.0
@@ -58,23 +54,15 @@ _USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
 _NEAR_SD_M, _SD_PER_M = 0.05, 0.01
 
 #: Takes a bird's-eye view, a picture, the lines expected in it (P, 4) or None, and which pixels of
-#: the view count, (R, C) or None; gives None for a picture that is not looked at.
-Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Found | None]
+#: the view count, (R, C) or None.
+Finder = Callable[[BirdsEye, Picture, FloatArray | None, BoolArray | None], Found]
 
 
-def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer | None]:
-    """Make a function that takes the pictures of a drive in order and gives what the network sees;
-    None in frames that the network skips (`every`). Raises InputError as `load` does."""
+def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer]:
+    """Make a function from a picture to what the network sees. Raises InputError as `load` does."""
     fit = fit_of(network, camera.width, camera.height)
     run = load(network, fit)
-    count = 0
-
-    def see(picture: Picture) -> Answer | None:
-        nonlocal count
-        is_spared, count = count % network.every > 0, count + 1
-        return None if is_spared else answer(network, fit, run(picture.image))
-
-    return see
+    return lambda picture: answer(network, fit, run(picture.image))
 
 
 def from_above(view: BirdsEye, seen: Answer) -> BoolArray:
@@ -88,21 +76,18 @@ def keep_on_road(
 ) -> Callable[[BirdsEye, Picture], BoolArray] | None:
     """Make a function that takes the bird's-eye view of a frame and its picture, and gives where
     marking is kept, (R, C): where the network of the parameter `on_road` sees the road or lines, or
-    beside. In frames that the network skips, its last answer holds. None without a network."""
+    beside. None without a network."""
     if parameters["on_road"] == NO_NETWORK:
         return None
     network = read_network(str(parameters["on_road"]))
     if network.layout not in ("drivable", "lanes"):
         raise InputError(f"{network.files[0]}: on_road needs a mask: layout drivable or lanes")
-    see, margin = looker(network, camera), number(parameters, "on_road_margin_m")
-    last = Answer(None)
+    see = looker(network, camera)
 
     def kept(view: BirdsEye, picture: Picture) -> BoolArray:
-        nonlocal last
-        last = see(picture) or last
         # The margin is to the side only.
-        around = np.ones((1, 2 * round(margin / view.across_m) + 1), dtype=np.uint8)
-        return np.asarray(cv2.dilate(from_above(view, last).astype(np.uint8), around) > 0)
+        around = np.ones((1, 2 * round(_MARGIN_M / view.across_m) + 1), dtype=np.uint8)
+        return np.asarray(cv2.dilate(from_above(view, see(picture)).astype(np.uint8), around) > 0)
 
     return kept
 
@@ -113,10 +98,8 @@ def network_finder(camera: Camera, network: Network, parameters: Parameters) -> 
 
     def find(
         view: BirdsEye, picture: Picture, prior: FloatArray | None, counts: BoolArray | None
-    ) -> Found | None:
+    ) -> Found:
         seen = see(picture)
-        if seen is None:
-            return None
         if seen.mask is None:
             return _fitted(view, network, seen.lines, parameters, counts)
         mask = from_above(view, seen).astype(np.uint8)
@@ -135,7 +118,7 @@ def _fitted(
     counts: BoolArray | None,
 ) -> Found:
     """Fit each line by least squares over its places in the view. Of lines nearer to each other
-    than `apart_m`, the most probable is kept."""
+    than `APART_M`, the most probable is kept."""
     valid = view.valid if counts is None else view.valid & counts
     shapes: list[FloatArray] = []
     kept: list[Line] = []
@@ -144,7 +127,7 @@ def _fitted(
         if shape is None or abs(shape[0]) > number(parameters, "side_m"):
             continue
         gaps = (np.array(shapes).reshape(-1, 4) - shape) @ powers(_COMPARED_M)
-        if (np.abs(gaps) >= number(parameters, "apart_m")).all():
+        if (np.abs(gaps) >= APART_M).all():
             shapes.append(shape)
             kept.append(line)
     found = np.array(shapes).reshape(-1, 4)

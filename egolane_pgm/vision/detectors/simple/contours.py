@@ -14,10 +14,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.kernels import contour_runs
+
+#: The area of the smallest contour that is kept, square metres, and the steepest one, metres to the
+#: side per metre ahead.
+_LEAST_AREA_M2, _MOST_SLOPE = 0.04, 0.35
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class Strips:
     slope_sd: FloatArray
 
 
-def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters) -> Strips:
+def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
     """Finds the contours of a mask (R, C) that may be marking. The mask is 0 where there is none;
     where it is larger, a pixel weighs more."""
     borders, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
@@ -54,16 +56,14 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters)
     points = np.concatenate(borders)[:, 0].astype(np.int32)
     around = tree[0, :, 3]
     owner = np.where(around < 0, np.arange(len(borders)), around)
-    row, left, right, contour, total = contour_runs(mask, points, starts, owner)
+    row, left, right, contour, total = _runs(mask, points, starts, owner)
     pixels = right - left + 1
     width = total * (view.across_m * pixels.sum() / total.sum())
     area = np.bincount(contour, pixels, len(borders)) * (view.across_m * view.along_m)
     x = view.x_m[row]
     y: FloatArray = view.y_m[0] + 0.5 * (left + right) * view.across_m
     middle, slope, slope_sd = _directions(view, x, y, width, contour, len(borders))
-    keep = (area >= number(parameters, "least_area_m2")) & (
-        np.abs(slope) <= number(parameters, "most_slope")
-    )
+    keep = (area >= _LEAST_AREA_M2) & (np.abs(slope) <= _MOST_SLOPE)
     renumbered = np.cumsum(keep) - 1
     kept = keep[contour]
     return Strips(
@@ -76,6 +76,31 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8], parameters: Parameters)
         slope[keep],
         slope_sd[keep],
     )
+
+
+def _runs(
+    mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
+) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
+    """The N runs along the rows of a mask's pixels that are not 0: row, first and last column,
+    contour, and the sum of the pixels, (N,) each.
+
+    - mask: (R, C)
+    - points: (P, 2) column and row of the points of all borders, one border after the other
+    - starts: (B + 1,) where each border begins in `points`, and P
+    - owner: (B,) the contour of each border; for the border of a hole, the contour around it
+    """
+    n_columns = mask.shape[1]
+    flat = np.flatnonzero(mask)
+    is_first = np.diff(flat, prepend=-2) != 1
+    is_first |= flat % n_columns == 0
+    first = np.flatnonzero(is_first)
+    last = np.append(first[1:], len(flat)) - 1
+    # A run begins on a border.
+    border = np.empty(mask.shape, dtype=np.int32)
+    border[points[:, 1], points[:, 0]] = np.repeat(owner, np.diff(starts))
+    row, left = np.divmod(flat[first], n_columns)
+    total = np.add.reduceat(mask.ravel()[flat], first, dtype=np.int64)
+    return row, left, flat[last] % n_columns, border[row, left].astype(np.int64), total
 
 
 def _directions(

@@ -10,9 +10,6 @@ that was moved.
 The car's own pitching and the slope of the road move the lines in the same way. The belief is
 therefore about the pitch on the average, and its standard deviation tells how far the average can
 be trusted.
-
-The height of the camera and the width of the lanes are one number in a picture: only where the
-width is known does it tell the height.
 """
 
 from __future__ import annotations
@@ -24,12 +21,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.parameters import Parameter, Parameters, number
+from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
-from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, lane_width_m
+from egolane_pgm.vision.detectors.simple.fit import (
+    Found,
+    find_lines,
+)
 
 PARAMETERS = (
     Parameter(
@@ -41,15 +41,10 @@ PARAMETERS = (
         " `ignore` it and save the time to look",
         choices=("correct", "warn", "ignore"),
     ),
-    Parameter(
-        "drift_every",
-        "integer",
-        50,
-        "frames between two looks at the calibration, of which each takes as long as three frames;"
-        " in the beginning there are more",
-        lowest=1,
-    ),
 )
+
+#: The most frames between two looks at the calibration; each takes as long as three frames.
+_EVERY = 50
 
 #: The pitch has drifted if it is off by more than this and two standard deviations, degrees.
 _DRIFT_DEG = 0.3
@@ -92,19 +87,6 @@ _LEAST_LOOKS = 6
 #: The steps in which the pitch is corrected, degrees.
 _CORRECTION_DEG = 0.1
 
-#: Distances of neighbouring lines that may be one lane, in usual widths. The finder sees no lines
-#: nearer to each other, and wider gaps are two lanes.
-_ONE_LANE = (0.6, 1.5)
-
-#: The least share of all distances that may be one lane.
-_LEAST_USUAL = 0.2
-
-#: How many of the last such distances are kept, and how many are needed to speak of the height.
-_GAPS, _LEAST_GAPS = 100, 20
-
-#: A warning comes if the height is off by more than this share plus two standard deviations.
-_GROSS = 0.15
-
 
 @dataclass(frozen=True)
 class Drift:
@@ -113,14 +95,12 @@ class Drift:
     - weight: (G,) probability of each of the differences from the calibrated pitch
     - frames: how many pictures the drive has had so far
     - looks: how many of them were looked at and showed a line
-    - gaps_m: (N,) the last distances of neighbouring lines, metres
     - is_off: whether the pitch has differed from the calibrated one for sure
     """
 
     weight: FloatArray
     frames: int
     looks: int
-    gaps_m: FloatArray
     is_off: bool = False
 
     @property
@@ -137,7 +117,7 @@ class Drift:
 
 def no_drift() -> Drift:
     """The belief before the first look: the calibration is roughly right."""
-    return Drift(_normalised(_PRIOR), 0, 0, np.zeros(0))
+    return Drift(_normalised(_PRIOR), 0, 0)
 
 
 def _normalised(log_weight: FloatArray) -> FloatArray:
@@ -171,58 +151,23 @@ def parallel_at(view: BirdsEye, found: Found) -> float:
     return -math.degrees(squeeze * view.camera.height_m)
 
 
-def with_gaps(drift: Drift, found: Found) -> Drift:
-    """The belief with the distances of the neighbouring lines found in one more picture."""
-    gaps = np.diff(found.shape[:, 0])
-    return replace(drift, gaps_m=np.concatenate([drift.gaps_m, gaps])[-_GAPS:])
-
-
-def lane_gaps(gaps_m: FloatArray, usual_m: float) -> FloatArray:
-    """Those of the distances of neighbouring lines that are lanes: the ones that may be a usual
-    lane, if at least a fifth of all may, and else all of them: then the scale is wrong."""
-    low, high = usual_m * np.array(_ONE_LANE)
-    may_be = gaps_m[(gaps_m > low) & (gaps_m < high)]
-    return may_be if len(may_be) >= _LEAST_USUAL * len(gaps_m) else gaps_m
-
-
-def height(camera: Camera, drift: Drift, parameters: Parameters) -> tuple[float, float]:
-    """The camera's height that follows from the usual lane width, and its standard deviation,
-    metres; NaN before enough lanes were seen.
-
-    Seen from a camera at a wrong height, everything on the road is larger by the same factor. The
-    lanes of a road vary by `lane_width_sd` about `lane_width_m`, and no number of pictures of one
-    road makes the height surer than that.
-    """
-    usual, sd = lane_width_m(camera, parameters), number(parameters, "lane_width_sd")
-    gaps = lane_gaps(drift.gaps_m, usual)
-    if len(gaps) < _LEAST_GAPS:
-        return float("nan"), float("nan")
-    width = float(np.median(gaps))
-    scatter = float(np.median(np.abs(gaps - width))) * 1.48 / math.sqrt(len(gaps))
-    found = camera.height_m * usual / width
-    return found, found * math.hypot(sd / usual, scatter / width)
-
-
 def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
     """Makes a function to call with each picture of a drive. It looks at some of the pictures,
-    gives the belief about the camera, and warns once of a drift and once of a height that is
-    grossly wrong.
+    gives the belief about the camera, and warns once of a drift.
 
     view: the bird's-eye view of the calibrated camera.
     """
     drift, n_looks, next_look = no_drift(), 0, 0
-    every = number(parameters, "drift_every")
     turned = turned_up(view)
-    has_warned = {"pitch": False, "height": False}
 
-    def tried(image: Image, away: float) -> tuple[float, float, Found | None]:
+    def tried(image: Image, away: float) -> tuple[float, float]:
         try:
             seen = turned(away)
         except InputError:
             # So far off that the camera would not see the road.
-            return 0.0, float("nan"), None
+            return 0.0, float("nan")
         found = find_lines(seen, image, parameters)
-        return float(found.score.sum()), away + parallel_at(seen, found), found
+        return float(found.score.sum()), away + parallel_at(seen, found)
 
     def see(picture: Picture) -> Drift:
         nonlocal drift, n_looks, next_look
@@ -231,21 +176,18 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
         if n < next_look:
             return drift
         n_looks += 1
-        next_look = n + round(min(_gap(n_looks, parameters), every))
+        next_look = n + round(min(_gap(n_looks, parameters), _EVERY))
         middle = round(drift.pitch_deg / _STEP_DEG) * _STEP_DEG
         away = middle + _APART_DEG * np.array([-1.0, 0.0, 1.0])
-        amount, parallel, found = zip(*(tried(picture.image, a) for a in away), strict=True)
+        amount, parallel = zip(*(tried(picture.image, a) for a in away), strict=True)
         if not any(amount):
             return drift
         best = int(np.argmax(amount))
         drift = looked(drift, away, np.array(amount), parallel[best])
-        if (lines := found[best]) is not None:
-            drift = with_gaps(drift, lines)
-        for what, said in _complaints(view.camera, drift, parameters).items():
-            if not has_warned[what]:
-                has_warned[what] = True
-                drift = replace(drift, is_off=has_warned["pitch"])
-                warnings.warn(f"frame {picture.frame_id}: {said}", UserWarning, stacklevel=2)
+        if not drift.is_off and _has_drifted(drift):
+            drift = replace(drift, is_off=True)
+            said = _complaint(view.camera, drift, str(parameters["camera_drift"]))
+            warnings.warn(f"frame {picture.frame_id}: {said}", UserWarning, stacklevel=2)
         return drift
 
     return see
@@ -267,33 +209,23 @@ def correction_deg(drift: Drift) -> float:
     return round(drift.pitch_deg / _CORRECTION_DEG) * _CORRECTION_DEG
 
 
-def _complaints(camera: Camera, drift: Drift, parameters: Parameters) -> dict[str, str]:
-    """The warnings about a camera: under `pitch` and `height`, for each that is wrong."""
-    if drift.looks < _LEAST_LOOKS:
-        return {}
-    name = camera.name or "the camera"
-    said = {}
-    away, sd = drift.pitch_deg, drift.pitch_sd_deg
-    if abs(away) > _DRIFT_DEG + 2 * sd:
-        corrects = parameters["camera_drift"] == "correct"
-        then = (
-            "the pitch is corrected from here on"
-            if corrects
-            else "calibrate it again, or set the detector's camera_drift to correct"
-        )
-        said["pitch"] = (
-            f"{name}: the lines of the road say that it is pitched by"
-            f" {camera.pitch_deg + away:.2f} degrees (standard deviation {sd:.2f}), but it was"
-            f" calibrated with pitch_deg {camera.pitch_deg:.2f}; {then}"
-        )
-    high, high_sd = height(camera, drift, parameters)
-    if abs(high - camera.height_m) > _GROSS * camera.height_m + 2 * high_sd:
-        width = lane_width_m(camera, parameters)
-        seen = np.median(lane_gaps(drift.gaps_m, width))
-        said["height"] = (
-            f"{name}: lanes look {seen:.1f} m wide; if they are {width:g} m"
-            f" (lane_width_m), the camera is {high:.2f} m (standard deviation {high_sd:.2f}) above"
-            f" the road, but it was calibrated with height_m {camera.height_m:.2f}; calibrate it"
-            " again with the width of the lanes, or set lane_width_m to it"
-        )
-    return said
+def _has_drifted(drift: Drift) -> bool:
+    """Whether the pitch is off for sure."""
+    return drift.looks >= _LEAST_LOOKS and (
+        abs(drift.pitch_deg) > _DRIFT_DEG + 2 * drift.pitch_sd_deg
+    )
+
+
+def _complaint(camera: Camera, drift: Drift, choice: str) -> str:
+    """The warning of a drift. choice: the value of `camera_drift`."""
+    then = (
+        "the pitch is corrected from here on"
+        if choice == "correct"
+        else "calibrate it again, or set the detector's camera_drift to correct"
+    )
+    return (
+        f"{camera.name or 'the camera'}: the lines of the road say that it is pitched by"
+        f" {camera.pitch_deg + drift.pitch_deg:.2f} degrees (standard deviation"
+        f" {drift.pitch_sd_deg:.2f}), but it was calibrated with pitch_deg"
+        f" {camera.pitch_deg:.2f}; {then}"
+    )

@@ -4,7 +4,6 @@ four variants share it: with one or two cameras, for straight lines or clothoids
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -30,7 +29,6 @@ from egolane_pgm.vision.detectors.simple.tracking import (
     expected,
     lines_of,
     no_tracks,
-    predicted,
     rules,
 )
 
@@ -42,10 +40,6 @@ PARAMETERS = (
     *drift.PARAMETERS,
     *_NETWORK,
 )
-
-#: It is said if vehicles seem to hide more than this share of the road in this number of pictures
-#: in a row. In the densest of 110 pictures of a crowded motorway they hide 0.58.
-_MOSTLY, _LONG = 0.6, 10
 
 #: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
 #: and which of its pixels (R, C) lie on the plane of the road.
@@ -100,10 +94,9 @@ def follower(
     watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
     corrects = parameters["camera_drift"] == "correct"
     turned, corrected_deg = turned_up(view), 0.0
-    n_hidden = 0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
-        nonlocal corrected_deg, n_hidden
+        nonlocal corrected_deg
         # A stereo pair is checked first, so that its own errors name the picture that is wrong.
         seen, is_road = (view, None) if road is None else road(picture)
         believed = None if watch is None else watch(picture)
@@ -121,17 +114,6 @@ def follower(
             if finder is None
             else finder(seen, picture, prior_shape, is_road)
         )
-        if found is None:
-            return predicted(tracks, rule)
-        n_hidden = n_hidden + 1 if found.hidden > _MOSTLY else 0
-        if n_hidden == _LONG:
-            warnings.warn(
-                f"frame {picture.frame_id}: vehicles have seemed to hide most of the road for"
-                f" {_LONG} frames (dense traffic, or something else that is dark), and no line is"
-                " looked for there; shadow_share 0 looks everywhere",
-                UserWarning,
-                stacklevel=2,
-            )
         painted = painted_share(seen, picture.image, found.shape, parameters)
         if found.solid is not None:
             painted = np.where(np.isnan(found.solid), painted, found.solid)

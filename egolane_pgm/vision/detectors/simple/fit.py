@@ -27,7 +27,7 @@ from egolane_pgm.vision.detectors.simple.kernels import (
     common_scores,
     line_equations,
 )
-from egolane_pgm.vision.detectors.simple.markings import marking_mask
+from egolane_pgm.vision.detectors.simple.markings import SMOOTH_ALONG_M, marking_mask
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 from egolane_pgm.vision.detectors.simple.streaks import (
     NOISE,
@@ -37,6 +37,21 @@ from egolane_pgm.vision.detectors.simple.streaks import (
     without_streaks,
 )
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
+
+#: The far edge of the view for straight lines, as roads bend, and the size of its pixels along and
+#: across the road, metres.
+_STRAIGHT_TO_M, _ALONG_M, _ACROSS_M = 25.0, 0.1, 0.05
+
+#: The most lines per frame, and the least distance between them, metres.
+_LINES, APART_M = 8, 2.2
+
+#: Half the width of the strip that a line covers, and the width of a marking that counts in full,
+#: metres.
+_REACH_M, _STRIPE_M = 0.125, 0.1
+
+#: Standard deviation of the width of lanes, metres, and the share of a line's score that it lends
+#: to its neighbours.
+_LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS = 0.2, 0.5
 
 #: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
 #: height, 1/m) and rate (1/m^2). First their usual sizes, standard deviations, then the largest
@@ -58,8 +73,8 @@ _STREAKY_RISE = 3.0
 #: In noise the picture is blurred over some pixels, and its view over some metres along the road;
 #: what is left of the noise must not be taken for a line. These values were chosen on the first 55
 #: stills with noise of a standard deviation of 15 to 60.
-_NOISY_BLUR, _NOISY_ALONG_M = (5, 5), 0.9
-_NOISY = {"least_rise": 3.4, "smooth_along_m": 1.5, "least_score": 0.22}
+_NOISY_BLUR, _NOISY_ALONG_M, _NOISY_SMOOTH_M = (5, 5), 0.9, 1.5
+_NOISY = {"least_rise": 3.4, "least_score": 0.22}
 
 #: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
 #: the best point.
@@ -75,7 +90,7 @@ _PIECE_M = 0.8
 #: Size of the bins of the search for offsets, metres.
 _BIN_M = 0.05
 
-#: For each round of least squares, how near a run must be to a line to count, in `reach_m`.
+#: For each round of least squares, how near a run must be to a line to count, in `_REACH_M`.
 _REFINE = (2.5, 2.0, 1.5)
 
 #: Standard deviation of the distance of a run, one metre wide, from its line. It is larger than the
@@ -101,14 +116,12 @@ class Found:
     - shape: (M, 4) as in FrameLines
     - score: (M,) share of the visible length that contours cover, plus support from neighbours; of
       a network's own lines how likely each is
-    - hidden: the share of the road in view that vehicles seem to hide
     - likely, solid: (M,) how likely each is, and how much of it is continuous, NaN where nobody
       says; both None but for a network's own lines
     """
 
     shape: FloatArray
     score: FloatArray
-    hidden: float = 0.0
     likely: FloatArray | None = None
     solid: FloatArray | None = None
 
@@ -143,16 +156,9 @@ def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
     """The bird's-eye view that the parameters ask for. Raises InputError as `make_view` does."""
     side, far = number(parameters, "side_m"), number(parameters, "x_max_m")
     if parameters["curve"] == "line":
-        far = min(far, number(parameters, "straight_to_m"))
-    return make_view(
-        camera,
-        number(parameters, "x_min_m"),
-        far,
-        -side,
-        side,
-        number(parameters, "along_m"),
-        number(parameters, "across_m"),
-    )
+        far = min(far, _STRAIGHT_TO_M)
+    near = number(parameters, "x_min_m")
+    return make_view(camera, near, far, -side, side, _ALONG_M, _ACROSS_M)
 
 
 def lane_width_m(camera: Camera, parameters: Parameters) -> float:
@@ -181,19 +187,20 @@ def find_lines(
 
     Raises InputError for a picture of another size than the calibration.
     """
-    is_given, hidden = mask is not None, 0.0
+    is_given, smooth_m = mask is not None, SMOOTH_ALONG_M
     if mask is None:
-        cover = streak_cover(image, parameters)
+        cover = streak_cover(image)
         if cover > NOISE:
             if is_nothing_but_noise(image):
                 return _nothing()
             # Bends and what is far away drown first.
-            near = view.x_m <= number(parameters, "straight_to_m")
+            near = view.x_m <= _STRAIGHT_TO_M
             view = replace(view, valid=view.valid & near[:, None])
             image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
             parameters = {**parameters, **_NOISY, "curve": "line"}
+            smooth_m = _NOISY_SMOOTH_M
         elif cover > RAIN:
-            image = without_streaks(image, parameters)
+            image = without_streaks(image)
             parameters = {**parameters, "least_rise": _STREAKY_RISE}
         above = from_above(view, image)
         if cover > NOISE:
@@ -201,17 +208,14 @@ def find_lines(
             above = cv2.blur(above, (1, rows)).astype(np.uint8, copy=False)
         if not is_daylight(view.camera, image):
             parameters = {**parameters, "shadow_share": 0.0}
-        free = free_road(view, above, parameters)
-        hidden = float(np.count_nonzero(view.valid & ~free)) / max(int(view.valid.sum()), 1)
-        view = replace(view, valid=view.valid & free)
-        mask = marking_mask(view, above, parameters)
+        view = replace(view, valid=view.valid & free_road(view, above, parameters))
+        mask = marking_mask(view, above, parameters, smooth_m)
     if on_road is not None:
         mask[~on_road] = 0
-    strips = find_strips(view, mask, parameters)
+    strips = find_strips(view, mask)
     if is_given:
-        usual = np.full_like(strips.width_m, number(parameters, "stripe_m"))
-        strips = replace(strips, width_m=usual)
-    return replace(fit_lines(view, strips, parameters, prior_shape), hidden=hidden)
+        strips = replace(strips, width_m=np.full_like(strips.width_m, _STRIPE_M))
+    return fit_lines(view, strips, parameters, prior_shape)
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:
@@ -342,24 +346,23 @@ def _scores(
     at = np.floor((offset + side) / _BIN_M).astype(int)
     inside = (at >= 0) & (at < n_bins)
     area = np.bincount(at[inside], (strips.width_m * agreement)[inside], n_bins) * view.along_m
-    wide = 2 * round(number(parameters, "reach_m") / _BIN_M - 0.5) + 1
+    wide = 2 * round(_REACH_M / _BIN_M - 0.5) + 1
     # mode="same" would give as many values as the longer of the two arrays.
     covered = np.convolve(area, np.ones(wide))[wide // 2 : wide // 2 + n_bins]
     shown = _visible(view, common.shape(centre))
-    full = np.maximum(shown, _LEAST_VISIBLE_M) * number(parameters, "stripe_m")
+    full = np.maximum(shown, _LEAST_VISIBLE_M) * _STRIPE_M
     own = np.minimum(covered / full, 1.0)
-    bonus, width = number(parameters, "neighbour_bonus"), lane_width_m(view.camera, parameters)
-    return centre, np.where(own > 0.03, own + bonus * _support(own, width, parameters), own)
+    support = _support(own, lane_width_m(view.camera, parameters))
+    return centre, np.where(own > 0.03, own + _NEIGHBOUR_BONUS * support, own)
 
 
-def _support(own: FloatArray, width: float, parameters: Parameters) -> FloatArray:
+def _support(own: FloatArray, width: float) -> FloatArray:
     """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
-    sd = number(parameters, "lane_width_sd")
     lag = np.arange(1, len(own))
-    lag = lag[np.abs(lag * _BIN_M - width) <= 3 * sd + _BIN_M]
+    lag = lag[np.abs(lag * _BIN_M - width) <= 3 * _LANE_WIDTH_SD_M + _BIN_M]
     if not len(lag):
         return np.zeros(len(own))
-    likely = np.exp(-0.5 * ((lag * _BIN_M - width) / sd) ** 2)
+    likely = np.exp(-0.5 * ((lag * _BIN_M - width) / _LANE_WIDTH_SD_M) ** 2)
     padded = np.pad(np.minimum(own, _MOST_SUPPORT), lag[-1])
     at = np.arange(len(own))[:, None] + lag[-1]
     return np.asarray((np.maximum(padded[at - lag], padded[at + lag]) * likely).max(axis=1))
@@ -376,16 +379,16 @@ def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
 
 
 def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:
-    """Indices of the best scores in turn, each at least `apart_m` from those before."""
+    """Indices of the best scores in turn, each at least `APART_M` from those before."""
     left = score.copy()
     peaks: list[int] = []
     least = max(number(parameters, "least_score"), 1e-6)
-    while len(peaks) < number(parameters, "lines"):
+    while len(peaks) < _LINES:
         best = int(np.argmax(left))
         if left[best] < least:
             break
         peaks.append(best)
-        left[np.abs(centre - centre[best]) < number(parameters, "apart_m")] = 0
+        left[np.abs(centre - centre[best]) < APART_M] = 0
     return np.array(peaks, dtype=np.int64)
 
 
@@ -398,7 +401,6 @@ def _refine(
 ) -> tuple[_Common, FloatArray]:
     """Refines the shared values and the offsets (M,) by least squares over the runs near the
     lines."""
-    reach = number(parameters, "reach_m")
     has = shared_by(str(parameters["curve"]))
     for times in _REFINE:
         if not len(found):
@@ -413,7 +415,7 @@ def _refine(
             found,
             common.squeeze,
             has,
-            times * reach,
+            times * _REACH_M,
         )
         strength = np.array([*prior[1] ** -2.0, *np.full(len(found), _WEAK)])
         normal[np.diag_indices(len(strength))] += strength

@@ -8,49 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.tools.jit import kernel
-from egolane_pgm.types import BoolArray, FloatArray, IntArray
-
-
-@kernel()
-def contour_runs(
-    mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
-) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-    """The N runs along the rows of a mask's pixels that are not 0: row, first and last column,
-    contour, and the sum of the pixels, (N,) each.
-
-    - mask: (R, C)
-    - points: (P, 2) column and row of the points of all borders, one border after the other
-    - starts: (B + 1,) where each border begins in `points`, and P
-    - owner: (B,) the contour of each border; for the border of a hole, the contour around it
-    """
-    n_rows, n_columns = mask.shape
-    border = np.full((n_rows, n_columns), -1, dtype=np.int32)
-    for b in range(len(starts) - 1):
-        for p in range(starts[b], starts[b + 1]):
-            border[points[p, 1], points[p, 0]] = owner[b]
-    # A run begins on a border, so no row has more runs than border points.
-    most = len(points)
-    row = np.empty(most, dtype=np.int64)
-    left = np.empty(most, dtype=np.int64)
-    right = np.empty(most, dtype=np.int64)
-    contour = np.empty(most, dtype=np.int64)
-    total = np.zeros(most, dtype=np.int64)
-    n = 0
-    for r in range(n_rows):
-        c = 0
-        while c < n_columns:
-            if mask[r, c] == 0:
-                c += 1
-                continue
-            row[n] = r
-            left[n] = c
-            contour[n] = border[r, c]
-            while c < n_columns and mask[r, c] != 0:
-                total[n] += mask[r, c]
-                c += 1
-            right[n] = c - 1
-            n += 1
-    return row[:n], left[:n], right[:n], contour[:n], total[:n]
+from egolane_pgm.types import BoolArray, FloatArray
 
 
 @kernel()

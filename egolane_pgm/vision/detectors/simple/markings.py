@@ -20,6 +20,17 @@ from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
+#: The length over which contrast is averaged, and the side of the patch over which brightness and
+#: contrast are, metres.
+SMOOTH_ALONG_M, _AROUND_M = 0.7, 4.0
+
+#: Added to the local brightness, 0 to 255.
+_BRIGHTNESS_FLOOR = 40.0
+
+#: The least contrast of marking over brightness, and the same where the whole picture has little
+#: contrast, as when it is blurred or dim.
+_LEAST_CONTRAST, _BLURRED_CONTRAST = 0.02, 0.0125
+
 #: The largest contrast that enters the mean, so that one bright line does not hide its neighbours.
 _MOST_CONTRAST = 0.2
 
@@ -32,25 +43,24 @@ _OVER_MEAN = 3.0
 _IN_FULL = 3
 
 
-def marking_mask(view: BirdsEye, above: Image, parameters: Parameters) -> NDArray[np.uint8]:
+def marking_mask(
+    view: BirdsEye, above: Image, parameters: Parameters, smooth_along_m: float = SMOOTH_ALONG_M
+) -> NDArray[np.uint8]:
     """Where a bird's-eye view of one colour, (R, C), may show marking, (R, C): 255 where it stands
     out clearly, less where it is fainter, a third of that at the threshold, and 0 below it."""
     wide = _odd(number(parameters, "marking_width_m") / view.across_m)
     seen = _seen(view, above, wide)
-    count = _blur(seen, view, parameters)
+    count = _blur(seen, view)
     np.maximum(count, np.float32(1e-3), out=count)
-    share = _contrast(view, above, wide, parameters)
-    local = _blur(above, view, parameters) / count
-    share /= local + np.float32(number(parameters, "brightness_floor") + 1e-3)
+    share = _contrast(view, above, wide, smooth_along_m)
+    local = _blur(above, view) / count
+    share /= local + np.float32(_BRIGHTNESS_FLOOR + 1e-3)
     share *= seen
     limited = np.minimum(share, np.float32(_MOST_CONTRAST))
-    usual = _blur(limited, view, parameters) / count
+    usual = _blur(limited, view) / count
     usual *= np.float32(number(parameters, "least_rise"))
     everywhere = float(limited.sum()) / max(int(np.count_nonzero(seen)), 1)
-    least = min(
-        max(_OVER_MEAN * everywhere, number(parameters, "blurred_contrast")),
-        number(parameters, "least_contrast"),
-    )
+    least = min(max(_OVER_MEAN * everywhere, _BLURRED_CONTRAST), _LEAST_CONTRAST)
     np.maximum(usual, np.float32(least), out=usual)
     share /= usual
     full = 255
@@ -72,21 +82,20 @@ def _seen(view: BirdsEye, above: Image, wide: int) -> NDArray[np.uint8]:
 
 
 def _contrast(
-    view: BirdsEye, above: Image, wide: int, parameters: Parameters
+    view: BirdsEye, above: Image, wide: int, smooth_along_m: float
 ) -> NDArray[np.float32]:
     """How much brighter, in grey levels, strips narrower than `wide` pixels are than the road
     beside them, (R, C)."""
     strip = np.ones((1, wide), dtype=np.uint8)
     bright = cv2.morphologyEx(above, cv2.MORPH_TOPHAT, strip)
-    long = _odd(number(parameters, "smooth_along_m") / view.along_m)
+    long = _odd(smooth_along_m / view.along_m)
     return cv2.boxFilter(bright, cv2.CV_32F, (1, long)).astype(np.float32, copy=False)
 
 
-def _blur(values: NDArray[Any], view: BirdsEye, parameters: Parameters) -> NDArray[np.float32]:
+def _blur(values: NDArray[Any], view: BirdsEye) -> NDArray[np.float32]:
     """The mean over the patch around each pixel; values beyond the edges count as 0. Bytes are
     summed as whole numbers, which is faster."""
-    size = number(parameters, "around_m")
-    patch = (_odd(size / view.across_m), _odd(size / view.along_m))
+    patch = (_odd(_AROUND_M / view.across_m), _odd(_AROUND_M / view.along_m))
     blurred = cv2.boxFilter(values, cv2.CV_32F, patch, borderType=cv2.BORDER_CONSTANT)
     return blurred.astype(np.float32, copy=False)
 

@@ -18,7 +18,6 @@ from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
 PARAMETERS = (
-    Parameter("least_length_m", "positive", 3.0, "shortest piece in view that is judged, metres"),
     Parameter(
         "paint_width_m",
         "positive",
@@ -34,8 +33,9 @@ PARAMETERS = (
     ),
 )
 
-#: The length of a line that is examined, and the largest distance of paint from it, metres.
-_LENGTH_M, _REACH_M = 10.0, 0.25
+#: The length of a line that is examined, the shortest piece in view that is judged, and the largest
+#: distance of paint from it, metres.
+_LENGTH_M, _LEAST_M, _REACH_M = 10.0, 3.0, 0.25
 
 #: The least contrast of paint, as a share of local brightness, and as a multiple of the contrast
 #: beside the line (on the side with less).
@@ -59,7 +59,7 @@ def painted_share(
     - image: (H, W, 3), blue green red
     - shape: (M, 4) the lines, as in FrameLines
     """
-    width_m, least_m = (number(parameters, name) for name in ("paint_width_m", "least_length_m"))
+    width_m = number(parameters, "paint_width_m")
     aside = round((_REACH_M + width_m) / view.across_m) + 1
     strip = np.ones((1, 2 * max(round(width_m / view.across_m / 2), 1) + 1), dtype=np.uint8)
     away_m = np.arange(aside + 1) * view.across_m
@@ -68,7 +68,7 @@ def painted_share(
     shares = np.full(len(shape), np.nan)
     for k, line in enumerate(shape):
         rows, columns = _rows_in_view(view, line, aside, _LENGTH_M)
-        if len(rows) * view.along_m < least_m:
+        if len(rows) * view.along_m < _LEAST_M:
             continue
         pixels = view.map_uv[0][rows[:, None], columns[:, None] + np.arange(-aside, aside + 1)]
         own, other = _contrasts(image, pixels, strip, near, far)

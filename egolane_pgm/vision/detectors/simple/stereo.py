@@ -38,14 +38,6 @@ PARAMETERS = (
         choices=("sgbm", "elas"),
     ),
     Parameter(
-        "match_scale",
-        "integer",
-        2,
-        "factor by which pictures are made narrower to match",
-        lowest=1,
-        highest=100,
-    ),
-    Parameter(
         "match_rows",
         "integer",
         4,
@@ -55,27 +47,17 @@ PARAMETERS = (
         highest=100,
     ),
     Parameter("nearest_m", "positive", 4.0, "smallest distance that is matched, metres"),
-    Parameter(
-        "plane_share", "probability", 0.4, "least share of the matched points on a sure plane"
-    ),
-    Parameter(
-        "off_plane_m", "positive", 0.25, "least height above or below the plane of objects, metres"
-    ),
-    Parameter(
-        "pitch_from",
-        "choice",
-        "plane",
-        "the camera's pitch in a frame: that of the fitted plane if it is sure, or the calibrated",
-        choices=("plane", "calibration"),
-    ),
-    Parameter(
-        "unsure_after",
-        "integer",
-        20,
-        "frames in a row without a sure plane before a warning",
-        lowest=1,
-    ),
 )
+
+#: The factor by which pictures are made narrower to match, and the least share of the matched
+#: points on a sure plane.
+_SCALE, _PLANE_SHARE = 2, 0.4
+
+#: The least height of objects above or below the plane, metres.
+_OFF_PLANE_M = 0.25
+
+#: The frames in a row without a sure plane before a warning.
+_UNSURE_AFTER = 20
 
 #: Takes two small grey pictures (H, W) and the number of disparities that are searched, and gives
 #: the disparity of each pixel of the left one, (H, W); negative where it cannot tell.
@@ -161,19 +143,19 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
             seen = turned(steps * _PITCH_STEP_DEG)
             return seen, _pixels(pair, seen)
 
-        watch = _watch(pair, parameters)
+        watch = _watch(pair)
 
         def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
             left, right = reduced(pair, picture)
             disparity = disparities(pair, left, right)
-            plane = find_plane(pair, disparity, parameters)
+            plane = find_plane(pair, disparity)
             watch(picture.frame_id, plane, left, right)
             steps = 0
-            if plane.is_sure and parameters["pitch_from"] == "plane":
+            if plane.is_sure:
                 away = float(planes.pose(camera, plane.abc)[1]) - camera.pitch_deg
                 steps = round(away / _PITCH_STEP_DEG)
             seen, pixels = pitched(steps)
-            return seen, ~off_plane(pair, disparity, plane, parameters).ravel()[pixels]
+            return seen, ~off_plane(pair, disparity, plane).ravel()[pixels]
 
         return look
 
@@ -185,15 +167,15 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 
     Raises InputError if the pictures would become too small, or `nearest_m` too near for them.
     """
-    scale, rows = int(number(parameters, "match_scale")), int(number(parameters, "match_rows"))
+    scale, rows = _SCALE, int(number(parameters, "match_rows"))
     road = planes.ground_plane(camera)
     top, bottom = _rows(camera, parameters)
     edge = scale * _EDGE_PX
     height, width = (bottom - top) // rows, camera.width // scale
     if height < 16 or width < 64:
         raise InputError(
-            f"match_scale: {scale} and match_rows: {rows} leave {width}x{height} pixels of the road"
-            " to match; make them smaller"
+            f"match_rows: {rows} leaves {width}x{height} pixels of the road to match; make it"
+            " smaller, or take larger pictures"
         )
     if parameters["matcher"] == "elas" and height < _ELAS_ROWS:
         raise InputError(
@@ -355,30 +337,29 @@ def disparities(pair: Pair, left: Image, right: Image) -> FloatArray:
     return np.where(is_found & is_shown, disparity, np.nan)
 
 
-def find_plane(pair: Pair, disparity: FloatArray, parameters: Parameters) -> Plane:
+def find_plane(pair: Pair, disparity: FloatArray) -> Plane:
     """Finds the plane of the road in disparities (H, W)."""
     points = pair.points[np.isfinite(disparity.ravel()[pair.points])]
     u, v, d = (a.ravel()[points] for a in (pair.u, pair.v, disparity))
-    tolerance, least_share = pair.scale * _PLANE_PX, number(parameters, "plane_share")
-    plane = planes.fit_plane(pair.camera, u, v, d, tolerance, least_share)
+    plane = planes.fit_plane(pair.camera, u, v, d, pair.scale * _PLANE_PX, _PLANE_SHARE)
     share = plane.share * len(points) / max(len(pair.points), 1)
     return replace(plane, share=share)
 
 
-def off_plane(pair: Pair, disparity: FloatArray, plane: Plane, parameters: Parameters) -> BoolArray:
+def off_plane(pair: Pair, disparity: FloatArray, plane: Plane) -> BoolArray:
     """The pixels, (H, W), that are not on the plane. A pixel without disparity counts as on it. If
     the plane is not sure, so does a pixel that would be on it at the largest allowed pitch."""
     least_px = pair.scale * (_OFF_PLANE_PX + (0 if plane.is_sure else pair.below_px))
     # A point with disparity d is above the plane by the share (d - plane's) / d of the camera's
     # height.
-    least_share = number(parameters, "off_plane_m") / pair.camera.height_m
+    least_share = _OFF_PLANE_M / pair.camera.height_m
     away = np.abs(disparity - planes.disparity_at(plane.abc, pair.u, pair.v))
     off = (away > least_px) & (away > least_share * np.abs(disparity))
     grow = 2 * _GROW_PX + 1
     return np.asarray(cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0)
 
 
-def _watch(pair: Pair, parameters: Parameters) -> Callable[[int, Plane, Image, Image], None]:
+def _watch(pair: Pair) -> Callable[[int, Plane, Image, Image], None]:
     """Makes a function to call after each frame: it raises InputError if the two pictures are
     swapped, and warns once if the plane stays unsure."""
     ever_sure, has_warned, running = False, False, 0
@@ -388,13 +369,13 @@ def _watch(pair: Pair, parameters: Parameters) -> Callable[[int, Plane, Image, I
         ever_sure |= plane.is_sure
         running = 0 if plane.is_sure else running + 1
         if running and not ever_sure and running <= _SWAP_TRIALS:
-            swapped = find_plane(pair, disparities(pair, right, left), parameters)
+            swapped = find_plane(pair, disparities(pair, right, left))
             if swapped.is_sure:
                 raise InputError(
                     "the pictures of left and right are swapped (the road's disparities are"
                     " negative); give them the other way round"
                 )
-        if running == int(number(parameters, "unsure_after")) and not has_warned:
+        if running == _UNSURE_AFTER and not has_warned:
             has_warned = True
             warnings.warn(
                 f"frame {frame_id}: no road plane found in {running} frames running (do the two"

@@ -12,8 +12,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.vision.camera.picture import Image
+
+#: Width of the widest streak, as a share of the picture's.
+_WIDEST = 0.0025
 
 #: The distance of the rows that are looked at.
 _ROW_STEP = 8
@@ -38,16 +40,16 @@ RAIN, NOISE = 0.01, 0.1
 _BLOCK, _NOTHING, _APART = 8, 0.85, 8
 
 
-def streak_cover(image: Image, parameters: Parameters) -> float:
+def streak_cover(image: Image) -> float:
     """The share of a picture, (H, W, 3) or (H, W), that thin bright strips cover, in each of three
-    parts out of four of its lower half; 0 if `streak_width` is 0."""
+    parts out of four of its lower half; 0 in a picture too small for streaks."""
     rows = image[image.shape[0] // 2 :: _ROW_STEP]
-    if not _width(image, parameters) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
+    if not _width(image) or rows.shape[0] < _PARTS[0] or rows.shape[1] < _PARTS[1]:
         return 0.0
     # OpenCV copies a channel faster than NumPy does.
     rows = np.ascontiguousarray(rows)
     rows = rows if rows.ndim == 2 else cv2.extractChannel(rows, 2).astype(np.uint8, copy=False)
-    thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image, parameters))
+    thin = cv2.morphologyEx(rows, cv2.MORPH_TOPHAT, _strip(image))
     least = cv2.addWeighted(rows, _BRIGHTER, rows, 0.0, _NOISE)
     is_streak = cv2.compare(thin, least, cv2.CMP_GT)
     # The mean over each part; the parts need not have the same number of pixels.
@@ -55,9 +57,9 @@ def streak_cover(image: Image, parameters: Parameters) -> float:
     return float(np.quantile(covered, _QUARTILE)) / 255
 
 
-def without_streaks(image: Image, parameters: Parameters) -> Image:
+def without_streaks(image: Image) -> Image:
     """The picture without the strips that are as thin as streaks."""
-    opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image, parameters))
+    opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image))
     return opened.astype(np.uint8, copy=False)
 
 
@@ -71,11 +73,10 @@ def is_nothing_but_noise(image: Image) -> bool:
     return not apart or float(np.abs(rows[1:] - rows[:-1]).mean()) > _NOTHING * apart
 
 
-def _width(image: Image, parameters: Parameters) -> int:
+def _width(image: Image) -> int:
     """How many pixels wide a streak is at most."""
-    pixels: int = round(number(parameters, "streak_width") * image.shape[1])
-    return pixels
+    return round(_WIDEST * float(image.shape[1]))
 
 
-def _strip(image: Image, parameters: Parameters) -> Image:
-    return np.ones((1, _width(image, parameters) + 1), dtype=np.uint8)
+def _strip(image: Image) -> Image:
+    return np.ones((1, _width(image) + 1), dtype=np.uint8)

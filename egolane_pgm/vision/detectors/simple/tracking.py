@@ -35,6 +35,35 @@ _WALK = (0.004, 2e-4, 4e-6)
 #: road's).
 _CURVATURE_GAIN = 0.3
 
+#: Standard deviation of a line's own change of offset per frame, metres.
+_OFFSET_WALK_M = 0.06
+
+#: The shares of the matched lines' common motion that move every line (the car's motion), and that
+#: enter the steady motion, with which lines are predicted.
+_SHIFT_GAIN, _MOTION_GAIN = 0.6, 0.4
+
+#: The share of frames that a line must be detected in to become valid: a detection counts one, a
+#: miss takes away share / (1 - share), though never more than there is, and k are needed (Page's
+#: test of 1954 for a rate above this one). A valid line stays so until its LRI is below the second
+#: share of k.
+_VALID_SHARE, _VALID_UNTIL = 0.55, 0.5
+
+#: The frames in a row without detection after which a line is dropped that was valid once, and one
+#: that never was.
+_DIE_AFTER, _NEW_DIE_AFTER = 10, 3
+
+#: The largest distance of a line from its prediction: metres, and standard deviations on average.
+_GATE_M, _GATE_SIGMAS = 1.0, 4.0
+
+#: Of two lines nearer to each other than the first, metres, one is dropped. A line beyond another,
+#: seen from the car, and nearer to it than the second bounds no lane (the foot of a barrier, a
+#: kerb). Lines farther to the side than the third are dropped.
+_APART_M, _LEAST_LANE_M, _FARTHEST_M = 1.0, 2.8, 14.0
+
+#: How many of a line's last detections vote on continuous or dashed, and the share of the votes
+#: that makes it continuous.
+_VOTE_FRAMES, _CONTINUOUS_SHARE = 20, 0.5
+
 #: Limit on a new line's standard deviations, in steps of the walk.
 _OPEN_STEPS = 50
 
@@ -80,7 +109,10 @@ class Tracks:
 class Rules:
     """The parameters of tracking and the matrices that follow from them.
 
-    - values: the parameters
+    - lri_frames: k
+    - continuous_cover: the painted share of a line from which on a frame votes for continuous
+    - beyond_edge: which lines beyond the edge of the road are hidden
+    - gate_m: largest distance of a line from its prediction
     - n_values: how many of a shape's four values the lines have: 2 if they are straight
     - at: (J, 4) takes a line's parameters to its places at J distances ahead
     - noise: (J, J) covariance of a measurement
@@ -91,7 +123,10 @@ class Rules:
     - to_curvature: (J,) takes places to the curvature of the parabola that fits them best
     """
 
-    values: Parameters
+    lri_frames: int
+    continuous_cover: float
+    beyond_edge: str
+    gate_m: float
     n_values: int
     at: FloatArray
     noise: FloatArray
@@ -101,34 +136,35 @@ class Rules:
     to_shift: FloatArray
     to_curvature: FloatArray
 
-    def __getitem__(self, name: str) -> float:
-        return number(self.values, name)
 
-
-def rules(parameters: Parameters, *, curve: str) -> Rules:
+def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rules:
     """The rules of tracking, from checked values of the parameters.
 
-    curve: "line", "parabola" or "clothoid".
+    - curve: "line", "parabola" or "clothoid"
+    - gate_m: largest distance of a line from its prediction
     """
     n_values = CURVES[curve]
     at = powers(_AHEAD_M)
     noise = np.diag(_SIGMA_M**2)
     if n_values == 4:
         noise = _noise_of_clothoids(at, _SIGMA_M, _SIGMA_RATE)
-    walk = np.array([number(parameters, "offset_walk_m"), *_WALK])
+    walk = np.array([_OFFSET_WALK_M, *_WALK])
     walk[n_values:] = 0.0
     inverse = np.linalg.pinv(at)
     first = inverse @ noise @ inverse.T
     narrower = np.minimum(1.0, _OPEN_STEPS * walk / np.sqrt(np.diag(first)))
     first *= narrower[:, None] * narrower
-    share = 1.0 if parameters["valid_when"] == "paper" else number(parameters, "valid_share")
-    miss_cost = share / (1 - share) if share < 1 else np.inf
+    is_strict = parameters["valid_when"] == "paper"
+    miss_cost = np.inf if is_strict else _VALID_SHARE / (1 - _VALID_SHARE)
     weight = 1 / np.sqrt(np.diag(noise))
     design = at * weight[:, None]
     to_shift: FloatArray = np.linalg.pinv(design[:, :2]) * weight
     to_curvature: FloatArray = np.linalg.pinv(design[:, :3])[2] * weight
     return Rules(
-        parameters,
+        int(number(parameters, "lri_frames")),
+        number(parameters, "continuous_cover"),
+        str(parameters["beyond_edge"]),
+        gate_m,
         n_values,
         at,
         noise,
@@ -154,14 +190,13 @@ def _noise_of_clothoids(at: FloatArray, sigma: FloatArray, sigma_rate: float) ->
 
 def no_tracks(rule: Rules) -> Tracks:
     """The tracks before the first frame: none."""
-    n_hits, n_votes = int(rule["lri_frames"]), int(rule["vote_frames"])
     return Tracks(
         number=np.zeros(0, dtype=np.int64),
         mean=np.zeros((0, 4)),
         covariance=np.zeros((0, 4, 4)),
-        hits=np.zeros((0, n_hits)),
+        hits=np.zeros((0, rule.lri_frames)),
         excess=np.zeros(0),
-        votes=np.zeros((0, n_votes)),
+        votes=np.zeros((0, _VOTE_FRAMES)),
         missed=np.zeros(0, dtype=np.int64),
         is_valid=np.zeros(0, dtype=bool),
         was_valid=np.zeros(0, dtype=bool),
@@ -198,7 +233,7 @@ def advance(
     is_new[matched[matched >= 0]] = False
     for found in np.flatnonzero(is_new):
         new = _new_track(tracks, rule, shape[found], coverage[found], likely[found])
-        is_apart = _gaps(tracks.mean, shape[found], rule) >= rule["tracks_apart_m"]
+        is_apart = _gaps(tracks.mean, shape[found], rule) >= _APART_M
         if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
             tracks = _joined(tracks, new)
     return _without_lost(_with_validity(tracks, rule), rule)
@@ -213,7 +248,7 @@ def predicted(tracks: Tracks, rule: Rules) -> Tracks:
 
 def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
     """The lines of a frame, left to right, as the detector gives them."""
-    is_continuous = continuous_share(tracks) > rule["continuous_share"]
+    is_continuous = continuous_share(tracks) > _CONTINUOUS_SHARE
     order = np.argsort(tracks.mean[:, 0], kind="stable")
     order = order[~_is_hidden(tracks, is_continuous, rule)[order]]
     return FrameLines(
@@ -227,7 +262,7 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
 
 def _is_hidden(tracks: Tracks, is_continuous: BoolArray, rule: Rules) -> BoolArray:
     """Which lines, (L,), the parameter `beyond_edge` hides."""
-    choice, offset = rule.values["beyond_edge"], tracks.mean[:, 0]
+    choice, offset = rule.beyond_edge, tracks.mean[:, 0]
     edges = offset[is_continuous & tracks.is_valid]
     left, right = edges[edges < 0].max(initial=-np.inf), edges[edges > 0].min(initial=np.inf)
     is_beyond: BoolArray = (offset < left) | (offset > right)
@@ -254,7 +289,7 @@ def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
     sigmas = np.sqrt((gap**2 / variance).mean(axis=2))
     # The gate in metres uses the nearer half, because far ahead a small turn makes a large gap.
     metres = np.abs(gap[..., : _PLACES // 2]).mean(axis=2)
-    cost = np.where((metres <= rule["gate_m"]) & (sigmas <= rule["gate_sigmas"]), metres, np.inf)
+    cost = np.where((metres <= rule.gate_m) & (sigmas <= _GATE_SIGMAS), metres, np.inf)
     while np.isfinite(cost).any():
         line, found = np.unravel_index(int(np.argmin(cost)), cost.shape)
         taken[line] = found
@@ -278,7 +313,7 @@ def _update(
     shows_motion = len(found) >= min(2, len(tracks))
     moved = (shape[found] - tracks.mean[is_hit]) @ rule.at.T
     shift = _common_shift(moved, rule) if shows_motion and len(found) else np.zeros(4)
-    tracks = replace(tracks, mean=tracks.mean + rule["shift_gain"] * shift)
+    tracks = replace(tracks, mean=tracks.mean + _SHIFT_GAIN * shift)
     mean, covariance, votes = tracks.mean.copy(), tracks.covariance.copy(), tracks.votes.copy()
     prior = covariance[is_hit]
     spread = rule.at @ prior @ rule.at.T + rule.noise
@@ -294,7 +329,7 @@ def _update(
     voting = np.flatnonzero(is_hit)[is_known]
     hit = np.zeros(len(tracks))
     hit[is_hit] = likely[found]
-    vote = coverage[found][is_known] >= rule["continuous_cover"]
+    vote = coverage[found][is_known] >= rule.continuous_cover
     votes[voting] = np.concatenate([votes[voting][:, 1:], vote[:, None]], axis=1)
     return replace(
         tracks,
@@ -308,9 +343,9 @@ def _update(
         missed=np.where(is_hit, 0, tracks.missed + 1),
         # Without matched lines the common motion decays.
         motion=(
-            tracks.motion + rule["motion_gain"] * shift
+            tracks.motion + _MOTION_GAIN * shift
             if shows_motion
-            else tracks.motion * (1 - rule["motion_gain"])
+            else tracks.motion * (1 - _MOTION_GAIN)
         ),
     )
 
@@ -338,7 +373,7 @@ def _new_track(
     hits[0, -1] = likely
     votes = np.full((1, tracks.votes.shape[1]), np.nan)
     if np.isfinite(coverage):
-        votes[0, -1] = coverage >= rule["continuous_cover"]
+        votes[0, -1] = coverage >= rule.continuous_cover
     return Tracks(
         number=np.array([tracks.n_started + 1]),
         mean=shape[None].astype(np.float64),
@@ -358,17 +393,17 @@ def _with_validity(tracks: Tracks, rule: Rules) -> Tracks:
     """Sets `is_valid`: a line becomes valid with k detections in excess, which without a miss is
     the largest LRI (the paper's rule), and stays so until its LRI falls below a share of k."""
     k, seen = tracks.hits.shape[1], (tracks.hits > 0).sum(axis=1)
-    is_valid = (tracks.excess >= k) | (tracks.is_valid & (seen >= rule["valid_until"] * k))
+    is_valid = (tracks.excess >= k) | (tracks.is_valid & (seen >= _VALID_UNTIL * k))
     return replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
 
 
 def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
     """Drops lines that were missed for too long, are too far to the side, or are too close to a
     better one."""
-    patience = np.where(tracks.was_valid, rule["die_after"], rule["new_die_after"])
-    is_good = (tracks.missed < patience) & (np.abs(tracks.mean[:, 0]) <= rule["farthest_m"])
+    patience = np.where(tracks.was_valid, _DIE_AFTER, _NEW_DIE_AFTER)
+    is_good = (tracks.missed < patience) & (np.abs(tracks.mean[:, 0]) <= _FARTHEST_M)
     tracks = _chosen(tracks, np.flatnonzero(is_good))
-    is_close = _gaps(tracks.mean[:, None], tracks.mean, rule) < rule["tracks_apart_m"]
+    is_close = _gaps(tracks.mean[:, None], tracks.mean, rule) < _APART_M
     is_beyond = _are_just_beyond(tracks, tracks, rule)
     kept: list[int] = []
     for k in np.lexsort((tracks.number, -tracks.lri, ~tracks.is_valid)):
@@ -384,7 +419,7 @@ def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
     place, places = (some.mean @ near)[:, None], tracks.mean @ near
     is_between = (np.sign(places) == np.sign(place)) & (np.abs(places) < np.abs(place))
     is_between &= tracks.number != some.number[:, None]
-    is_close = _gaps(some.mean[:, None], tracks.mean, rule) < rule["least_lane_m"]
+    is_close = _gaps(some.mean[:, None], tracks.mean, rule) < _LEAST_LANE_M
     is_good = tracks.is_valid | ((tracks.lri >= some.lri[:, None]) & (tracks.missed == 0))
     return np.asarray((is_between & is_close & is_good).any(axis=1))
 

@@ -84,7 +84,6 @@ def test_a_network_is_found_relative_to_what_names_it(folder: Path) -> None:
         ("network", {"network": "none"}, "'none' is not the name of a network's .yaml file"),
         ("network", {"network": "lsrt"}, ".yaml file (did you mean 'lstr'?)"),
         ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a network's .yaml"),
-        ("ml", {"on_road_margin_m": -1}, "must not be negative"),
         ("ml", {"on_rode": "x.yaml"}, "unknown key 'on_rode' (did you mean 'on_road'?)"),
     ],
 )

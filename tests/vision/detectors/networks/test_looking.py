@@ -15,7 +15,6 @@ import yaml
 
 from egolane_pgm.drive import data_entries, load_recording
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.simulation import simulated_road
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
@@ -97,21 +96,6 @@ def test_with_a_trained_network_the_lines_of_the_own_lane_are_found(
     assert np.mean(found) >= 0.85
 
 
-def test_between_two_looks_lines_are_predicted(top_hat: Path, tmp_path: Path) -> None:
-    every = with_keys(top_hat, tmp_path / "every.yaml", every=3)
-    pictures = drive(33, sideways_m=0.05)
-    often = lines_of("network", {"network": str(top_hat)}, pictures)
-    seldom = lines_of("network", {"network": str(every)}, pictures)
-    assert often[9].is_valid.sum() == 3
-    # Ten looks make a line valid: the tenth is in frame 27.
-    assert not seldom[26].is_valid.any()
-    assert seldom[27].is_valid.sum() == 3
-    for k in range(27, 33):
-        true = np.array([-5.2, -1.7, 1.8]) - 0.05 * k
-        assert np.abs(seldom[k].offset_m[seldom[k].is_valid] - true).max() < 0.15
-        assert (seldom[k].lri[seldom[k].is_valid] == 10).all()
-
-
 def test_classes_are_the_continuous_flag_and_probabilities_the_lri(tmp_path: Path) -> None:
     """Three lines of a network with classes, on pictures in which two others are painted; another
     class is no line."""
@@ -136,7 +120,7 @@ def test_a_network_without_lines_is_no_detector(tmp_path: Path) -> None:
 
 
 def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path) -> None:
-    given = {"on_road": str(tiny_network / "drivable.yaml"), "on_road_margin_m": 0}
+    given = {"on_road": str(tiny_network / "drivable.yaml")}
     detector = find_detector("mc", given, Path.cwd(), "detector")
     view = make_view(WIDE, 5.0, 35.0, -9.0, 9.0, 0.1, 0.05)
     road = keep_on_road(WIDE, detector.parameters)
@@ -156,17 +140,16 @@ def test_marking_is_kept_on_the_road_and_dropped_on_vehicles(tiny_network: Path)
     paint_kept, vehicle_kept = counts[:, 1] / counts[:, 0]
     # A last layer of 64 numbers sees most of a vehicle only.
     assert paint_kept > 0.85
-    assert vehicle_kept < 0.45
+    assert vehicle_kept < 0.6
 
 
 def test_beside_lines_there_is_a_margin(top_hat: Path) -> None:
     """Nothing is lost where the network sees the lines, all is where it sees none."""
     pictures = drive(12)
     alone = lines_of("ml", {}, pictures)[-1]
-    for given in ({}, {"on_road_margin_m": 0.3}):
-        helped = lines_of("ml", {"on_road": str(top_hat), **given}, pictures)[-1]
-        np.testing.assert_allclose(helped.offset_m, alone.offset_m, atol=0.03)
-        assert (helped.is_continuous == alone.is_continuous).all()
+    helped = lines_of("ml", {"on_road": str(top_hat)}, pictures)[-1]
+    np.testing.assert_allclose(helped.offset_m, alone.offset_m, atol=0.03)
+    assert (helped.is_continuous == alone.is_continuous).all()
 
 
 @pytest.mark.parametrize("name", ["ml", "mc", "sl", "sc"])
@@ -181,20 +164,6 @@ def test_every_detector_of_ours_takes_a_network(name: str, tmp_path: Path) -> No
     *_, (_, lines) = detect(detector, camera, pictures)
     assert len(lines.offset_m) >= 1
     assert (lines.offset_m > 0).all()
-
-
-def test_the_last_answer_holds_in_frames_without_a_look(tmp_path: Path, top_hat: Path) -> None:
-    every = with_keys(top_hat, tmp_path / "every.yaml", every=2)
-    values = resolve_parameters(
-        find_detector("ml", {}, Path.cwd(), "x").module.PARAMETERS, {"on_road": str(every)}, 1
-    )
-    kept = keep_on_road(CAMERA, values)
-    assert kept is not None
-    view = make_view(CAMERA, 5.0, 20.0, -9.0, 9.0)
-    here, there = drive(1)[0], drive(1, ())[0]
-    first, second, third = kept(view, here), kept(view, there), kept(view, there)
-    assert np.array_equal(first, second)
-    assert third.sum() < first.sum() / 3
 
 
 # --- commands ---------------------------------------------------------------------------------

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.detectors.simple.birdseye import make_view
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
-from egolane_pgm.vision.detectors.simple.parameters import FINDING
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import CAMERA
 
@@ -23,8 +21,8 @@ def nothing() -> NDArray[np.uint8]:
     return np.zeros(VIEW.valid.shape, dtype=np.uint8)
 
 
-def strips_of(mask: NDArray[np.uint8], **given: object) -> Strips:
-    return find_strips(VIEW, mask, resolve_parameters(FINDING, given, 1))
+def strips_of(mask: NDArray[np.uint8]) -> Strips:
+    return find_strips(VIEW, mask)
 
 
 def test_a_bar_along_the_road_is_measured_in_metres() -> None:
@@ -64,15 +62,6 @@ def test_a_bar_of_larger_values_weighs_more_and_the_mean_weight_is_one() -> None
     np.testing.assert_allclose(widths[1], 0.3)
 
 
-def test_the_middle_of_a_contour_is_that_of_its_area() -> None:
-    mask = nothing()
-    mask[100:120, 60:62] = 1
-    mask[120:130, 60:72] = 1
-    strips = strips_of(mask, most_slope=10.0)
-    far, near = VIEW.x_m[100:120].mean(), VIEW.x_m[120:130].mean()
-    assert strips.middle_m == pytest.approx([(20 * 2 * far + 10 * 12 * near) / (40 + 120)])
-
-
 def test_what_is_small_or_lies_across_the_road_is_dropped_and_the_rest_numbered_anew() -> None:
     mask = nothing()
     mask[230:232, 20:23] = 1  # 0.03 m^2
@@ -88,11 +77,6 @@ def test_what_is_small_or_lies_across_the_road_is_dropped_and_the_rest_numbered_
         strips.middle_m[strips.contour],
         np.where(strips.row < 200, VIEW.x_m[150:180].mean(), VIEW.x_m[200:220].mean()),
     )
-    small = strips_of(mask, least_area_m2=0.029)
-    assert len(small.middle_m) == 3
-    assert len(strips_of(mask, least_area_m2=0.031).middle_m) == 2
-    slanted = strips_of(mask, most_slope=1.6)
-    assert slanted.slope.min() == pytest.approx(-1.5, rel=0.02)
 
 
 def test_both_sides_of_a_hole_are_one_contour() -> None:

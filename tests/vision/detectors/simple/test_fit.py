@@ -167,38 +167,6 @@ def test_lines_expected_from_before_decide_where_the_picture_does_not():
     assert nothing.shape == pytest.approx(alone.shape)
 
 
-def random_mask(seed):
-    rng = np.random.default_rng(seed)
-    mask = cv2.blur(rng.random((40, 50)), (3, 3)) > 0.55
-    return np.where(mask, rng.integers(1, 256, mask.shape), 0).astype(np.uint8)
-
-
-def borders(mask):
-    found, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    around = tree[0, :, 3]
-    owner = np.where(around < 0, np.arange(len(found)), around)
-    return np.concatenate(found)[:, 0], np.cumsum([0, *map(len, found)]), owner
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_runs_of_contours_are_the_same_as_in_numpy_and_cover_the_mask(seed):
-    mask = random_mask(seed)
-    arguments = (mask, *borders(mask))
-    runs = _kernels.contour_runs(*arguments)
-    for ours, twin in zip(runs, line_finder.contour_runs(*arguments), strict=True):
-        np.testing.assert_array_equal(ours, twin)
-    row, left, right, contour, _ = runs
-    # Which runs belong together, told by OpenCV's connected components.
-    _, label = cv2.connectedComponents(mask, connectivity=8)
-    again = np.zeros_like(mask)
-    component = {}
-    for r, a, b, k in zip(row, left, right, contour, strict=True):
-        again[r, a : b + 1] = 1
-        assert component.setdefault(k, label[r, a]) == label[r, a]
-    np.testing.assert_array_equal(again, mask > 0)
-    assert len(set(component.values())) == len(component) == label.max()
-
-
 @pytest.mark.parametrize(("seed", "n_headings"), [(0, 5), (1, 41), (2, 41), (3, 2), (4, 1)])
 def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed, n_headings):
     rng = np.random.default_rng(seed)

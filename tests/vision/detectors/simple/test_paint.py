@@ -77,7 +77,6 @@ def test_a_bright_shoulder_beside_the_line_is_no_paint() -> None:
 def test_too_little_in_view_says_nothing() -> None:
     line = Paint(1.8)
     assert np.isnan(share(road([line]), Paint(30.0)))[0]
-    assert np.isnan(share(road([line]), line, least_length_m=15.0))[0]
     assert share(road([line])).shape == (0,)
 
 

@@ -14,7 +14,7 @@ from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cove
 from tests.kits.synthetic_road import Paint, road
 from tests.vision.detectors.simple.test_upright import CAMERA
 
-DEFAULTS = resolve_parameters(FINDING, {"streak_width": 0.0035}, 1)
+DEFAULTS = resolve_parameters(FINDING, {}, 1)
 #: A shape times this is where the line is 10 m ahead.
 TEN_METRES = np.array([1, 10, 50, 1000 / 6])
 LINES = (Paint(-1.75), Paint(1.9))
@@ -35,21 +35,20 @@ def rain(image: Image, streaks: int, seed: int = 0) -> Image:
 @pytest.mark.parametrize("blank", [0, 255, None])
 def test_a_road_without_rain_is_not_streaky(noise: float, blank: int | None) -> None:
     image = road(camera=CAMERA, noise=noise)
-    assert streak_cover(image if blank is None else np.full_like(image, blank), DEFAULTS) <= RAIN
+    assert streak_cover(image if blank is None else np.full_like(image, blank)) <= RAIN
 
 
-def test_rain_is_streaky_in_colour_and_in_grey_unless_it_is_not_looked_for() -> None:
+def test_rain_is_streaky_in_colour_and_in_grey() -> None:
     image = rain(road(camera=CAMERA), 900)
-    assert RAIN < streak_cover(image, DEFAULTS) <= NOISE
-    assert RAIN < streak_cover(image[:, :, 2], DEFAULTS) <= NOISE
-    assert streak_cover(image, resolve_parameters(FINDING, {"streak_width": 0}, 1)) <= RAIN
+    assert RAIN < streak_cover(image) <= NOISE
+    assert RAIN < streak_cover(image[:, :, 2]) <= NOISE
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_noise_is_no_rain_and_shows_no_lines(seed: int) -> None:
     size = (CAMERA.height, CAMERA.width, 3)
     noise = np.random.default_rng(seed).integers(0, 256, size, dtype=np.uint8)
-    assert streak_cover(noise, DEFAULTS) > NOISE
+    assert streak_cover(noise) > NOISE
     assert len(find_lines(view_for(CAMERA, DEFAULTS), noise, DEFAULTS).score) == 0
 
 
@@ -66,7 +65,7 @@ def test_lines_are_found_in_rain(seed: int) -> None:
 def test_lines_are_found_in_noise(curve: str, seed: int) -> None:
     parameters = {**DEFAULTS, "curve": curve}
     image = road(LINES, camera=CAMERA, noise=35, seed=seed)
-    assert streak_cover(image, parameters) > NOISE
+    assert streak_cover(image) > NOISE
     found = find_lines(view_for(CAMERA, parameters), image, parameters)
     assert len(found.shape) <= len(LINES) + 2
     for line in LINES:

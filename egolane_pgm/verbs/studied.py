@@ -1,0 +1,110 @@
+"""The drives and folds of a study, as `tune` and `learn` are given them.
+
+A list of experiments may be a file:
+
+    name: italy_all
+    description: one parameter set for all detectors in Italy
+    experiments: [../paper/run01_italy_ml.yaml, ../paper/run02_italy_sl.yaml]
+    tuning: {trials: 3000, parameters: {p1: 0.9}}
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+
+from egolane_pgm.drives import Drive
+from egolane_pgm.experiment import Section, Tuning, validated
+from egolane_pgm.loading import experiment_path, load_experiment, load_yaml
+from egolane_pgm.running import messages
+from egolane_pgm.runs import is_lines, open_input, table_inputs
+from egolane_pgm.studies.study import Fold, block_folds, drive_folds
+from egolane_pgm.types import InputError
+from egolane_pgm.verbs.given import path_of, several_of
+
+
+class TuningFile(Section):
+    """A list of experiments: one parameter set is searched for them, each with equal weight."""
+
+    name: str = Field(
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="short name; the study is written to results/tuning/NAME",
+        examples=["all_italy"],
+    )
+    description: str = Field(default="", description="what it is, in a line")
+    tuning: Tuning = Field(default=Tuning(), description="settings of the search")
+    experiments: tuple[str, ...] = Field(
+        min_length=1,
+        description="YAML files of experiments, relative to this one",
+        examples=[["../paper/run01_italy_ml.yaml", "../paper/run02_italy_sl.yaml"]],
+    )
+
+
+@dataclass(frozen=True)
+class Studied:
+    """Drives to fit to, the folds that are held out, and warnings of reading the drives."""
+
+    name: str
+    drives: Sequence[Drive]
+    folds: Sequence[Fold]
+    notes: Sequence[str]
+
+
+def open_studied(
+    experiments: Any, *, table: Any, by_tag: str | None, blocks: int, **options: Any
+) -> Studied:
+    """Read the drives of some experiments, or of a table of runs, and make the folds.
+
+    - blocks: number of blocks of each drive, of parts of a table, or 0 for no folds.
+    - options: as `runs.open_input` takes them.
+    """
+    given = several_of(experiments)
+    if not given:
+        raise InputError("experiments: name at least one")
+    listed = _list_of(given[0]) if len(given) == 1 else None
+    if listed is not None:
+        file, folder = listed
+        given = [folder / name for name in file.experiments]
+        tuning = file.tuning.model_dump(exclude_unset=True)
+        given = [load_experiment(each, {"tuning": tuning}) for each in given]
+    inputs = [open_input(each, **options) for each in given]
+    name = inputs[0].experiment.name if listed is None else listed[0].name
+    if by_tag is not None and table is None:
+        raise InputError("by_tag: goes with a table of runs")
+    if table is not None:
+        if len(inputs) > 1:
+            raise InputError("table: goes with one experiment")
+        inputs = table_inputs(inputs[0].experiment, table)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        drives = [drive for each in inputs for drive in each.drives()]
+    folds: Sequence[Fold] = []
+    if blocks == 1:
+        raise InputError("blocks: 1 leaves nothing to fit to; 0 holds out nothing")
+    if blocks and table is not None and len(drives) > 1:
+        folds = drive_folds(drives, blocks, by_tag)
+    elif blocks:
+        folds = block_folds(drives, blocks)
+    return Studied(name, drives, folds, messages(caught))
+
+
+def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
+    """The list of experiments in a file, and its folder; None for anything else."""
+    if not isinstance(given, (str, os.PathLike)) or is_lines(given):
+        return None
+    path = experiment_path(given)
+    content = load_yaml(path)
+    if "experiments" not in content:
+        return None
+    return validated(TuningFile, content, str(path)), path.parent
+
+
+def study_place(out: Any, given: Studied) -> Path | None:
+    """The directory of a study; `*` is the name of its experiment."""
+    return None if out is None else Path(path_of(out, "out").replace("*", given.name))
