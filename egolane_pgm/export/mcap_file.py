@@ -100,7 +100,7 @@ def _clock(result: Result, frames: pd.DataFrame) -> IntArray:
     """(T,): the times of the frames, nanoseconds; they must increase."""
     time_s = frames["time_s"].to_numpy(np.float64)
     # Seconds since 1970 in a float are exact to a microsecond.
-    time_ns = np.round(time_s * 1e6).astype(np.int64) * 1000
+    time_ns: IntArray = np.round(time_s * 1e6).astype(np.int64) * 1000
     bad = (np.diff(time_ns, prepend=-1) <= 0) | (time_ns < 0)
     if bad.any():
         k = int(np.argmax(bad))
@@ -145,7 +145,7 @@ def _frame_messages(result: Result, frames: pd.DataFrame) -> Iterator[Message]:
 
 
 def _is_known(value: Any) -> bool:
-    return value is not pd.NA and not (isinstance(value, float) and not math.isfinite(value))
+    return math.isfinite(value) if isinstance(value, float) else value is not None
 
 
 def _line_messages(log: LineLog | None, frames: pd.DataFrame) -> Iterator[Message]:
@@ -194,11 +194,11 @@ def _scene_messages(
                 lines.append(_line(-float(log.offset_m[at, k]), valid, solid))
         cubes = [_cube((-2.25, 0.0, 0.7), (4.5, 1.8, 1.4), CAR)]
         n = posterior.shape[1]
-        for k, p in enumerate(posterior[row].tolist()):
-            left, high = ((n - 1) / 2 - k) * BAR_GAP_M, max(p * BAR_HEIGHT_M, 0.02)
-            colour = ASSIGNED if k + 1 == answer[row] else OTHER
+        for lane, p in enumerate(posterior[row].tolist(), start=1):
+            left, high = ((n + 1) / 2 - lane) * BAR_GAP_M, max(p * BAR_HEIGHT_M, 0.02)
+            colour = ASSIGNED if lane == answer[row] else OTHER
             cubes.append(_cube((BARS_M, left, high / 2), (0.8, 1.6, high), colour))
-            if k + 1 == truth[row]:
+            if lane == truth[row]:
                 cubes.append(_cube((BARS_M, left, -0.05), (1.4, 1.9, 0.1), TRUTH))
         yield row, "/birdseye", _scene(now, lines, cubes)
 

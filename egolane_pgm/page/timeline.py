@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ class Track:
         return panel
 
     def _panel(
-        self, title: str, rows: float, ticks: Sequence[float], y: tuple[float, float] | None = None
+        self, title: str, rows: float, ticks: Iterable[float], y: tuple[float, float] | None = None
     ) -> Any:
         """An empty panel, 20 pixels a row. y: bottom and top; by default lane 1 is on top."""
         y = y or (rows + 0.5, 0.5)
@@ -155,11 +155,12 @@ class Track:
         """(T, k) values as (steps, k); NaN for a step without a frame."""
         step = self.frames["step"].to_numpy()
         steps = pd.DataFrame(values).groupby(step).agg(how).reindex(range(step[-1] + 1))
-        return steps.to_numpy(np.float64)
+        return np.asarray(steps, dtype=np.float64)
 
     def _image(self, values: NDArray[Any], how: str = "mean") -> NDArray[np.uint8]:
         """(T, k) values as an image, (k, steps)."""
-        return np.nan_to_num(self._per_step(values, how).T, nan=BLANK).round().astype(np.uint8)
+        steps = np.nan_to_num(self._per_step(values, how), nan=BLANK)
+        return np.asarray(steps.T.round(), dtype=np.uint8)
 
     def _lines_image(self) -> NDArray[np.uint8]:
         """The lines as an image: 1 not valid, 2 valid, 3 valid and continuous."""
