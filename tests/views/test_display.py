@@ -16,9 +16,7 @@ from tests.kits.drives import simulated
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return run_input(
-        open_input(simulated(recording={"simulate": "quickstart", "frames": [0, 300]}))
-    )
+    return run_input(open_input("quickstart", overrides={"recording.frames": [0, 300]}))
 
 
 def test_a_result_is_named_in_one_line_and_shown_in_a_notebook(result: Result) -> None:
