@@ -103,16 +103,15 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
         return file
     if len(places) > 1:
         raise InputError(f"out: {file}: shows one result; {len(places)} are named")
-    from egolane_pgm.export.drive import open_drive
-
+    result = load_result(places[0])
     if ending == ".mcap":
         from egolane_pgm.export.mcap_file import write_mcap
 
-        write_mcap(file, open_drive(places[0], frames))
+        write_mcap(file, result, frames)
     else:
         from egolane_pgm.export.video_file import write_video
 
-        write_video(file, open_drive(places[0], frames))
+        write_video(file, result, frames)
     return file
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from egolane_pgm.results import read_result
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.online import filter_stream
-from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
