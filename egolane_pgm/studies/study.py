@@ -349,8 +349,8 @@ class Study:
     @property
     def document(self) -> dict[str, Any]:
         """The content of study.json."""
-        held_out = None if self.held_out is None else self.held_out
-        found = {
+        held_out = self.held_out
+        found: dict[str, Any] = {
             "name": self.name,
             "method": self.method,
             "experiments": [each.name for each in self.experiments],
@@ -361,7 +361,8 @@ class Study:
             "held_out": None if held_out is None else held_out.scores,
             "folds": None if held_out is None else held_out.run["fitted"],
         }
-        return dict(plain(found))
+        content: dict[str, Any] = plain(found)
+        return content
 
 
 def is_study(directory: str | os.PathLike[str]) -> bool:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from egolane_pgm.drive import with_own_rate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from egolane_pgm.drive import with_own_rate
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.table import read_table, write_table
