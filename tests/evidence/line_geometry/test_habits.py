@@ -341,7 +341,7 @@ def test_one_frame_after_the_other_finds_out_as_well() -> None:
 
 
 def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns() -> None:
-    log, truth = drive().log, drive().truth
+    log, lane = drive().log, drive().truth["true_lane"].to_numpy()
     everywhere = np.ones(len(log), dtype=bool)
     odd = replace(log, lri=log.lri / 10, offset_m=log.offset_m * 100)
     in_lanes = replace(log, offset_m=log.offset_m * (3.5 / 3.75))
