@@ -7,11 +7,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from egolane_pgm.tuning.search import check_sampler
 
 from egolane_pgm.maps.lane_graph import Plane
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.studies.search import check_sampler
 from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
