@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, check_sizes, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_structure, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -59,13 +59,12 @@ def read_network(network: Any) -> Declared:
         with problems_in(str(network)):
             return read_network(read)
     parents, cpds = _structure(network)
-    check_order(parents)
     if not cpds:
         raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
     cpds = _without_copies(cpds)
     values = _value_names(cpds)
     tables = _tables(cpds, values, parents)
-    check_sizes(tables.values())
+    check_structure(tables.values())
     return Declared(tables, values)
 
 

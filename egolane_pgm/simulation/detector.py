@@ -9,26 +9,18 @@ trackers do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 from scipy.special import ndtr
 
-from egolane_pgm.simulation._common import (
-    Count,
-    NotNegative,
-    Positive,
-    Share,
-    Whole,
-    check_fields,
-    check_seed,
-    slow_noise,
-)
-from egolane_pgm.simulation.world import Road
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.simulation.world import NotNegative, Positive, Road, Share, slow_noise
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 
-@dataclass(frozen=True)
+@checked_dataclass(frozen=True)
 class DetectorModel:
     """How lines are detected; probabilities are per line and frame unless said otherwise.
 
@@ -70,8 +62,6 @@ class DetectorModel:
     - bad_shifted: probability, per line and failure, that the line is reported shifted
     - bad_shift_m: standard deviation of the shift, which all lines of a failure share
     - bad_clutter: probability, per false track and failure, that the track is there
-
-    Raises InputError, naming the key, for a value out of range.
     """
 
     offset_scale: Positive = 1.0
@@ -90,10 +80,10 @@ class DetectorModel:
     continuous_right: Share = 0.37
     continuous_shoulder: Share = 0.3
     flag_s: NotNegative = 0.5
-    lri_max: Count = 10
+    lri_max: Annotated[int, Field(ge=1, le=1000)] = 10
     lri_reset: Share = 0.1
-    clutter_lines: Whole = 2
-    clutter: Share = 0.05
+    clutter_lines: Annotated[int, Field(ge=0, le=100)] = 2
+    clutter: Annotated[float, Field(ge=0, lt=1)] = 0.05
     clutter_s: Positive = 2.0
     clutter_range_m: NotNegative = 10.0
     ok_s: Positive = 20.0
@@ -102,11 +92,6 @@ class DetectorModel:
     bad_shifted: Share = 0.5
     bad_shift_m: NotNegative = 2.5
     bad_clutter: Share = 0.5
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        if self.clutter == 1:
-            raise InputError("simulation.clutter: 1 would never end, must be below 1")
 
 
 def _stretches(
@@ -134,7 +119,7 @@ def _stretches(
 
 def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray:
     """The frames in which the sensor fails, (T,): a Markov chain that starts in equilibrium."""
-    rng = np.random.default_rng([check_seed(seed), 1])
+    rng = np.random.default_rng([seed, 1])
     rate = road.frame_rate
     return _stretches(rng, len(road), detector.ok_s * rate, detector.bad_s * rate)[0]
 
@@ -146,13 +131,6 @@ def _slow_events(
     noise = slow_noise(rng, len(probability), probability.shape[1], correlation_frames)
     grid = np.linspace(-6.0, 6.0, 1201)
     return np.asarray(noise < np.interp(probability, ndtr(grid), grid))
-
-
-def _per_stretch(
-    rng: np.random.Generator, number: IntArray, probability: float, n_tracks: int
-) -> BoolArray:
-    """Events (T, K), drawn once for each stretch and track."""
-    return np.asarray(rng.random((int(number.max(initial=0)) + 1, n_tracks)) < probability)[number]
 
 
 def _road_tracks(
@@ -188,10 +166,12 @@ def _road_tracks(
     is_continuous = _slow_events(rng, flag, detector.flag_s * fps)
     noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
 
+    # Drawn once for each stretch between failures or in one.
     stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
-    missed = _per_stretch(rng, stretch, detector.bad_missed, n_tracks)
-    shifted = _per_stretch(rng, stretch, detector.bad_shifted, n_tracks)
-    shift = detector.bad_shift_m * rng.standard_normal(int(stretch[-1]) + 1)[stretch]
+    n_stretches = int(stretch[-1]) + 1
+    missed = (rng.random((n_stretches, n_tracks)) < detector.bad_missed)[stretch]
+    shifted = (rng.random((n_stretches, n_tracks)) < detector.bad_shifted)[stretch]
+    shift = detector.bad_shift_m * rng.standard_normal(n_stretches)[stretch]
     is_detected &= ~(is_failing[:, None] & missed)
     moved = np.where(is_failing[:, None] & shifted, shift[:, None], 0.0)
     return detector.offset_scale * true_m + noise + moved, is_detected, is_continuous
@@ -204,8 +184,8 @@ def _clutter_tracks(
     n_frames, fps, n_tracks = len(road), road.frame_rate, detector.clutter_lines
     offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
     is_detected = np.zeros((n_frames, n_tracks), dtype=bool)
-    failure = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
-    in_failure = is_failing[:, None] & _per_stretch(rng, failure, detector.bad_clutter, n_tracks)
+    stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
+    in_failure = (rng.random((int(stretch[-1]) + 1, n_tracks)) < detector.bad_clutter)[stretch]
     on = detector.clutter_s * fps if detector.clutter else 0.0
     off = on * (1 - detector.clutter) / detector.clutter if detector.clutter else 1.0
     for k in range(n_tracks):
@@ -249,7 +229,7 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
 
     Each frame lists, from left to right, the lines detected within the last lri_max frames.
     """
-    rng = np.random.default_rng([check_seed(seed), 2])
+    rng = np.random.default_rng([seed, 2])
     tracks = [
         _road_tracks(road, detector, is_failing, rng),
         _clutter_tracks(road, detector, is_failing, rng),

@@ -38,7 +38,7 @@ from egolane_pgm.studies.fits import (
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.space import describe
-from egolane_pgm.studies.storage import JOURNAL_NAME
+from egolane_pgm.studies.storage import JOURNAL_NAME, named
 from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
@@ -466,9 +466,15 @@ def run_study(
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        whole, *fitted = fit_folds(
-            drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-        )
+        try:
+            whole, *fitted = fit_folds(
+                drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
+            )
+        except KeyboardInterrupt:
+            if storage is None:
+                raise
+            kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
+            raise KeyboardInterrupt(kept) from None
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [frames_of(drive) for drive in fitted_drives])
     notes = [*notes, *messages(caught)]
