@@ -116,7 +116,7 @@ def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Pa
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
     result = a_result()
     curves = coverage_curves(result)
-    assert list(curves) == ["Detector only", "Model"]
+    assert list(curves) == ["Detector", "Model"]
     (ax,) = coverage_figure(result).axes
     line = next(line for line in ax.lines if line.get_label() == "Model")
     assert np.asarray(line.get_xdata()).tolist() == curves["Model"].coverage.tolist()

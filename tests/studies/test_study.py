@@ -6,13 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from egolane_pgm.tuning import study as studies
 from egolane_pgm.tuning.plan import Plan, with_options
 from egolane_pgm.tuning.study import Search, prepare
 from egolane_pgm.tuning.task import task_of
-from egolane_pgm.types import InputError
 from tests.kits.tuning_kit import plan
+
+from egolane_pgm.types import InputError
 
 
 @pytest.fixture

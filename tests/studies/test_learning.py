@@ -12,17 +12,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-
-import egolane_pgm as ego
 from egolane_pgm.drive import Drive, Recorded, load_recording
-from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.held_out import held_out_result
-from egolane_pgm.inference.compile import compile
-from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.learning import fit, n_learned, with_found
 from egolane_pgm.learning.graph_file import graph_yaml
 from egolane_pgm.learning.tables import starting, training_frames
+
+import egolane_pgm as ego
+from egolane_pgm.experiment import Experiment, load_experiment
+from egolane_pgm.graphs.cpds import lane_normals
+from egolane_pgm.inference.compile import compile
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, Roles, prepare_model
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.recordings.ground_truth import write_ground_truth

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-
 from egolane_pgm.drive import Drive, Recorded, load_recording
+from egolane_pgm.held_out import held_out_result
+from egolane_pgm.learning import fit
+
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.experiment import load_experiment
-from egolane_pgm.held_out import held_out_result
-from egolane_pgm.learning import fit
 from egolane_pgm.model import Model, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.tools.files import plain
