@@ -46,7 +46,7 @@ NOT_RUN = {
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
     (r"^egolane compare (.*)", r"egolane compare \1 --blocks 2"),
-    (r"(.*paper_tuned.*)--runs 1\b", r"\1--runs 2 --set tuning.trials=2"),
+    (r"(egolane run paper_tuned .*)", r"\1 --set tuning.trials=2"),
     (r"--runs 1-10\b", "--runs 2"),
     (r"--jobs \d+", "--jobs 1"),
     (r"--workers \d+", "--workers 1"),
