@@ -46,7 +46,8 @@ NOT_RUN = {
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
     (r"^(egolane run .*)--held-out", r"\1--held-out --blocks 2"),
-    (r"examples/ten_runs.csv", "examples/two_runs.csv"),
+    (r"experiments/paper/recordings.csv", "examples/two_runs.csv"),
+    (r"(egolane run paper_tuned .*)", r"\1 --set tuning.trials=2"),
     (r"--jobs \d+", "--jobs 1"),
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),

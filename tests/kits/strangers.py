@@ -17,19 +17,15 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.special import ndtri
 
-from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import compile_model, make_evidence, whole_rule
-from egolane_pgm.paper import paper_experiment
+from egolane_pgm.loading import experiments_folder
+from egolane_pgm.model import make_evidence, whole_rule
+from egolane_pgm.runs import table_inputs
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 
 FRAME_RATE = 10.0
-
-#: Spain's labels are not trusted from this frame on.
-LAST_TRUSTED = 9577
 
 
 # Offsets ------------------------------------------------------------------------------------------
@@ -355,13 +351,14 @@ def paper_drive(run: int) -> Drive:
 
     The position is that of the smoother that is told the labels.
     """
-    [drive] = read_drives(load_experiment(paper_experiment(run)))
-    log, n_lanes = drive.log, drive.n_lanes
+    table = experiments_folder() / "paper" / "recordings.csv"
+    given = table_inputs("zero_label", table, {"parameters.lane_width_m": "auto"})[run - 1]
+    [drive] = given.drives()
+    log, model, n_lanes = drive.log, drive.model, drive.n_lanes
     label = np.where(drive.is_crossing, 0, drive.true_lane)
-    lane = np.where((log.frame_id < LAST_TRUSTED) | (run <= 5), label, 0)
-    keys = {"n_lanes": n_lanes, "parameters.lane_width_m": "auto"}
-    model = compile_model(load_experiment("zero_label", keys))
-    evidence, _ = make_evidence(model, whole_rule(model), log)
+    lane = label.copy()
+    lane[drive.rows[~drive.is_trusted]] = 0
+    evidence = make_evidence(model, whole_rule(model), log)[0]
     ((key, likelihood),) = evidence.likelihoods.items()
     n_places = likelihood.shape[1]
     lane_of_place = np.arange(n_places) * n_lanes // n_places + 1
