@@ -146,7 +146,7 @@ def write_world(folder: Path, boards: Path) -> None:
     table = ["name,recording.seed,recording.frames,tag.weather", *rows]
     (folder / "drives.csv").write_text("\n".join(table) + "\n")
     rewritten(ROOT / "experiments/quickstart.yaml", folder / "X.yaml", name="X")
-    rows = (ROOT / "examples/ten_runs.csv").read_text().splitlines(keepends=True)
+    rows = (ROOT / "experiments/paper/recordings.csv").read_text().splitlines(keepends=True)
     (folder / "examples/two_runs.csv").write_text("".join([rows[0], rows[1], rows[6]]))
     _write_bag(folder / "drive.bag")
     foreign_table(folder / "foreign.csv")

@@ -15,7 +15,7 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence, online_rule, whole_rule
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs
-from makers.beyond.strangers import accuracies, evidence_of, zero_label
+from makers.beyond.strangers import accuracies, zero_label
 from tests.conftest import needs_compiler
 from tests.kits.strangers import (
     STRANGERS,
