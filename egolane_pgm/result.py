@@ -36,7 +36,7 @@ from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import make_directory, plain, read_parquet, write_json, write_yaml
 from egolane_pgm.tools.provenance import git_state, versions
 from egolane_pgm.types import (
     MAX_LANES,
@@ -327,7 +327,7 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
         run, scores = (json.loads((place / n).read_text()) for n in ("run.json", "scores.json"))
         if "identity" not in run:
             raise InputError(f"{place}: was written by another version; run the experiment again")
-        frames = pd.read_parquet(place / "beliefs.parquet")
+        frames = read_parquet(place / "beliefs.parquet")
         experiment = load_experiment(place / "experiment.yaml")
         return Result(experiment, frames, run, scores, _read_lines(place, experiment), place)
     except InputError:
@@ -342,7 +342,7 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
     file, recording = place / "lines.parquet", experiment.recording
     if not file.exists():
         return {}
-    table = pd.read_parquet(file)
+    table = read_parquet(file)
     if "drive" not in table:
         table["drive"] = experiment.name
     logs = {}

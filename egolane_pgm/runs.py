@@ -145,7 +145,7 @@ def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[s
         path = Path(table)
         folder, where = path.absolute().parent, str(path)
         is_parquet = path.suffix == ".parquet"
-        cells = read_parquet(path).to_pandas() if is_parquet else _read_csv(path)
+        cells = read_parquet(path) if is_parquet else _read_csv(path)
     for column in map(str, cells):
         if not column.startswith(TAG) and column.split(".")[0] not in Experiment.model_fields:
             hint = suggestion(column, Experiment.model_fields)

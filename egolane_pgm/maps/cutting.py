@@ -52,7 +52,8 @@ def unknown_lanes(table: RoadTable, log: LineLog) -> list[str]:
     off, way = table.segment[row] < 0, table.untold[row]
     untold, guessed = ~off & (table.n_lanes[row] == 0), (table.n_lanes[row] > 0) & (way > 0)
     what, goes_on = "the road has no number of lanes in the map", "the number before goes on"
-    ways = ", ".join(str(each) for each in dict.fromkeys(way[guessed].tolist()))
+    known = list(dict.fromkeys(way[guessed].tolist()))
+    ways = ", ".join(map(str, known[:3])) + (", ..." if len(known) > 3 else "")
     said = (
         (guessed, f"{what} (way {ways}); the number is a guess"),
         (untold, f"{what}; {goes_on}"),

@@ -9,8 +9,9 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from egolane_pgm.tools.files import arrow_table, read_parquet, write_parquet
+from egolane_pgm.tools.files import read_parquet, write_parquet
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 
@@ -48,15 +49,15 @@ COLUMNS = tuple(f.name for f in fields(RoadTable) if f.name != "source")
 
 def save(table: RoadTable, path: str | Path) -> None:
     """Write a road table. Raises InputError where it cannot be written."""
-    made = arrow_table({name: getattr(table, name) for name in COLUMNS})
-    marks = {"attribution": "© OpenStreetMap contributors, ODbL"}
-    write_parquet(Path(path), made.replace_schema_metadata(marks))
+    frame = pd.DataFrame({name: getattr(table, name) for name in COLUMNS})
+    frame.attrs["attribution"] = "© OpenStreetMap contributors, ODbL"
+    write_parquet(Path(path), frame)
 
 
 def load(path: str | Path) -> RoadTable:
     """Read a road table. Raises InputError for a file that is not one."""
     table = read_parquet(Path(path))
-    missing = [name for name in COLUMNS if name not in table.column_names]
+    missing = [name for name in COLUMNS if name not in table]
     if missing:
         raise InputError(
             f"{path}: is not a road table, it has no column {missing[0]};"

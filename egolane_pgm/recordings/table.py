@@ -12,19 +12,16 @@ of two forms.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 from pyarrow import csv
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings.columns import FRAME_RATE, lines_of_columns
-from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
+from egolane_pgm.tools.files import atomic, read_parquet, write_parquet
 from egolane_pgm.types import InputError, LineLog
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: The endings of tables.
 TABLES = (".csv", ".tsv", ".parquet")
@@ -80,27 +77,25 @@ def write_table(path: str | Path, log: LineLog) -> None:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
 
 
-def rows_of(log: LineLog) -> Any:
-    """The rows of a log, of pyarrow; with time_s where time is not what it is without the column,
-    and with is_missing where a frame is."""
+def rows_of(log: LineLog) -> pd.DataFrame:
+    """The rows of a log; with time_s unless it follows from the frame id, and with is_missing if a
+    frame is."""
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
     )  # all other cells are padding
     n_frames, n_lines = is_there.shape
     if n_frames and n_lines and not is_there[:, -1].any():
-        is_there[0, -1] = True  # an empty line says how wide the padding is
-    columns = log.rows(is_there)
+        is_there[0, -1] = True  # an empty line keeps the width of the padding
+    rows = log.rows(is_there)
     if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
-        del columns["time_s"]
-    no_line = np.ma.getmaskarray(columns["line"])
-    columns["offset_m"] = np.ma.masked_array(columns["offset_m"], no_line)
-    columns["lri"] = np.ma.masked_array(columns["lri"], np.isnan(columns["lri"]))
+        del rows["time_s"]
     if log.is_missing.any():
-        columns["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, columns["frame_id"])]
-    return arrow_table(columns)
+        rows["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, rows["frame_id"])]
+    return rows
 
 
-def _write_csv(path: Path, table: Any) -> None:
+def _write_csv(path: Path, rows: pd.DataFrame) -> None:
+    table = pa.Table.from_pandas(rows, preserve_index=False)
     with atomic(path) as temporary, temporary.open("wb") as file:
         file.write((",".join(table.column_names) + "\n").encode())
         csv.write_csv(table, file, csv.WriteOptions(include_header=False))
@@ -116,7 +111,7 @@ def read_columns(path: Path, said: Columns | None = None) -> pa.Table:
         raise InputError(f"{path}: no such file")
     extension = path.suffix.lower()
     if extension == ".parquet":
-        return read_parquet(path)
+        return pa.Table.from_pandas(read_parquet(path), preserve_index=False)
     if extension not in TABLES:
         raise InputError(
             f"{path}: unknown extension '{path.suffix}' of a table ({', '.join(TABLES)})"

@@ -55,8 +55,6 @@ _A4 = Preset(
         n_frames=9952,
         changes_per_minute=6.575,
         change_s=3.8,
-        crossing_share=0.5,
-        label_flips_at=1.0,
         shoulder_m=3.3,
     ),
     DetectorModel(
@@ -71,7 +69,6 @@ _A4 = Preset(
         miss=0.005,
         clutter=0.03,
         ok_s=22.0,
-        bad_s=4.0,
     ),
 )
 
@@ -79,7 +76,6 @@ _A4 = Preset(
 #: counting rule is right in .69, .75 and .40; the sensor fails .15 of the time.
 _A2 = Preset(
     World(
-        n_lanes=3,
         lane_width_m=3.5,
         n_frames=9777,
         changes_per_minute=2.09,
@@ -102,14 +98,13 @@ _A2 = Preset(
 #: Two minutes with failures that come often: the counting rule is right in .63, and the sensor
 #: fails .32 of the time.
 _QUICKSTART = Preset(
-    World(n_lanes=3, n_frames=1200, changes_per_minute=5.0, change_s=4.0),
+    World(),
     DetectorModel(
         noise_m=0.15,
         seen_left=0.99,
         seen_inner=0.99,
         seen_right=0.99,
         range_m=9.0,
-        in_view_s=2.0,
         miss=0.005,
         clutter=0.02,
         ok_s=5.0,

@@ -18,8 +18,8 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, lane_
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The largest wander inside the lane, in standard deviations.
-_WANDER_LIMIT = 2.5
+#: The largest wander inside the lane, in standard deviations, and its correlation time, seconds.
+_WANDER_LIMIT, _WANDER_S = 2.5, 5.0
 
 #: The shortest and the longest lane change, as multiples of the median duration.
 _SHORTEST, _LONGEST = 0.6, 1.7
@@ -46,7 +46,6 @@ class World:
     - min_stay_s: shortest stay in a lane between two changes, seconds
     - wander_m: standard deviation of the position about the lane's centre; at most 2.5 times as
       much occurs
-    - wander_s: correlation time of the wander, seconds
     - crossing_share: share of a lane change, in its middle, that is annotated as crossing
     - label_flips_at: where in the crossing the annotated lane changes: 1 is its end (as in the
       Italian recordings); the Spanish ones have 0.65
@@ -66,7 +65,6 @@ class World:
     change_spread: NotNegative = 0.2
     min_stay_s: NotNegative = 1.0
     wander_m: NotNegative = 0.2
-    wander_s: NotNegative = 5.0
     crossing_share: Share = 0.5
     label_flips_at: Share = 1.0
     shoulder_m: NotNegative = 0.0
@@ -162,7 +160,7 @@ def simulate_road(world: World, seed: int) -> Road:
         lane[enters + round(world.label_flips_at * crossing) :] += step
         now += step
 
-    wander = slow_noise(rng, world.n_frames, 1, world.wander_s * world.frame_rate)[:, 0]
+    wander = slow_noise(rng, world.n_frames, 1, _WANDER_S * world.frame_rate)[:, 0]
     wander = _WANDER_LIMIT * np.tanh(wander / _WANDER_LIMIT)
     position_m = (centre - 0.5) * width + world.wander_m * wander
     lines = np.arange(n + 1) * width - position_m[:, None]

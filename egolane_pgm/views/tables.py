@@ -1,6 +1,7 @@
-"""Tables as text: Markdown, LaTeX and CSV from the same cells, and the scores of a result in them.
-What a command prints fits the terminal: `page` is the one place that decides how. `box_text` lists
-the lines of one frame."""
+"""Tables as text: a DataFrame as Markdown, LaTeX or CSV, in the width of the terminal.
+
+`page` prints the text and the tables of a command; `box_text` the lines of one frame.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.tools.files import as_csv
 from egolane_pgm.types import InputError, LineLog
@@ -26,7 +28,8 @@ TUNED_ON = {
 #: The same in a narrow column.
 TUNED_ON_SHORT = {key: words.split(" (")[0] for key, words in TUNED_ON.items()}
 
-_SCORES = {
+#: The scores of a result: the name in a table by the key in scores.json.
+SCORES = {
     "accuracy": "accuracy",
     "precision": "precision (mean)",
     "recall": "recall (mean)",
@@ -42,46 +45,121 @@ _SCORES = {
 class Table(NamedTuple):
     """A table of text.
 
-    - header, rows: a cell of the header for each of a row
-    - labels: how many columns at the left say what a row is about
-    - leaves_out: whether the columns that do not fit are left out, and named below; else they
-      follow in a further table
+    - header, rows: a cell of the header for each cell of a row.
+    - labels: number of columns at the left that name the rows.
+    - leaves_out: whether columns that do not fit are left out and named below; otherwise they
+      continue in a further table.
+    - frame: the numbers, for CSV.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     labels: int = 1
     leaves_out: bool = False
+    frame: pd.DataFrame | None = None
+
+
+def table(
+    frame: pd.DataFrame, digits: Mapping[Any, int | str] | None = None, *, leaves_out: bool = False
+) -> Table:
+    """Return a DataFrame as a table; the levels of its index name the rows.
+
+    - digits: decimals (3 by default), or a format such as "+.3f", by column or row.
+    - leaves_out: see `Table`.
+
+    A column `x` with columns `x_low` and `x_high` becomes one cell, `0.85 [0.81, 0.89]`. CSV keeps
+    the three columns, with all digits.
+
+    >>> import pandas as pd
+    >>> scores = {"run": ["A", "B"], "f1": [0.85, 0.88], "f1_low": 0.8, "f1_high": 0.9}
+    >>> print(page([table(pd.DataFrame(scores).set_index("run"))]))
+    | run |                   f1 |
+    | --- | -------------------: |
+    | A   | 0.850 [0.800, 0.900] |
+    | B   | 0.880 [0.800, 0.900] |
+    """
+    forms = digits or {}
+    names = [str(name) for name in frame.index.names]
+    labels = [frame.index.get_level_values(k) for k in range(len(names))]
+    ends = {f"{name}_{end}" for name in frame for end in ("low", "high")}
+    shown = [name for name in frame if name not in ends]
+    columns = [list(map(str, values)) for values in labels]
+    for name in shown:
+        has_ends = f"{name}_low" in frame
+        column = []
+        for k, (row, value) in enumerate(zip(labels[0], frame[name], strict=True)):
+            form = forms.get(row, forms.get(name, 3))
+            bounds = [frame[f"{name}_{end}"].iloc[k] for end in ("low", "high") if has_ends]
+            column.append(_with_bounds(value, bounds, form))
+        columns.append(column)
+    rows = [list(row) for row in zip(*columns, strict=True)]
+    header = [*names, *(str(name).replace("_", " ") for name in shown)]
+    return Table(header, rows, len(names), leaves_out, frame)
+
+
+def _with_bounds(value: Any, bounds: Sequence[Any], form: int | str) -> str:
+    text = cell(value, form)
+    if not bounds or pd.isna(bounds).any():
+        return text
+    return f"{text} [{', '.join(cell(bound, form) for bound in bounds)}]"
+
+
+def cell(value: Any, form: int | str = 3) -> str:
+    """A value as text: "yes" or "no", a number with `form` decimals, a dash if missing."""
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if value is None or value is pd.NA or value != value:
+        return "-"
+    if isinstance(value, (float, np.floating)):
+        text = format(value, f".{form}f" if isinstance(form, int) else form)
+        # A rounded -0.0 has no sign.
+        return text.replace("-", "+" if "+" in str(form) else "") if float(text) == 0 else text
+    return str(value)
+
+
+def with_interval(value: float | None, interval: Sequence[float] | None, form: str = ".3f") -> str:
+    """A score and its interval, e.g. "0.912 [0.905, 0.919]"; a dash for an undefined score."""
+    return _with_bounds(value, interval or (), form)
+
+
+# --- printing ------------------------------------------------------------------------------------
 
 
 def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = False) -> str:
-    """What a command prints, text and tables, with an empty line between them.
+    """The output of a command, text and tables, with an empty line between them.
 
-    - style: one of STYLES; as LaTeX there are tables only, and as CSV the first table only.
-    - wide: whether tables of Markdown are printed whole; else none is wider than the terminal.
+    - style: one of STYLES; LaTeX has the tables only, CSV the first table only.
+    - wide: whether Markdown tables may be wider than the terminal.
     """
     shown = list(parts)
-    if style != "markdown":
-        found = [part for part in shown if isinstance(part, Table)]
-        drawn = [STYLES[style](part.header, part.rows) for part in found]
-        return "".join(drawn[:1]).rstrip("\n") if style == "csv" else "\n\n".join(drawn)
+    tables = [part for part in shown if isinstance(part, Table)]
+    if style == "csv":
+        return _csv(tables[0]) if tables else ""
+    if style == "latex":
+        return "\n\n".join(latex(each.header, each.rows) for each in tables)
     texts = [wrapped(p) if isinstance(p, str) else _drawn(p, wide) for p in shown]
     return "\n\n".join(filter(None, texts))
 
 
+def _csv(found: Table) -> str:
+    text = as_csv(found.header, found.rows)
+    if found.frame is not None:
+        text = found.frame.to_csv(index=found.labels > 0, lineterminator="\n")
+    return text.rstrip("\n")
+
+
 def terminal_width() -> int:
-    """How many characters a line of the terminal has: COLUMNS, or what it says itself, or 80."""
+    """Characters in a line of the terminal: COLUMNS, or its own width, or 80."""
     return max(40, shutil.get_terminal_size().columns)
 
 
 def line_width() -> int:
-    """How long a line of text is: no longer than the terminal, nor than is easy to read."""
+    """The length of a line of text: the width of the terminal, at most 100."""
     return min(100, terminal_width())
 
 
 def wrapped(text: str, hanging: int = 0) -> str:
-    """Text in lines that are no longer than `line_width`; what follows a break is indented as its
-    line is, and `hanging` characters more."""
+    """Wrap text to `line_width`, each line with its own indent, and `hanging` more after breaks."""
     lines = []
     for line in text.splitlines():
         indent = " " * (len(line) - len(line.lstrip()))
@@ -99,13 +177,11 @@ def wrapped(text: str, hanging: int = 0) -> str:
 
 
 def _drawn(table: Table, wide: bool) -> str:
-    """A table of Markdown; where it is to fit the terminal in pieces that do."""
+    """A Markdown table, in pieces that fit the terminal unless `wide`."""
     cells = [[_escaped(str(c)) for c in row] for row in (table.header, *table.rows)]
-    if wide or not table.rows:
-        return _lines(cells)
     room, n = terminal_width(), table.labels
     columns = [list(column) for column in zip(*cells, strict=True)]
-    if 1 + sum(map(_width, columns)) <= room:
+    if wide or not table.rows or 1 + sum(map(_width, columns)) <= room:
         return _lines(cells)
     # The labels leave room for one more column.
     for_labels = room - 1 - min(max(map(_width, columns[n:]), default=0), room // 2)
@@ -127,12 +203,12 @@ def _drawn(table: Table, wide: bool) -> str:
 
 
 def _width(column: Sequence[str]) -> int:
-    """How much a column takes with what is between two."""
+    """The width of a column, with its separator."""
     return 3 + max(1, *map(len, column))
 
 
 def _cut(column: Sequence[str], most: int) -> list[str]:
-    return [cell if len(cell) <= most else cell[: most - 1] + "\u2026" for cell in column]
+    return [each if len(each) <= most else each[: most - 1] + "\u2026" for each in column]
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -141,12 +217,12 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 
 
 def _escaped(text: str) -> str:
-    """A cell in which Markdown sees nothing but text; an underscore inside a word is that."""
+    """Escape a cell for Markdown; an underscore inside a word needs no escape."""
     return re.sub(r"[\\|<`]|(?<!\w)_|_(?!\w)", r"\\\g<0>", " ".join(text.split()))
 
 
 def _lines(cells: Sequence[Sequence[str]]) -> str:
-    """A Markdown table of cells that are escaped, the header first."""
+    """A Markdown table of escaped cells, the header first."""
     width = [max(1, *map(len, column)) for column in zip(*cells, strict=True)]
 
     def line(row: Sequence[str]) -> str:
@@ -179,129 +255,63 @@ def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     def line(cells: Sequence[str]) -> str:
         return " & ".join(str(c).translate(_LATEX) for c in cells) + r" \\"
 
-    return "\n".join(
-        [
-            rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}",
-            r"\toprule",
-            line(header),
-            r"\midrule",
-            *map(line, rows),
-            r"\bottomrule",
-            r"\end{tabular}",
-        ]
-    )
+    start = rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}"
+    body = [line(header), r"\midrule", *map(line, rows)]
+    return "\n".join([start, r"\toprule", *body, r"\bottomrule", r"\end{tabular}"])
 
 
-#: What `with_interval` writes, and the star of parameters that are not held out.
-_NUMBER = re.compile(r"([-+.\d]+)(?: \[([-+.\d]+), ([-+.\d]+)\])?(\*?)")
+#: The styles of tables, which `--format` names.
+STYLES = ("markdown", "latex", "csv")
 
 
-def tidy_csv(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Comma-separated values with one number in a cell: the bounds of an interval, and the star of
-    what is not held out, have columns of their own; what is undefined is empty. A name that
-    several columns have follows that of the column before them."""
-    names = [
-        name
-        if header.count(name) == 1
-        else next((f"{own} {name}" for own in header[k::-1] if header.count(own) == 1), name)
-        for k, name in enumerate(header)
-    ]
-    tidy = []
-    for name, cells in zip(names, zip(*rows, strict=True), strict=False):
-        found = [_NUMBER.fullmatch(cell) or (None, cell, *[None] * 3) for cell in map(str, cells)]
-        for k, more in enumerate(("", " low", " high", " in-sample"), start=1):
-            column = ["" if each[k] in (None, "-") else each[k] for each in found]
-            if k == 1 or any(column):
-                tidy.append([name + more, *column])
-    first, *others = zip(*tidy, strict=True) if tidy else [names]
-    return as_csv(first, others)
+# --- tables that several commands print ----------------------------------------------------------
 
 
-#: The functions that write a table, by the names that `--format` has for them.
-STYLES = {"markdown": markdown, "latex": latex, "csv": tidy_csv}
+def score_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    """The scores of results: a row per score, with its 95 % interval; a column per result.
 
-
-def score_text(value: float | None, digits: int = 3) -> str:
-    """A score for a table; a dash if it is undefined."""
-    return "-" if value is None else f"{value:.{digits}f}"
-
-
-def with_interval(value: float | None, interval: Sequence[float] | None, form: str = ".3f") -> str:
-    """A score and its interval, e.g. ".912 [.905, .919]"; a dash if the score is undefined.
-
-    form: the format of each number.
+    - scores: of the model or the detector, as in scores.json, by the name of the column.
     """
-    if value is None:
-        return "-"
-    return f"{value:{form}}" + (
-        f" [{interval[0]:{form}}, {interval[1]:{form}}]" if interval is not None else ""
-    )
-
-
-def score_rows(scores: Mapping[str, Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """All scores of a result: a row per score, with its 95 % interval; a column each for detector
-    and model."""
-    columns = [name for name in ("detector", "model") if name in scores]
-    rows = [
-        [label, *(with_interval(scores[c][key], scores[c]["intervals"].get(key)) for c in columns)]
-        for key, label in _SCORES.items()
-    ]
-    delays = [scores[c]["delay"] for c in columns]
-    rows.append(["delay, median (frames)"] + [score_text(d["median_frames"], 1) for d in delays])
-    rows.append(["lane changes missed", *(score_text(d["share_missed"]) for d in delays)])
-    has_intervals = any(scores[c]["intervals"]["accuracy"] for c in columns)
-    return ["score [95 % interval]" if has_intervals else "score", *columns], rows
-
-
-def runs_table_rows(summaries: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Several runs, each as `run.summary` gives it: a row per run."""
-    header = ["run", "frames", "scored", "detector", "model", "F1", "log-loss", "parameters"]
-    rows = []
-    for found in summaries:
-        detector, model = found.get("detector"), found.get("model")
-        scores = [score_text(s["accuracy"]) if s else "" for s in (detector, model)]
-        scores += [score_text(model[key]) if model else "" for key in ("f1", "log_loss")]
-        frames = [str(found["frames"]), str(found["frames_scored"])]
-        rows.append([found["name"], *frames, *scores, tuned_on_text(found) if model else ""])
-    return header, rows
-
-
-def tuned_on_text(found: Mapping[str, Any]) -> str:
-    """How a narrow column says on which frames the parameters were tuned, and which parts look at
-    later frames."""
-    return f"{TUNED_ON_SHORT[found['tuned_on']]}, {causal_text(found)}".removesuffix(", causal")
-
-
-def causal_text(found: Mapping[str, Any]) -> str:
-    """Whether beliefs know the frames so far only, or what looks ahead (`model.causality`)."""
-    ahead = [part for part, is_causal in found["causal"].items() if not is_causal]
-    return f"not causal ({', '.join(ahead)})" if ahead else "causal"
+    columns: dict[str, dict[str, Any]] = {}
+    has_intervals = False
+    for name, found in scores.items():
+        values = {label: found[key] for key, label in SCORES.items()}
+        values["delay, median (frames)"] = found["delay"]["median_frames"]
+        values["lane changes missed"] = found["delay"]["share_missed"]
+        columns[name] = values
+        bounds = {SCORES[key]: ends for key, ends in found["intervals"].items() if ends}
+        has_intervals |= bool(bounds)
+        for k, end in enumerate(("low", "high")):
+            columns[f"{name}_{end}"] = {label: ends[k] for label, ends in bounds.items()}
+    title = "score [95 % interval]" if has_intervals else "score"
+    frame = pd.DataFrame(columns, dtype=float).rename_axis(title)
+    frame = frame.loc[[*next(iter(columns.values()))]].dropna(axis="columns", how="all")
+    return table(frame, {"delay, median (frames)": 1})
 
 
 def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") -> Table:
-    """The table of a confusion matrix (n + 1, n) with its totals. Rows are the predicted
-    lane, then Unassigned; columns are the actual lane."""
-    n = len(matrix[0])
-    names = [f"lane {k + 1}" for k in range(n)] + ["Unassigned"]
-    rows = [[name, *map(str, row), str(sum(row))] for name, row in zip(names, matrix, strict=True)]
-    support = [sum(row[k] for row in matrix) for k in range(n)]
-    rows.append(["support", *map(str, support), str(sum(support))])
-    return Table([header, *(f"actual {k + 1}" for k in range(n)), "total"], rows)
+    """A confusion matrix (n + 1, n) with its totals: rows are predicted, columns true lanes."""
+    counts = np.asarray(matrix)
+    n = counts.shape[1]
+    names = [*(f"lane {k + 1}" for k in range(n)), "Unassigned"]
+    frame = pd.DataFrame(counts, index=names, columns=[f"actual {k + 1}" for k in range(n)])
+    frame.loc["support"] = counts.sum(axis=0)
+    return table(frame.assign(total=frame.sum(axis=1)).rename_axis(header))
 
 
 def reproduction_rows(
     document: Mapping[str, Any], published: Mapping[int, Any]
 ) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of the table of `egolane reproduce`: for each run and matrix our score, the
-    published one and the difference.
+    """Header and rows of `egolane reproduce`: our score, the published one, and the difference.
 
-    - document: as `paper.reproduce_json` makes it
-    - published: the published values of each run (`paper.load_published`)
+    - document: key `runs`, for each run: run, detector_frames_off, model_frames_off, and the scores
+      of detector and model.
+    - published: the published values of each run (`paper.load_published`).
     """
     header = ["run", "matrix", "frames off"]
     keys = ("accuracy", "precision", "recall", "f1", "log_loss")
     for key in keys:
-        header += [key, "paper", "diff"]
+        header += [key, f"{key} in paper", f"{key} diff"]
     rows = []
     for entry in document["runs"]:
         for kind, theirs in (("detector", "detector_only"), ("model", "model")):
@@ -315,18 +325,15 @@ def reproduction_rows(
 
 
 def box_text(log: LineLog, frame_id: int) -> str:
-    """The lines of one frame, in the form of the paper's Box `box:box1`: a row
-    `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m` per line, with `--` for an unknown
-    LRI or offset.
+    """The lines of one frame, in the form of the paper's Box `box:box1`.
 
-    Raises InputError, with the nearest frame, if the log lacks the frame.
+    A row per line, `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m`, with `--` for an
+    unknown LRI or offset. Raises InputError, with the nearest frame, if the log lacks the frame.
     """
     if not len(log):
         raise InputError(f"{log.source}: has no frames")
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
-    # Limited first, because the number may be too large for an array.
-    within = min(max(frame_id, first), last)
-    at = int(np.argmin(np.abs(log.frame_id - within)))
+    at = int(np.argmin(np.abs(log.frame_id - min(max(frame_id, first), last))))
     if log.frame_id[at] != frame_id:
         raise InputError(
             f"{log.source}: has no frame {frame_id}; the nearest is {int(log.frame_id[at])}"

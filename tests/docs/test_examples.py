@@ -33,14 +33,14 @@ from tests.kits.doc_examples import (
 )
 
 #: What a page needs that not everybody has.
-_RECORDINGS = re.compile(r"--runs|reproduce|experiments/paper/|egolane data")
+_RECORDINGS = re.compile(r"ten_runs|reproduce|experiments/paper/|egolane data")
 _MAPS = re.compile(r"roads\.osm|drive\.gpx")
 
 
 @pytest.fixture(scope="module")
-def world(boards: Path, tiny_network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def world(boards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
-    write_world(folder, boards, tiny_network)
+    write_world(folder, boards)
     return folder
 
 

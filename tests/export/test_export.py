@@ -1,9 +1,11 @@
-"""Results as MCAP files, read again by the format's own reader."""
+"""Results as MCAP files, read again by the format's own reader, and as videos."""
 
 from __future__ import annotations
 
 import base64
 import json
+import math
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,178 +13,235 @@ from typing import Any
 import cv2
 import jsonschema
 import numpy as np
+import pandas as pd
 import pytest
-from click.testing import CliRunner, Result
 from mcap.reader import SeekingReader
 
-import egolane_pgm as ego
-from egolane_pgm.command import egolane
-from egolane_pgm.export.drive import Drive, open_drive
+from egolane_pgm.export import mcap_file
 from egolane_pgm.export.mcap_file import write_mcap
-from egolane_pgm.simulation import simulate
-from egolane_pgm.types import InputError
+from egolane_pgm.export.video_file import write_video
+from egolane_pgm.result import Result
+from egolane_pgm.runs import open_input, run_input
+from egolane_pgm.types import InputError, LineLog
+from egolane_pgm.vision import video
+from egolane_pgm.vision.camera.model import road_to_image, write_camera
 from egolane_pgm.vision.camera.pictures import images_of, open_source
-from tests.kits.rosbag_writer import write_lines
+from egolane_pgm.vision.video import bar_boxes, layout
+from tests.kits.drawn_frames import CAMERA, OFFSETS, around, is_colour, road
 
-#: When the drive began, seconds since 1970.
+#: The start of the drive, seconds since 1970.
 START_S = 1_515_801_391
 
 
 @pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The result of a drive with true time stamps, in a folder beside its recording and its
-    pictures."""
-    folder = tmp_path_factory.mktemp("export")
-    drive = simulate("quickstart", frames=200)
-    log = drive.log
-    object.__setattr__(log, "time_s", START_S + log.frame_id / 10)
-    write_lines(folder / "lines.mcap", log)
-    rows = zip(drive.truth.frame_id, drive.truth.lane, drive.truth.is_crossing, strict=True)
-    text = "".join(f"{f};{lane};{int(c)}\n" for f, lane, c in rows if f != 7)
-    (folder / "truth.txt").write_text(text)
-    (folder / "x.yaml").write_text(
-        "name: drive\nrecording: {path: lines.mcap}\nground_truth: {path: truth.txt}\n"
-        "n_lanes: 4\ntuned_on: not_tuned\n"
-    )
-    (folder / "pictures").mkdir()
-    for k in (10, 11, 40):
-        image = np.full((60, 80, 3), k, dtype=np.uint8)
-        cv2.imwrite(str(folder / "pictures" / f"{k:04d}.png"), image)
-    ego.run(folder / "x.yaml").save(folder / "result", figures=False)
-    return folder / "result"
+def result() -> Result:
+    """A drive with time stamps, of which frame 7 is not annotated."""
+    overrides = {"recording.frames": [0, 200]}
+    simulated = run_input(open_input("quickstart", overrides=overrides))
+    frames = simulated.frames.assign(time_s=START_S + simulated.frames.index / 10)
+    frames.loc[7, ["true_lane", "is_crossing"]] = pd.NA
+    return replace(simulated, frames=frames)
+
+
+def with_detector(result: Result, path: Path) -> Result:
+    recording = result.experiment.recording.model_copy(update={"detector": "ml", "path": str(path)})
+    return replace(result, experiment=result.experiment.model_copy(update={"recording": recording}))
 
 
 @pytest.fixture(scope="module")
-def drive(result: Path) -> Drive:
-    return replace(open_drive(result), pictures=open_source(result.parent / "pictures"))
+def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("pictures")
+    for k in (10, 11, 40):
+        cv2.imwrite(str(folder / f"{k:04d}.png"), np.full((60, 80, 3), k, dtype=np.uint8))
+    return folder
 
 
-#: Per topic the times and contents of its messages.
+@pytest.fixture(scope="module")
+def file(result: Result, pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("written") / "out.mcap"
+    counts = write_mcap(path, with_detector(result, pictures))
+    assert {topic: len(each) for topic, each in messages(path).items()} == counts
+    return path
+
+
+#: The times and contents of the messages of each topic.
 Messages = dict[str, list[tuple[int, dict[str, Any]]]]
 
 
 def messages(mcap: Path) -> Messages:
-    """The messages of a file, of which every eighth is held against its schema."""
+    """The messages of a file; every eighth is checked against its schema."""
     found: Messages = {}
     checks: dict[str, Any] = {}
-    with mcap.open("rb") as file:
-        for schema, channel, message in SeekingReader(file, validate_crcs=True).iter_messages():
+    with mcap.open("rb") as stream:
+        for schema, channel, message in SeekingReader(stream, validate_crcs=True).iter_messages():
             assert schema is not None
             assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
             if channel.topic not in checks:
-                described = json.loads(schema.data)
-                jsonschema.Draft202012Validator.check_schema(described)
-                checks[channel.topic] = jsonschema.Draft202012Validator(described)
-                assert described["title"] == schema.name
-            content = json.loads(message.data)
+                content = json.loads(schema.data)
+                jsonschema.Draft202012Validator.check_schema(content)
+                checks[channel.topic] = jsonschema.Draft202012Validator(content)
+                assert content["title"] == schema.name
             known = found.setdefault(channel.topic, [])
             if len(known) % 8 == 0:
-                checks[channel.topic].validate(content)
-            known.append((message.log_time, content))
+                checks[channel.topic].validate(json.loads(message.data))
+            known.append((message.log_time, json.loads(message.data)))
     return found
 
 
-@pytest.fixture(scope="module")
-def written(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Messages:
-    """The messages of the drive, each as many as `write_mcap` says."""
-    file = tmp_path_factory.mktemp("written") / "out.mcap"
-    counts = write_mcap(file, drive)
+def test_each_frame_is_a_message_on_the_clock_of_the_recording(result: Result, file: Path) -> None:
     found = messages(file)
-    assert {topic: len(each) for topic, each in found.items()} == counts
-    return found
-
-
-def test_an_mcap_file_has_every_frame_on_the_clock_of_the_recording(
-    drive: Drive, written: Messages
-) -> None:
-    found = written
-    times = [START_S * 10**9 + int(k) * 10**8 for k in drive.result.frame_id]
-    for topic in ("/belief", "/lanes", "/frame", "/lines", "/birdseye", "/detector"):
+    times = [START_S * 10**9 + int(k) * 10**8 for k in result.frames.index]
+    for topic in ("/frame", "/lines", "/birdseye"):
         assert [now for now, _ in found[topic]] == times, topic
-    result = drive.result
-    for t, (_, belief) in enumerate(found["/belief"]):
-        lanes = [belief[f"Lane_{k + 1}"] for k in range(4)]
-        np.testing.assert_array_equal(lanes, result.marginals["Lane"][t])
-    assert [m["model"] for _, m in found["/lanes"]] == result.assigned_lane.tolist()
-    assert [m["truth"] for _, m in found["/lanes"]] == result.true_lane.tolist()
-    assert [m["truth"] for _, m in found["/lanes"]][7] == 0
-    assert len(found["/changes"]) == len(result.events)
+    table = pd.DataFrame([content for _, content in found["/frame"]]).set_index("frame_id")
+    expected = result.frames.astype({"true_lane": float, "is_crossing": float})
+    table = table[expected.columns].astype(expected.dtypes)
+    pd.testing.assert_frame_equal(table, expected, check_index_type=False)
+    assert "true_lane" not in found["/frame"][7][1]
+    texts = [text["message"] for _, text in found["/changes"]]
+    assert len(texts) == len(result.events)
+    first = result.events.iloc[0]
+    assert f"from {first['from_lane']:.0f} to {first['to_lane']:.0f}" in texts[0]
+    at = [now for now, _ in found["/changes"]]
+    assert at == [times[int(k)] for k in result.events["detected_frame_id"]]
 
 
-def test_the_lines_and_the_view_from_above_are_those_of_the_recording(
-    drive: Drive, written: Messages
-) -> None:
-    found = written
-    assert drive.result.lines is not None
-    for t, ((_, lines), (_, scene)) in enumerate(
-        zip(found["/lines"], found["/birdseye"], strict=True)
-    ):
-        offset = drive.result.lines.offset_m[t]
-        there = ~np.isnan(offset)
-        assert [line["offset_m"] for line in lines["lines"]] == offset[there].tolist()
-        (entity,) = scene["entities"]
+def test_the_scene_has_the_lines_and_the_posterior_of_its_frame(result: Result, file: Path) -> None:
+    [log] = result.lines.values()
+    for t, (_, scene) in enumerate(messages(file)["/birdseye"]):
+        [entity] = scene["entities"]
+        offset = log.offset_m[t]
         left = [line["points"][0]["y"] for line in entity["lines"]]
-        assert sorted(left, reverse=True) == left
-        assert [-y for y in left] == sorted(offset[there & (offset != 0)].tolist())
-        high = [cube["size"]["z"] for cube in entity["cubes"] if cube["size"]["x"] == 0.8]
-        np.testing.assert_allclose(
-            high, np.maximum(6 * drive.result.marginals["Lane"][t], 0.02), atol=1e-9
+        there = ~np.isnan(offset) & (offset != 0)
+        assert sorted(-y for y in left) == sorted(offset[there].tolist())
+        bars = [cube for cube in entity["cubes"] if cube["size"]["x"] == 0.8]
+        expected = np.maximum(6 * result.node("Lane")[t], 0.02)
+        np.testing.assert_allclose([bar["size"]["z"] for bar in bars], expected)
+        plates = [cube["pose"] for cube in entity["cubes"] if cube["size"]["x"] == 1.4]
+        truth = result.frames["true_lane"].iloc[t]
+        assert [pose["position"]["y"] for pose in plates] == (
+            [] if t == 7 else [bars[truth - 1]["pose"]["position"]["y"]]
         )
-        marked = [text["text"] for text in entity["texts"] if "true" in text["text"]]
-        truth = int(drive.result.true_lane[t])
-        assert [text.startswith(f"lane {truth}:") for text in marked] == [True] * (truth > 0)
 
 
-def test_an_exported_drive_is_a_recording_again(result: Path, drive: Drive, tmp_path: Path) -> None:
-    write_mcap(tmp_path / "out.mcap", drive)
-    out = tmp_path / "again"
-    command = ["run", tmp_path / "out.mcap", "--n-lanes", 4, "--no-figures", "--out", out]
-    done = CliRunner().invoke(egolane, [*map(str, command)])
-    assert done.exit_code == 0, done.output
-    lines, again = drive.result.lines, ego.load_result(out).lines
-    assert lines is not None
-    assert again is not None
-    for name in ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(lines, name), err_msg=name)
-    shown = open_source(tmp_path / "out.mcap")
+def test_an_mcap_file_is_a_recording_again(result: Result, file: Path) -> None:
+    again = run_input(open_input(file, n_lanes=4))
+    [lines], [expected] = again.lines.values(), result.lines.values()
+    assert isinstance(lines, LineLog)
+    for name in ("frame_id", "offset_m", "is_valid", "is_continuous", "lri"):
+        np.testing.assert_array_equal(getattr(lines, name), getattr(expected, name), err_msg=name)
+    np.testing.assert_array_equal(lines.time_s, result.frames["time_s"])
+    shown = open_source(file)
     np.testing.assert_allclose(shown.time_s, [START_S + k / 10 for k in (10, 11, 40)])
     assert [int(image.mean()) for _, _, image in images_of(shown, None)] == [10, 11, 40]
+    jpeg = base64.b64decode(messages(file)["/picture"][0][1]["data"])
+    image = cv2.imdecode(np.frombuffer(jpeg, dtype=np.uint8), cv2.IMREAD_COLOR)
+    assert image is not None
+    assert image.shape == (60, 80, 3)
 
 
-def test_pictures_stand_at_the_time_of_their_frame(written: Messages) -> None:
-    shown = written["/picture"]
-    assert [(now - START_S * 10**9) // 10**8 for now, _ in shown] == [10, 11, 40]
-    for (_, picture), grey in zip(shown, (10, 11, 40), strict=True):
-        jpeg = np.frombuffer(base64.b64decode(picture["data"]), dtype=np.uint8)
-        image = cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
-        assert image is not None
-        assert image.shape == (60, 80, 3)
-        assert abs(float(image.mean()) - grey) < 2
+def test_a_part_has_the_messages_of_the_whole(result: Result, file: Path, tmp_path: Path) -> None:
+    first = int(result.events["detected_frame_id"].iloc[0])
+    write_mcap(tmp_path / "part.mcap", result, frames=(first, first + 9))
+    part, whole = messages(tmp_path / "part.mcap"), messages(file)
+    now = [START_S * 10**9 + (first + k) * 10**8 for k in range(10)]
+    for topic in ("/frame", "/lines", "/birdseye", "/changes"):
+        assert part[topic] == [each for each in whole[topic] if each[0] in now], topic
 
 
-def test_some_frames_alone_are_shown_as_in_the_whole_drive(result: Path, drive: Drive) -> None:
-    some = open_drive(result, frames=(20, 29))
-    assert some.result.frame_id.tolist() == list(range(20, 30))
-    assert drive.result.lines is not None
-    assert some.result.lines is not None
-    np.testing.assert_array_equal(some.result.lines.frame_id, some.result.frame_id)
-    assert some.lines_at(3) == drive.lines_at(23)
-    assert some.bars_at(3) == drive.bars_at(23)
-    whole = [(row - 20, text) for row, text in drive.event_texts() if 20 <= row < 30]
-    assert some.event_texts() == whole
-    with pytest.raises(InputError, match="no frame from 500 to 600; its frames are 0 to 199"):
-        open_drive(result, frames=(500, 600))
+def test_what_is_missing_is_left_out_with_a_warning(result: Result, tmp_path: Path) -> None:
+    gone = replace(with_detector(result, tmp_path / "gone"), lines={})
+    with (
+        pytest.warns(UserWarning, match="has no lines"),
+        pytest.warns(UserWarning, match="shown without pictures"),
+    ):
+        counts = write_mcap(tmp_path / "out.mcap", gone)
+    assert set(counts) == {"/frame", "/birdseye", "/changes"}
 
 
-# --- the command ---------------------------------------------------------------------------------
+@pytest.mark.parametrize(
+    ("change", "frames", "message"),
+    [
+        ({}, (500, 600), "has no frame from 500 to 600; its frames are 0 to 199"),
+        ({"drive": "a"}, None, "has several drives"),
+        ({"time_s": 3.0}, None, "frame 1 is at 3 s, before 0 or not after"),
+    ],
+)
+def test_a_result_that_cannot_be_shown_is_refused(
+    result: Result, tmp_path: Path, change: dict[str, Any], frames: Any, message: str
+) -> None:
+    changed = replace(result, frames=result.frames.assign(**change))
+    with pytest.raises(InputError, match=message):
+        write_mcap(tmp_path / "out.mcap", changed, frames)
+    assert not any(tmp_path.iterdir())
 
 
-def export(*words: object) -> Result:
-    return CliRunner().invoke(egolane, ["plot", *map(str, words)])
+def test_nodes_of_many_values_and_infinite_numbers_are_left_out(result: Result) -> None:
+    frames = result.frames.iloc[:1].assign(RoadPosition_1=0.5, log_evidence=-math.inf)
+    values = {**result.run["values"], "RoadPosition": list(range(40))}
+    changed = replace(result, run={**result.run, "values": values})
+    [(_, _, content)] = mcap_file._frame_messages(changed, frames)
+    assert set(frames) - set(content) == {"RoadPosition_1", "log_evidence"}
 
 
-def test_the_command_writes_the_file(result: Path, tmp_path: Path) -> None:
-    done = export(result, "--out", tmp_path / "out.mcap", "--frames", 10, 19)
-    assert done.exit_code == 0, done.output
-    assert done.output == f"{tmp_path / 'out.mcap'}\n"
-    assert len(messages(tmp_path / "out.mcap")["/belief"]) == 10
+# --- videos --------------------------------------------------------------------------------------
+
+#: A detector with the same lines in every picture.
+DETECTOR = """
+    import numpy as np
+    from egolane_pgm.vision.detectors import FrameLines
+    STEREO = False
+    def start(camera, parameters):
+        def step(picture):
+            shape = np.zeros((3, 4))
+            shape[:, 0] = -1.9, 1.6, 5.2
+            yes = np.ones(3, dtype=bool)
+            return FrameLines(shape, yes, np.array([True, False, False]), np.full(3, 10.0))
+        return step
+"""
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    read = cv2.VideoCapture(str(path))
+    images = []
+    while (found := read.read())[0]:
+        images.append(found[1])
+    return images
+
+
+def test_a_video_shows_lines_and_truth_on_the_pictures(tmp_path: Path) -> None:
+    (tmp_path / "pictures").mkdir()
+    for k in range(10, 16):
+        cv2.imwrite(str(tmp_path / "pictures" / f"img_{k:04d}.png"), road())
+    write_camera(tmp_path / "cam.yaml", CAMERA)
+    (tmp_path / "fake.py").write_text(textwrap.dedent(DETECTOR))
+    truth = tmp_path / "truth.txt"
+    truth.write_text("".join(f"{k};2;0\n" for k in range(10, 16)))
+    recording = {
+        "camera": str(tmp_path / "cam.yaml"),
+        "detector": str(tmp_path / "fake.py"),
+        "frame_rate": 20,
+    }
+    given = open_input(tmp_path / "pictures", n_lanes=3, ground_truth=truth, recording=recording)
+    result = run_input(given)
+    assert write_video(tmp_path / "a.mp4", result) == 6
+    found = frames_of(tmp_path / "a.mp4")
+    assert len(found) == 6
+    assert cv2.VideoCapture(str(tmp_path / "a.mp4")).get(cv2.CAP_PROP_FPS) == 20
+    places = layout(CAMERA)
+    assert found[0].shape == (places.size[1], places.size[0], 3)
+    u, v = road_to_image(CAMERA, 7.0, OFFSETS[0])
+    near = around(found[0], float(u), float(v))
+    assert any(is_colour(pixel, video.CONTINUOUS, 70) for pixel in near)
+    left, upper, _, lower = bar_boxes(places, 3)[1]
+    assert is_colour(found[-1][(upper + lower) // 2, left - 3], video.TRUTH, 70)
+    assert write_video(tmp_path / "b.mp4", result, (11, 13)) == 3
+    cv2.imwrite(str(tmp_path / "pictures" / "img_0012.png"), road()[:-8])
+    with pytest.raises(InputError, match="frame 12: the picture has 640x392 pixels"):
+        write_video(tmp_path / "c.mp4", result)
+    assert len(frames_of(tmp_path / "c.mp4")) == 2
+
+
+def test_a_result_without_pictures_is_no_video(result: Result, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="has no pictures to draw"):
+        write_video(tmp_path / "a.mp4", result)

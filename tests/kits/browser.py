@@ -24,7 +24,7 @@ class Opened:
     asked: list[str] = field(default_factory=list)
 
     def range(self) -> tuple[float, float]:
-        """What the timeline shows, seconds."""
+        """The range of the timeline, seconds."""
         found = self.page.evaluate(
             "() => { const time = Bokeh.documents[0].get_model_by_name('time');"
             " return [time.start, time.end] }"
@@ -64,5 +64,5 @@ def opened(browser: Any, file: Path, width: int = 1200, **options: Any) -> Opene
         ),
     )
     page.goto(file.absolute().as_uri())
-    page.wait_for_selector("body[data-ready]", timeout=60_000)
+    page.wait_for_function("window.Bokeh?.documents[0]?.is_idle", timeout=60_000)
     return found

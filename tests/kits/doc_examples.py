@@ -26,7 +26,7 @@ from tests.kits.image_line_files import entry, tusimple
 from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import foreign_table, own_bag, polynomials_table
 from tests.kits.synthetic_road import write_video
-from tests.kits.tiny_network import write_known
+from tests.kits.tiny_network import write_known, write_top_hat
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -45,11 +45,10 @@ NOT_RUN = {
 
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
-    (r"^egolane compare (.*)", r"egolane compare \1 --blocks 2"),
+    (r"^(egolane run .*)--held-out", r"\1--held-out --blocks 2"),
+    (r"experiments/paper/recordings.csv", "examples/two_runs.csv"),
     (r"(egolane run paper_tuned .*)", r"\1 --set tuning.trials=2"),
-    (r"--runs 1-10\b", "--runs 2"),
     (r"--jobs \d+", "--jobs 1"),
-    (r"--workers \d+", "--workers 1"),
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),
     (r"tuning.trials=20\b", "tuning.trials=3"),
@@ -126,10 +125,10 @@ def yaml_kind(content: dict[str, Any]) -> str:
     return "tuning" if "pictures" in content or "experiments" in content else "experiment"
 
 
-def write_world(folder: Path, boards: Path, network: Path) -> None:
+def write_world(folder: Path, boards: Path) -> None:
     """The files that the documentation names.
 
-    - boards: pictures of a chessboard. network: lanes.yaml and drivable.yaml with their weights.
+    boards: pictures of a chessboard.
     """
     (folder / "experiments").symlink_to(ROOT / "experiments")
     shutil.copytree(ROOT / "examples", folder / "examples")
@@ -146,9 +145,9 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     rows = ['monday,1,"[0, 600]",sun', 'tuesday,2,"[0, 600]",rain']
     table = ["name,recording.seed,recording.frames,tag.weather", *rows]
     (folder / "drives.csv").write_text("\n".join(table) + "\n")
-    for name in ("A", "B", "C", "X", "other"):
-        kind = "quickstart" if name in ("X", "other") else "zero_label"
-        rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
+    rewritten(ROOT / "experiments/quickstart.yaml", folder / "X.yaml", name="X")
+    rows = (ROOT / "experiments/paper/recordings.csv").read_text().splitlines(keepends=True)
+    (folder / "examples/two_runs.csv").write_text("".join([rows[0], rows[1], rows[6]]))
     _write_bag(folder / "drive.bag")
     foreign_table(folder / "foreign.csv")
     polynomials_table(folder / "polynomials.csv")
@@ -159,9 +158,9 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     (folder / "drive.avi").rename(folder / "drive.mp4")
     write_images(folder / "camera_bag", seen)
     write_camera(folder / "cam.yaml", TRUE)
-    for file in network.iterdir():
-        shutil.copy(file, folder)
-    (folder / "drivable.yaml").rename(folder / "road.yaml")
+    network = write_top_hat(folder, TRUE.width, TRUE.height)
+    for name in ("lanes.yaml", "road.yaml"):
+        shutil.copy(network, folder / name)
     # A network that sees nothing.
     blind = {"pred_logits": np.zeros((1, 7, 2)), "pred_curves": np.zeros((1, 7, 8))}
     (folder / "models").mkdir()

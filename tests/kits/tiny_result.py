@@ -89,23 +89,12 @@ def without_detector() -> Result:
     return a_result(frames=frames_of(IDS, MODEL, None, TRUTH, CROSSING))
 
 
-def without_bonus(**changes: Any) -> Result:
-    config = {**CONFIG, "parameters": {"bonus_value": 0.0, "sigma1": 0.3}}
-    return a_result(
-        **{"run": {**RUN, "config": config}, "directory": Path("results/no_bonus"), **changes}
-    )
-
-
 def long_drive(n_frames: int) -> Result:
     """One posterior for every second frame, so that any average of it is known."""
     lane = np.tile([0.1, 0.7, 0.2], (n_frames, 1))
     lane[1::2] = [0.3, 0.5, 0.2]
     ids, nothing = np.arange(n_frames) + 5, np.zeros(n_frames)
     return a_result(frames=frames_of(ids, lane, lane, np.full(n_frames, 2), nothing))
-
-
-def axes_called(figure: Any, name: str) -> list[Any]:
-    return [ax for ax in figure.axes if ax.get_label() == name]
 
 
 def texts(figure: Any) -> list[str]:

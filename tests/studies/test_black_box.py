@@ -8,28 +8,28 @@ import numpy as np
 import optuna
 import pytest
 
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.recordings.memory import in_memory
+from egolane_pgm.experiment import Tuning
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.simulation import simulate
-from egolane_pgm.tuning import Shade
-from egolane_pgm.tuning.black_box import objective
-from egolane_pgm.tuning.objective import all_used
-from egolane_pgm.tuning.plan import scorer
-from egolane_pgm.tuning.search import Settings, search_in_memory
+from egolane_pgm.studies.black_box import objective
+from egolane_pgm.studies.fits import tune_study
+from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.types import InputError
-from tests.kits.tuning_kit import QUICKSTART, problem, told
+from tests.kits.studies import drive_of, tried
+
+QUICKSTART = "quickstart"
 
 
 def test_optuna_finds_with_it_what_our_own_search_finds() -> None:
-    ours, score = problem(), objective(QUICKSTART)
-    settings = Settings(trials=45, seed=1)
-    search = search_in_memory(ours.space, scorer(ours, all_used(ours.drives)), settings)
+    score = objective(QUICKSTART)
+    drive = drive_of(load_experiment(QUICKSTART))
+    tuning = Tuning(trials=45, seed=1, from_scratch=True)
+    ours = tune_study([drive], [np.arange(len(drive))], None, tuning=tuning)
     study = optuna.create_study(direction=score.direction, sampler=Shade(1, score.distributions))
     for _ in range(45):
         trial = study.ask(score.distributions)
         study.tell(trial, score(trial.params))
-    assert told(study.trials) == told(search.trials)
-    assert study.best_params == search.best_params
+    assert tried(study.trials) == tried(ours.trials)
 
 
 def test_values_that_are_left_out_are_the_experiments() -> None:
@@ -41,16 +41,19 @@ def test_values_that_are_left_out_are_the_experiments() -> None:
 
 
 def test_a_part_of_the_frames_counts_and_lines_may_be_in_memory() -> None:
-    experiment = load_experiment(QUICKSTART)
     drive = simulate("quickstart", seed=0, n_lanes=4)
-    read = in_memory(experiment, drive.log, drive.truth)
+    experiment = load_experiment(
+        QUICKSTART, {"recording.frame_rate": 10}, lines=drive.log, n_lanes=4
+    )
     whole, first, last = (
-        objective(experiment, frames=frames, read=read)({"sigma1": 1.5})
+        objective(experiment, frames=frames, lines=drive.log, ground_truth=drive.truth)(
+            {"sigma1": 1.5}
+        )
         for frames in ((None, None), (0, 500), (500, None))
     )
-    assert objective(experiment)({"sigma1": 1.5}) == whole
+    assert objective(QUICKSTART)({"sigma1": 1.5}) == whole
     assert min(first, last) < whole < max(first, last)
-    switches = objective(experiment, score="false_switches_per_minute")
+    switches = objective(QUICKSTART, score="false_switches_per_minute")
     assert switches.direction == "minimize"
 
 

@@ -10,22 +10,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.drive import load_recording
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.learning import em
-from egolane_pgm.learning.em import fit_tables
-from egolane_pgm.learning.tables import starting
-from egolane_pgm.model import prepare_model
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.running import run_experiment
+from egolane_pgm.studies import em
+from egolane_pgm.studies.em import Training, fit_tables, fit_tables_pooled
+from egolane_pgm.studies.fits import start_of_learning, training_of
 from egolane_pgm.types import Evidence, IntArray
 from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
+from tests.kits.studies import drive_of
 from tests.reference import inference as reference
 
 
@@ -75,6 +73,33 @@ def test_what_was_possible_stays_so_and_nothing_else_becomes_so(seed: int) -> No
     for node, table in compiled.tables.items():
         if (node[0], 1) not in start and node not in start:
             assert after.tables[node] is table
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=8, deadline=None)
+def test_pooled_is_one_behind_the_other_in_any_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    compiled, _, known, _ = a_case(seed)
+    [node] = known
+    parts = []
+    for n in rng.integers(1, 30, 3).tolist():
+        value = rng.integers(compiled.cardinality[node], size=n)
+        own = {node: np.where(rng.random(n) < 0.7, FREE, value)}
+        evidence = draw_evidence(compiled, n, rng, zeros=0.1)
+        parts.append(Training(evidence, own, rng.random(n) < 0.1))
+    begins = [np.concatenate([[True], part.is_first[1:]]) for part in parts]  # type: ignore[index]
+    whole = fit_tables(
+        compiled,
+        Evidence.joined([part.evidence for part in parts]),
+        {node: np.concatenate([part.known[node] for part in parts])},
+        np.concatenate(begins),
+        iterations=5,
+    )
+    for order in (parts, parts[::-1]):
+        pooled = fit_tables_pooled(compiled, order, iterations=5)
+        np.testing.assert_allclose(pooled.log_posterior, whole.log_posterior, rtol=1e-12)
+        for name, table in whole.tables.items():
+            np.testing.assert_allclose(pooled.tables[name].values, table.values, atol=1e-12)
 
 
 def paper_case(n_lanes: int = 3, **changes: float) -> Compiled:
@@ -208,17 +233,10 @@ def test_what_is_never_used_stays_possible_without_any_prior() -> None:
 def test_no_iteration_lowers_the_log_posterior_of_the_papers_recordings(
     recordings: Path, run: int, labels: bool
 ) -> None:
-    experiment = load_experiment(paper_experiment(run))
-    model = prepare_model(experiment)
-    recorded = load_recording(experiment)
-    assert recorded.truth is not None
-    lane = np.full(len(recorded.log), FREE)
-    if labels:
-        known = ~recorded.truth.is_crossing
-        lane[recorded.scored[known]] = recorded.truth.lane[known] - 1
-    evidence = run_experiment(experiment, recorded=recorded).evidence
-    start = starting(model, experiment).compiled
-    fitted = fit_tables(start, evidence, {"Lane": lane}, iterations=40)
+    drive = drive_of(load_experiment(paper_experiment(run)))
+    training = training_of(drive, np.arange(len(drive)), labels=labels)
+    start = start_of_learning(drive.model).compiled
+    fitted = fit_tables_pooled(start, [training], iterations=40)
     history = fitted.log_posterior
     assert (np.diff(history) >= -1e-9 * np.abs(history[:-1])).all()
     assert history[-1] > history[0] + 100

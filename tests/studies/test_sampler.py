@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from typing import Any
 
 import numpy as np
@@ -17,9 +15,8 @@ from optuna.distributions import (
 )
 from optuna.trial import TrialState
 
-from egolane_pgm.tuning import Shade
-from egolane_pgm.tuning import sampler as evolution
-from egolane_pgm.tuning.sampler import MEMBERS, from_unit, to_unit
+from egolane_pgm.studies import sampler as evolution
+from egolane_pgm.studies.sampler import Shade, from_unit, to_unit
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
@@ -137,12 +134,3 @@ def test_values_and_the_unit_interval_agree(name: str) -> None:
         assert found == sorted(found)
         ends = [SPACE[name].low, SPACE[name].high]  # type: ignore[attr-defined]
         assert [found[0], found[-1]] == pytest.approx(ends)
-
-
-def test_optuna_is_loaded_only_with_the_sampler() -> None:
-    code = (
-        "import sys, egolane_pgm.tuning as t; assert 'optuna' not in sys.modules;"
-        "t.Shade; assert 'optuna' in sys.modules"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-    assert MEMBERS == 30

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
 from egolane_pgm.parameters import Parameter, held_fixed, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
-from egolane_pgm.tuning.space import (
+from egolane_pgm.studies.space import (
     SearchSpace,
     describe,
     described,
@@ -23,7 +22,7 @@ from egolane_pgm.tuning.space import (
     to_point,
 )
 from egolane_pgm.types import InputError
-from tests.kits.tuning_kit import points_at
+from tests.kits.studies import points_at
 
 SPECS = declared_parameters(counting, sensor_failure)
 CURRENT = resolve_parameters(SPECS, {}, 3)
@@ -57,7 +56,7 @@ SEARCHED: dict[str, set[str]] = {
 @pytest.mark.parametrize("name", SEARCHED)
 def test_what_is_searched_in_the_packages_plugins_stays_as_it_was(name: str) -> None:
     folders = [f for f in ("graphs", "evidence", "detectors") if name in plugin_names(f)]
-    (module,) = [load_plugin(folder, name, Path(), "x") for folder in folders]
+    (module,) = [load_plugin(folder, name, "x") for folder in folders]
     assert {spec.name for spec in module.PARAMETERS if spec.is_searched} == SEARCHED[name]
 
 

@@ -11,8 +11,8 @@ import pytest
 from egolane_pgm.maps.lane_graph import Plane
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.studies.search import check_sampler
 from egolane_pgm.tools.jobs import in_order
-from egolane_pgm.tuning.search import check_sampler
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
 from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
@@ -42,7 +42,6 @@ def position(_: Path) -> None:
     ("module", "file", "call", "words"),
     [
         ("bokeh", "a.html", a_result().report, "a page of results needs bokeh|page"),
-        ("jinja2", "a.html", a_result().report, "a page of results needs jinja2|page"),
         ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
         ("osmium", "a.osm", read_osm, "{} needs osmium|maps"),
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),

@@ -15,7 +15,7 @@ from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence, online_rule, whole_rule
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs
-from makers.beyond.strangers import accuracies, evidence_of, zero_label
+from makers.beyond.strangers import accuracies, zero_label
 from tests.conftest import needs_compiler
 from tests.kits.strangers import (
     STRANGERS,
@@ -43,7 +43,10 @@ def simulated() -> Drive:
 
 def beliefs_of(drive: Drive) -> Beliefs:
     model = zero_label(drive.n_lanes)
-    return infer_beliefs(model.compiled, evidence_of(model, drive), "exact")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        evidence, _ = make_evidence(model, whole_rule(model), drive.log)
+    return infer_beliefs(model.compiled, evidence, "exact")
 
 
 @needs_compiler
@@ -66,7 +69,7 @@ def test_a_stranger_gets_the_same_evidence_frame_by_frame(name: str) -> None:
     model = zero_label(drive.n_lanes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        at_once = make_evidence(model, whole_rule(model), log)[0]
+        at_once, _ = make_evidence(model, whole_rule(model), log)
         rule, frames = online_rule(model), [log.take(slice(t, t + 1)) for t in range(len(log))]
         parts = [make_evidence(model, rule, frame)[0] for frame in frames]
     for node, values in at_once.likelihoods.items():

@@ -11,7 +11,6 @@ import egolane_pgm as ego
 from egolane_pgm.recordings import files_of, read_lines
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures
-from egolane_pgm.vision.camera.stills import small_pictures
 from tests.kits.drives import done, refused
 from tests.kits.image_bags import START_S, write_images
 from tests.kits.synthetic_road import CAMERA, N_FRAMES, write_place
@@ -64,7 +63,6 @@ def test_each_encoding_gives_the_picture_back(tmp_path: Path, encoding: str) -> 
     np.testing.assert_allclose(
         shown[0].astype(int), image.astype(np.uint8).astype(int), atol=tolerance
     )
-    assert list(small_pictures(source.path, [1], 90)) == [1]
 
 
 @pytest.mark.parametrize(

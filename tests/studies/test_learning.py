@@ -1,0 +1,299 @@
+"""Tables learned from training frames: with labels and without, and from several drives."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from egolane_pgm.drives import Drive
+from egolane_pgm.graphs.cpds import lane_normals
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import make_evidence, whole_rule
+from egolane_pgm.studies.fits import (
+    Fitted,
+    apply_fit,
+    check_learnable,
+    fit_learn,
+    fit_tables,
+    learnable_tables,
+    seen_before,
+    start_of_learning,
+    training_of,
+)
+from egolane_pgm.studies.study import block_folds, run_study
+from egolane_pgm.types import InputError
+from tests.conftest import needs_compiler
+from tests.kits.drives import run, short_drive, simulated, write_drive
+from tests.kits.studies import drive_of, quickstart, scrambled, two_drives, with_labels
+
+pytestmark = needs_compiler
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(autouse=True)
+def _some_frames_lack_a_lane() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*no frame to learn from has lane", UserWarning)
+        yield
+
+
+def drive(**keys: Any) -> Drive:
+    return drive_of(simulated(**keys))
+
+
+def learned(one: Drive, train: Any = None) -> Fitted:
+    """The fit to some training frames; the labels of the others are masked, as in a study."""
+    train = np.arange(len(one)) if train is None else np.asarray(train)
+    return fit_learn([one.mask_labels(train)], [train], None)
+
+
+def mirrored(one: Drive) -> Drive:
+    """The drive seen in a mirror."""
+    log = replace(one.log, offset_m=-one.log.offset_m)
+    lane = np.where(one.true_lane > 0, one.n_lanes + 1 - one.true_lane, 0)
+    return replace(one, log=log, true_lane=lane)
+
+
+# --- what is learned from ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("labels", [True, False])
+def test_the_training_frames_alone_are_used(labels: bool) -> None:
+    """Neither the labels nor the lines of the other frames, nor the labels of crossing ones."""
+    one = drive(learning={"labels": labels})
+    train = np.arange(600)
+    others = np.union1d(np.arange(600, len(one)), np.flatnonzero(one.is_crossing[one.rows]))
+    changed = scrambled(one, others)
+    offset = one.log.offset_m.copy()
+    offset[one.rows[600:]] *= -1
+    changed = replace(changed, log=replace(one.log, offset_m=offset))
+    found = learned(one, train)
+    assert learned(changed, train) == found
+    assert learned(one) != found
+    is_same = learned(scrambled(one, train), train) == found
+    assert is_same is not labels
+
+
+def test_frames_between_two_training_frames_are_used_others_are_not() -> None:
+    """Annotated are frames 1, 2, 5, 6 and 7 of nine."""
+    whole = drive()
+    log = whole.log.take(slice(0, 9))
+    lane = np.where(np.isin(np.arange(9), [1, 2, 5, 6, 7]), 2, 0)
+    one = replace(whole, log=log, true_lane=lane, is_crossing=np.zeros(9, dtype=bool))
+    everything = make_evidence(one.model, whole_rule(one.model), log)[0]
+    for train, frames in (
+        ([0, 1, 2], [0, 1, 2, 3, 4, 5]),
+        ([0, 4], [0, 1, 7, 8]),
+        # One neighbour alone is not enough: 3 and 4 lie between 2 and 5.
+        ([0, 1], [0, 1, 2]),
+        ([2, 3, 4], [5, 6, 7, 8]),
+    ):
+        found = training_of(one, np.array(train), labels=True)
+        for node, values in found.evidence.likelihoods.items():
+            np.testing.assert_array_equal(values, everything.likelihoods[node][frames])
+        begins = np.flatnonzero(np.diff(frames, prepend=-2) > 1)
+        assert found.is_first is not None
+        assert np.flatnonzero(found.is_first).tolist() == begins.tolist()
+
+
+def test_a_block_that_is_left_out_is_no_step_from_before_to_after_it() -> None:
+    """Lane 1 up to the block, lane 4 behind it: no training frame goes from one to the other."""
+    one = drive()
+    n = len(one)
+    lane = np.where(np.arange(n) < n // 2, 1, 4)
+    one = replace(with_labels(one, np.arange(n), lane), is_crossing=np.zeros(n, dtype=bool))
+    found = learned(one, np.flatnonzero(np.abs(np.arange(n) - n // 2) > 50))
+    start = start_of_learning(one.model).compiled.tables["Lane", 1].values
+    move = np.reshape(found["tables.Lane.next"], (4, 4))
+    assert move[0, 3] <= start[0, 3]
+    assert move[3, 0] <= start[3, 0]
+    # Behind the block the drive begins anew, in lane 4.
+    first = np.asarray(found["tables.Lane.first"])
+    assert first[0] == pytest.approx(first[3])
+
+
+RULE = """
+import numpy as np
+from egolane_pgm.types import Evidence
+PARAMETERS, PROVIDES = (), ('DetectorOutput',)
+def evidence(log, n_lanes, parameters):
+    {body}
+"""
+
+
+def with_rule(folder: Path, body: str, **changes: Any) -> Drive:
+    (folder / "rule.py").write_text(RULE.format(body=body))
+    keys = {"evidence": "./rule.py", "graph": "lane_only", **changes}
+    return drive_of(load_experiment(write_drive(folder, 100, **keys)))
+
+
+def test_a_rule_that_looks_back_has_the_frames_before_the_training_frames(tmp_path: Path) -> None:
+    """This one gives lane 1 in the first ten frames of its log, then lane 3."""
+    body = (
+        "says = np.where(np.arange(len(log)) < 10, 0, 2);"
+        " return Evidence({'DetectorOutput': np.eye(n_lanes)[says] + 1e-3})"
+    )
+    one = with_rule(tmp_path, body, learning={"labels": False})
+    first = np.asarray(learned(one, np.arange(40, 100))["tables.Lane.first"])
+    assert first[2] > first[0]
+
+
+# --- what is learned -----------------------------------------------------------------------------
+
+
+def test_a_lane_without_a_label_keeps_its_start_and_is_named() -> None:
+    one = drive()
+    lane, crossing = one.true_lane[one.rows], one.is_crossing[one.rows]
+    some = np.flatnonzero((lane != 4) & ~crossing)
+    with pytest.warns(UserWarning, match="no frame to learn from has lane 4; it keeps its start"):
+        found = learned(one, some)
+    start = start_of_learning(one.model).compiled.tables
+    after = apply_fit(one.model, found).compiled.tables
+    before = start["Lane", 1].values
+    np.testing.assert_allclose(after["Lane", 1].values[3], before[3], atol=1e-9)
+    assert np.abs(after["Lane", 1].values[:3] - before[:3]).max() > 0.01
+
+
+def test_the_prior_is_as_strong_as_the_experiment_sets() -> None:
+    away = {}
+    for strength in (1, 1_000_000):
+        one = drive(learning={"strength": strength})
+        start = start_of_learning(one.model).compiled.tables["Lane", 1].values
+        found = np.reshape(learned(one)["tables.Lane.next"], (4, 4))
+        away[strength] = np.abs(found - start).max()
+    assert away[1_000_000] < 1e-3 < 0.02 < away[1]
+
+
+def test_named_tables_alone_are_learned() -> None:
+    one = drive(learning={"tables": ["Lane"]})
+    assert {name for name, _ in learnable_tables(one.model)} == {"Lane"}
+    start = start_of_learning(one.model).compiled.tables
+    after = apply_fit(one.model, learned(one)).compiled.tables
+    for node, table in after.items():
+        if node[0] != "Lane":
+            np.testing.assert_array_equal(table.values, start[node].values)
+    assert (after["Lane", 1].values != start["Lane", 1].values).any()
+
+
+def test_mirrored_drives_give_mirrored_tables() -> None:
+    drives = two_drives()
+    train = [np.arange(len(each)) for each in drives]
+    found, other = (
+        fit_tables(some, train) for some in (drives, [mirrored(each) for each in drives])
+    )
+    for name, axes in (("tables.Lane.first", 1), ("tables.Lane.next", 2)):
+        ours, theirs = (np.reshape(each[name], (4,) * axes) for each in (found, other))
+        np.testing.assert_allclose(np.flip(theirs), ours, atol=1e-6)
+    # Pooled tables do not depend on the order.
+    again = fit_tables(drives[::-1], train[::-1])
+    for name, values in found.items():
+        np.testing.assert_allclose(again[name], values, atol=1e-9)
+
+
+def test_tables_that_may_have_been_tuned_on_the_frames_are_not_started_from() -> None:
+    given = {"parameters": {"sigma1": 0.1, "bonus_value": 5}}
+    same, not_tuned = (drive(tuned_on=each, **given) for each in ("same_frames", "not_tuned"))
+    sigma1 = next(p.default for p in same.model.graph.PARAMETERS if p.name == "sigma1")
+    start = start_of_learning(same.model).compiled.tables["Lane", 1].values
+    np.testing.assert_array_equal(start, lane_normals(sigma1, 4))
+    assert start_of_learning(not_tuned.model).compiled.tables["Lane", 1].values[0, 0] > 0.999
+    assert seen_before(not_tuned.model) == []
+    reset, kept = seen_before(same.model)
+    assert "tuned_on same_frames: learning starts from the defaults of sigma1" in reset
+    assert "bonus_value of the evidence rule stay as given" in kept
+
+
+def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path: Path) -> None:
+    one = drive(tuned_on="not_tuned", parameters={"sigma1": 1e-9})
+    with pytest.warns(UserWarning, match=r"sensor_failure does not allow \d+ frame\(s\) to learn"):
+        learned(one)
+    nothing = "return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})"
+    with pytest.raises(InputError, match="graph lane_only allows none of the 100 frames to learn"):
+        learned(with_rule(tmp_path, nothing))
+
+
+# --- studies -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("labels", [True, False])
+def test_a_learned_experiment_is_run_from_its_files(tmp_path: Path, labels: bool) -> None:
+    one = drive_of(load_experiment(write_drive(tmp_path, 600, learning={"labels": labels})))
+    out = tmp_path / "out"
+    study = run_study([one], "learn", block_folds([one], 3), directory=out)
+    content = yaml.safe_load((out / "best.yaml").read_text())
+    assert (content["graph"], content["tuned_on"]) == ("./best.graph.yaml", "same_frames")
+    # The learned graph has no parameters; those of the rule stay.
+    assert "sigma1" not in content["parameters"]
+    assert "bonus_value" in content["parameters"]
+    again = run(out / "best.yaml")
+    np.testing.assert_allclose(again.node("Lane"), study.in_sample.node("Lane"), atol=1e-9)
+    assert again.run["tuned_on"] == "same_frames"
+    ours, theirs = study.model.compiled, again.model.compiled
+    np.testing.assert_allclose(theirs.transition, ours.transition, rtol=1e-9)
+
+
+def test_a_network_that_was_learned_has_its_origin() -> None:
+    one = drive()
+    network = run_study([one], "learn", []).network
+    assert run(simulated(), graph=network).run["tuned_on"] == "same_frames"
+    other = simulated(recording=quickstart(3))
+    assert run(other, graph=network).run["tuned_on"] == "other_frames"
+
+
+def test_without_ground_truth_the_evidence_alone_is_learned_from(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, 300, ground_truth=None)
+    with pytest.raises(InputError, match="ground_truth: is missing, learning needs it"):
+        run_study([drive_of(load_experiment(path))], "learn", [])
+    one = drive_of(load_experiment(path, {"learning.labels": False}))
+    study = run_study([one], "learn", block_folds([one]))
+    assert study.held_out is not None
+    assert len(study.held_out) == len(short_drive(300).log)
+    assert "model" not in study.held_out.scores
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"learning": {"tables": ["Lan"]}}, r"learning.tables: 'Lan' has no table .*mean 'Lane'"),
+        (
+            {"evidence": "line_geometry", "graph": "position_in_lane", "learning": {}},
+            "learning: applies to the tables of a graph; the evidence rule line_geometry learns",
+        ),
+    ],
+)
+def test_what_cannot_be_learned_is_refused(changes: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        check_learnable(drive(**changes).model)
+
+
+def test_a_graph_without_a_table_to_learn_is_refused(tmp_path: Path) -> None:
+    same = np.eye(3).tolist()
+    tables = {
+        "Lane": {
+            "first": {"rows": {"values": [1, 0, 0]}},
+            "next": {"rows": {"of": ["Lane before"], "values": same}},
+        },
+        "DetectorOutput": {"rows": {"of": ["Lane"], "values": same}},
+    }
+    content = {"nodes": {"Lane": 3, "DetectorOutput": 3}, "tables": tables, "hidden": ["Lane"]}
+    content |= {"observed": ["DetectorOutput"], "unused": ["WOR"]}
+    (tmp_path / "g.yaml").write_text(yaml.safe_dump(content))
+    one = drive_of(load_experiment(write_drive(tmp_path, 30, graph="./g.yaml")))
+    with pytest.raises(InputError, match=r"nothing to learn: all tables of graph .* are certain"):
+        check_learnable(one.model)
+
+
+def test_a_graph_of_ones_own_is_learned() -> None:
+    one = drive_of(load_experiment(ROOT / "examples" / "own_files.yaml"))
+    study = run_study([one], "learn", block_folds([one], 2))
+    content = study.experiment()
+    assert content["evidence"] == str(ROOT / "examples" / "my_evidence.py")
+    assert content["parameters"]["tempering"] == 0.7
