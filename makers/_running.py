@@ -8,13 +8,17 @@ from typing import Any
 import egolane_pgm as ego
 
 
+#: The paper's evidence, graph and filter.
+PAPER = {"evidence": "counting", "graph": "sensor_failure", "filter": "assumed_density"}
+
+
 def run_of(log: ego.LineLog, n_lanes: int, frame_rate: float, **keys: Any) -> ego.Result:
-    """Run an experiment on lines; by default the paper's evidence, graph and filter."""
+    """Run an experiment on lines; keys: in place of those of PAPER."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return ego.run(
             log,
-            experiment=keys,
+            experiment={**PAPER, **keys},
             n_lanes=n_lanes,
             overrides={"recording.frame_rate": frame_rate},
         )

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import egolane_pgm as ego
-from egolane_pgm.paper import paper_experiment
+from egolane_pgm.paper import load_published, paper_experiment, parameters_for
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.verbs import compare
 from egolane_pgm.views.tables import page, table
@@ -75,11 +75,12 @@ def compared(heading: str, folders: Sequence[Path], **options: Any) -> str:
 
 def paper() -> None:
     """Write results/paper/graphs.md: other graphs with the parameters of the paper."""
-    for graph in WITH_PAPERS:
-        for run in range(1, 11):
-            place = RUNS / "paper" / graph / "*"
-            ego.run(paper_experiment(run), graph=graph, held_out=True, out=place, figures=False)
     folders = [RUNS / "paper" / graph for graph in WITH_PAPERS]
+    for run, entry in load_published().items():
+        changes = {"parameters": parameters_for(entry, "recovered")}
+        given = {"overrides": changes, "held_out": True, "figures": False}
+        for graph, folder in zip(WITH_PAPERS, folders, strict=True):
+            ego.run(paper_experiment(run), graph=graph, out=folder / "*", **given)
     heading = "# Other graphs with the paper's parameters\n\nMade by `make paper`; in-sample."
     write_text(RESULTS / "paper/graphs.md", compared(heading, folders, detector=True) + "\n")
 
