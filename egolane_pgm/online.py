@@ -17,7 +17,7 @@ from egolane_pgm.drives import changed
 from egolane_pgm.experiment import FROM_MAP, Columns, Experiment, Section, validated
 from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.loading import existing
-from egolane_pgm.maps.cutting import lanes_along
+from egolane_pgm.maps.cutting import lanes_at
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
 from egolane_pgm.running import infer
@@ -66,7 +66,7 @@ def online(
         yield from _online(compile_model(experiment), logs, nodes)
         return
     road = load_road(existing(experiment, "road"))
-    for n_lanes, drive in groupby(logs, lambda log: int(lanes_along(road, log)[-1])):
+    for n_lanes, drive in groupby(logs, lambda log: int(lanes_at(road, log.time_s)[-1])):
         model = compile_model(changed(experiment, road=None, n_lanes=n_lanes))
         yield from _online(model, drive, nodes)
 
@@ -174,11 +174,11 @@ def parse_message(
         raise InputError(f"{where}: is not JSON: {error}") from error
     if columns is not None:
         # Bags are read with it, too, which takes long to load.
-        from egolane_pgm.recordings.topics import fields, lines_of_messages
+        from egolane_pgm.recordings.topics import lines_of_messages
 
         if not isinstance(content, dict):
             raise InputError(f"{where}: is no JSON object")
-        return lines_of_messages([fields(content)], columns, where, frame_rate, after)
+        return lines_of_messages([content], columns, where, frame_rate, after)
     message = validated(_Message, content, where)
     lines, time_s = message.lines, message.time_s
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id

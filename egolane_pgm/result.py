@@ -32,10 +32,11 @@ from egolane_pgm.loading import IN_MEMORY, load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.memory import lines_of
+from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import make_directory, plain, read_parquet, write_json, write_yaml
 from egolane_pgm.tools.provenance import git_state, versions
 from egolane_pgm.types import (
     MAX_LANES,
@@ -275,8 +276,10 @@ class Result:
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:
         """Write the lines and copy the user's own plugins; return the config that names them."""
-        config = dict(self.run["config"])
-        for key in ("evidence", "graph"):
+        # A loaded result has copies of its plugins, where its experiment names them.
+        named = {key: getattr(self.experiment, key) for key in ("evidence", "graph")}
+        config = {**self.run["config"], **named}
+        for key in named:
             if str(config[key]).endswith(OWN_FILES):
                 copy = f"{key}_{Path(config[key]).name.removeprefix(f'{key}_')}"
                 if Path(config[key]) != place.absolute() / copy:
@@ -284,13 +287,14 @@ class Result:
                 config[key] = f"./{copy}"
         if self.lines:
             tables = [
-                log.to_pandas().reset_index().assign(drive=name) for name, log in self.lines.items()
+                log.take(~log.is_missing).to_pandas().reset_index().assign(drive=name)
+                for name, log in self.lines.items()
             ]
             table = pd.concat(tables, ignore_index=True)
             table = table if len(tables) > 1 else table.drop(columns="drive")
             table.to_parquet(place / "lines.parquet", index=False)
         if config["recording"].get("path") == IN_MEMORY:
-            dropped = {"frames", "missing_frames", "columns"}
+            dropped = {"frames", "columns"}
             kept = {k: v for k, v in config["recording"].items() if k not in dropped}
             config["recording"] = {**kept, "path": "./lines.parquet"}
         return config
@@ -323,7 +327,7 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
         run, scores = (json.loads((place / n).read_text()) for n in ("run.json", "scores.json"))
         if "identity" not in run:
             raise InputError(f"{place}: was written by another version; run the experiment again")
-        frames = pd.read_parquet(place / "beliefs.parquet")
+        frames = read_parquet(place / "beliefs.parquet")
         experiment = load_experiment(place / "experiment.yaml")
         return Result(experiment, frames, run, scores, _read_lines(place, experiment), place)
     except InputError:
@@ -334,17 +338,18 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
 
 
 def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
-    file, rate = place / "lines.parquet", experiment.recording.frame_rate
+    """The lines of each drive; frames that were filled in without lines are not in the file."""
+    file, recording = place / "lines.parquet", experiment.recording
     if not file.exists():
         return {}
-    table = pd.read_parquet(file)
+    table = read_parquet(file)
     if "drive" not in table:
-        return {experiment.name: lines_of(table, frame_rate=rate, path=file)}
-    parts = table.groupby("drive", sort=False)
-    return {
-        str(name): lines_of(part.drop(columns="drive"), frame_rate=rate, path=file)
-        for name, part in parts
-    }
+        table["drive"] = experiment.name
+    logs = {}
+    for name, part in table.groupby("drive", sort=False):
+        log = lines_of(part.drop(columns="drive"), frame_rate=recording.frame_rate, path=file)
+        logs[str(name)] = fill_missing(log, recording.missing_frames, recording.frame_rate)
+    return logs
 
 
 def stored(experiment: Experiment, directory: Path, tags: Mapping[str, str]) -> Result | None:

@@ -102,7 +102,9 @@ def open_input(
 
         loaded = with_graph(loaded, graph_named(graph, loaded))
     in_memory = None if isinstance(lines, (str, os.PathLike)) else lines
-    return Input(loaded, in_memory, None if isinstance(truth, (str, os.PathLike)) else truth)
+    # A file is in the experiment; "none" also drops the truth that a simulated drive has.
+    is_file = isinstance(truth, (str, os.PathLike)) and truth != "none"
+    return Input(loaded, in_memory, None if is_file else truth)
 
 
 def load_overrides(
@@ -143,7 +145,7 @@ def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[s
         path = Path(table)
         folder, where = path.absolute().parent, str(path)
         is_parquet = path.suffix == ".parquet"
-        cells = read_parquet(path).to_pandas() if is_parquet else _read_csv(path)
+        cells = read_parquet(path) if is_parquet else _read_csv(path)
     for column in map(str, cells):
         if not column.startswith(TAG) and column.split(".")[0] not in Experiment.model_fields:
             hint = suggestion(column, Experiment.model_fields)
@@ -151,7 +153,7 @@ def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[s
     if cells.empty:
         raise InputError(f"{where}: has no rows; give it one for each run")
     rows = [
-        {str(column): value for column, value in row.items() if not _is_empty(value)}
+        {str(column): _whole(value) for column, value in row.items() if not _is_empty(value)}
         for row in cells.to_dict("records")
     ]
     return rows, folder
@@ -171,6 +173,11 @@ def _read_csv(path: Path) -> pd.DataFrame:
 
 def _is_empty(value: Any) -> bool:
     return value is None or (isinstance(value, (float, np.floating)) and bool(np.isnan(value)))
+
+
+def _whole(value: Any) -> Any:
+    """A cell; whole numbers are floats in a column with empty cells."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def table_inputs(
@@ -233,7 +240,12 @@ def run_table(
     folder = Path(out)
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
-    done = list(bar(rows, progress, total=len(inputs), unit="run"))
+    done: list[dict[str, Any]] = []
+    try:
+        done.extend(bar(rows, progress, total=len(inputs), unit="run"))
+    except KeyboardInterrupt:
+        kept = f"{len(done)} of {len(inputs)} runs are in {folder}; the same command goes on"
+        raise KeyboardInterrupt(kept) from None
     summary = pd.DataFrame(done).set_index("name")
     summary.to_parquet(folder / SUMMARY)
     return summary

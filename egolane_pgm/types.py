@@ -81,12 +81,6 @@ def in_one_line(problem: object) -> str:
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
 
 
-def titled(title: str, note: str) -> str:
-    """A warning, or a note, about something that has a title."""
-    kind = NOTE if note.startswith(NOTE) else ""
-    return f"{kind}{title}: {note.removeprefix(NOTE)}"
-
-
 @contextlib.contextmanager
 def problems_in(where: str) -> Iterator[None]:
     """Begin an InputError that the block raises with `where`."""
@@ -394,34 +388,36 @@ class LineLog:
         Columns: `time_s`, `offset_m` (negative left), `is_valid`, `is_continuous`, `lri`. A frame
         without lines has one row, without `line` and offset.
         """
-        import pandas as pd
+        rows = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
+        return rows.set_index(["frame_id", "line"])
 
-        columns = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
-        line = pd.array(columns.pop("line").filled(0), dtype="Int64")
-        line[line == 0] = pd.NA
-        return pd.DataFrame({**columns, "line": line}).set_index(["frame_id", "line"])
-
-    def rows(self, is_line: BoolArray) -> dict[str, Any]:
-        """The columns of a table with a row per line: frame_id, time_s, line (from 1, masked in the
-        one row of a frame without lines), offset_m, is_valid, is_continuous, lri.
+    def rows(self, is_line: BoolArray) -> pd.DataFrame:
+        """A row per line, and one without `line` per frame without lines; see `to_pandas`.
 
         - is_line (T, L): marks what is no padding.
         """
+        # pandas is imported for tables only.
+        import pandas as pd
+
         frame, line = np.nonzero(np.column_stack([is_line, ~is_line.any(axis=1)]))
 
         def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
             padded = np.pad(values, ((0, 0), (0, 1)), constant_values=blank)
             return np.asarray(padded[frame, line])
 
-        return {
-            "frame_id": self.frame_id[frame],
-            "time_s": self.time_s[frame],
-            "line": np.ma.masked_array(line + 1, line == is_line.shape[1]),
-            "offset_m": column(self.offset_m, np.nan),
-            "is_valid": column(self.is_valid, False),
-            "is_continuous": column(self.is_continuous, False),
-            "lri": column(self.lri, np.nan),
-        }
+        number = pd.array(line + 1, dtype="Int64")
+        number[line == is_line.shape[1]] = pd.NA
+        return pd.DataFrame(
+            {
+                "frame_id": self.frame_id[frame],
+                "time_s": self.time_s[frame],
+                "line": number,
+                "offset_m": column(self.offset_m, np.nan),
+                "is_valid": column(self.is_valid, False),
+                "is_continuous": column(self.is_continuous, False),
+                "lri": column(self.lri, np.nan),
+            }
+        )
 
     @classmethod
     def joined(cls, parts: Sequence[LineLog]) -> LineLog:

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-
 from egolane_pgm.drive import Recorded
-from egolane_pgm.experiment import make_experiment
 from egolane_pgm.results import Result
+
+from egolane_pgm.experiment import make_experiment
 from egolane_pgm.running import run_experiment
 from egolane_pgm.types import LineLog
 

@@ -11,10 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.maps.index import index_of
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import IntArray
@@ -41,16 +40,15 @@ def measure() -> Iterator[str]:
         raise SystemExit("needs EGOLANE_DATA with a folder maps")
     for name in MAPS:
         graph = read_osm(Path(os.environ["EGOLANE_DATA"]) / "maps" / f"{name}.osm")
-        index = index_of(graph)
         rng = np.random.default_rng(0)
         right: dict[str, list[int]] = {"offline": [], "online": [], "nearest": []}
         frames: list[int] = []
         kinds = np.zeros(3, dtype=int)
         while sum(frames) < N_POSITIONS:
-            positions, segment = random_trip(graph, index, rng)
-            offline = locate(graph, index, positions)
-            online = locate(graph, index, positions, online=True).segment
-            nearest = lock_on_road(index, positions).segment
+            positions, segment = random_trip(graph, rng)
+            offline = locate(graph, positions)
+            online = locate(graph, positions, online=True).segment
+            nearest = lock_on_road(graph, positions).segment
             for key, found in zip(right, (offline.segment, online, nearest), strict=True):
                 right[key].append(int((found == segment).sum()))
             frames.append(len(segment))

@@ -13,7 +13,6 @@ from tests.kits.drives import write_drive
 from tests.kits.labelled_drive import write_labelled_drive
 from tests.kits.labelled_pictures import write_labelled
 from tests.kits.synthetic_road import write_place
-from tests.kits.tiny_network import write_trained
 
 # The first example of a kernel waits for its compiler, so that no example has a time limit. A
 # submission's tests must not depend on luck; elsewhere each run tries new examples.
@@ -104,13 +103,6 @@ def boards(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def stills(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder of pictures of a straight road."""
     return write_stills(tmp_path_factory.mktemp("stills"))
-
-
-@pytest.fixture(scope="session")
-def tiny_network(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a lane network that was trained on drawn pictures: lanes.yaml and
-    drivable.yaml."""
-    return write_trained(tmp_path_factory.mktemp("network"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -33,6 +33,7 @@ GONE = {
     "layouts of networks": r"layout: (?:queries|polynomials|beziers|road_lines)\b|\broad_lines:",
     "calibration": r"(?i)\bwatermarks?\b|calibrate [^`]*--labels\b",
     "detectors": r"\b(?:frozen_\w+|blur_\w+)\b",
+    "stored maps": r"\bload_map\b|locate \S+\.parquet",
     "rendering": r"(?i)\brendered (?:motorway|road|drive|picture)s?\b|makers\.camera rendered",
 }
 

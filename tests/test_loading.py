@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-
 from egolane_pgm.drive import with_recording
+from egolane_pgm.results import read_result
+
 from egolane_pgm.experiment import Experiment, load_experiment
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused, rewritten, short_drive
 from tests.kits.synthetic_road import images, write_pictures, write_place, write_video

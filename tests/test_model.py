@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from egolane_pgm.results import read_result
 
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.model import prepare_model
 from egolane_pgm.parameters import Value
-from egolane_pgm.results import read_result
 from tests.kits.drives import done, refused, write_drive
 
 GRAPH = """

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from egolane_pgm.drive import load_recording
 
 import egolane_pgm as ego
 from egolane_pgm import paper as paper
-from egolane_pgm.drive import load_recording
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import SCORES, Reproduced
 from egolane_pgm.recordings.ground_truth import read_ground_truth

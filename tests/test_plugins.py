@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from egolane_pgm.results import read_result
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.graphs.from_pgmpy import read_file
 from egolane_pgm.model import prepare_model
 from egolane_pgm.plugins import load_plugin, plugin_names
-from egolane_pgm.results import read_result
 from tests.kits.drives import done, refused, short_drive, write_drive
 
 with quiet():

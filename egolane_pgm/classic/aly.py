@@ -77,7 +77,7 @@ class Found:
 
 def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
     """Makes the function that finds the lines in a picture (H, W, 3), blue green red."""
-    small = smaller(camera, number(parameters, "focal_px"))
+    small = smaller(camera)
     view = view_for(small, parameters)
     find_splines = spline_finder(parameters)
 
@@ -131,4 +131,4 @@ def nearest(lines: FrameLines, count: int) -> FrameLines:
     """The `count` lines nearest to the car, valid ones before others."""
     order = np.sort(np.lexsort((np.abs(lines.offset_m), ~lines.is_valid))[:count])
     kept = {field.name: getattr(lines, field.name) for field in fields(lines)}
-    return replace(lines, **{name: a[order] for name, a in kept.items() if a is not None})
+    return replace(lines, **{name: a[order] for name, a in kept.items()})

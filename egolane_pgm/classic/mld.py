@@ -59,31 +59,25 @@ PARAMETERS = held_fixed(
             "a line is shown when it was seen in more than this many of the last 10 pictures",
             highest=9,
         ),
-        Parameter("reach_m", "positive", 55.0, "how far ahead the road is looked at, metres"),
-        Parameter("narrowest_m", "non_negative", 0.078, "the narrowest marking, metres"),
         Parameter(
             "widest_m",
             "positive",
             0.3,
             "the widest marking, metres; the authors' pixels are .23 for TuSimple's camera",
         ),
-        Parameter(
-            "filled",
-            "probability",
-            0.1,
-            "a line starts only where its markings fill this share of its rows (the authors': .382;"
-            " dashes of a motorway fill less)",
-        ),
-        Parameter(
-            "exact_up_to",
-            "integer",
-            10,
-            "groups of at most this many links of the CRF are solved exactly, larger ones by"
-            " turning each link on in turn, as published; 0: all of them",
-            highest=12,
-        ),
     )
 )
+
+#: How far ahead the road is looked at, and the width of the narrowest marking, metres.
+_REACH_M, _NARROWEST_M = 55.0, 0.078
+
+#: A line starts only where its markings fill this share of its rows (the authors': .382; dashes of
+#: a motorway fill less).
+_FILLED = 0.1
+
+#: Groups of at most this many links of the CRF are solved exactly, larger ones by turning each link
+#: on in turn, as published.
+_EXACT_UP_TO = 10
 
 #: A line starts from a curve that covers at least this many rows and has, on the road, at most this
 #: heading, m/m, and curvature, 1/m.
@@ -114,11 +108,8 @@ def follower(
 ) -> tuple[Callable[[Slots, Picture], Slots], Road]:
     """As `start`, but the step takes the slots and gives the new ones. Also gives the rows of the
     picture that show the road."""
-    reach_m, narrowest_m, widest_m, filled = (
-        number(parameters, name) for name in ("reach_m", "narrowest_m", "widest_m", "filled")
-    )
-    road = road_of(camera, reach_m, narrowest_m, widest_m)
-    exact_up_to, most = int(number(parameters, "exact_up_to")), int(number(parameters, "lines"))
+    road = road_of(camera, _REACH_M, _NARROWEST_M, number(parameters, "widest_m"))
+    most = int(number(parameters, "lines"))
     rng = np.random.default_rng(0)
 
     def follow(slots: Slots, picture: Picture) -> Slots:
@@ -126,7 +117,7 @@ def follower(
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
         markings = find_markings(grey.astype(np.uint8, copy=False), road)
         t, u = markings.points(road)
-        found = starts(road, join_seeds(markings, road, exact_up_to), filled)
+        found = starts(road, join_seeds(markings, road, _EXACT_UP_TO), _FILLED)
         return advance(slots, road, t, u, found, most, rng)
 
     return follow, road
@@ -165,5 +156,4 @@ def lines_of(slots: Slots, road: Road, parameters: Parameters) -> FrameLines:
         is_valid[order],
         np.zeros(len(order), dtype=bool),
         counter[order],
-        slot[order],
     )

@@ -168,24 +168,20 @@ def previous(name: str) -> SliceNode:
 
 def prior(name: str, values: ArrayLike, given: Sequence[str] = ()) -> list[Table]:
     """P(name in the first frame | given in the first frame)."""
-    return [_table((name, 0), given, values)]
+    parents = tuple((node, 0) for node in given)
+    return [Table((name, 0), parents, np.asarray(values, dtype=np.float64))]
 
 
 def dynamics(name: str, given: Sequence[str | SliceNode], values: ArrayLike) -> list[Table]:
     """P(name at t+1 | given). In `given`, `previous(x)` is x at t and a plain name is x at t+1."""
-    return [_table((name, 1), given, values)]
+    parents = tuple((node, 1) if isinstance(node, str) else node for node in given)
+    return [Table((name, 1), parents, np.asarray(values, dtype=np.float64))]
 
 
 def within(name: str, given: Sequence[str], values: ArrayLike) -> list[Table]:
     """P(name | given in the same slice): one table for each of the two slices."""
     array = np.asarray(values, dtype=np.float64)
-    return [_table((name, 0), given, array), _table((name, 1), given, array)]
-
-
-def _table(node: SliceNode, given: Sequence[str | SliceNode], values: ArrayLike) -> Table:
-    """P(node | given), a plain name being one in the node's own slice."""
-    parents = tuple((g, node[1]) if isinstance(g, str) else g for g in given)
-    return Table(node, parents, np.asarray(values, dtype=np.float64))
+    return [*prior(name, array, given), *dynamics(name, given, array)]
 
 
 def ve_name(observed: Observed) -> str:
@@ -295,58 +291,46 @@ def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
                 raise InputError(
                     f"{_spell(node)} has the parent {_spell(parent)}, for which there is no table"
                 )
-    for target in observed:
-        for name in (target,) if isinstance(target, str) else target:
+    for key in observed:
+        for name in (key,) if isinstance(key, str) else key:
             if (name, 0) not in parents:
                 raise InputError(f"observed node {name}: there is no table for it")
-    check_sizes(tables)
-    check_order(parents)
+    check_structure(tables)
     for node in sorted(parents):
-        name, s = node
-        for parent in sorted(parents[node]):
-            if parent[1] != s or (parent[0], 1 - s) in parents.get((name, 1 - s), ()):
-                continue
-            if s == 1:
+        s, other = node[1], (node[0], 1 - node[1])
+        for name, at in sorted(parents[node]):
+            if at == s and (name, 1 - s) not in parents.get(other, ()):
                 raise InputError(
-                    f"{_spell(node)} depends on {_spell(parent)}, but {name} in the first frame"
-                    " does not: give its prior the same parent"
+                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
+                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
                 )
-            raise InputError(
-                f"{_spell(node)} depends on {_spell(parent)}, but {name} at t+1 does not depend"
-                f" on {parent[0]} at t+1: give its dynamics the same parent"
-            )
 
 
-def check_sizes(tables: Iterable[Table]) -> None:
-    """Raise InputError for a node that has other numbers of values in the first frame and later,
-    or in its own table and a child's."""
+def check_structure(tables: Iterable[Table]) -> None:
+    """Raise InputError for an edge back in time, for a cycle within a slice, and for a node that
+    has other numbers of values in the first frame and later, or in its own table and a child's."""
     tables = sorted(tables, key=lambda table: table.node[1])
-    cardinality: dict[str, int] = {}
+    size: dict[str, int] = {}
     for table in tables:
-        name, size = table.node[0], table.values.shape[-1]
-        if cardinality.setdefault(name, size) != size:
+        name, n_values = table.node[0], table.values.shape[-1]
+        if size.setdefault(name, n_values) != n_values:
             raise InputError(
-                f"{name}: has {cardinality[name]} values in the first frame and {size} later"
+                f"{name}: has {size[name]} values in the first frame and {n_values} later"
             )
     for table in tables:
-        for (parent, _), size in zip(table.parents, table.values.shape, strict=False):
-            if cardinality[parent] != size:
-                raise InputError(
-                    f"{table.node[0]}: its table has {size} rows for {parent}, which has"
-                    f" {cardinality[parent]} values"
-                )
-
-
-def check_order(parents: Mapping[SliceNode, Iterable[SliceNode]]) -> None:
-    """Raises InputError for an edge back in time and for a cycle within a slice."""
-    for (name, s), given in parents.items():
-        for parent, before in given:
-            if before > s:
+        name, s = table.node
+        for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):
+            if at > s:
                 raise InputError(
                     f"{name}: an edge from {parent} leads from slice 1 back to slice 0"
                 )
+            if size[parent] != rows:
+                raise InputError(
+                    f"{name}: its table has {rows} rows for {parent}, which has {size[parent]}"
+                    " values"
+                )
     try:
-        graphlib.TopologicalSorter(parents).prepare()
+        graphlib.TopologicalSorter({table.node: table.parents for table in tables}).prepare()
     except graphlib.CycleError as error:
         cycle = " -> ".join(name for name, _ in error.args[1])
         raise InputError(f"the edges within a slice form a cycle: {cycle}") from None

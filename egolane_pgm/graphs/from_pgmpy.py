@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_order, check_sizes, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_structure, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -58,14 +58,24 @@ def read_network(network: Any) -> Declared:
         read = read_file(Path(network))
         with problems_in(str(network)):
             return read_network(read)
-    parents, cpds = _structure(network)
-    check_order(parents)
+    _check_discrete(network)
+    parents = {_of_slice(n): list(map(_of_slice, network.predecessors(n))) for n in network}
+    for name, s in list(parents):
+        # A node that is not declared in one slice has the parents that it has within the other.
+        parents.setdefault((name, 1 - s), [(p, 1 - s) for p, q in parents[name, s] if q == s])
+    cpds = list(map(_read_cpd, network.cpds))
     if not cpds:
         raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
     cpds = _without_copies(cpds)
-    values = _value_names(cpds)
+    # Names of values from a node's own CPD go before those from a child's.
+    values: dict[str, tuple[Any, ...]] = {}
+    own = [(cpd.nodes[0], cpd.names[0]) for cpd in cpds]
+    of_parents = [pair for cpd in cpds for pair in zip(cpd.nodes, cpd.names, strict=True)]
+    for (name, _), given in own + of_parents:
+        if not _is_numbered(given):
+            values.setdefault(name, given)
     tables = _tables(cpds, values, parents)
-    check_sizes(tables.values())
+    check_structure(tables.values())
     return Declared(tables, values)
 
 
@@ -91,10 +101,6 @@ class _Cpd:
     is_filled_in: bool
 
 
-#: The parents of each node.
-_Parents = dict[SliceNode, list[SliceNode]]
-
-
 def _check_discrete(network: Any) -> None:
     """Raise InputError for what is no discrete Bayesian network of pgmpy."""
     with quiet():
@@ -108,17 +114,6 @@ def _check_discrete(network: Any) -> None:
             " so that each has a TabularCPD"
         )
     raise InputError(f"{type(network).__name__} is no Bayesian network of pgmpy")
-
-
-def _structure(network: Any) -> tuple[_Parents, list[_Cpd]]:
-    """The parents of every node in both slices, and the CPDs that there are."""
-    _check_discrete(network)
-    parents = {_of_slice(n): list(map(_of_slice, network.predecessors(n))) for n in network}
-    cpds = list(map(_read_cpd, network.cpds))
-    for name, s in list(parents):
-        # A node that is not declared in one slice has the parents that it has within the other.
-        parents.setdefault((name, 1 - s), [(p, 1 - s) for p, q in parents[name, s] if q == s])
-    return parents, cpds
 
 
 def _read_cpd(cpd: Any) -> _Cpd:
@@ -172,17 +167,6 @@ def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
 # --- tables -------------------------------------------------------------------------------------
 
 
-def _value_names(cpds: Sequence[_Cpd]) -> dict[str, tuple[Any, ...]]:
-    """The names of each node's values: those of its own CPD before those that a child's has."""
-    found: dict[str, tuple[Any, ...]] = {}
-    own = [(cpd.nodes[0], cpd.names[0]) for cpd in cpds]
-    of_parents = [pair for cpd in cpds for pair in zip(cpd.nodes, cpd.names, strict=True)]
-    for (name, _), given in own + of_parents:
-        if not _is_numbered(given):
-            found.setdefault(name, given)
-    return found
-
-
 def _is_numbered(names: Sequence[Any]) -> bool:
     """Whether these are the names that pgmpy gives itself, 0, 1, ..., in any order."""
     return set(names) == set(range(len(names))) and not any(isinstance(n, bool) for n in names)
@@ -212,7 +196,9 @@ def _table(cpd: _Cpd, values: Mapping[str, tuple[Any, ...]]) -> Table:
 
 
 def _tables(
-    cpds: Sequence[_Cpd], values: Mapping[str, tuple[Any, ...]], parents: _Parents
+    cpds: Sequence[_Cpd],
+    values: Mapping[str, tuple[Any, ...]],
+    parents: Mapping[SliceNode, Sequence[SliceNode]],
 ) -> dict[SliceNode, Table]:
     tables: dict[SliceNode, Table] = {}
     for cpd in cpds:

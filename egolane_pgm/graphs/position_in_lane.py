@@ -101,16 +101,12 @@ PARAMETERS = (
         search=(0.05, 0.3),
     ),
     Parameter("wide_share", "probability", 0.1, "weight of the wide normal", search=(0.01, 0.3)),
-    Parameter(
-        "jump",
-        "probability",
-        1e-4,
-        "probability of a jump to anywhere on the road, per frame",
-        search=None,
-    ),
     replace(P1, default=0.98),
     replace(P2, default=0.85),
 )
+
+#: The probability of a jump to anywhere on the road, per frame.
+_JUMP = 1e-4
 
 #: The largest move of RoadPosition in one frame, lanes.
 _BAND = 0.5
@@ -221,7 +217,7 @@ def moved(
 ) -> FloatArray:
     """The transition of RoadPosition, (R, R), where the lines moved by `displacement` lane
     widths."""
-    gain, jump = number(parameters, "motion_gain"), number(parameters, "jump")
+    gain = number(parameters, "motion_gain")
     narrow = number(parameters, "motion_sigma") * cells
     wide = number(parameters, "motion_sigma_wide") * cells
     half = max(1, math.ceil(_BAND * cells))
@@ -229,7 +225,7 @@ def moved(
     shift = -gain * displacement * cells
     move = (1 - share) * _cell_moves(shift, narrow, half)
     move += share * _cell_moves(shift, wide, half)
-    return (1 - jump) * _banded(move, n_positions) + jump / n_positions
+    return (1 - _JUMP) * _banded(move, n_positions) + _JUMP / n_positions
 
 
 def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:

@@ -28,7 +28,7 @@ number of lanes is fixed: a graph with parameters, or for any number of lanes, i
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
@@ -84,8 +84,6 @@ class _Graph(Section):
     observed: tuple[_Observed, ...]
     inputs: tuple[str, ...] = ()
     unused: tuple[_Observed, ...] = ()
-    #: Of older files; the tables say them.
-    edges: Any = None
     tables: dict[str, dict[str, Any]]
     #: The recording that the tables were learned from, see `model.recording_key`.
     learned_from: str | None = None
@@ -123,45 +121,44 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
 def _tables(graph: _Graph) -> list[Table]:
     """The tables of all nodes in the first slice and in the next."""
     size = {n: v if isinstance(v, int) else len(v) for n, v in graph.nodes.items()}
-    with_table = [node for node in size if node not in graph.inputs]
-    for key in ("hidden", "observed", "inputs"):
-        _check_nodes(_flat(getattr(graph, key)), size, key)
-    check_names(with_table, graph.tables, "tables")
-    for node in with_table:
-        if node not in graph.tables:
-            raise InputError(f"tables.{node}: is missing")
+    _check_nodes(graph.hidden, size, "hidden")
+    _check_nodes(graph.inputs, size, "inputs")
+    for key in graph.observed:
+        _check_nodes([key] if isinstance(key, str) else key, size, "observed")
+    check_names([n for n in size if n not in graph.inputs], graph.tables, "tables")
     tables = []
     for node, n_values in size.items():
-        if node not in with_table:
+        where = f"tables.{node}"
+        if node in graph.inputs:
             tables += [Table((node, s), (), uniform(n_values)) for s in (0, 1)]
             continue
-        for s, (where, one) in enumerate(_rows_of(node, graph.tables[node])):
-            names = [name.removesuffix(_BEFORE) for name in one.of]
-            _check_nodes(names, size, f"{where}: of")
-            if s == 0 and names != [*one.of]:
+        if node not in graph.tables:
+            raise InputError(f"{where}: is missing")
+        given = graph.tables[node]
+        if {"first", "next"} & set(given):
+            both = validated(_Tables, given, where)
+            slices = [(f"{where}.first", both.first.rows), (f"{where}.next", both.next.rows)]
+        else:
+            slices = [(where, validated(_Table, given, where).rows)] * 2
+        for s, (place, rows) in enumerate(slices):
+            parents = [
+                (name.removesuffix(_BEFORE), 0 if name.endswith(_BEFORE) else s) for name in rows.of
+            ]
+            _check_nodes([name for name, _ in parents], size, f"{place}: of")
+            if s == 0 and any(name.endswith(_BEFORE) for name in rows.of):
                 raise InputError(
-                    f"{where}: has a parent in the frame before; a node has such a table"
+                    f"{place}: has a parent in the frame before; a node has such a table"
                     " under `next`, and one without it under `first`"
                 )
-            slices = [0 if name.endswith(_BEFORE) else s for name in one.of]
-            values = _numbers(one, (*(size[name] for name in names), n_values), where)
-            parents = tuple(zip(names, slices, strict=True))
-            tables.append(Table((node, s), parents, values))
+            shape = (*(size[name] for name, _ in parents), n_values)
+            values = _numbers(rows.values, shape, place)
+            tables.append(Table((node, s), tuple(parents), values))
     return tables
 
 
-def _rows_of(node: str, given: dict[str, Any]) -> list[tuple[str, _Rows]]:
-    """The rows of the first slice and those of the next, each with its place in the file."""
-    where = f"tables.{node}"
-    if {"first", "next"} & set(given):
-        both = validated(_Tables, given, where)
-        return [(f"{where}.first", both.first.rows), (f"{where}.next", both.next.rows)]
-    return [(where, validated(_Table, given, where).rows)] * 2
-
-
-def _numbers(rows: _Rows, shape: tuple[int, ...], where: str) -> FloatArray:
+def _numbers(rows: list[Any], shape: tuple[int, ...], where: str) -> FloatArray:
     try:
-        values = np.array(rows.values)
+        values = np.array(rows)
     except ValueError:
         # Rows of different lengths.
         values = np.array(None)
@@ -175,7 +172,3 @@ def _check_nodes(listed: Iterable[str], known: Iterable[str], where: str) -> Non
     for node in listed:
         if node not in known:
             raise InputError(f"{where}: no node '{node}'{suggestion(node, known)}")
-
-
-def _flat(listed: Iterable[str | Sequence[str]]) -> list[str]:
-    return [name for key in listed for name in ((key,) if isinstance(key, str) else key)]

@@ -24,6 +24,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
@@ -67,10 +68,10 @@ class Group:
 @dataclass(frozen=True)
 class Placement:
     """Where a table goes: `indices` (one broadcastable array per axis of the table) select its
-    entries for the array that `kind` names: "prior", "transition" or "emission" (of `group`)."""
+    entries for the array `target`: "prior", "transition" or the number of a group (its emission).
+    """
 
-    kind: str
-    group: int
+    target: str | int
     indices: tuple[IntArray, ...]
 
 
@@ -254,13 +255,13 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
         now[table.node] = table = _in_order(table, old.parents)
         if table.parents != old.parents or table.values.shape != old.values.shape:
             raise InputError(f"{name}: the table has other parents or another shape than before")
-    keeps_layout = True
-    for (name, s), place in compiled.places.items():
-        if place.kind == "emission":
-            keeps_layout &= _is_same(now[name, 0], now[name, s])
-    for name in compiled.functions:
-        for node in ((name, 0), (name, 1)):
-            keeps_layout &= np.array_equal(now[node].values, compiled.tables[node].values)
+    functions = compiled.functions
+    plain = [n[0] for n, place in compiled.places.items() if isinstance(place.target, int)]
+    keeps_layout = all(_is_same(now[name, 0], now[name, 1]) for name in plain) and all(
+        np.array_equal(now[name, s].values, compiled.tables[name, s].values)
+        for name in functions
+        for s in (0, 1)
+    )
     if keeps_layout:
         filled = _filled(compiled, now)
     else:
@@ -283,15 +284,19 @@ def starting_in(compiled: Compiled, start: FloatArray) -> Compiled:
 
 def _filled(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> Compiled:
     """The same network with the numbers of these tables, for which its layout is right."""
-    prior, transition = np.ones_like(compiled.prior), np.ones_like(compiled.transition)
-    array_of = {"prior": prior, "transition": transition}
-    groups = [replace(group, emission=group.mask.copy()) for group in compiled.groups]
+    arrays: dict[str | int, FloatArray] = {
+        "prior": np.ones_like(compiled.prior),
+        "transition": np.ones_like(compiled.transition),
+        **{g: group.mask.copy() for g, group in enumerate(compiled.groups)},
+    }
     for node, place in compiled.places.items():
-        is_emission = place.kind == "emission"
-        array = groups[place.group].emission if is_emission else array_of[place.kind]
-        array *= tables[node].values[place.indices]
+        arrays[place.target] *= tables[node].values[place.indices]
     return replace(
-        compiled, prior=prior, transition=transition, groups=tuple(groups), tables=tables
+        compiled,
+        prior=arrays["prior"],
+        transition=arrays["transition"],
+        groups=tuple(replace(group, emission=arrays[g]) for g, group in enumerate(compiled.groups)),
+        tables=tables,
     )
 
 
@@ -345,18 +350,17 @@ def _check_declared(
     inputs: Sequence[str],
 ) -> None:
     """Raise InputError where the declaration and the tables disagree."""
-    keys = [_names(key) for key in observed]
-    for declared in (hidden, inputs, [ve_name(key) for key in observed], *keys):
-        for name in declared:
-            if declared.count(name) > 1:
-                raise InputError(f"{name}: declared more than once")
-    seen = list(chain.from_iterable(keys))
+    seen = list(chain.from_iterable(map(_names, observed)))
     names = {name for name, _ in tables}
     for name in (*hidden, *inputs, *seen):
         if name not in names:
             raise InputError(
                 f"{name}: declared, but not a node of the network{suggestion(name, names)}"
             )
+    for declared in (hidden, inputs, map(ve_name, observed), *map(_names, observed)):
+        for key, times in Counter(declared).items():
+            if times > 1:
+                raise InputError(f"{key}: declared more than once")
     for name in sorted(names.difference(hidden, inputs, seen)):
         raise InputError(f"{name}: neither hidden, observed, input nor virtual evidence")
     if not hidden:
@@ -367,9 +371,8 @@ def _check_declared(
             raise InputError(f"{name}: is declared both {what} and input")
         if tables[name, 0].parents or tables[name, 1].parents:
             raise InputError(f"{name}: an input node may not have parents")
-        for (_, s), table in tables.items():
-            if s == 1 and (name, 0) in table.parents:
-                raise InputError(f"{name}: an input acts within its slice only")
+        if any((name, 0) in table.parents for (_, s), table in tables.items() if s == 1):
+            raise InputError(f"{name}: an input acts within its slice only")
 
 
 def _parts(
@@ -411,6 +414,10 @@ def _parts(
 # --- arrays ---------------------------------------------------------------------------------------
 
 
+#: What makes an observed node a part of the joint state.
+_NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
+
+
 def _compile(
     tables: Mapping[SliceNode, Table],
     hidden: tuple[str, ...],
@@ -422,74 +429,49 @@ def _compile(
     aligned = {}
     for (name, s), table in tables.items():
         aligned[name, s] = _in_order(table, tuple((p, s) for p, _ in tables[name, 1].parents))
-    cardinality = {name: t.values.shape[-1] for (name, s), t in tables.items() if s == 0}
+    size = {name: t.values.shape[-1] for (name, s), t in tables.items() if s == 0}
     nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
     functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
-    _check_size(cardinality, hidden, state)
-    node_value = _value_of(state, cardinality)
-    n_states = _count(state, cardinality)
-    for name in functions:
-        table = aligned[name, 1]
-        value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
-        node_value[name] = np.broadcast_to(value, n_states)
-    joined = _joined(aligned, observed, emissions)
-    groups = tuple(_group(keys, cardinality, node_value, n_states) for keys in joined)
-    places = _state_places(aligned, state, node_value, _value_of(inputs, cardinality))
-    places |= _emission_places(aligned, groups, emissions, node_value)
-    n_inputs = _count(inputs, cardinality)
-    blank = Compiled(
-        hidden,
-        tuple(state),
-        inputs,
-        {**cardinality, **{ve_name(key): 2 for key in observed}},
-        node_value,
-        np.ones((n_inputs, n_states)),
-        np.ones((n_inputs, n_states, n_states)),
-        groups,
-        places,
-        aligned,
-        _value_names(cardinality, names),
-    )
-    return _filled(blank, aligned)
-
-
-#: What makes an observed node a part of the joint state.
-_NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
-
-
-def _check_size(
-    cardinality: Mapping[str, int], hidden: Sequence[str], state: Sequence[str]
-) -> None:
     if not state:
         raise InputError(
             f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
         )
-    n_states = _count(state, cardinality)
+    n_states = math.prod(size[n] for n in state)
     if n_states > MAX_STATES:
         seen = [n for n in state if n not in hidden]
         why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
-        sizes = " x ".join(f"{n} {cardinality[n]}" for n in state)
+        sizes = " x ".join(f"{n} {size[n]}" for n in state)
         raise InputError(
             f"the joint state has {n_states} values ({sizes}), more than {MAX_STATES}{why}"
         )
-
-
-def _count(nodes: Iterable[str], cardinality: Mapping[str, int]) -> int:
-    """The number of joint values of these nodes."""
-    return math.prod(cardinality[n] for n in nodes)
-
-
-def _value_names(
-    cardinality: Mapping[str, int], given: Mapping[str, Sequence[str]]
-) -> dict[str, tuple[str, ...]]:
-    names = {}
-    for node, size in cardinality.items():
-        names[node] = tuple(map(str, given.get(node, default_values(node, size))))
-        if len(set(names[node])) != size or len(names[node]) != size:
+    node_value = _value_of(state, size)
+    for name in functions:
+        table = aligned[name, 1]
+        value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
+        node_value[name] = np.broadcast_to(value, n_states)
+    groups = _groups(aligned, observed, emissions, size, node_value, n_states)
+    n_inputs = math.prod(size[n] for n in inputs)
+    values = {}
+    for node, n_values in size.items():
+        values[node] = tuple(map(str, names.get(node, default_values(node, n_values))))
+        if len(set(values[node])) != n_values or len(values[node]) != n_values:
             raise InputError(
-                f"{node}: has {size} values, but their names are {', '.join(names[node])}"
+                f"{node}: has {n_values} values, but their names are {', '.join(values[node])}"
             )
-    return names
+    blank = Compiled(
+        hidden,
+        tuple(state),
+        inputs,
+        {**size, **{ve_name(key): 2 for key in observed}},
+        node_value,
+        np.ones((n_inputs, n_states)),
+        np.ones((n_inputs, n_states, n_states)),
+        groups,
+        _places(aligned, state, groups, emissions, node_value, _value_of(inputs, size)),
+        aligned,
+        values,
+    )
+    return _filled(blank, aligned)
 
 
 def _value_of(nodes: Sequence[str], cardinality: Mapping[str, int]) -> dict[str, IntArray]:
@@ -499,11 +481,16 @@ def _value_of(nodes: Sequence[str], cardinality: Mapping[str, int]) -> dict[str,
     return dict(zip(nodes, values, strict=True))
 
 
-def _joined(
-    tables: Mapping[SliceNode, Table], observed: Sequence[Observed], emissions: Collection[str]
-) -> list[list[Observed]]:
-    """Evidence keys that must share one emission table: those whose plain emissions are linked by
-    an edge or by a common virtual-evidence node. In the order declared."""
+def _groups(
+    tables: Mapping[SliceNode, Table],
+    observed: Sequence[Observed],
+    emissions: Collection[str],
+    size: Mapping[str, int],
+    node_value: Mapping[str, IntArray],
+    n_states: int,
+) -> tuple[Group, ...]:
+    """The groups in the order declared. Evidence keys share one if their plain emissions are linked
+    by an edge or by a common virtual-evidence node."""
     clusters: list[tuple[set[str], list[int]]] = []
     for k, key in enumerate(observed):
         linked = {n for n in _names(key) if n in emissions}
@@ -516,63 +503,46 @@ def _joined(
                 linked |= cluster[0]
                 members = sorted(cluster[1] + members)
         clusters.append((linked, members))
-    joined = sorted(members for _, members in clusters)
-    return [[observed[k] for k in members] for members in joined]
+    groups = []
+    for members in sorted(members for _, members in clusters):
+        keys = tuple(observed[k] for k in members)
+        nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, keys))))
+        sizes = tuple(size[n] for n in nodes)
+        axes = tuple(tuple(map(nodes.index, _names(key))) for key in keys)
+        mask = np.ones((n_states, math.prod(sizes)))
+        for name, column in _value_of(nodes, size).items():
+            if name in node_value:
+                mask *= node_value[name][:, None] == column
+        groups.append(Group(keys, nodes, sizes, axes, mask, mask))
+    return tuple(groups)
 
 
-def _group(
-    keys: Sequence[Observed],
-    cardinality: Mapping[str, int],
-    node_value: Mapping[str, IntArray],
-    n_states: int,
-) -> Group:
-    nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, keys))))
-    sizes = tuple(cardinality[n] for n in nodes)
-    axes = tuple(tuple(map(nodes.index, _names(key))) for key in keys)
-    mask = np.ones((n_states, math.prod(sizes)))
-    for name, column in _value_of(nodes, cardinality).items():
-        if name in node_value:
-            mask *= node_value[name][:, None] == column
-    return Group(tuple(keys), nodes, sizes, axes, mask, mask)
-
-
-def _state_places(
+def _places(
     tables: Mapping[SliceNode, Table],
     state: Sequence[str],
-    node_value: Mapping[str, IntArray],
-    input_value: Mapping[str, IntArray],
-) -> dict[SliceNode, Placement]:
-    """Where the tables of the joint state go: in the prior (U, S) and the transition (U, S, S)."""
-    places = {}
-    for name in state:
-        for s, kind in ((0, "prior"), (1, "transition")):
-            indices = []
-            for node, of in (*tables[name, s].parents, (name, s)):
-                is_input = node in input_value
-                value = input_value[node] if is_input else node_value[node]
-                shape = [1] * (2 + s)
-                shape[0 if is_input else 1 + of] = -1
-                indices.append(value.reshape(shape))
-            places[name, s] = Placement(kind, -1, tuple(indices))
-    return places
-
-
-def _emission_places(
-    tables: Mapping[SliceNode, Table],
     groups: Sequence[Group],
     emissions: Collection[str],
     node_value: Mapping[str, IntArray],
+    input_value: Mapping[str, IntArray],
 ) -> dict[SliceNode, Placement]:
-    """Where the tables of plain emissions go: in the emission (S, K) of their group."""
+    """Where the tables of the joint state and of plain emissions go."""
     places = {}
+    for name in state:
+        for s, target in ((0, "prior"), (1, "transition")):
+            indices = []
+            for node, at in (*tables[name, s].parents, (name, s)):
+                # The axes: inputs, state at t, and in the transition state at t + 1.
+                is_input = node in input_value
+                shape = [1] * (2 + s)
+                shape[0 if is_input else 1 + at] = -1
+                indices.append((input_value if is_input else node_value)[node].reshape(shape))
+            places[name, s] = Placement(target, tuple(indices))
     for g, group in enumerate(groups):
         column = _value_of(group.nodes, dict(zip(group.nodes, group.sizes, strict=True)))
         for name in group.nodes:
-            if name not in emissions:
-                continue
-            indices = []
-            for node, _ in (*tables[name, 1].parents, (name, 1)):
-                shown = column[node][None, :] if node in column else node_value[node][:, None]
-                indices.append(shown)
-            places[name, 1] = Placement("emission", g, tuple(indices))
+            if name in emissions:
+                nodes = [n for n, _ in (*tables[name, 1].parents, (name, 1))]
+                places[name, 1] = Placement(
+                    g, tuple(column[n] if n in column else node_value[n][:, None] for n in nodes)
+                )
     return places

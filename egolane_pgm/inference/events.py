@@ -7,12 +7,12 @@ So events of causal beliefs are causal, too. The definition:
   first lane that is believed begins the drive. Each lane that is believed after it is a change,
   reported in the frame in which it is believed first.
 - Within FLICKER_S after a change, a change back into the lane that the car left is reported only if
-  that lane's probability reaches RETURN_CONFIDENT. Otherwise the change stands; if the old lane is still
-  believed when the time is over, the change back is reported then.
+  that lane's probability reaches RETURN_CONFIDENT. Otherwise the change stands; if the old lane is
+  still believed when the time is over, the change back is reported then.
 
-The place inside the lane, of a node RoadPosition or by the lines alone (`model.lateral_offset_by_lines`),
-shows whether the car goes over a line, whichever lane it is in, and an event is one crossing of one
-line:
+The lateral offset, from a node RoadPosition or from the lines alone
+(`model.lateral_offset_by_lines`), shows whether the car crosses a line, whichever lane it is in,
+and an event is one crossing of one line:
 
 - A lane that is believed while the car stays inside its lane (it is further than BEYOND from the
   line on that side) is another number for the same lane, as where a ramp joins; it is no change.
@@ -33,8 +33,9 @@ No constant counts frames, and none was searched:
   place is known to about a tenth of a lane.
 - JUMP: a car needs a second for that. Where the place does it from one frame to the next, it may
   have gone the other way round.
-- RETURN_CONFIDENT: a belief that goes there and back that fast mostly wavers, and its probabilities are
-  then too large. So the odds have to be ten times those of CONFIDENT (2 to 1), 20 to 1.
+- RETURN_CONFIDENT: a posterior that goes there and back that fast mostly wavers, and its
+  probabilities are then too large. So the odds have to be ten times those of CONFIDENT (2 to 1),
+  20 to 1.
 """
 
 from __future__ import annotations
@@ -305,7 +306,8 @@ def lane_segments(
 
     - lane: (T, n) the posterior over lanes.
     - time_s: (T,) seconds.
-    - events: the lane changes of this posterior. A segment ends where the next lane became the more probable one.
+    - events: the lane changes of this posterior. A segment ends when the next lane becomes the
+      more probable one.
 
     The first segment begins where a lane is first believed; without such a frame there is none. One
     begins, too, where the belief goes to another lane while the car crosses no line. Lane 0 is a

@@ -90,16 +90,19 @@ def expected_counts(
     likelihood[is_impossible] = 1.0
     smoothed, moves = np.empty((n_frames, n_states)), np.zeros((n_states, n_states))
     smooth_frames(filtered, likelihood, compiled.transition, index, begins, smoothed, moves)
-    array_of = {"prior": smoothed[begins].sum(axis=0)[None], "transition": moves[None]}
+    array_of: dict[str | int, FloatArray] = {
+        "prior": smoothed[begins].sum(axis=0)[None],
+        "transition": moves[None],
+    }
     smoothed[is_impossible] = 0.0
     blocks = zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True)
-    seen = [_seen(group, block, smoothed) for group, block in blocks]
+    array_of |= {g: _seen(group, block, smoothed) for g, (group, block) in enumerate(blocks)}
     tables = counted_tables(compiled)
     counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
     for used, place in compiled.places.items():
         counted = _counted(compiled, used)
         if counted in counts:
-            array = seen[place.group] if place.kind == "emission" else array_of[place.kind]
+            array = array_of[place.target]
             indices = tuple(np.broadcast_to(index, array.shape) for index in place.indices)
             np.add.at(counts[counted], indices, array)
     return Expected(counts, float(log_evidence.sum()), is_impossible)

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -100,7 +99,10 @@ def step(
     begins[:1] = state is None
     index = joint_input(compiled, evidence)
     done = []
-    for piece in _pieces(n_frames, piece_frames(compiled)):
+    size = piece_frames(compiled)
+    # A remainder is done with the piece before it.
+    starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
+    for piece in map(slice, starts, starts[1:]):
         likelihood = state_likelihood(compiled, evidence, piece)
         beliefs, log_evidence, is_impossible = forward(
             compiled, likelihood, index[piece], begins[piece], joint, is_factored, out=likelihood
@@ -131,12 +133,6 @@ def piece_frames(compiled: Compiled) -> int:
     """The number of frames that the filter takes at once. A drive that is cut at a multiple of this
     gives the same beliefs to the last digit, but for less than half of it at the end."""
     return max(1, PIECE // compiled.n_states)
-
-
-def _pieces(n_frames: int, size: int) -> list[slice]:
-    # A remainder is done with the piece before it.
-    starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
-    return [slice(a, b) for a, b in pairwise(starts)]
 
 
 def state_likelihood(
@@ -195,16 +191,7 @@ def forward(
         is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
         run, transition = forward_kernel(arrays.columns if is_fixed else ()), compiled.transition
     run(
-        joint,
-        begins,
-        is_factored,
-        compiled.prior,
-        transition,
-        index,
-        likelihood,
-        arrays.column,
-        beliefs,
-        total,
-        is_impossible,
-    )
+        joint, begins, is_factored, compiled.prior, transition, index, likelihood, arrays.column,
+        beliefs, total, is_impossible,
+    )  # fmt: skip
     return beliefs, np.log(np.where(is_impossible, 1.0, total)), is_impossible

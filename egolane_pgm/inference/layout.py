@@ -13,9 +13,6 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.banded import Band, find_band
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
-#: With more joint states than this, sums along the axes are quicker than a product of matrices.
-MAX_MATRIX_STATES = 256
-
 
 @dataclass(frozen=True)
 class FilterState:
@@ -89,21 +86,9 @@ def layout(compiled: Compiled) -> Layout:
 
 def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
     """The marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
-    arrays, size = layout(compiled), compiled.cardinality
-    if compiled.n_states <= MAX_MATRIX_STATES:
-        marginals = joint @ arrays.indicator
-        return {name: marginals[:, part] for name, part in arrays.parts.items()}
-    nodes = {}
-    for name, part in arrays.parts.items():
-        if name in compiled.state_nodes:
-            k = compiled.state_nodes.index(name)
-            before = math.prod(size[n] for n in compiled.state_nodes[:k])
-            after = compiled.n_states // (before * size[name])
-            by_value = joint.reshape(len(joint), before, size[name], after)
-            nodes[name] = by_value.sum(axis=(1, 3))
-        else:
-            nodes[name] = joint @ arrays.indicator[:, part]
-    return nodes
+    arrays = layout(compiled)
+    marginals = joint @ arrays.indicator
+    return {name: marginals[:, part] for name, part in arrays.parts.items()}
 
 
 def evidence_blocks(
@@ -134,23 +119,22 @@ def check_keys(compiled: Compiled, evidence: Evidence) -> None:
             " likelihoods, or Evidence.hard(...) of what was observed"
         )
     shapes = layout(compiled).shapes
-    for key in shapes:
-        if key not in evidence.likelihoods:
-            raise InputError(f"observed node {key}: the evidence has nothing for it")
+    for what, needed, given in (
+        ("observed", shapes, evidence.likelihoods),
+        ("input", compiled.inputs, evidence.inputs),
+    ):
+        for key in needed:
+            if key not in given:
+                raise InputError(f"{what} node {key}: the evidence has nothing for it")
+        for key in given:
+            if key not in needed:
+                raise InputError(f"evidence for {key}: the graph has no such {what} node")
     for key, values in evidence.likelihoods.items():
-        if key not in shapes:
-            raise InputError(f"evidence for {key}: the graph does not observe such a node")
         if values.shape[1:] != shapes[key]:
             needs = (len(evidence), *shapes[key])
             raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {needs}")
-    for name in compiled.inputs:
-        if name not in evidence.inputs:
-            raise InputError(f"input node {name}: the evidence has nothing for it")
     for name, index in evidence.inputs.items():
-        if name not in compiled.inputs:
-            raise InputError(f"input {name}: the graph has no such input node")
-        ends = index if len(index) < 2 else (index.min(), index.max())
-        if not all(0 <= end < compiled.cardinality[name] for end in ends):
+        if len(index) and not 0 <= index.min() <= index.max() < compiled.cardinality[name]:
             raise InputError(f"input {name}: outside 0..{compiled.cardinality[name] - 1}")
 
 
@@ -160,10 +144,7 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
     Raises InputError as `check_keys`.
     """
     check_keys(compiled, evidence)
-    if not compiled.inputs:
-        return np.zeros(len(evidence), dtype=np.int64)
-    if len(compiled.inputs) == 1:
-        return np.ascontiguousarray(evidence.inputs[compiled.inputs[0]], dtype=np.int64)
-    sizes = [compiled.cardinality[name] for name in compiled.inputs]
-    parts = [evidence.inputs[name] for name in compiled.inputs]
-    return np.asarray(np.ravel_multi_index(parts, sizes), dtype=np.int64)
+    joint = np.zeros(len(evidence), dtype=np.int64)
+    for name in compiled.inputs:
+        joint = joint * compiled.cardinality[name] + evidence.inputs[name]
+    return joint

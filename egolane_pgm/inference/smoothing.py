@@ -10,7 +10,7 @@ filter, and its evidence is ignored by the smoothers too. `log_evidence` is the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -148,14 +148,14 @@ def fixed_lag_beliefs(
 class LagState:
     """What an online fixed-lag smoother carries.
 
-    recent: its last frames, lag + 1 of them or fewer.
+    recent: the frames without an answer yet, lag of them or fewer.
+    joint (S,): the joint belief after the last frame.
     count: frames seen so far.
-    due: number of recent frames without an answer yet.
     """
 
     recent: Passed
+    joint: FloatArray
     count: int
-    due: int
 
 
 def lag_step(
@@ -174,45 +174,35 @@ def lag_step(
     check_lag(lag)
     if len(evidence) != 1:
         raise InputError(f"lag_step takes one frame at a time, got {len(evidence)}")
-    if state is None:
-        new = LagState(pass_forward(compiled, evidence), 1, 1)
-    else:
-        last = pass_forward(compiled, evidence, state.recent.filtered[-1])
-        kept = slice(max(0, len(state.recent.filtered) - lag), None)
-        pairs = zip(vars(state.recent).values(), vars(last).values(), strict=True)
-        recent = Passed(*(np.concatenate([a[kept], b]) for a, b in pairs))
-        new = LagState(recent, state.count + 1, state.due + 1)
-    if new.due <= lag:
-        return new, _due(compiled, new, 0)
-    return replace(new, due=new.due - 1), _due(compiled, new, 1)
+    recent = pass_forward(compiled, evidence, None if state is None else state.joint)
+    joint, count = recent.filtered[-1], 1
+    if state is not None:
+        pairs = zip(vars(state.recent).values(), vars(recent).values(), strict=True)
+        recent, count = Passed(*map(np.concatenate, pairs)), state.count + 1
+    n_known = int(len(recent.filtered) > lag)
+    rest = Passed(*(array[n_known:] for array in vars(recent).values()))
+    return LagState(rest, joint, count), _answers(compiled, recent, count, n_known)
 
 
 def lag_rest(compiled: Compiled, state: LagState) -> Beliefs:
     """The beliefs about the frames that `lag_step` has not answered yet, at the end."""
-    return _due(compiled, state, state.due)
+    return _answers(compiled, state.recent, state.count, len(state.recent.filtered))
 
 
-def _due(compiled: Compiled, state: LagState, n_frames: int) -> Beliefs:
-    """The beliefs about the first of the frames that are due, given all that was seen."""
-    first = len(state.recent.filtered) - state.due
-    due = Passed(*(array[first:] for array in vars(state.recent).values()))
-    ids = np.arange(state.count - state.due, state.count - state.due + n_frames)
-    here = Passed(*(array[:n_frames] for array in vars(due).values()))
-    smoothed = _smoothed(compiled, due)[:n_frames] if n_frames else here.filtered
+def _answers(compiled: Compiled, recent: Passed, count: int, n_frames: int) -> Beliefs:
+    """The beliefs about the first of the recent frames, given all of them."""
+    here = Passed(*(array[:n_frames] for array in vars(recent).values()))
+    smoothed = _smoothed(compiled, recent)[:n_frames] if n_frames else here.filtered
+    ids = count - len(recent.filtered) + np.arange(n_frames)
     return _beliefs(compiled, here, smoothed, ids)
 
 
 def _smoothed(compiled: Compiled, passed: Passed) -> FloatArray:
     smoothed = np.empty_like(passed.filtered)
     smooth_frames(
-        passed.filtered,
-        passed.likelihood,
-        compiled.transition,
-        passed.index,
-        passed.begins,
-        smoothed,
-        np.zeros((0, 0)),
-    )
+        passed.filtered, passed.likelihood, compiled.transition, passed.index, passed.begins,
+        smoothed, np.zeros((0, 0)),
+    )  # fmt: skip
     return smoothed
 
 

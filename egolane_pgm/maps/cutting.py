@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.maps.lane_graph import ways_named
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.types import MAX_LANES, InputError, IntArray, LineLog
+from egolane_pgm.types import MAX_LANES, FloatArray, InputError, IntArray, LineLog
 
 
 def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
@@ -26,6 +25,12 @@ def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
             f"{table.source}: has the times {table.t_s[0]:g} to {table.t_s[-1]:g} s, and"
             f" {log.source} has {span}: they do not overlap"
         )
+    return lanes_at(table, time_s)
+
+
+def lanes_at(table: RoadTable, time_s: FloatArray) -> IntArray:
+    """The number of lanes at some times, (T,) seconds, which may be after those of the table; see
+    `lanes_along`."""
     rows = np.flatnonzero(table.n_lanes > 0)
     if not len(rows):
         raise InputError(f"{table.source}: no row knows how many lanes the road has")
@@ -41,14 +46,16 @@ def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
 
 
 def unknown_lanes(table: RoadTable, log: LineLog) -> list[str]:
-    """Lines for the frames of a log in which the map does not tell the number of lanes, whether it
-    was guessed or not, and for those that are off the map."""
+    """Warnings, a line each, for the frames of a log without a number of lanes in the map, guessed
+    or not, and for those off the map."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
     off, way = table.segment[row] < 0, table.untold[row]
     untold, guessed = ~off & (table.n_lanes[row] == 0), (table.n_lanes[row] > 0) & (way > 0)
-    what, goes_on = "the map does not tell how many lanes the road has", "the number before goes on"
+    what, goes_on = "the road has no number of lanes in the map", "the number before goes on"
+    known = list(dict.fromkeys(way[guessed].tolist()))
+    ways = ", ".join(map(str, known[:3])) + (", ..." if len(known) > 3 else "")
     said = (
-        (guessed, f"{what} ({ways_named(way[guessed])}); the number is a guess"),
+        (guessed, f"{what} (way {ways}); the number is a guess"),
         (untold, f"{what}; {goes_on}"),
         (off, f"the car is off the map; {goes_on}"),
     )

@@ -17,8 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.maps.index import Near, RoadIndex, near
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
+from egolane_pgm.maps.lane_graph import LaneGraph, Near, near
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
@@ -77,28 +76,40 @@ def no_match(n: int, is_outlier: BoolArray) -> Matched:
     return Matched(np.full(n, OFF), blank, blank.copy(), np.zeros(n), is_outlier)
 
 
-def match(
-    graph: LaneGraph, index: RoadIndex, positions: Positions, *, online: bool = False
-) -> Matched:
+def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Matched:
     """The road at each of T positions.
 
     - online: each answer knows the positions up to its own only (the filter's most probable
       segment). By default the answer is the most probable path of the whole drive (Viterbi), and
       how sure it is comes from all positions (forward and backward).
     """
-    place = index.plane.metres(positions.latitude, positions.longitude)
+    place = graph.plane.metres(positions.latitude, positions.longitude)
     outlier = np.empty(len(positions), dtype=np.bool_)
     _find_outliers(positions.t_s, place, outlier)
     used = np.flatnonzero(~outlier)
-    found = near(index, place[used], RADIUS_M)
+    found = near(graph, place[used], RADIUS_M)
     said = _emissions(positions, place, used, found)
-    block, transition = _transitions(graph, place[used], found)
+    # States are the near segments of each time and, as the last, off the map.
     first = found.start + np.arange(len(found.start))
-    choice, sure = _choose(first, said, block, transition, online)
+    count = np.diff(first)
+    size = np.concatenate([[0], count[:-1] * count[1:]])
+    block = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    transition = np.empty(block[-1])
+    _fill_transitions(
+        found.start, found.segment, found.along_m, place[used], graph.join_start, graph.after,
+        graph.length_m, block, transition,
+    )  # fmt: skip
+    belief, choice = np.empty(len(said)), np.empty(len(used), dtype=np.int64)
+    filter_states(first, said, block, transition, belief)
+    if online:
+        best_states(first, belief, choice)
+    else:
+        smooth_states(first, block, transition, belief)
+        best_path(first, said, block, transition, choice)
     on = choice < np.diff(found.start)
     row = found.start[:-1] + choice
     matched = no_match(len(positions), outlier)
-    matched.sure[used] = sure
+    matched.sure[used] = belief[first[:-1] + choice]
     matched.segment[used[on]] = found.segment[row[on]]
     matched.along_m[used[on]] = found.along_m[row[on]]
     matched.offset_m[used[on]] = found.offset_m[row[on]]
@@ -170,24 +181,6 @@ def headings(
     return np.where(moved, np.arctan2(step[:, 1], step[:, 0]), given), np.where(moved, far, np.nan)
 
 
-def _transitions(graph: LaneGraph, place: FloatArray, found: Near) -> tuple[IntArray, FloatArray]:
-    """Log-probabilities from each time's states to the next one's. States are the near segments
-    and, as the last, off the map.
-
-    Returns the start of each time's block (T + 1,), the block of t leading from t - 1 to t, and the
-    blocks, row by row.
-    """
-    count = np.diff(found.start) + 1
-    size = np.concatenate([[0], count[:-1] * count[1:]])
-    block = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
-    transition = np.empty(block[-1])
-    _fill_transitions(
-        found.start, found.segment, found.along_m, place, joins_from(graph), graph.after,
-        graph.length_m, block, transition,
-    )  # fmt: skip
-    return block, transition
-
-
 @kernel()
 def _fill_transitions(
     start: IntArray,
@@ -200,7 +193,8 @@ def _fill_transitions(
     block: IntArray,
     transition: FloatArray,
 ) -> None:
-    """Fills transition; see `_transitions`."""
+    """Fills transition: log-probabilities from each time's states to the next one's, row by row.
+    The block of t, from t - 1 to t, begins at block[t]."""
     leave, come, jump = np.log(LEAVE), np.log(COME), np.log(JUMP)
     reached_in = np.full(len(length), -1, dtype=np.int64)
     way_to = np.empty(len(length))
@@ -269,21 +263,6 @@ def _fill_transitions(
 #
 # `first` (T + 1,) says where each time's states begin among all M; `said` (M,) is their
 # log-likelihood; `block` (T + 1,) says where the transitions from t - 1 to t begin.
-
-
-def _choose(
-    first: IntArray, said: FloatArray, block: IntArray, transition: FloatArray, online: bool
-) -> tuple[IntArray, FloatArray]:
-    """The state of each time, (T,), counted among its own, and how sure it is, (T,)."""
-    belief = np.empty(len(said))
-    choice = np.empty(len(first) - 1, dtype=np.int64)
-    filter_states(first, said, block, transition, belief)
-    if online:
-        best_states(first, belief, choice)
-    else:
-        smooth_states(first, block, transition, belief)
-        best_path(first, said, block, transition, choice)
-    return choice, belief[first[:-1] + choice]
 
 
 @kernel()
@@ -357,3 +336,42 @@ def best_states(first: IntArray, belief: FloatArray, out: IntArray) -> None:
     """Fills out (T,) with the most probable state of each time, counted among its own."""
     for t in range(len(first) - 1):
         out[t] = np.argmax(belief[first[t] : first[t + 1]])
+
+
+# --- the baseline ----------------------------------------------------------------------------
+
+#: How far a segment may be, metres: the first that has one counts.
+_LOCK_RADII_M = (20.0, 100.0, 200.0)
+
+#: Standard deviations of the distance, metres, and of the heading, radians.
+_LOCK_SIGMA_M, _LOCK_SIGMA_RAD = 1.0, 0.15
+
+
+def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
+    """The road that is nearest, as the paper's authors lock on it (`ira_open_street_map`).
+
+    Segments within 20 m of a position are scored, else those within 100 m, else 200 m, by distance
+    and heading, normal both. `sure` is the segment's share of the score of all within the radius.
+    Each position stands alone. One whose heading is not known is scored by distance.
+    """
+    place = graph.plane.metres(positions.latitude, positions.longitude)
+    heading, _ = headings(positions, place)
+    matched = no_match(len(positions), np.zeros(len(positions), dtype=np.bool_))
+    matched.sure[:] = 1.0
+    left = np.arange(len(positions))
+    for radius in _LOCK_RADII_M:
+        found = near(graph, place[left], radius)
+        count = np.diff(found.start)
+        turn = found.heading - np.repeat(heading[left], count)
+        turn = np.nan_to_num((turn + np.pi) % (2 * np.pi) - np.pi)
+        score = -0.5 * ((found.offset_m / _LOCK_SIGMA_M) ** 2 + (turn / _LOCK_SIGMA_RAD) ** 2)
+        for k in np.flatnonzero(count):
+            rows = slice(found.start[k], found.start[k + 1])
+            share = np.exp(score[rows] - score[rows].max())
+            best, t = int(found.start[k] + score[rows].argmax()), left[k]
+            matched.segment[t] = found.segment[best]
+            matched.along_m[t] = found.along_m[best]
+            matched.offset_m[t] = found.offset_m[best]
+            matched.sure[t] = 1 / share.sum()
+        left = left[count == 0]
+    return matched

@@ -1,27 +1,23 @@
-"""Where a car was, by its GNSS receiver: tables, GPX, NMEA, and bags of ROS 1 and ROS 2.
+"""Positions of a GNSS receiver: tables, GPX, and bags of ROS 1 and ROS 2.
 
-One reader per format; `read_positions` picks it by the file's extension. Times are seconds. A
-number stays what it is; a date becomes seconds since 1970, UTC.
+One reader per format; `read_positions` picks it by the file's extension. Times are seconds: numbers
+as they are, and dates as seconds since 1970, UTC.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
+from datetime import UTC
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
-
-if TYPE_CHECKING:
-    pass
 
 #: The names that a table's columns may have. The first of each is the one that this package uses.
 COLUMNS = {
@@ -34,8 +30,8 @@ COLUMNS = {
 }
 _NEEDED = ("t_s", "latitude", "longitude")
 
-#: A receiver's standard deviation at a dilution of precision of 1, metres. NMEA gives the dilution
-#: only.
+#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX has the
+#: dilution only.
 SIGMA_PER_HDOP_M = 3.0
 
 
@@ -120,11 +116,11 @@ def _warn(source: str, marked: BoolArray, what: str) -> None:
 def read_positions(
     path: str | Path, *, columns: Mapping[str, str] | None = None, topic: str | None = None
 ) -> Positions:
-    """Read the positions of a drive: .csv, .parquet, .gpx, .nmea (or .nma), or of a bag those in
-    sensor_msgs/NavSatFix: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
+    """Read the positions of a drive from a .csv, .parquet or .gpx, or from the
+    sensor_msgs/NavSatFix of a bag: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
 
-    - columns: of a table, which of its columns is which of COLUMNS, as {"latitude": "lat_gps"};
-      by default those with a usual name
+    - columns: names of a table's columns by those of COLUMNS, as {"latitude": "lat_gps"}; by
+      default those with a usual name
     - topic: of a bag; by default the only one that carries positions
 
     Raises InputError for another extension, a file that cannot be read, an option that does not go
@@ -132,69 +128,49 @@ def read_positions(
     """
     path = Path(path)
     kind = path.suffix.lower()
-    read: Any = {
-        ".csv": _read_table,
-        ".parquet": _read_table,
-        ".gpx": _read_gpx,
-        ".nmea": _read_nmea,
-        ".nma": _read_nmea,
-        ".bag": _read_bag,
-        ".mcap": _read_bag,
-        ".db3": _read_bag,
-    }.get(kind, _read_bag if path.is_dir() else None)
-    if read is None:
+    is_table, is_bag = kind in (".csv", ".parquet"), kind in (".bag", ".mcap", ".db3")
+    if not (is_table or is_bag or kind == ".gpx" or path.is_dir()):
         raise InputError(
             f"{path}: unknown extension '{path.suffix}' of positions"
-            " (.csv, .parquet, .gpx, .nmea, .bag, .mcap, .db3)"
+            " (.csv, .parquet, .gpx, .bag, .mcap, .db3)"
         )
-    if columns and read is not _read_table:
+    if columns and not is_table:
         raise InputError(f"{path}: columns are named for a table, .csv or .parquet")
-    if topic is not None and read is not _read_bag:
+    if topic is not None and (is_table or kind == ".gpx"):
         raise InputError(f"{path}: a topic is named for a bag")
-    if not (path.is_file() or path.is_dir()):
+    if not path.exists():
         raise InputError(f"{path}: no such file")
-    given = {_read_table: columns, _read_bag: topic}.get(read)
-    positions: Positions = read(path, given) if read in (_read_table, _read_bag) else read(path)
-    return positions
+    if is_table:
+        return _read_table(path, columns or {})
+    return _read_gpx(path) if kind == ".gpx" else _read_bag(path, topic)
 
 
 # --- tables ----------------------------------------------------------------------------------
 
 
-def _read_table(path: Path, columns: Mapping[str, str] | None) -> Positions:
+def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
     # `egolane locate --help` does without pyarrow.
     from egolane_pgm.recordings.columns import typed
     from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)
-    values = {}
-    for ours, theirs in _column_names(path, table.column_names, dict(columns or {})).items():
-        times = _dates(path, theirs, table[theirs]) if ours == "t_s" else None
-        values[ours] = typed(path, ours, table[theirs], theirs) if times is None else times
-    return Positions.make(**values, source=str(path))
-
-
-def _column_names(path: Path, there: list[str], chosen: dict[str, str]) -> dict[str, str]:
-    """The table's name of each of our columns."""
-    for ours, theirs in chosen.items():
+    there = table.column_names
+    for ours, theirs in columns.items():
         if ours not in COLUMNS:
             raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, COLUMNS)}")
         if theirs not in there:
             raise InputError(f"{path}: no column '{theirs}'{suggestion(theirs, there)}")
-    found = dict(chosen)
+    values = {}
     for ours, usual in COLUMNS.items():
-        known = next((name for name in usual if name in there), None)
-        if known is not None:
-            found.setdefault(ours, known)
-    lacking = [ours for ours in _NEEDED if ours not in found]
-    if lacking:
-        raise InputError(
-            f"{path}: no column {', '.join(lacking)}; the table has {', '.join(there) or 'none'}"
-        )
-    twice = next((theirs for theirs in found.values() if there.count(theirs) > 1), None)
-    if twice is not None:
-        raise InputError(f"{path}: column {twice} occurs more than once")
-    return found
+        theirs = columns.get(ours) or next((name for name in usual if name in there), "")
+        if theirs:
+            times = _dates(path, theirs, table[theirs]) if ours == "t_s" else None
+            values[ours] = typed(path, ours, table[theirs], theirs) if times is None else times
+        elif ours in ("t_s", "latitude", "longitude"):
+            raise InputError(
+                f"{path}: no column {ours}; the table has {', '.join(there) or 'none'}"
+            )
+    return Positions.make(**values, source=str(path))
 
 
 def _dates(path: Path, name: str, column: Any) -> FloatArray | None:
@@ -217,7 +193,7 @@ def _dates(path: Path, name: str, column: Any) -> FloatArray | None:
     return np.asarray((date - pd.Timestamp(0, tz="UTC")) / pd.Timedelta(seconds=1), np.float64)
 
 
-# --- GPX, NMEA, bags -------------------------------------------------------------------------
+# --- GPX and bags ----------------------------------------------------------------------------
 
 
 def _read_gpx(path: Path) -> Positions:
@@ -229,82 +205,20 @@ def _read_gpx(path: Path) -> Positions:
     except gpxpy.gpx.GPXException as error:
         text = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: is not GPX ({text})") from None
-    timeless = [k for k, point in enumerate(points) if point.time is None]
-    if timeless:
-        raise InputError(f"{path}: position {timeless[0] + 1} has no time")
-    rows = [
-        (_seconds(p.time), p.latitude, p.longitude, _or_nan(p.speed), _or_nan(p.course))
-        for p in points
-    ]
-    return _from_rows(path, rows)
-
-
-def _read_nmea(path: Path) -> Positions:
-    """The fixes of RMC and GGA sentences. RMC has the date, speed and course, GGA the dilution of
-    precision; those of one time are one position."""
-    with needed(f"{path}", "maps"):
-        import pynmea2
-    found: dict[datetime, dict[str, float]] = {}
-    date, clock, waiting = None, None, []
-    damaged = sentences = 0
-    for line in read_text(path).splitlines():
-        if not line.startswith("$") or line[3:6] not in ("RMC", "GGA"):
-            continue
-        sentences += 1
-        try:
-            said = pynmea2.parse(line, check=True)
-            # Fields are read only where they are asked for; a damaged time or date stays text.
-            values = _nmea_values(said)
-            when = (said.timestamp, getattr(said, "datestamp", None))
-            if any(isinstance(each, str) and each for each in when):
-                raise ValueError
-        except (pynmea2.ParseError, ValueError):
-            damaged += 1
-            continue
-        if not said.timestamp:
-            continue
-        if said.sentence_type == "RMC":
-            if not said.datestamp:
-                continue
-            date = said.datestamp
-        elif date is None:
-            waiting.append((said.timestamp, values))
-            continue
-        elif clock is not None and said.timestamp < clock and clock.hour - said.timestamp.hour > 12:
-            # A GGA just after midnight comes before the RMC that says the new date.
-            date += timedelta(days=1)
-        clock = said.timestamp
-        for at, its in (*waiting, (clock, values)):
-            moment = datetime.combine(date, at.replace(tzinfo=None), tzinfo=UTC)
-            found.setdefault(moment, {}).update(its)
-        waiting = []
-    if waiting:
-        raise InputError(f"{path}: has no date, which an RMC sentence would give")
-    if damaged:
-        warnings.warn(
-            f"{path}: left out {damaged} of {sentences} sentences that are damaged",
-            UserWarning,
-            stacklevel=3,
-        )
-    names = ("latitude", "longitude", "speed_mps", "heading_deg", "sigma_m")
-    rows = [
-        (_seconds(when), *(said.get(name, np.nan) for name in names))
-        for when, said in sorted(found.items())
-    ]
-    return _from_rows(path, rows)
-
-
-def _nmea_values(said: Any) -> dict[str, float]:
-    values = {}
-    is_fix = said.status == "A" if said.sentence_type == "RMC" else bool(said.gps_qual)
-    if is_fix and said.lat and said.lon:
-        values = {"latitude": said.latitude, "longitude": said.longitude}
-    if said.sentence_type == "RMC":
-        values["speed_mps"] = _or_nan(said.spd_over_grnd) * 1852 / 3600
-        values["heading_deg"] = _or_nan(said.true_course)
-    elif said.horizontal_dil and float(said.horizontal_dil) > 0:
-        values["sigma_m"] = SIGMA_PER_HDOP_M * float(said.horizontal_dil)
-    return values
+    rows = np.full((6, len(points)), np.nan)
+    for row, p in zip(rows.T, points, strict=True):
+        if p.time is not None:
+            row[0] = (p.time if p.time.tzinfo else p.time.replace(tzinfo=UTC)).timestamp()
+        row[1:] = [
+            np.nan if value is None else value
+            for value in (p.latitude, p.longitude, p.speed, p.course, p.horizontal_dilution)
+        ]
+    t_s, latitude, longitude, speed, heading, dilution = rows
+    sigma = np.where(dilution > 0, SIGMA_PER_HDOP_M * dilution, np.nan)
+    return Positions.make(
+        t_s, latitude, longitude, speed_mps=speed, heading_deg=heading, sigma_m=sigma,
+        source=str(path),
+    )  # fmt: skip
 
 
 #: The name of the message type of a receiver's fixes, whatever its package.
@@ -336,22 +250,3 @@ def _read_bag(path: Path, topic: str | None) -> Positions:
         rows.append((message.time_s, *place, np.sqrt(variance) if variance > 0 else np.nan))
     t_s, latitude, longitude, sigma_m = np.array(rows, dtype=np.float64).T
     return Positions.make(t_s, latitude, longitude, sigma_m=sigma_m, source=str(path))
-
-
-def _seconds(when: datetime) -> float:
-    return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
-
-
-def _or_nan(value: float | None) -> float:
-    return np.nan if value is None else float(value)
-
-
-def _from_rows(path: Path, rows: Sequence[tuple[float, ...]]) -> Positions:
-    """Positions of rows (time, latitude, longitude, speed, heading and perhaps sigma)."""
-    if not rows:
-        raise InputError(f"{path}: has no position")
-    columns: NDArray[np.float64] = np.array(rows, dtype=np.float64).T
-    names = ("speed_mps", "heading_deg", "sigma_m")
-    return Positions.make(
-        *columns[:3], **dict(zip(names, columns[3:], strict=False)), source=str(path)
-    )

@@ -1,11 +1,9 @@
-"""Reads from the tags of one way of OpenStreetMap its lanes, in each direction of travel.
+"""Lanes of a way of OpenStreetMap in each direction of travel, from its tags.
 
 Keys and values are those of https://wiki.openstreetmap.org/wiki/Lanes.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 #: Roads whose lanes are read, and the links between them.
 KINDS = ("motorway", "motorway_link", "trunk", "trunk_link")
@@ -13,7 +11,7 @@ KINDS = ("motorway", "motorway_link", "trunk", "trunk_link")
 #: The tags that list the lanes of a direction, which tell their number too.
 LISTS = ("turn:lanes", "change:lanes", "width:lanes")
 
-#: Every key that is read, in the order in which `directions` takes their values.
+#: Every key that is read, in the order in which `read_lanes` takes their values.
 KEYS = (
     "highway",
     "oneway",
@@ -29,26 +27,13 @@ KEYS = (
 MOST_LANES = 30
 
 
-@dataclass(frozen=True)
-class Direction:
-    """One direction of travel of a way.
-
-    - is_backward: against the direction in which the way is drawn.
-    - n_lanes: 0 where unknown.
-    """
-
-    is_backward: bool
-    n_lanes: int
-
-
-def directions(
-    values: tuple[str | None, ...],
-) -> tuple[tuple[Direction, ...], tuple[str, ...]]:
-    """The directions in which a way is driven, and a line for each mistake in its tags.
+def read_lanes(values: tuple[str | None, ...]) -> tuple[tuple[int, int], tuple[str, ...]]:
+    """The lanes of a way forward and backward, and a line for each mistake in its tags.
 
     - values: of KEYS, None where the way has no such tag.
 
-    A tag with a mistake is left out: a number of lanes is then unknown (0). Nothing is raised.
+    A number of lanes is 0 where unknown, and -1 where the way is not driven in that direction. A
+    tag with a mistake is ignored.
     """
     tags = {key: value.strip() for key, value in zip(KEYS, values, strict=True) if value}
     problems: list[str] = []
@@ -62,42 +47,39 @@ def directions(
             or (tags["highway"] == "motorway_link" and "lanes:backward" not in tags)
         )
     )
-    if is_oneway:
-        ways: tuple[Direction, ...] = (_oneway(tags, oneway in ("-1", "reverse"), problems),)
+    if not is_oneway:
+        lanes = _both_ways(tags, problems)
+    elif oneway in ("-1", "reverse"):
+        lanes = -1, _oneway(tags, ":backward", problems)
     else:
-        ways = _both_ways(tags, problems)
-    return ways, tuple(dict.fromkeys(problems))
+        lanes = _oneway(tags, ":forward", problems), -1
+    return lanes, tuple(dict.fromkeys(problems))
 
 
-def _oneway(tags: dict[str, str], is_backward: bool, problems: list[str]) -> Direction:
-    keys = ("", ":backward" if is_backward else ":forward")
-    n_lanes = _count(tags, ["lanes" + key for key in keys], problems)
-    return Direction(is_backward, _or_listed(tags, keys, n_lanes, problems))
+def _oneway(tags: dict[str, str], direction: str, problems: list[str]) -> int:
+    n_lanes = _count(tags, ["lanes", "lanes" + direction], problems)
+    return _or_listed(tags, ("", direction), n_lanes, problems)
 
 
-def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[Direction, ...]:
+def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[int, int]:
     middle = _count(tags, ["lanes:both_ways"], problems)
     total = _count(tags, ["lanes"], problems)
-    number = [_count(tags, ["lanes" + key], problems) for key in (":forward", ":backward")]
-    if total and not any(number):
+    there, back = (_count(tags, ["lanes" + key], problems) for key in (":forward", ":backward"))
+    if total and not there and not back:
         # As the wiki's Key:lanes has it, an even number is half for each direction.
         share, odd = divmod(max(total - middle, 0), 2)
-        number = [0, 0] if odd else [share, share]
-    elif total and not all(number):
-        number = [max(total - middle - sum(number), 0) if n == 0 else n for n in number]
-    return tuple(
-        Direction(bool(k), _or_listed(tags, (key,), number[k], problems))
-        for k, key in enumerate((":forward", ":backward"))
+        there = back = 0 if odd else share
+    elif total and not (there and back):
+        rest = max(total - middle - there - back, 0)
+        there, back = there or rest, back or rest
+    return (
+        _or_listed(tags, (":forward",), there, problems),
+        _or_listed(tags, (":backward",), back, problems),
     )
 
 
-def _first(tags: dict[str, str], keys: list[str]) -> str:
-    """The value of the first of the keys that is there, or ""."""
-    return next((tags[key] for key in keys if key in tags), "")
-
-
 def _count(tags: dict[str, str], keys: list[str], problems: list[str]) -> int:
-    """A number of lanes; 0 where it is not said, or is no number that a road can have."""
+    """A number of lanes; 0 if there is none, or none that a road can have."""
     key = next((key for key in keys if key in tags), None)
     if key is None:
         return 0
@@ -114,12 +96,15 @@ def _or_listed(
     tags: dict[str, str], keys: tuple[str, ...], n_lanes: int, problems: list[str]
 ) -> int:
     """The number of lanes, by default that of the tags that list lanes."""
-    found = {name: _first(tags, [name + key for key in keys]) for name in LISTS}
-    listed = [text.count("|") + 1 for text in found.values() if "|" in text]
-    if n_lanes == 0 and listed and len(set(listed)) == 1 and listed[0] <= MOST_LANES:
-        # A number that is wrong stays unknown: nobody knows which of both was meant.
-        n_lanes = 0 if problems else listed[0]
-    for name, text in found.items():
-        if text and n_lanes and text.count("|") + 1 != n_lanes:
-            problems.append(f"{name} lists {text.count('|') + 1} lanes of {n_lanes}, it is ignored")
+    tagged = {name: [tags[name + key] for key in keys if name + key in tags] for name in LISTS}
+    found = {name: texts[0].count("|") + 1 for name, texts in tagged.items() if texts}
+    listed = {n for n in found.values() if n > 1}
+    # After a mistake the number stays unknown.
+    if n_lanes == 0 and len(listed) == 1 and max(listed) <= MOST_LANES and not problems:
+        (n_lanes,) = listed
+    problems += [
+        f"{name} lists {n} lanes of {n_lanes}, it is ignored"
+        for name, n in found.items()
+        if n_lanes and n != n_lanes
+    ]
     return n_lanes

@@ -24,12 +24,8 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
 }
 
-#: Folders: the format of one that holds files with this ending.
-_FOLDERS = {
-    ".mcap": "rosbag",
-    ".db3": "rosbag",
-    ".zstd": "rosbag",
-}
+#: The endings of the files in a folder that is a bag.
+_IN_BAGS = (".mcap", ".db3", ".zstd")
 
 #: The formats whose lines are in pixels, so that a camera has to say where they are.
 IN_PIXELS = ("tusimple",)
@@ -47,10 +43,9 @@ def read_lines(
 ) -> LineLog:
     """Read a recording of lines, T frames of at most L lines.
 
-    - format: a name of FORMATS; by default the one that the extension, or what is in a folder,
-      tells.
+    - format: a name of FORMATS; by default that of the extension, or of the files in a folder.
     - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
-    - frame_rate: frames per second, where the recording has no times; by default the reader's.
+    - frame_rate: frames per second of a recording without times; by default the reader's.
     - columns: which columns of a table, or fields of messages, are what: keys and values of
       `recording.columns`, or `"offset_m=lateral,left_positive=true"`.
     - options: further ones of the format's reader (`read_topic`: topic; `read_tusimple`:
@@ -66,8 +61,8 @@ def read_lines(
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
     """
-    said = {"frame_rate": frame_rate, "columns": columns}
-    given = {**options, **{key: value for key, value in said.items() if value is not None}}
+    given = {**options, "frame_rate": frame_rate, "columns": columns}
+    given = {key: value for key, value in given.items() if value is not None}
     # Only a format whose lines are in pixels has a reader that takes a camera.
     if camera is not None and "camera" in reader_of(format or format_of(path)).__kwdefaults__:
         given["camera"] = camera
@@ -90,8 +85,7 @@ def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) 
                 f"{path}: format {name} has no option '{option}'{suggestion(str(option), allowed)}"
             )
     rate = options.get("frame_rate", 10.0)
-    is_number = isinstance(rate, (int, float, np.number)) and not isinstance(rate, bool)
-    if not (is_number and 0 < rate < np.inf):
+    if not (isinstance(rate, (int, float, np.number)) and 0 < rate < np.inf):
         raise InputError(f"{path}: frame_rate: {rate!r} is not a number greater than 0")
     log: LineLog = read(path, **options)
     return log
@@ -118,21 +112,9 @@ def check_one_drive(log: LineLog, why: str) -> None:
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The files of a folder that is a recording: those with the ending of its format."""
-    for ending in _FOLDERS:
-        files = files_with(folder, ending)
-        if files:
-            return files
-    return sorted(path for path in folder.iterdir() if path.is_file())
-
-
-def files_with(folder: Path, ending: str) -> list[Path]:
-    """The files with an ending in a folder, or, of one that has folders only (and lists, *.txt), in
-    those below it."""
-    own = sorted(folder.glob(f"*{ending}"))
-    if own or any(path.is_file() and path.suffix.lower() != ".txt" for path in folder.iterdir()):
-        return own
-    return sorted(folder.rglob(f"*{ending}"))
+    """The files of a folder that is a recording: those of a bag, or all of them."""
+    files = sorted(path for path in folder.iterdir() if path.is_file())
+    return [path for path in files if path.suffix in _IN_BAGS] or files
 
 
 def reader_of(name: str) -> Any:
@@ -145,18 +127,17 @@ def reader_of(name: str) -> Any:
 
 
 def format_of(path: str | Path) -> str:
-    """The format of a recording by its extension, or by what is in a folder; InputError where that
-    does not tell."""
+    """The format of a recording by its extension, or by what is in a folder. Raises InputError for
+    an unknown one."""
     path = Path(path)
     for name, (extensions, _, _) in FORMATS.items():
         if (path.suffix.lower() or path.name) in extensions:
             return name
     if path.is_dir():
-        for ending, name in _FOLDERS.items():
-            if files_with(path, ending):
-                return name
+        if any(file.suffix in _IN_BAGS for file in files_of(path)):
+            return "rosbag"
         raise InputError(
-            f"{path}: a folder without lines ({', '.join(f'*{e}' for e in _FOLDERS)}); pictures"
+            f"{path}: a folder without a bag ({', '.join(f'*{e}' for e in _IN_BAGS)}); pictures"
             " need a detector (recording.detector, or detector)"
         )
     raise InputError(
@@ -167,7 +148,4 @@ def format_of(path: str | Path) -> str:
 
 def known_formats() -> str:
     """The formats with their extensions, for messages."""
-    return "; ".join(
-        f"{name}: {', '.join(extensions)}" if extensions else name
-        for name, (extensions, _, _) in FORMATS.items()
-    )
+    return "; ".join(f"{name}: {', '.join(each[0])}" for name, each in FORMATS.items())

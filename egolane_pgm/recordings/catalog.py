@@ -9,7 +9,6 @@ import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
-from urllib.parse import urlsplit
 
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import InputError
@@ -50,8 +49,8 @@ class Outcome:
 
     @property
     def ok(self) -> bool:
-        """The file is there and has the right checksum."""
-        return self.status in ("downloaded", "present")
+        """Whether the file is there and has the right checksum."""
+        return not self.message
 
 
 @functools.cache
@@ -94,23 +93,17 @@ def find_file(
     Raises InputError, with every place that was looked in, if it is nowhere.
     """
     wanted = Path(path).expanduser()
-    # An absolute path stays as it is.
-    places = [(Path.cwd() if base is None else Path(base)) / wanted]
-    if not wanted.is_absolute() and not _is_there(places[0], folders):
-        places += [folder / wanted for folder in data_folders()]
+    places = [wanted]
+    if not wanted.is_absolute():
+        places = [folder / wanted for folder in (Path(base or Path.cwd()), *data_folders())]
     for place in places:
-        if _is_there(place, folders):
+        if place.is_file() or (folders and place.is_dir()):
             return place
-    looked = ", ".join(str(place) for place in places)
-    help_ = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
+    cure = "; run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
     raise InputError(
-        f"{path}: no such file; looked for {looked}"
-        + (f"; {help_}" if is_fetched and not wanted.is_absolute() else "")
+        f"{path}: no such file; looked for {', '.join(map(str, places))}"
+        f"{cure if is_fetched and not wanted.is_absolute() else ''}"
     )
-
-
-def _is_there(place: Path, folders: bool) -> bool:
-    return place.is_file() or (folders and place.is_dir())
 
 
 def data_folders() -> list[Path]:
@@ -126,74 +119,56 @@ def verify(folder: str | Path | None = None) -> list[Outcome]:
     - folder: where they are; by default where a run takes each of them from (`data_folders`). A
       file that is nowhere is missing in the download folder.
     """
-    if folder is not None:
-        return [_verify(file, Path(folder).expanduser() / file.target) for file in list_files()]
-    places = [[place / file.target for place in data_folders()] for file in list_files()]
-    found = [next((p for p in paths if p.is_file()), paths[-1]) for paths in places]
-    return [_verify(file, path) for file, path in zip(list_files(), found, strict=True)]
+    folders = data_folders() if folder is None else [Path(folder).expanduser()]
+    outcomes = []
+    for file in list_files():
+        places = [each / file.target for each in folders]
+        path = next((place for place in places if place.is_file()), places[-1])
+        status, message = "present", ""
+        if not path.is_file():
+            status, message = "missing", f"{path}: no such file; `egolane data fetch` gets it"
+        elif file_sha256(path) != file.sha256:
+            status = "bad"
+            message = f"{path}: wrong checksum, `egolane data fetch` gets it again"
+        outcomes.append(Outcome(file, path, status, message))
+    return outcomes
 
 
-def _verify(file: DataFile, path: Path) -> Outcome:
-    if not path.is_file():
-        return Outcome(file, path, "missing", f"{path}: no such file; `egolane data fetch` gets it")
-    try:
-        is_good = file_sha256(path) == file.sha256
-    except OSError as error:
-        return Outcome(file, path, "bad", f"{path}: cannot be read: {error.strerror}")
-    if is_good:
-        return Outcome(file, path, "present")
-    return Outcome(file, path, "bad", f"{path}: wrong checksum, `egolane data fetch` gets it again")
-
-
-def fetch(
-    base_url: str | None = None, folder: str | Path | None = None, progress: bool = True
-) -> list[Outcome]:
+def fetch(folder: str | Path | None = None) -> list[Outcome]:
     """Download the files that are not there yet; one Outcome per file.
 
-    - base_url: a mirror with the same file names (default: GitHub).
     - folder: where they go (default: the download folder).
-    - progress: a bar for each file on standard error, where that is a terminal.
 
     A file that is there and good is not asked for again, and content with a wrong checksum never
-    takes the place of anything. A file that fails does not keep the others, unless the server
-    cannot be reached at all. Raises InputError for an address that is not http or https.
+    takes the place of anything. Raises InputError if the server cannot be reached.
     """
-    address = (BASE_URL if base_url is None else base_url).rstrip("/")
-    host = urlsplit(address).netloc.rpartition("@")[2]
-    if urlsplit(address).scheme not in ("http", "https") or not host:
-        raise InputError(f"base_url {base_url}: needs an address http://... or https://...")
     # pooch depends on it, and raises its errors.
     import requests
 
     pooch = _pooch()
     # pooch would report each step on standard error.
     pooch.get_logger().setLevel("ERROR")
-    loader = pooch.HTTPDownloader(progressbar=progress and sys.stderr.isatty(), timeout=30)
-    outcomes, unreachable = [], ""
+    loader = pooch.HTTPDownloader(progressbar=sys.stderr.isatty(), timeout=30)
+    outcomes = []
     for found in verify(download_folder() if folder is None else folder):
         name, path = found.file.name, found.path
-        if not found.ok and not unreachable:
+        if not found.ok:
             known = {name: f"sha256:{found.file.sha256}"}
-            store = pooch.create(path.parent, f"{address}/", registry=known, retry_if_failed=1)
+            store = pooch.create(path.parent, f"{BASE_URL}/", registry=known, retry_if_failed=1)
             try:
                 store.fetch(name, downloader=loader)
                 found = Outcome(found.file, path, "downloaded")
             except (requests.ConnectionError, requests.Timeout):
-                # Every other file would wait for the same server.
-                unreachable = (
-                    f"{name}: {address}/{name}: no connection to {host}; is the network up?"
-                )
+                raise InputError(f"{BASE_URL}: no connection; is the network up?") from None
             except (OSError, ValueError) as error:
                 is_io = isinstance(error, OSError)
                 why = " ".join(str(error).split())[:160] if is_io else "it has a wrong checksum"
-                said = f"{name}: {address}/{name}: not downloaded to {path}: {why}"
-                found = replace(found, status="failed", message=said)
-        if not found.ok and unreachable:
-            found = replace(found, status="failed", message=unreachable)
+                message = f"{name}: {BASE_URL}/{name}: not downloaded to {path}: {why}"
+                found = replace(found, status="failed", message=message)
         outcomes.append(found)
     return outcomes
 
 
 def problems(outcomes: list[Outcome]) -> list[str]:
-    """The different messages of what went wrong, one line each."""
-    return list(dict.fromkeys(outcome.message for outcome in outcomes if not outcome.ok))
+    """The messages of what went wrong, one line each."""
+    return [outcome.message for outcome in outcomes if not outcome.ok]

@@ -10,24 +10,16 @@ import re
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Columns, validated
 from egolane_pgm.tools.yaml import parse_yaml
-from egolane_pgm.types import (
-    NOTE,
-    BoolArray,
-    FloatArray,
-    InputError,
-    IntArray,
-    LineLog,
-    near_word,
-)
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, near_word
 
 #: What each column of a table means; messages have the same names.
 COLUMNS = {
@@ -60,15 +52,14 @@ _FLAGS = ("is_valid", "is_continuous", "is_missing", "is_crossing")
 _OF_FRAME = ("frame_id", "time_s", "is_missing")
 OF_LINE = ("is_valid", "is_continuous", "lri")
 
-#: An offset of a table with one row per frame.
-_WIDE = re.compile(r"offset_(?:m_)?(\d+)")
+#: The offset of a line in a table with one row per frame; its flags and LRI have its number, too.
+_WIDE = re.compile(r"offset_(\d+)")
 
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 
-#: Signs are looked at in this many frames, at least and at most, and this share of them makes a
-#: contradiction.
-_ENOUGH, _LOOKED_AT, _MOST = 20, 2000, 0.9
+#: Signs contradict themselves if they do in this share of at least so many frames.
+_MOST, _ENOUGH = 0.9, 20
 
 
 def column_keys(given: ColumnsGiven) -> dict[str, Any]:
@@ -125,21 +116,36 @@ def lines_of_columns(
     if not n_rows:
         raise InputError(f"{path}: the table has no rows")
     table = _Table(columns, said or Columns(), path, np.arange(n_rows) if row is None else row)
-    cells, at = _lines_of(table)
-    cells |= {name: values[at] for name, values in _frames_of(table, first).items()}
-    if "line" not in cells:
-        # The rows of a frame are its lines; a single one without an offset says that it has none.
-        frame = cells["frame_id"]
-        before = np.searchsorted(frame, frame)
-        is_alone = np.searchsorted(frame, frame, "right") - before == 1
-        number = np.arange(1, len(at) + 1) - before
-        cells["line"] = np.where(np.isnan(cells["offset_m"]) & is_alone, np.nan, number)
-    log = _assemble(path, cells, table.row[at], frame_rate)
-    unused = [name for name in columns if name and name not in table.used]
-    if row is None and table.said.offset_m is None and unused:
+    frames = _frames_of(table, first)
+    frame_id = frames["frame_id"].astype(np.int64)
+    step = np.diff(frame_id, prepend=frame_id[0] - 1)
+    table.refuse(step < 0, "its frame comes after a later one; sort the table by frame_id")
+    starts = step > 0
+    if "time_s" in frames:
+        is_later = np.diff(frames["time_s"], prepend=-np.inf) > 0
+        table.refuse(starts & ~is_later, "time_s is not later than that of the frame before")
+    at = np.cumsum(starts) - 1
+    lines = _lines_of(table, at)
+    log = LineLog.from_rows(
+        frame_id[starts],
+        frame_rate,
+        at[lines["row"]],
+        lines["offset_m"],
+        lines["is_valid"] == 1,
+        lines["is_continuous"] == 1,
+        lines["lri"],
+        row_line=lines["line"].astype(np.int64) - 1,
+        is_missing=frames["is_missing"][starts] == 1 if "is_missing" in frames else None,
+        source=str(path),
+    )
+    if "time_s" in frames:
+        log = replace(log, time_s=frames["time_s"][starts])
+    if row is None and table.said.offset_m is None:
         known = {*(COLUMNS if table.named("offset_m") else _OF_FRAME)} - table.used
-        others = ", ".join(name + near_word(name, known) for name in unused)
-        warnings.warn(f"{path}: ignored column(s) {others}", UserWarning, stacklevel=4)
+        unused = [name + near_word(name, known) for name in columns if name not in table.used]
+        if any(unused):
+            ignored = f"{path}: ignored column(s) {', '.join(filter(None, unused))}"
+            warnings.warn(ignored, UserWarning, stacklevel=4)
     for problem in contradictions(log, table.said.left_positive).values():
         warnings.warn(problem, UserWarning, stacklevel=4)
     return log
@@ -163,52 +169,50 @@ class _Table:
         """What the table calls a column of ours: a name, several, or None where it has none."""
         if ours in self.said.model_fields_set:
             return getattr(self.said, ours)
-        if ours in self.columns:
-            return ours
-        return next((name for name in self.columns if name.casefold() == ours), None)
+        return ours if ours in self.columns else None
 
     def column(self, ours: str, theirs: str) -> Any:
-        """A column as an array of pyarrow. Raises InputError where it is not there."""
+        """A column. Raises InputError where it is not there."""
         if theirs not in self.columns:
             raise InputError(
                 f"{self.path}: columns: {ours}: there is no column"
                 f" '{theirs}'{near_word(theirs, self.columns)}; there are {', '.join(self.columns)}"
             )
         self.used.add(theirs)
-        try:
-            return arrow_column(self.columns[theirs])
-        except (pa.ArrowException, OverflowError):
-            raise InputError(f"{self.path}: column {theirs} has cells of several types") from None
+        return self.columns[theirs]
 
     def cells(self, ours: str, theirs: str) -> FloatArray:
         """A column as numbers, (N,)."""
         return typed(self.path, ours, self.column(ours, theirs), theirs, self.row)
 
+    def refuse(self, bad: BoolArray, why: str, at: IntArray | None = None) -> None:
+        """Raise InputError for the first row that is bad.
+
+        - at: the row of each value of `bad`, by default one after the other.
+        """
+        if bad.any():
+            k = int(np.argmax(bad))
+            k = k if at is None else int(at[k])
+            raise InputError(f"{self.path}: row {self.row[k] + 1}: {why}")
+
 
 # --- lines and frames ----------------------------------------------------------------------------
 
 
-def _slots(table: _Table) -> list[tuple[int | None, dict[str, str]]]:
-    """For each line of a row its number, None where each row is a line, and its columns."""
+def _slots(table: _Table) -> list[dict[str, str]]:
+    """The columns of each line of a row, by our names."""
     theirs = {name: table.named(name) for name in ("offset_m", *OF_LINE, "line")}
     offset = theirs["offset_m"]
     if isinstance(offset, str):
-        return [(None, {ours: name for ours, name in theirs.items() if name is not None})]
+        return [{ours: name for ours, name in theirs.items() if name is not None}]
     if offset is not None:
         several = {ours: names for ours, names in theirs.items() if isinstance(names, tuple)}
-        return [
-            (k + 1, {ours: names[k] for ours, names in several.items()}) for k in range(len(offset))
-        ]
-    found: list[tuple[int | None, dict[str, str]]] = []
+        return [{ours: names[k] for ours, names in several.items()} for k in range(len(offset))]
+    found = []
     for match in filter(None, map(_WIDE.fullmatch, table.columns)):
-        names = {"offset_m": match[0]}
-        for ours in OF_LINE:
-            # A column of the whole frame holds for each of its lines.
-            numbered = (f"{ours.removeprefix('is_')}_{match[1]}", f"{ours}_{match[1]}")
-            for name in (*numbered, theirs[ours]):
-                names |= {ours: name} if name in table.columns else {}
-        # Lines may be numbered from 0.
-        found.append((int(match[1]) + ("offset_0" in table.columns), names))
+        names = {ours: f"{ours}_{match[1]}" for ours in OF_LINE}
+        there = {ours: name for ours, name in names.items() if name in table.columns}
+        found.append({"offset_m": match[0], **there})
     if not found:
         raise InputError(
             f"{table.path}: no column offset_m{near_word('offset_m', table.columns)}; the table"
@@ -219,40 +223,51 @@ def _slots(table: _Table) -> list[tuple[int | None, dict[str, str]]]:
     return found
 
 
-def _lines_of(table: _Table) -> tuple[Cells, IntArray]:
-    """The lines of a table by our names, and the row of each, in the order of the rows; a row
-    without lines has an empty one."""
-    found: list[tuple[Cells, IntArray]] = []
-    rows = np.arange(len(table.row))
-    for number, names in _slots(table):
+def _lines_of(table: _Table, at: IntArray) -> dict[str, NDArray[Any]]:
+    """The lines of a table by our names, and the `row` of each.
+
+    - at (N,): the frame of each row, from 0.
+    """
+    found: list[dict[str, NDArray[Any]]] = []
+    rows = np.arange(len(at))
+    is_long = isinstance(table.named("offset_m"), str)
+    for number, names in enumerate(_slots(table), start=1):
         cells = {ours: table.cells(ours, theirs) for ours, theirs in names.items()}
         offset = cells["offset_m"] / _PER_METRE[table.said.unit]
+        is_empty = np.isnan(offset)
         cells = {
-            "is_valid": np.where(np.isnan(offset), 0.0, 1.0),
+            "is_valid": np.where(is_empty, 0.0, 1.0),
             "is_continuous": np.zeros(len(rows)),
             "lri": np.full(len(rows), np.nan),
             **cells,
             "offset_m": -offset if table.said.left_positive else offset,
         }
-        there = rows >= 0
-        if number is not None:
+        if not is_long:
             # A line that is said to be valid is there, and without an offset it is a mistake.
-            there = ~np.isnan(offset) | (cells["is_valid"] == 1)
+            is_there = ~is_empty | (cells["is_valid"] == 1)
             cells["line"] = np.full(len(rows), float(number))
-            cells = {name: values[there] for name, values in cells.items()}
         elif "line" in cells:
             check_whole(table.path, cells, "line", table.row)
+            is_there = ~np.isnan(cells["line"])
+            table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
+            # Lines may be numbered from 0.
             cells["line"] = cells["line"] + (np.nanmin(cells["line"], initial=1) == 0)
-        found.append((cells, rows[there]))
-    row = np.concatenate([at for _, at in found])
-    absent = np.setdiff1d(rows, row)
-    row = np.concatenate([row, absent])
-    empty = np.full(len(absent), np.nan)
-    whole = {
-        name: np.concatenate([*(cells[name] for cells, _ in found), empty]) for name in found[0][0]
-    }
-    order = np.lexsort((whole.get("line", row), row))
-    return {name: values[order] for name, values in whole.items()}, row[order]
+        else:
+            # The rows of a frame are its lines; a single one without an offset says that it has
+            # none.
+            is_there = ~is_empty | (np.bincount(at)[at] > 1)
+            cells["line"] = (rows - np.searchsorted(at, at) + 1).astype(np.float64)
+        for name in ("is_valid", "is_continuous"):
+            # A line that is not there needs no flags.
+            table.refuse(np.isnan(cells[name]) & is_there & ~is_empty, f"{name} is empty")
+        found.append({name: each[is_there] for name, each in {**cells, "row": rows}.items()})
+    lines = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
+    is_odd = (lines["line"] < 1) | (lines["line"] > MAX_LINES)
+    table.refuse(is_odd, f"line is not in 1..{MAX_LINES}", lines["row"])
+    first = np.unique(at[lines["row"]] * MAX_LINES + lines["line"], return_index=True)[1]
+    is_first = np.isin(np.arange(len(is_odd)), first)
+    table.refuse(~is_first, "its frame has this line twice", lines["row"])
+    return lines
 
 
 def _frames_of(table: _Table, first: int) -> Cells:
@@ -277,12 +292,14 @@ def _frames_of(table: _Table, first: int) -> Cells:
         )
     if missing is not None:
         cells["is_missing"] = table.cells("is_missing", missing)
+    for name, values in cells.items():
+        table.refuse(np.isnan(values), f"{name} is empty")
     return cells
 
 
 def _seconds(table: _Table, theirs: str) -> FloatArray:
     """A column as times in seconds, (N,): numbers of a unit, or dates."""
-    values, unit = table.column("time_s", theirs), table.said.time_unit
+    values, unit = arrow_column(table.column("time_s", theirs)), table.said.time_unit
     per = _PER_SECOND[unit]
     if pa.types.is_timestamp(values.type):
         values, per = values.cast(pa.timestamp("ns", values.type.tz)).cast(pa.int64()), 10**9
@@ -294,10 +311,9 @@ def _seconds(table: _Table, theirs: str) -> FloatArray:
         time_s = typed(table.path, "time_s", values, theirs, table.row) / per
     longest = float(np.nanmax(np.abs(time_s), initial=0))
     if longest > 1e11:
-        likely = next(name for name, n in _PER_SECOND.items() if longest * per / n < 1e11)
         raise InputError(
-            f"{table.path}: {theirs} is {longest * per:.4g}, which is no time in {unit}: `columns:"
-            f" {{time_s: {theirs}, time_unit: {likely}}}`"
+            f"{table.path}: {theirs} is {longest * per:.4g}, which is no time in {unit}; set"
+            " `columns: {time_unit: ns}` (or ms, us)"
         )
     return time_s
 
@@ -306,83 +322,21 @@ def _ids_of(table: _Table, time_s: FloatArray) -> FloatArray:
     """Frame ids by the time stamps (N,) of rows; they begin with 0. A step of the median counts as
     one frame, and a longer one as the whole multiple that is nearest to it: gaps stay gaps."""
     step = np.diff(time_s, prepend=-np.inf)
-    for bad, said in ((np.isnan(time_s), "is empty"), (step < 0, "goes back; sort by time")):
-        if bad.any():
-            raise InputError(f"{_place(table.path, int(table.row[np.argmax(bad)]))}: time {said}")
+    table.refuse(~(step >= 0), "time is empty or goes back; sort by time")
     step = step[1:]
-    later = step[step > 0]
-    if not len(later):
+    if not (step > 0).any():
         return np.zeros(len(time_s))
-    usual = float(np.median(later))
-    share = float(np.mean(np.abs(later / usual - np.rint(later / usual)) > 0.25))
-    if share > 0.05:
-        warnings.warn(
-            f"{NOTE}{table.path}: {share:.0%} of the steps between its time stamps are no multiple"
-            f" of their median, {usual:.4g} s, by which frames are counted",
-            UserWarning,
-            stacklevel=5,
-        )
+    usual = np.median(step[step > 0])
     frames = np.where(step > 0, np.maximum(1, np.rint(step / usual)), 0)
     return np.concatenate([[0.0], np.cumsum(frames)])
-
-
-def _assemble(path: Path, cells: Cells, row: IntArray, frame_rate: float) -> LineLog:
-    """The frames of a table that has a row for each line; row (N,): where each is in the file."""
-
-    def refuse(bad: BoolArray, why: str) -> None:
-        """Raise InputError for the first row that is bad; `{}` in `why` becomes its frame id."""
-        if bad.any():
-            k = int(np.argmax(bad))
-            said = why.replace("{}", f"{cells['frame_id'][k]:.0f}")
-            raise InputError(f"{_place(path, int(row[k]))}: {said}")
-
-    for name in (name for name in _OF_FRAME if name in cells):
-        refuse(np.isnan(cells[name]), f"{name} is empty")
-    frame, offset = cells["frame_id"].astype(np.int64), cells["offset_m"]
-    has_line = ~np.isnan(cells["line"])
-    line = np.where(has_line, cells["line"], 0).astype(np.int64) - 1
-    step = np.diff(frame, prepend=frame[0])
-    refuse(step < 0, "frame {} comes after a later one; sort the table by frame_id")
-    refuse(has_line & ((line < 0) | (line >= MAX_LINES)), f"line is not in 1..{MAX_LINES}")
-    starts = step != 0
-    starts[0] = True
-    if "time_s" in cells:
-        is_later = np.diff(cells["time_s"], prepend=-np.inf) > 0
-        refuse(starts & ~is_later, "time_s of frame {} is not later than that before")
-    at = np.cumsum(starts) - 1
-    is_lone_frame = (np.bincount(at)[at] == 1) & np.isnan(offset)
-    refuse(
-        ~has_line & ~is_lone_frame,
-        "frame {} has a row with an empty line, but with an offset or next to other rows",
-    )
-    first = np.unique(np.stack([at, cells["line"]]), axis=1, return_index=True)[1]
-    refuse(has_line & ~np.isin(np.arange(len(at)), first), "frame {} has this line twice")
-    for name in ("is_valid", "is_continuous"):
-        # A line that is not there needs no flags.
-        is_empty = np.isnan(cells[name]) & has_line & ~np.isnan(offset)
-        refuse(is_empty, f"frame {{}} has a line with empty {name}")
-    log = LineLog.from_rows(
-        frame[starts],
-        frame_rate,
-        at[has_line],
-        offset[has_line],
-        cells["is_valid"][has_line] == 1,
-        cells["is_continuous"][has_line] == 1,
-        cells["lri"][has_line],
-        row_line=line[has_line],
-        is_missing=cells["is_missing"][starts] == 1 if "is_missing" in cells else None,
-        source=str(path),
-    )
-    return replace(log, time_s=cells["time_s"][starts]) if "time_s" in cells else log
 
 
 def contradictions(log: LineLog, is_left_positive: bool = False) -> dict[str, str]:
     """The ways in which the signs of the offsets contradict themselves, `one-sided` or
     `backwards`, each with what may cure it; they are used all the same."""
-    several = np.flatnonzero(log.is_valid.sum(axis=1) > 1)
-    if len(several) < _ENOUGH:
+    several = log.is_valid.sum(axis=1) > 1
+    if several.sum() < _ENOUGH:
         return {}
-    several = several[:: 1 + len(several) // _LOOKED_AT]
     offset = np.where(log.is_valid, log.offset_m, np.nan)[several]
     said = {}
     one_sided = np.mean((np.nanmin(offset, axis=1) > 0) | (np.nanmax(offset, axis=1) < 0))
@@ -395,10 +349,10 @@ def contradictions(log: LineLog, is_left_positive: bool = False) -> dict[str, st
     step = np.diff(np.take_along_axis(offset, order, axis=1), axis=1)
     backwards = np.mean((step < 0).any(axis=1) & ~(step >= 0).any(axis=1))
     if backwards > _MOST:
-        side, turned = ("right", "false") if is_left_positive else ("left", "true")
+        turned = str(not is_left_positive).lower()
         said["backwards"] = (
-            f"{log.source}: in {backwards:.0%} of the frames the lines go from right to left; are"
-            f" their offsets positive to the {side}? then `columns: {{left_positive: {turned}}}`"
+            f"{log.source}: in {backwards:.0%} of the frames the lines go from right to left; is"
+            f" their sign the other one? then `columns: {{left_positive: {turned}}}`"
         )
     return said
 
@@ -426,56 +380,36 @@ def typed(
     - rows: the row of the file in which each cell stands; by default one after the other.
     """
     called = name if called in ("", name) else f"{called} ({name})"
-    kind = getattr(column, "type", None) or getattr(column, "dtype", "mixed")
-    needed = "true, false, 1 or 0" if name in _FLAGS else "a number"
+    is_flag = name in _FLAGS
+    needed = "true, false, 1 or 0" if is_flag else "a number"
 
-    def refuse(row: int, cell: str, cure: str = "") -> InputError:
-        where = _place(path, row if rows is None else int(rows[row]))
-        return InputError(f"{where}: {called} is {cell}, not {needed}{cure}")
+    def refuse(row: int, cell: str) -> InputError:
+        number = 1 + int(row if rows is None else rows[row])
+        return InputError(f"{path}: row {number}: {called} is {cell}, not {needed}")
 
     try:
         column = arrow_column(column)
-        kind = column.type
-        if pa.types.is_string(kind) or pa.types.is_large_string(kind):
+        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
             values = np.full(len(column), np.nan)
-            words = {"": np.nan, **({"true": 1, "false": 0} if name in _FLAGS else {})}
+            words = {"": np.nan, **({"true": 1, "false": 0} if is_flag else {})}
             for row, cell in enumerate(column.to_pylist()):
                 text = (cell or "").strip()
                 try:
                     values[row] = float(words.get(text.lower(), text))
                 except ValueError:
-                    raise refuse(row, repr(text[:40]), _cure(text)) from None
-        elif pa.types.is_boolean(kind) and name not in _FLAGS:
-            raise pa.ArrowInvalid
+                    raise refuse(row, repr(text[:40])) from None
         else:
-            if pa.types.is_boolean(kind):
-                column = column.cast(pa.int8())
+            if pa.types.is_boolean(column.type) and not is_flag:
+                raise pa.ArrowInvalid
             column = column.cast(pa.float64(), safe=False).fill_null(np.nan)
             values = column.to_numpy(zero_copy_only=False)
     except (pa.ArrowException, OverflowError):
-        said = f"{path}: column {called} has type {kind}, which is not {needed}"
-        raise InputError(said) from None
+        kind = getattr(column, "type", "mixed")
+        raise InputError(f"{path}: column {called} has type {kind}, not {needed}") from None
     # To pyarrow every number but 0 is true; 7 is more likely another column.
-    if name in _FLAGS and (wrong := ~(np.isnan(values) | np.isin(values, (0, 1)))).any():
-        cure = "; of a confidence write whether it is enough"
-        raise refuse(int(np.argmax(wrong)), f"{values[np.argmax(wrong)]:g}", cure)
+    if is_flag and (wrong := ~(np.isnan(values) | np.isin(values, (0, 1)))).any():
+        raise refuse(int(np.argmax(wrong)), f"{values[np.argmax(wrong)]:g}")
     return values
-
-
-def _cure(cell: str) -> str:
-    """What may help with a cell that is no number: the end of a message."""
-    if re.fullmatch(r"[-+]?\d+,\d+", cell):
-        return "; decimal commas are read where semicolons separate the cells"
-    return "; leave empty cells empty" if re.fullmatch(r"[^\da-z]{1,7}", cell) else ""
-
-
-def _place(path: Path, row: int) -> str:
-    """Where a row is, as an editor would say it (text), or counted from 1."""
-    if path.suffix.lower() not in (".csv", ".tsv"):
-        return f"{path}: row {row + 1}"
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        filled = (number for number, line in enumerate(file, start=1) if line.strip())
-        return f"{path}: line {next(islice(filled, row + 1, None), row + 2)}"
 
 
 def check_whole(path: Path, cells: Cells, name: str, row: IntArray) -> None:
@@ -485,7 +419,5 @@ def check_whole(path: Path, cells: Cells, name: str, row: IntArray) -> None:
     bad = ~np.isnan(number) & ~((np.floor(number) == number) & (np.abs(number) < 2.0**53))
     if bad.any():
         k = int(np.argmax(bad))
-        said = "not a whole number" if abs(number[k]) < 2.0**53 else "too large for a number here"
-        if name == "frame_id":
-            said += "; time stamps: `columns: {time_s: NAME, time_unit: s}` (or ms, us, ns)"
-        raise InputError(f"{_place(path, int(row[k]))}: {name} is {number[k]:.17g}, {said}")
+        problem = f"{name} is {number[k]:.17g}, not a whole number"
+        raise InputError(f"{path}: row {row[k] + 1}: {problem}")

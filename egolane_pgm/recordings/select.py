@@ -1,15 +1,13 @@
-"""Chooses the frames that are used: a range, what to do about missing ones, the join with the
-ground truth; and warns of odd recordings."""
+"""Select the frames of a recording and join them with the ground truth; warn of odd recordings."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -53,12 +51,13 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
     if policy == "skip" or len(log) == 0:
         return log
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
-    if last - first + 1 == len(log):
+    n_missing = last - first + 1 - len(log)
+    if n_missing == 0:
         return log
-    if last - first + 1 - len(log) > MAX_FILLED:
+    if n_missing > MAX_FILLED:
         raise InputError(
-            f"{log.source}: missing_frames: {policy} would put in {last - first + 1 - len(log)}"
-            f" frames between {first} and {last}; are these ids frame numbers?"
+            f"{log.source}: missing_frames: {policy} would put in {n_missing} frames between"
+            f" {first} and {last}; are these ids frame numbers?"
         )
     frame_id = np.arange(first, last + 1, dtype=np.int64)
     before = np.searchsorted(log.frame_id, frame_id, side="right") - 1
@@ -136,81 +135,45 @@ def join(log: LineLog, truth: pd.DataFrame) -> tuple[IntArray, IntArray]:
 def recording_warnings(
     log: LineLog, n_lanes: int, max_lri: float = 10, frame_rate: float | None = None
 ) -> list[str]:
-    """One line for each kind of oddity in a recording; it is used all the same, unchanged.
+    """Describe the oddities of a recording, one line for each kind; it is used unchanged.
 
-    Odd are: LRI of valid lines outside 0..max_lri, absurd or NaN offsets of lines that are not
-    valid, more valid lines than the n_lanes + 1 that a road has, no valid line at all, and times
-    that say another frame rate.
+    Odd are: LRI of valid lines outside 0..max_lri, absurd offsets, more valid lines than the
+    n_lanes + 1 that a road has, no valid line at all, and times of another frame rate.
     """
-    known_lri = ~np.isnan(log.lri)
-    absurd = np.abs(log.offset_m) > ABSURD_OFFSET_M
-    found = (
-        (
-            log.is_valid & known_lri & ((log.lri < 0) | (log.lri > max_lri)),
-            "",
-            f"valid line(s) have an LRI outside 0..{max_lri:g}, first in frame",
-            "used as recorded (`lri: clip` clips them)",
-        ),
-        (
-            # Padding is NaN in both; a line that was recorded has an LRI, unless the detector has
-            # none.
-            ~log.is_valid & (absurd | (np.isnan(log.offset_m) & known_lri)),
-            NOTE,
-            f"line(s) that are not valid have an offset beyond {ABSURD_OFFSET_M:g} m or NaN, first"
-            " in frame",
-            "not used",
-        ),
-        (
-            log.is_valid & absurd,
-            "",
-            f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m, first in frame",
-            "used as recorded",
-        ),
-        (
-            log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1,
-            "",
-            f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s), first"
-            " frame",
-            "used as recorded",
-        ),
-    )
-    lines = []
-    for marked, begins, what, so in found:
-        if marked.any():
-            first = log.frame_id[marked.any(axis=1).argmax()]
-            count = np.count_nonzero(marked)
-            lines.append(f"{begins}{log.source}: {count} {what} {first}; {so}")
+    is_odd_lri = log.is_valid & ((log.lri < 0) | (log.lri > max_lri))
+    is_absurd = log.is_valid & (np.abs(log.offset_m) > ABSURD_OFFSET_M)
+    has_many = log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1
+    kinds = {
+        f"valid line(s) have an LRI outside 0..{max_lri:g} (`lri: clip` clips them)": is_odd_lri,
+        f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m": is_absurd,
+        f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s)": has_many,
+    }
+    warned = [
+        f"{log.source}: {np.count_nonzero(odd)} {what}, first in frame"
+        f" {log.frame_id[odd.any(axis=1).argmax()]}"
+        for what, odd in kinds.items()
+        if odd.any()
+    ]
     if len(log) and not log.is_valid.any():
-        lines.append(
-            f"{log.source}: not a single valid line in {len(log)} frames; an evidence rule that"
-            " needs valid lines says nothing"
-        )
+        warned.append(f"{log.source}: not a single valid line in {len(log)} frames")
     own = rate_of(log.frame_id, log.time_s)
     if frame_rate is not None and own is not None and abs(own / frame_rate - 1) > 0.1:
-        lines.append(
+        warned.append(
             f"{log.source}: by its times it has {own:g} frames per second; delays are counted with"
             f" recording.frame_rate, which is {frame_rate:g}"
         )
-    return lines
-
-
-def _range(frame_id: IntArray) -> str:
-    if len(frame_id) == 0:
-        return "no frames"
-    return f"frames {int(frame_id[0])} to {int(frame_id[-1])}"
+    return warned
 
 
 def sign_warning(log: LineLog, true_lane: IntArray) -> list[str]:
-    """One line where the lines move, at most of the annotated lane changes, as if the car went the
-    other way; the offsets are used all the same.
+    """Warn, in one line, of lines that move the wrong way at most of the annotated lane changes.
 
     - log, true_lane (K,): of the same frames.
     """
     to_left = -np.diff(true_lane)
-    changes = [int(k) for k in np.flatnonzero(to_left)]
     offset = np.where(log.is_valid, log.offset_m, np.nan)
     agrees = against = 0
-    for k in changes:
+    for k in np.flatnonzero(to_left).tolist():
         near = offset[max(0, k - HALF_CHANGE) : k + HALF_CHANGE]
         step = near[1:, None, :] - near[:-1, :, None]
         # A line is the nearest one of the next frame, unless it jumps by more than half a metre.
@@ -224,3 +187,7 @@ def sign_warning(log: LineLog, true_lane: IntArray) -> list[str]:
         " if the car went the other way; are the offsets positive to the left (`columns:"
         " {left_positive: true}`), or do the lane numbers count from the right?"
     ]
+
+
+def _range(frame_id: IntArray) -> str:
+    return f"frames {frame_id[0]} to {frame_id[-1]}" if len(frame_id) else "no frames"

@@ -1,29 +1,27 @@
-"""Recordings of lines as tables: CSV, Parquet or a DataFrame of pandas. `recording.columns` says
-which columns are what; without it they have our own names, `columns.COLUMNS`, in one of two forms.
+"""Recordings of lines as tables: CSV, Parquet or a DataFrame of pandas.
+
+`recording.columns` names the columns; without it they have our own names, `columns.COLUMNS`, in one
+of two forms.
 
 - One row per line, which is also how they are written: frame_id, line, offset_m and others. A frame
   without lines is one row with an empty line and offset.
-- One row per frame: frame_id, offset_1, offset_2, ... and, where they are known, is_valid_1,
-  is_continuous_1, lri_1, ... (also offset_m_1, valid_1, continuous_1). An empty offset is a line
-  that is not there.
+- One row per frame: frame_id, offset_1, offset_2, ... and, if known, is_valid_1, is_continuous_1,
+  lri_1, ... An empty offset is a line that is not there.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 from pyarrow import csv
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings.columns import FRAME_RATE, lines_of_columns
-from egolane_pgm.tools.files import arrow_table, atomic, read_parquet, write_parquet
+from egolane_pgm.tools.files import atomic, read_parquet, write_parquet
 from egolane_pgm.types import InputError, LineLog
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: The endings of tables.
 TABLES = (".csv", ".tsv", ".parquet")
@@ -71,63 +69,56 @@ def write_table(path: str | Path, log: LineLog) -> None:
     Raises InputError for another extension, or where the file cannot be written.
     """
     path = Path(path)
-    write = {".csv": _write_csv, ".parquet": write_parquet}.get(path.suffix.lower())
-    if write is None:
+    if path.suffix.lower() == ".parquet":
+        write_parquet(path, rows_of(log))
+    elif path.suffix.lower() == ".csv":
+        _write_csv(path, rows_of(log))
+    else:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-    write(path, rows_of(log))
 
 
-# --- writing -----------------------------------------------------------------------------------
-
-
-def rows_of(log: LineLog) -> Any:
-    """The rows of a log, of pyarrow; with time_s where time is not what it is without the column,
-    and with is_missing where a frame is."""
+def rows_of(log: LineLog) -> pd.DataFrame:
+    """The rows of a log; with time_s unless it follows from the frame id, and with is_missing if a
+    frame is."""
     is_there = (
         log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
     )  # all other cells are padding
     n_frames, n_lines = is_there.shape
     if n_frames and n_lines and not is_there[:, -1].any():
-        is_there[0, -1] = True  # an empty line says how wide the padding is
-    columns = log.rows(is_there)
+        is_there[0, -1] = True  # an empty line keeps the width of the padding
+    rows = log.rows(is_there)
     if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
-        del columns["time_s"]
-    no_line = np.ma.getmaskarray(columns["line"])
-    columns["offset_m"] = np.ma.masked_array(columns["offset_m"], no_line)
-    columns["lri"] = np.ma.masked_array(columns["lri"], np.isnan(columns["lri"]))
+        del rows["time_s"]
     if log.is_missing.any():
-        columns["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, columns["frame_id"])]
-    return arrow_table(columns)
+        rows["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, rows["frame_id"])]
+    return rows
 
 
-def _write_csv(path: Path, table: Any) -> None:
+def _write_csv(path: Path, rows: pd.DataFrame) -> None:
+    table = pa.Table.from_pandas(rows, preserve_index=False)
     with atomic(path) as temporary, temporary.open("wb") as file:
         file.write((",".join(table.column_names) + "\n").encode())
         csv.write_csv(table, file, csv.WriteOptions(include_header=False))
 
 
-# --- reading -----------------------------------------------------------------------------------
-
-
 def read_columns(path: Path, said: Columns | None = None) -> pa.Table:
     """A whole CSV or Parquet file. pyarrow finds the types of the columns.
 
-    - said: the separator of a CSV. Where it is a semicolon, numbers may have a decimal comma.
+    - said: the separator of a CSV; by default the most frequent one of its heading. If it is a
+      semicolon, numbers may have a decimal comma.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
     extension = path.suffix.lower()
     if extension == ".parquet":
-        return read_parquet(path)
+        return pa.Table.from_pandas(read_parquet(path), preserve_index=False)
     if extension not in TABLES:
         raise InputError(
-            f"{path}: unknown extension '{path.suffix}' of a table (.csv, .tsv, .parquet)"
+            f"{path}: unknown extension '{path.suffix}' of a table ({', '.join(TABLES)})"
         )
-    usual = "\t" if extension == ".tsv" else ","
-    separator = ((said and said.separator) or usual).replace("\\t", "\t")
-    found = separator_of(path)
-    cure = f'; its cells are separated by `columns: {{separator: "{found}"}}`'
-    cure = "" if found.replace("\\t", "\t") == separator else cure
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        found = max(",;\t|", key=file.readline().count)
+    separator = ((said and said.separator) or found).replace("\\t", "\t")
     try:
         table = csv.read_csv(
             path,
@@ -136,25 +127,16 @@ def read_columns(path: Path, said: Columns | None = None) -> pa.Table:
                 decimal_point="," if separator == ";" else ".", strings_can_be_null=True
             ),
         )
-        names = [name.strip() for name in table.column_names]
     except (OSError, pa.ArrowInvalid, UnicodeDecodeError) as error:
         problem = " ".join(str(error).split())[:160]
-        raise InputError(f"{path}: cannot be read as CSV ({problem}){cure}") from None
-    if len(names) == 1 and cure:
-        raise InputError(f"{path}: has one column, {names[0]}{cure}")
+        raise InputError(f"{path}: cannot be read as CSV ({problem})") from None
+    names = [name.strip() for name in table.column_names]
     check_columns(path, names)
     return table.rename_columns(names)
-
-
-def separator_of(path: Path) -> str:
-    """What separates the cells of a CSV, by its heading, as `columns: separator` has it."""
-    with path.open(encoding="utf-8-sig", errors="replace") as file:
-        found = max(",;\t|", key=file.readline().count)
-    return found.replace("\t", "\\t")
 
 
 def check_columns(path: Path, names: list[str]) -> None:
     """Raise InputError for a column that occurs more than once."""
     twice = [name for name in names if name and names.count(name) > 1]
     if twice:
-        raise InputError(f"{path}: column {', '.join(dict.fromkeys(twice))} occurs more than once")
+        raise InputError(f"{path}: column {twice[0]} occurs more than once")

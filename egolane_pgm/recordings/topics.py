@@ -9,17 +9,24 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, lines_of_columns
-from egolane_pgm.recordings.rosbag import Message, Topics, stamp_s
-from egolane_pgm.types import InputError, LineLog, near_word
+from egolane_pgm.recordings.columns import (
+    FRAME_RATE,
+    OF_LINE,
+    arrow_column,
+    lines_of_columns,
+    typed,
+)
+from egolane_pgm.recordings.decoding import Fields, Items, stamp_parts
+from egolane_pgm.recordings.rosbag import Message, Topics
+from egolane_pgm.types import InputError, IntArray, LineLog, near_word
 
 #: The topics of the lines in the published recordings and in MCAP files of a result.
 TOPICS = ("/isis_line_detector/lines", "/lines")
@@ -43,33 +50,37 @@ def topics_of(path: str | Path) -> Topics:
     return topics
 
 
-def messages(path: str | Path, topics: Collection[str] | None = None) -> Iterator[Message]:
+def messages(path: str | Path, topics: Collection[str]) -> Iterator[Message]:
     """The messages of a file in the order of their recording. The time of one is the stamp in its
     header, or else when it was recorded, seconds.
-
-    - topics: those that are read; None for all.
 
     Raises InputError as `topics_of`, for a topic that is not there, with those that are, and for a
     file that holds no message on them.
     """
     file = Path(path)
-    reader = _reader(file)
-    if topics is not None:
-        there = reader.topics_of(file)
-        names = {name.strip("/"): name for name in there}
-        for topic in topics:
-            if topic.strip("/") not in names:
-                meant = near_word(topic, there)
-                raise InputError(f"{file}: no topic {topic}{meant}; the file has {listed(there)}")
-        topics = [names[topic.strip("/")] for topic in topics]
+    topics = [_topic_of(file, topic) for topic in topics]
     is_empty = True
-    for message in reader.messages(file, topics):
+    for message in _reader(file).messages(file, topics):
         is_empty = False
         yield message
     if is_empty:
-        raise InputError(
-            f"{file}: holds no messages{' on ' if topics else ''}{', '.join(topics or ())}"
-        )
+        raise InputError(f"{file}: holds no messages on {', '.join(topics)}")
+
+
+def _topic_of(path: Path, topic: str | None = None) -> str:
+    """A topic of a file, by default the one of the lines. Raises InputError for one that is not
+    there, and if several may be meant."""
+    there = topics_of(path)
+    if topic is None:
+        found = [name for name in TOPICS if name in there][:1] or [*there]
+        if len(found) == 1:
+            return found[0]
+        problem = "topic: is missing" if found else "holds no messages"
+    elif topic in there:
+        return topic
+    else:
+        problem = f"no topic {topic}{near_word(topic, there)}"
+    raise InputError(f"{path}: {problem}; the file has {listed(there)} (`egolane show {path}`)")
 
 
 def read_topic(
@@ -88,26 +99,34 @@ def read_topic(
 
     Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
     """
-    if topic is None:
-        there = topics_of(path)
-        topic = next((name for name in (*TOPICS, *there) if name in there), None)
-        if len(there) > 1 and topic not in TOPICS:
-            raise InputError(
-                f"{path}: topic: is missing; the file has {listed(there)} (`egolane show {path}`)"
-            )
-    found = list(messages(path, None if topic is None else [str(topic)]))
+    path = Path(path)
+    table, row = table_of(fields_of(path, topic))
     said = columns or Columns()
-    rows = [{"time_s": message.time_s, **fields(message.value)} for message in found]
-    if said.offset_m is None and {"lines", "way_id"} <= found[0].value.keys():
-        is_ros1 = Path(path).suffix == ".bag"
+    if said.offset_m is None and {"line", "way_id"} <= table.keys():
+        is_ros1 = path.suffix == ".bag"
         said = Columns(**{**_PUBLISHED, "is_valid": _VALID[is_ros1], **said.model_dump()})
         if said.time_s is None and said.frame_id is not None:
-            rows = _with_times(Path(path), rows, said.frame_id, is_ros1)
-    return lines_of_messages(rows, said, str(path), frame_rate)
+            table = _with_times(path, table, row, said.frame_id, is_ros1)
+    return _lines_of(table, row, said, path, frame_rate)
+
+
+def fields_of(path: Path, topic: str | None) -> Fields:
+    """The fields of all messages on a topic, by default that of the lines, and `time_s`, when each
+    was made, if none of them is called so. Raises InputError as `messages`."""
+    topic = _topic_of(path, topic)
+    reader = _reader(path)
+    if reader is rosbag:
+        fields = rosbag.fields_of(path, topic)
+    else:
+        found = [{"time_s": m.time_s, **m.value} for m in reader.messages(path, [topic])]
+        fields = _fields(found, str(path)) if found else {}
+    if not fields:
+        raise InputError(f"{path}: holds no messages on {topic}")
+    return fields
 
 
 def lines_of_messages(
-    rows: Sequence[Mapping[str, Any]],
+    messages: Sequence[Mapping[str, Any]],
     said: Columns | None,
     where: str,
     frame_rate: float = FRAME_RATE,
@@ -115,7 +134,6 @@ def lines_of_messages(
 ) -> LineLog:
     """The lines of messages, T frames of at most L lines.
 
-    - rows: their `fields`.
     - said: which fields are what; None for our own names.
     - where: names the file in what is said of it.
     - frame_rate: frames per second where the messages have frame ids but no times.
@@ -123,88 +141,112 @@ def lines_of_messages(
 
     Raises InputError as `recordings.columns.lines_of_columns`.
 
-    >>> from egolane_pgm.recordings.topics import fields, lines_of_messages
+    >>> from egolane_pgm.recordings.topics import lines_of_messages
     >>> from egolane_pgm.experiment import Columns
-    >>> message = fields({"t": 12.0, "lanes": [{"c0": 1.8}, {"c0": -1.7}]})
+    >>> message = {"t": 12.0, "lanes": [{"c0": 1.8}, {"c0": -1.7}]}
     >>> said = Columns(time_s="t", offset_m="c0", left_positive=True)
     >>> lines_of_messages([message], said, "drive.mcap").offset_m.tolist()
     [[-1.8, 1.7]]
     """
-    columns, row = as_columns(rows)
-    if "line" in columns and not any(columns["line"]):
-        # Of lists that are always empty the fields are not known.
+    columns, row = table_of(_fields(messages, where))
+    return _lines_of(columns, row, said, Path(where), frame_rate, first)
+
+
+def _lines_of(
+    columns: Mapping[str, Any],
+    row: IntArray,
+    said: Columns | None,
+    path: Path,
+    frame_rate: float,
+    first: int = 0,
+) -> LineLog:
+    if "line" in columns and columns["line"].null_count == len(row):
+        # Of lists that are always empty the fields may not be known.
         names = [getattr(said, name, None) or name for name in ("offset_m", *OF_LINE)]
-        columns = {**{name: [None] * len(row) for name in names}, **columns}
-    return lines_of_columns(columns, said, Path(where), frame_rate, first=first, row=row)
+        columns = {**dict.fromkeys(names, pa.nulls(len(row))), **columns}
+    return lines_of_columns(columns, said, path, frame_rate, first=first, row=row)
 
 
-def fields(value: Mapping[str, Any], before: str = "") -> dict[str, Any]:
-    """The fields of a message, those of its sections by their path; a stamp is in seconds.
+def _fields(messages: Sequence[Mapping[str, Any]], where: str) -> Fields:
+    """The fields of messages that are dicts."""
+    try:
+        return _fields_in(pa.array(messages))
+    except pa.ArrowException as error:
+        raise InputError(f"{where}: a field has values of several types ({error})") from None
 
-    >>> fields({"header": {"seq": 7, "stamp": {"sec": 12, "nanosec": 0}}, "c0": -1.8})
-    {'header.seq': 7, 'header.stamp': 12.0, 'c0': -1.8}
-    """
-    found: dict[str, Any] = {}
-    for name, each in value.items():
-        if not isinstance(each, dict):
-            found[before + name] = each
-        elif (time_s := stamp_s(each)) is not None:
-            found[before + name] = time_s
+
+def _fields_in(values: pa.StructArray) -> Fields:
+    """The columns of sections, those of sections in them by their path; a stamp is in seconds."""
+    inner = dict(zip([field.name for field in values.type], values.flatten(), strict=True))
+    if (parts := stamp_parts(inner)) is not None:
+        seconds, nanoseconds = (np.asarray(part.cast(pa.int64())) for part in parts)
+        return {"": seconds + nanoseconds / 1e9}
+    found: Fields = {}
+    for name, each in inner.items():
+        if pa.types.is_struct(each.type):
+            fields = _fields_in(each)
+            found |= {f"{name}.{key}" if key else name: values for key, values in fields.items()}
+        elif pa.types.is_list(each.type) and pa.types.is_struct(each.type.value_type):
+            found[name] = Items(_counts(each), _fields_in(each.flatten()))
+        elif pa.types.is_list(each.type) and pa.types.is_null(each.type.value_type):
+            found[name] = Items(_counts(each), {})
         else:
-            found |= fields(each, f"{before}{name}.")
+            found[name] = each
     return found
 
 
-def as_columns(rows: Sequence[Mapping[str, Any]]) -> tuple[dict[str, list[Any]], Any]:
+def _counts(lists: pa.ListArray) -> IntArray:
+    return np.asarray(lists.value_lengths().fill_null(0)).astype(np.int64)
+
+
+def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
     """The columns of messages, a row for each line of those that have a list of lines (`lines`, or
     their only list), and the message of each row, (N,)."""
-    lists = {
-        name
-        for row in rows
-        for name, each in row.items()
-        if isinstance(each, list) and all(isinstance(one, Mapping) for one in each)
-    }
-    of_lines = "lines" if "lines" in lists else lists.pop() if len(lists) == 1 else None
-    found: list[dict[str, Any]] = []
-    at: list[int] = []
-    for k, row in enumerate(rows):
-        frame = {name: value for name, value in row.items() if name != of_lines}
-        if of_lines is None:
-            found.append(frame)
-        elif row.get(of_lines):
-            lines = enumerate(map(fields, row[of_lines]), start=1)
-            found += [{**frame, "line": number, **line} for number, line in lines]
-        else:
-            found.append({**frame, "line": None})
-        at += [k] * (len(found) - len(at))
-    names = dict.fromkeys(name for row in found for name in row)
-    return {name: [row.get(name) for row in found] for name in names}, np.array(at, dtype=np.int64)
+    lists = [name for name, values in fields.items() if isinstance(values, Items)]
+    of_lines = "lines" if "lines" in lists else lists[0] if len(lists) == 1 else None
+    table = {name: arrow_column(each) for name, each in fields.items() if name not in lists}
+    if of_lines is None:
+        # The lists are named in messages.
+        table |= {name: pa.array([[None] * n for n in fields[name].counts]) for name in lists}
+        return table, np.arange(len(next(iter(table.values()), ())))
+    counts, of_line = fields[of_lines]
+    # A message without lines has a row with an empty one.
+    rows = np.maximum(counts, 1)
+    row = np.repeat(np.arange(len(counts)), rows)
+    is_empty = (counts == 0)[row]
+    number = np.arange(len(row)) - (np.cumsum(rows) - rows)[row] + 1
+    line = pa.array(np.cumsum(~is_empty) - 1, mask=is_empty)
+    table = {name: values.take(pa.array(row)) for name, values in table.items()}
+    table["line"] = pa.array(number, mask=is_empty)
+    return table | {name: arrow_column(each).take(line) for name, each in of_line.items()}, row
 
 
 def _with_times(
-    path: Path, rows: list[dict[str, Any]], frame_id: str, is_ros1: bool
-) -> list[dict[str, Any]]:
+    path: Path, table: dict[str, Any], row: IntArray, frame_id: str, is_ros1: bool
+) -> dict[str, Any]:
     """Messages of the published type with times that increase, or without any.
 
     The stamps of the published ROS 1 bags say when they were processed, jump by minutes or are all
     zero: time is frame id over frame rate there.
     """
-    ids = [row.get(frame_id) for row in rows]
-    for one, other in pairwise(ids):
-        if one is not None and other is not None and other <= one:
-            raise InputError(
-                f"{path}: frame ids must increase, but {one} is followed by {other}; split the file"
-                " there, or, where it does not fill in way_id, take `columns: {frame_id:"
-                " header.seq}` (ROS 1) or `{frame_id: null}`, which numbers frames by their times"
-            )
-    backwards = np.diff([row["time_s"] for row in rows]) <= 0
-    if backwards.any() and not is_ros1:
-        one, other = ids[np.argmax(backwards) :][:2]
-        said = f"{path}: the stamps of frames {one} and {other} do not increase"
-        warnings.warn(f"{said}; time is frame id over frame rate", UserWarning, stacklevel=4)
-    if is_ros1 or backwards.any():
-        return [{name: each for name, each in row.items() if name != "time_s"} for row in rows]
-    return rows
+    begins = np.flatnonzero(np.diff(row, prepend=-1))
+    if frame_id not in table:
+        return table
+    ids = typed(path, "frame_id", table[frame_id])[begins]
+    is_back = np.diff(ids) <= 0
+    if is_back.any():
+        one, other = ids[np.argmax(is_back) :][:2]
+        raise InputError(
+            f"{path}: frame ids must increase, but {one:.0f} is followed by {other:.0f}; without"
+            " way_id take `columns: {frame_id: header.seq}` (ROS 1) or `{frame_id: null}`, which"
+            " numbers frames by their times"
+        )
+    if not is_ros1:
+        if (np.diff(np.asarray(table["time_s"])[begins]) > 0).all():
+            return table
+        said = f"{path}: stamps do not increase; time is frame id over frame rate"
+        warnings.warn(said, UserWarning, stacklevel=4)
+    return {name: each for name, each in table.items() if name != "time_s"}
 
 
 def listed(topics: Topics) -> str:

@@ -9,26 +9,30 @@ trackers do.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 from scipy.special import ndtr
 
-from egolane_pgm.simulation._common import (
-    Count,
-    NotNegative,
-    Positive,
-    Share,
-    Whole,
-    check_fields,
-    check_seed,
-    slow_noise,
-)
-from egolane_pgm.simulation.world import Road
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.simulation.world import NotNegative, Positive, Road, Share, slow_noise
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
+
+#: Correlation times of the noise and of the continuous flag, and the mean duration of a false
+#: track, seconds.
+_NOISE_S, _FLAG_S, _CLUTTER_S = 0.7, 0.5, 2.0
+
+#: The width of the fall of visibility with distance (logistic), and the standard deviation of the
+#: shift of lines in a failure, metres.
+_RANGE_SOFTNESS_M, _BAD_SHIFT_M = 1.0, 2.5
+
+#: The number of frames over which detections are counted, and the share of it below which a valid
+#: line stops being valid.
+_LRI_MAX, _LRI_RESET = 10, 0.1
 
 
-@dataclass(frozen=True)
+@checked_dataclass(frozen=True)
 class DetectorModel:
     """How lines are detected; probabilities are per line and frame unless said otherwise.
 
@@ -36,15 +40,12 @@ class DetectorModel:
 
     - offset_scale: reported over true offset (an error of the camera's calibration)
     - noise_m: standard deviation of a reported line from its place
-    - noise_s: correlation time of that noise, seconds; two neighbouring frames differ by
-      noise_m sqrt(2 (1 - exp(-1 / (noise_s frame_rate))))
 
     Detections:
 
     - seen_left, seen_inner, seen_right, seen_shoulder: probability that a near line is in view: the
       leftmost line, an inner (dashed) one, the rightmost one, the line beyond the shoulder
     - range_m: distance at which a line is in view half as often
-    - range_softness_m: the width of that fall with distance (logistic)
     - in_view_s: correlation time of being in view, seconds
     - miss: probability that a line in view is missed in a frame
 
@@ -52,61 +53,43 @@ class DetectorModel:
 
     - continuous_left, continuous_inner, continuous_right, continuous_shoulder: probability that the
       line has the continuous flag
-    - flag_s: correlation time of the flag, seconds
-    - lri_max: number of frames over which detections are counted
-    - lri_reset: share of lri_max below which a valid line stops being valid
 
     False lines:
 
     - clutter_lines: the largest number of false tracks at once
     - clutter: share of the time for which each of them is there
-    - clutter_s: mean duration of a false track, seconds
     - clutter_range_m: the largest distance of a false track to either side
 
     Failures, from a Markov chain with the states OK and BAD:
 
     - ok_s, bad_s: mean time in each state, seconds; bad_s = 0 for no failures
     - bad_missed: probability, per line and failure, that the line is not detected
-    - bad_shifted: probability, per line and failure, that the line is reported shifted
-    - bad_shift_m: standard deviation of the shift, which all lines of a failure share
+    - bad_shifted: probability, per line and failure, that the line is reported shifted; all lines
+      of a failure share the shift
     - bad_clutter: probability, per false track and failure, that the track is there
-
-    Raises InputError, naming the key, for a value out of range.
     """
 
     offset_scale: Positive = 1.0
     noise_m: NotNegative = 0.16
-    noise_s: NotNegative = 0.7
     seen_left: Share = 0.97
     seen_inner: Share = 0.97
     seen_right: Share = 0.95
     seen_shoulder: Share = 0.5
     range_m: Positive = 8.0
-    range_softness_m: Positive = 1.0
     in_view_s: NotNegative = 2.0
     miss: Share = 0.02
     continuous_left: Share = 0.78
     continuous_inner: Share = 0.02
     continuous_right: Share = 0.37
     continuous_shoulder: Share = 0.3
-    flag_s: NotNegative = 0.5
-    lri_max: Count = 10
-    lri_reset: Share = 0.1
-    clutter_lines: Whole = 2
-    clutter: Share = 0.05
-    clutter_s: Positive = 2.0
+    clutter_lines: Annotated[int, Field(ge=0, le=100)] = 2
+    clutter: Annotated[float, Field(ge=0, lt=1)] = 0.05
     clutter_range_m: NotNegative = 10.0
     ok_s: Positive = 20.0
     bad_s: NotNegative = 4.0
     bad_missed: Share = 0.6
     bad_shifted: Share = 0.5
-    bad_shift_m: NotNegative = 2.5
     bad_clutter: Share = 0.5
-
-    def __post_init__(self) -> None:
-        check_fields(self)
-        if self.clutter == 1:
-            raise InputError("simulation.clutter: 1 would never end, must be below 1")
 
 
 def _stretches(
@@ -134,7 +117,7 @@ def _stretches(
 
 def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray:
     """The frames in which the sensor fails, (T,): a Markov chain that starts in equilibrium."""
-    rng = np.random.default_rng([check_seed(seed), 1])
+    rng = np.random.default_rng([seed, 1])
     rate = road.frame_rate
     return _stretches(rng, len(road), detector.ok_s * rate, detector.bad_s * rate)[0]
 
@@ -146,13 +129,6 @@ def _slow_events(
     noise = slow_noise(rng, len(probability), probability.shape[1], correlation_frames)
     grid = np.linspace(-6.0, 6.0, 1201)
     return np.asarray(noise < np.interp(probability, ndtr(grid), grid))
-
-
-def _per_stretch(
-    rng: np.random.Generator, number: IntArray, probability: float, n_tracks: int
-) -> BoolArray:
-    """Events (T, K), drawn once for each stretch and track."""
-    return np.asarray(rng.random((int(number.max(initial=0)) + 1, n_tracks)) < probability)[number]
 
 
 def _road_tracks(
@@ -176,7 +152,7 @@ def _road_tracks(
     seen = per_line(
         detector.seen_left, detector.seen_inner, detector.seen_right, detector.seen_shoulder
     )
-    excess = np.clip((np.abs(true_m) - detector.range_m) / detector.range_softness_m, -50, 50)
+    excess = np.clip((np.abs(true_m) - detector.range_m) / _RANGE_SOFTNESS_M, -50, 50)
     in_view = _slow_events(rng, seen / (1.0 + np.exp(excess)), detector.in_view_s * fps)
     is_detected = in_view & exists & (rng.random(true_m.shape) >= detector.miss)
     flag = per_line(
@@ -185,13 +161,15 @@ def _road_tracks(
         detector.continuous_right,
         detector.continuous_shoulder,
     )
-    is_continuous = _slow_events(rng, flag, detector.flag_s * fps)
-    noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
+    is_continuous = _slow_events(rng, flag, _FLAG_S * fps)
+    noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
 
+    # Drawn once for each stretch between failures or in one.
     stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
-    missed = _per_stretch(rng, stretch, detector.bad_missed, n_tracks)
-    shifted = _per_stretch(rng, stretch, detector.bad_shifted, n_tracks)
-    shift = detector.bad_shift_m * rng.standard_normal(int(stretch[-1]) + 1)[stretch]
+    n_stretches = int(stretch[-1]) + 1
+    missed = (rng.random((n_stretches, n_tracks)) < detector.bad_missed)[stretch]
+    shifted = (rng.random((n_stretches, n_tracks)) < detector.bad_shifted)[stretch]
+    shift = _BAD_SHIFT_M * rng.standard_normal(n_stretches)[stretch]
     is_detected &= ~(is_failing[:, None] & missed)
     moved = np.where(is_failing[:, None] & shifted, shift[:, None], 0.0)
     return detector.offset_scale * true_m + noise + moved, is_detected, is_continuous
@@ -202,11 +180,11 @@ def _clutter_tracks(
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Offsets, detections and continuous flags, (T, K) each, of the false lines."""
     n_frames, fps, n_tracks = len(road), road.frame_rate, detector.clutter_lines
-    offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, detector.noise_s * fps)
+    offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
     is_detected = np.zeros((n_frames, n_tracks), dtype=bool)
-    failure = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
-    in_failure = is_failing[:, None] & _per_stretch(rng, failure, detector.bad_clutter, n_tracks)
-    on = detector.clutter_s * fps if detector.clutter else 0.0
+    stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
+    in_failure = (rng.random((int(stretch[-1]) + 1, n_tracks)) < detector.bad_clutter)[stretch]
+    on = _CLUTTER_S * fps if detector.clutter else 0.0
     off = on * (1 - detector.clutter) / detector.clutter if detector.clutter else 1.0
     for k in range(n_tracks):
         is_there, _ = _stretches(rng, n_frames, off, on)
@@ -216,7 +194,7 @@ def _clutter_tracks(
         offset[:, k] += detector.clutter_range_m * places[appearance]
         is_detected[:, k] = is_there & (rng.random(n_frames) >= detector.miss)
     is_continuous = _slow_events(
-        rng, np.full((n_frames, n_tracks), detector.continuous_inner), detector.flag_s * fps
+        rng, np.full((n_frames, n_tracks), detector.continuous_inner), _FLAG_S * fps
     )
     return offset, is_detected, is_continuous
 
@@ -247,9 +225,9 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
 
     is_failing: (T,) the frames in which the sensor fails, for example from `sensor_failures`.
 
-    Each frame lists, from left to right, the lines detected within the last lri_max frames.
+    Each frame lists, from left to right, the lines detected within the last ten frames.
     """
-    rng = np.random.default_rng([check_seed(seed), 2])
+    rng = np.random.default_rng([seed, 2])
     tracks = [
         _road_tracks(road, detector, is_failing, rng),
         _clutter_tracks(road, detector, is_failing, rng),
@@ -257,7 +235,7 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
     offset, is_detected, is_continuous = (
         np.concatenate(parts, axis=1) for parts in zip(*tracks, strict=True)
     )
-    lri, is_valid = line_reliability(is_detected, detector.lri_max, detector.lri_reset)
+    lri, is_valid = line_reliability(is_detected, _LRI_MAX, _LRI_RESET)
     is_listed = lri > 0
     last = np.maximum(_last_frame_with(is_detected), 0)
     offset = np.where(is_listed, np.take_along_axis(offset, last, axis=0), np.nan)

@@ -7,36 +7,30 @@ show the same drive.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
+from pydantic import Field
+from pydantic.dataclasses import dataclass as checked_dataclass
 
-from egolane_pgm.simulation._common import (
-    Count,
-    NotNegative,
-    Positive,
-    Share,
-    check_fields,
-    check_seed,
-    slow_noise,
-)
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, lane_truth
 
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The largest wander inside the lane, in standard deviations.
-_WANDER_LIMIT = 2.5
+#: The largest wander inside the lane, in standard deviations, and its correlation time, seconds.
+_WANDER_LIMIT, _WANDER_S = 2.5, 5.0
 
 #: The shortest and the longest lane change, as multiples of the median duration.
 _SHORTEST, _LONGEST = 0.6, 1.7
 
-#: Largest values of some fields. More (11 days of frames) is a slip of the finger and would fill
-#: the memory.
-_MOST = {"n_lanes": 100, "n_frames": 10_000_000, "shoulder_m": 100}
+#: Kinds of settings. A million is a slip of the finger in any unit.
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+NotNegative = Annotated[float, Field(ge=0, le=1e6)]
+Share = Annotated[float, Field(ge=0, le=1)]
 
 
-@dataclass(frozen=True)
+@checked_dataclass(frozen=True)
 class World:
     """A straight motorway, a vehicle that changes lane on it, and how a person annotates the drive.
 
@@ -52,52 +46,28 @@ class World:
     - min_stay_s: shortest stay in a lane between two changes, seconds
     - wander_m: standard deviation of the position about the lane's centre; at most 2.5 times as
       much occurs
-    - wander_s: correlation time of the wander, seconds
     - crossing_share: share of a lane change, in its middle, that is annotated as crossing
     - label_flips_at: where in the crossing the annotated lane changes: 1 is its end (as in the
       Italian recordings); the Spanish ones have 0.65
     - shoulder_m: distance from the rightmost lane line to one more line on its right (the end of
       the hard shoulder, a guard rail); 0 for none
 
-    Raises InputError, naming the key, for a value out of range.
+    A lane change should last some frames, and crossing_share should be so large that the wandering
+    vehicle is across a line inside the annotated crossing only.
     """
 
-    n_lanes: Count = 3
+    n_lanes: Annotated[int, Field(ge=1, le=100)] = 3
     lane_width_m: Positive = 3.75
-    n_frames: Count = 1200
+    n_frames: Annotated[int, Field(ge=1, le=10_000_000)] = 1200
     frame_rate: Positive = 10.0
     changes_per_minute: NotNegative = 5.0
     change_s: Positive = 4.0
     change_spread: NotNegative = 0.2
     min_stay_s: NotNegative = 1.0
     wander_m: NotNegative = 0.2
-    wander_s: NotNegative = 5.0
     crossing_share: Share = 0.5
     label_flips_at: Share = 1.0
     shoulder_m: NotNegative = 0.0
-
-    def __post_init__(self) -> None:
-        check_fields(self, most=_MOST)
-        shortest = _SHORTEST * self.change_s * self.frame_rate
-        if shortest < 4:
-            raise InputError(
-                f"simulation.change_s: {self.change_s} s is only {shortest:.1f} frames in the"
-                " shortest lane changes, needs 4"
-            )
-        # One frame of slack, because the crossing is rounded to whole frames.
-        phase = min(0.5, (1 - self.crossing_share) / 2 + 1.0 / shortest)
-        room_m = self.lane_width_m * (0.5 - float(ease(np.array(phase))))
-        if _WANDER_LIMIT * self.wander_m > room_m and self.n_lanes > 1:
-            raise InputError(
-                f"simulation.crossing_share: with {self.crossing_share} the vehicle wandering"
-                f" by wander_m {self.wander_m} can be across a line outside the annotated"
-                " crossing; enlarge crossing_share or reduce wander_m"
-            )
-        if self.wander_m * _WANDER_LIMIT >= self.lane_width_m / 2:
-            raise InputError(
-                f"simulation.wander_m: {self.wander_m} m lets the vehicle leave a lane of"
-                f" {self.lane_width_m} m without a lane change"
-            )
 
 
 @dataclass(frozen=True)
@@ -135,10 +105,30 @@ def ease(phase: FloatArray) -> FloatArray:
     return np.asarray(phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
 
 
-def _change_frames(world: World, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
-    """First frame and number of frames of each lane change, in order."""
+def slow_noise(
+    rng: np.random.Generator, n_frames: int, n_series: int, correlation_frames: float
+) -> FloatArray:
+    """Stationary first-order autoregressive noise, (T, K), with mean 0 and standard deviation 1.
+
+    correlation_frames: frames over which the correlation falls to 1/e; 0 gives white noise.
+    """
+    keep = float(np.exp(-1.0 / correlation_frames)) if correlation_frames > 0 else 0.0
+    noise = rng.standard_normal((n_frames, n_series))
+    noise[1:] *= np.sqrt(1.0 - keep * keep)
+    for t in range(1, n_frames):
+        noise[t] += keep * noise[t - 1]
+    return noise
+
+
+def simulate_road(world: World, seed: int) -> Road:
+    """Simulates a drive along `world`; the same seed gives the same drive.
+
+    Raises InputError if the lane changes do not fit into the frames.
+    """
+    rng = np.random.default_rng([seed, 0])
+    n, width = world.n_lanes, world.lane_width_m
     minutes = world.n_frames / world.frame_rate / 60.0
-    count = int(world.changes_per_minute * minutes + 1e-9) if world.n_lanes > 1 else 0
+    count = int(world.changes_per_minute * minutes + 1e-9) if n > 1 else 0
     stretch = np.exp(world.change_spread * rng.standard_normal(count))
     seconds = world.change_s * np.clip(stretch, _SHORTEST, _LONGEST)
     length = np.maximum(np.round(seconds * world.frame_rate), 1).astype(np.int64)
@@ -151,19 +141,7 @@ def _change_frames(world: World, rng: np.random.Generator) -> tuple[IntArray, In
         )
     # All ways to distribute the free frames are equally likely, as for changes at a constant rate.
     cuts = np.sort(rng.integers(0, max(free, 0) + 1, size=count))
-    before = np.diff(cuts, prepend=0) + stay
-    first = np.cumsum(before) + np.cumsum(length) - length
-    return first.astype(np.int64), length
-
-
-def simulate_road(world: World, seed: int) -> Road:
-    """Simulates a drive along `world`; the same seed gives the same drive.
-
-    Raises InputError if the lane changes do not fit into the frames.
-    """
-    rng = np.random.default_rng([check_seed(seed), 0])
-    n, width = world.n_lanes, world.lane_width_m
-    first, length = _change_frames(world, rng)
+    first = np.cumsum(np.diff(cuts, prepend=0) + stay) + np.cumsum(length) - length
 
     centre = np.zeros(world.n_frames)
     lane = np.zeros(world.n_frames, dtype=np.int64)
@@ -182,7 +160,7 @@ def simulate_road(world: World, seed: int) -> Road:
         lane[enters + round(world.label_flips_at * crossing) :] += step
         now += step
 
-    wander = slow_noise(rng, world.n_frames, 1, world.wander_s * world.frame_rate)[:, 0]
+    wander = slow_noise(rng, world.n_frames, 1, _WANDER_S * world.frame_rate)[:, 0]
     wander = _WANDER_LIMIT * np.tanh(wander / _WANDER_LIMIT)
     position_m = (centre - 0.5) * width + world.wander_m * wander
     lines = np.arange(n + 1) * width - position_m[:, None]

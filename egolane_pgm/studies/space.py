@@ -62,11 +62,6 @@ class SearchSpace:
         return len(self.dimensions)
 
     @property
-    def n_fixed(self) -> int:
-        """How many numbers, and choices, are not searched."""
-        return sum(len(v) if isinstance(v, tuple) else 1 for v in self.fixed.values())
-
-    @property
     def keys(self) -> tuple[str, ...]:
         """The keys of the dimensions."""
         return tuple(d.key for d in self.dimensions)

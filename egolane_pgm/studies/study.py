@@ -38,7 +38,7 @@ from egolane_pgm.studies.fits import (
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.space import describe
-from egolane_pgm.studies.storage import JOURNAL_NAME
+from egolane_pgm.studies.storage import JOURNAL_NAME, named
 from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
@@ -349,8 +349,8 @@ class Study:
     @property
     def document(self) -> dict[str, Any]:
         """The content of study.json."""
-        held_out = None if self.held_out is None else self.held_out
-        found = {
+        held_out = self.held_out
+        found: dict[str, Any] = {
             "name": self.name,
             "method": self.method,
             "experiments": [each.name for each in self.experiments],
@@ -361,7 +361,8 @@ class Study:
             "held_out": None if held_out is None else held_out.scores,
             "folds": None if held_out is None else held_out.run["fitted"],
         }
-        return dict(plain(found))
+        content: dict[str, Any] = plain(found)
+        return content
 
 
 def is_study(directory: str | os.PathLike[str]) -> bool:
@@ -466,9 +467,15 @@ def run_study(
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
-        whole, *fitted = fit_folds(
-            drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-        )
+        try:
+            whole, *fitted = fit_folds(
+                drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
+            )
+        except KeyboardInterrupt:
+            if storage is None:
+                raise
+            kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
+            raise KeyboardInterrupt(kept) from None
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [frames_of(drive) for drive in fitted_drives])
     notes = [*notes, *messages(caught)]

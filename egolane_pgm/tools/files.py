@@ -14,17 +14,18 @@ import hashlib
 import io
 import json
 import tempfile
-from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic_core import to_jsonable_python
 
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 from egolane_pgm.types import InputError
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 #: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
 #: another meaning, so that an old program refuses a new file in one line.
@@ -111,93 +112,26 @@ def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> Non
     write_text(path, heading + text, make_folder=True)
 
 
-def arrow_table(columns: Mapping[str, NDArray[Any]]) -> Any:
-    """A pyarrow table of arrays; where one is masked, its column has nulls."""
-    import pyarrow as pa
-
-    return pa.table({name: _arrow_column(values) for name, values in columns.items()})
-
-
-def _arrow_column(values: NDArray[Any]) -> Any:
-    import pyarrow as pa
-
-    def bits(flags: NDArray[np.bool_]) -> Any:
-        return pa.py_buffer(np.packbits(flags, bitorder="little"))
-
-    array = np.ascontiguousarray(np.ma.getdata(values))
-    known = bits(~np.ma.getmaskarray(values)) if np.ma.is_masked(values) else None
-    if array.dtype.kind not in "bif":
-        return pa.array(array)
-    # pyarrow's own `array` imports pandas, to ask whether it was given some of it, and that takes
-    # longer than to filter a drive.
-    content = bits(array) if array.dtype.kind == "b" else pa.py_buffer(array)
-    kind = pa.from_numpy_dtype(array.dtype)
-    return pa.Array.from_buffers(kind, len(array), [known, content])
+def write_parquet(path: Path, frame: pd.DataFrame) -> None:
+    """Write a DataFrame without its index. Raises InputError if it cannot be written."""
+    with atomic(path) as temporary:
+        frame.to_parquet(temporary, index=False)
 
 
-def write_parquet(path: Path, table: Any) -> None:
-    """Write a pyarrow table. Raises InputError where it cannot be written."""
-    with parquet_writer(path) as write:
-        write(table)
-
-
-@contextlib.contextmanager
-def parquet_writer(path: Path) -> Iterator[Callable[[Any], None]]:
-    """A function that writes pyarrow tables, all of the same columns, into one file, which takes
-    the place of `path` when the block ends well. Raises InputError where it cannot be written."""
-    from pyarrow import parquet
-
-    # Given a name, pyarrow takes what is before a colon for the scheme of an address.
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        writer: Any = None
-
-        def write(table: Any) -> None:
-            nonlocal writer
-            if writer is None:
-                writer = parquet.ParquetWriter(file, table.schema)
-            writer.write_table(table)
-
-        try:
-            yield write
-        finally:
-            if writer is not None:
-                writer.close()
-
-
-@contextlib.contextmanager
-def open_parquet(path: Path) -> Iterator[Any]:
-    """A pyarrow ParquetFile, open while the block runs.
-
-    Raises InputError where it cannot be read, there or in the block.
-    """
-    import pyarrow as pa
-    from pyarrow import OSFile, parquet
+def read_parquet(path: Path) -> pd.DataFrame:
+    """Read a Parquet file. Raises InputError if it cannot be read."""
+    import pandas as pd
 
     try:
         # Its error says in plain words what is wrong with the place.
         path.stat()
-        # Given a name, pyarrow takes what is before a colon for the scheme of an address. Of a
-        # Python file its threads would still read while Python ends, which then aborts.
-        with OSFile(str(path)) as file:
-            yield parquet.ParquetFile(file)
-    except InputError:
-        raise
-    except (pa.ArrowException, OSError, ValueError) as error:
+        with path.open("rb") as file:
+            return pd.read_parquet(file)
+    except (OSError, ValueError) as error:
         if why := getattr(error, "strerror", None):
             raise InputError(f"{path}: cannot be read: {why}") from None
         said = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: is not a whole Parquet file ({said})") from None
-
-
-def read_parquet(path: Path) -> Any:
-    """Read a pyarrow table. Raises InputError as `open_parquet` does, and for columns of one name,
-    of which nobody knows which is meant."""
-    with open_parquet(path) as file:
-        table = file.read()
-        twice = sorted(n for n, times in Counter(table.column_names).items() if times > 1)
-    if twice:
-        raise InputError(f"{path}: column {', '.join(twice)} occurs more than once")
-    return table
 
 
 def plain(value: Any) -> Any:
@@ -222,58 +156,6 @@ def make_directory(directory: Path) -> None:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{directory}: cannot be created: {error.strerror}") from error
-
-
-@contextlib.contextmanager
-def staged_directory(
-    directory: Path, owned: Sequence[str] = (), last: Sequence[str] = ()
-) -> Iterator[Path]:
-    """A directory to fill, whose files take their places in `directory` when the block ends well.
-
-    - owned: files in `directory` that are deleted if the new one has not got them.
-    - last: names of files without which it is not whole: deleted first and written last.
-
-    Other files in `directory` are left alone. Raises InputError, naming `directory`, where it
-    cannot be written.
-    """
-    place = directory.resolve()
-    try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with temporary_folder(place.parent) as folder:
-            new = folder / place.name
-            new.mkdir()
-            try:
-                yield new
-            except InputError as error:
-                # The message names the file by its place, not by where it is made.
-                raise InputError(str(error).replace(str(new), str(directory))) from None
-            if place.exists():
-                _put(new, place, owned, last)
-            else:
-                new.rename(place)
-    except OSError as error:
-        at = f" ({error.filename})" if error.filename else ""
-        raise InputError(
-            f"{directory}: cannot be written: {error.strerror or error}{at}"
-        ) from error
-
-
-def _put(new: Path, place: Path, owned: Sequence[str], last: Sequence[str]) -> None:
-    """Move the files of a directory into another one."""
-    made = sorted(file.relative_to(new) for file in new.rglob("*") if file.is_file())
-    # Whatever is in the way is found before anything changes.
-    for name in made:
-        (place / name).parent.mkdir(parents=True, exist_ok=True)
-    for each in last:
-        (place / each).unlink(missing_ok=True)
-    for each in owned:
-        if Path(each) not in made:
-            (place / each).unlink(missing_ok=True)
-    for name in sorted(made, key=lambda name: (name.name in last, -len(name.parts))):
-        (new / name).replace(place / name)
-
-
-# --- before anything is computed -------------------------------------------------------------
 
 
 def check_place(path: Path) -> None:

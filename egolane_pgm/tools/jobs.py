@@ -10,8 +10,11 @@ import contextlib
 import logging
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
+
+from tqdm import tqdm
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError
@@ -38,12 +41,13 @@ def parallel(
         return
     # joblib takes a while to import.
     from joblib import Parallel, delayed, parallel_config
+    from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     with contextlib.ExitStack() as stack:
         if cluster is None:
             jobs = min(jobs, len(items))
-            stack.enter_context(parallel_config("loky", n_jobs=jobs, initializer=_ignore_interrupt))
+            stack.enter_context(parallel_config("loky", n_jobs=jobs, initializer=_begin))
         else:
             stack.enter_context(_client(cluster))
             stack.enter_context(parallel_config("dask", n_jobs=-1))
@@ -51,16 +55,23 @@ def parallel(
             yield from Parallel(return_as="generator", batch_size=1)(
                 delayed(work)(item) for item in items
             )
+        except KeyboardInterrupt:
+            if cluster is None:
+                get_reusable_executor().shutdown(kill_workers=True)
+            raise
         except TerminatedWorkerError as error:
             raise InputError(
-                "a process died (killed, or out of memory?); repeat the command to go on, with fewer"
+                "a process died (killed, or out of memory?); repeat the command, with fewer"
                 " processes"
             ) from error
 
 
-def _ignore_interrupt() -> None:
-    """Leave Ctrl-C to the command, which ends its processes."""
+def _begin() -> None:
+    """Prepare a process."""
+    # Ctrl-C is for the command, which ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Bars share a semaphore by default, of which Python warns if a process is killed.
+    tqdm.set_lock(threading.RLock())
 
 
 @contextlib.contextmanager

@@ -26,15 +26,14 @@ def list_files() -> str:
     return "\n".join([*looked, *files])
 
 
-def fetch(*, base_url: str | None = None, folder: Folder = None) -> str:
+def fetch(*, folder: Folder = None) -> str:
     """Download what is missing; checks every sha256, keeps good files.
 
-    - base_url: a mirror that has the files under their names.
     - folder: where to put them.
 
     Returns how many files are good. Raises InputError where one is not.
     """
-    return _good(catalog.fetch(base_url=base_url, folder=folder))
+    return _good(catalog.fetch(folder))
 
 
 def verify(*, folder: Folder = None) -> str:

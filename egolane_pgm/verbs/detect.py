@@ -106,7 +106,7 @@ def detect(
     seen = read_pictures(left, of_camera, second, frames)
     with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
         lines = detect_lines(found, of_camera, shows)
-        done = collect(lines, rate, pictures, None if frame_rate else left.time_s, of_camera)
+        done = collect(lines, rate, pictures, None if frame_rate else left.time_s)
     if done.log is None:
         raise done.stopped or InputError(f"{pictures}: no frame")
     if done.stopped is None and frame_rate is None:

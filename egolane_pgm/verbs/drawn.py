@@ -12,10 +12,9 @@ if TYPE_CHECKING:
 
 
 def draw_network(network: Model | Compiled) -> Figure:
-    """Draw the two slices of a network, hidden, observed, input and function nodes as what they
-    are.
+    """Draw the two slices of a network: hidden, observed, input and function nodes.
 
-    - network: the model of a run, or what `compile` gives.
+    - network: the model of a run, or a network as `compile` returns it.
 
     Raises InputError for a network without nodes or with a cycle.
 
@@ -24,8 +23,7 @@ def draw_network(network: Model | Compiled) -> Figure:
     >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
     >>> figure = ego.draw_network(run.model)
     """
-    from egolane_pgm.views.network import network_figure
-    from egolane_pgm.views.structure import structure_of
+    from egolane_pgm.views.network import network_figure, structure_of
     from egolane_pgm.views.style import inline_figure
 
     compiled = network if isinstance(network, Compiled) else network.compiled

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from egolane_pgm.experiment import experiments_folder, load_yaml
+from egolane_pgm.loading import experiments_folder, load_yaml
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS

@@ -9,14 +9,14 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from egolane_pgm.maps import load_map, road_table
-from egolane_pgm.maps.index import index_of
+from egolane_pgm.maps import road_table
 from egolane_pgm.maps.locating import locate as locate_on
-from egolane_pgm.maps.lock_on_road import lock_on_road
+from egolane_pgm.maps.matching import lock_on_road
+from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.maps.stored import check_path
 from egolane_pgm.tools.files import check_not_read, check_place
+from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath
 
 EXAMPLES = ("egolane locate roads.osm.pbf drive.gpx -o road.parquet",)
@@ -38,9 +38,9 @@ def locate(
 ) -> RoadTable:
     """Find the road of a car: segment, place on it, lanes, and how sure that is.
 
-    MAP is an extract of OpenStreetMap (.osm, .osm.pbf) or a stored map (.parquet). POSITIONS is a
-    .csv, .parquet, .gpx, .nmea or .bag of a GNSS receiver. Experiments with `n_lanes: map` read the
-    road table. Take the roads out of a large extract first:
+    MAP is an extract of OpenStreetMap (.osm, .osm.pbf). POSITIONS is a .csv, .parquet, .gpx or .bag
+    of a GNSS receiver. Experiments with `n_lanes: map` read the road table. Take the roads out of a
+    large extract first:
     osmium tags-filter FILE w/highway=motorway,motorway_link,trunk,trunk_link -o ROADS.osm.pbf
 
     - out: the road table, .parquet.
@@ -54,16 +54,16 @@ def locate(
     """
     file, read_from = None if out is None else Path(out), (Path(map), Path(positions))
     if file is not None:
-        check_path(file, "road table")
+        if file.suffix.lower() != ".parquet":
+            raise InputError(f"{file}: a road table is a .parquet file")
         check_place(file)
         check_not_read(file, read_from)
-    graph = load_map(read_from[0])
+    graph = read_osm(read_from[0])
     named = {ours: str(theirs) for ours, theirs in (columns or {}).items()}
     read = read_positions(read_from[1], columns=named, topic=topic)
     read = replace(read, t_s=read.t_s + shift)
-    index = index_of(graph)
-    matched = lock_on_road(index, read) if method == "lock-on-road" else None
-    table = locate_on(graph, index, read, online=online, matched=matched)
+    matched = lock_on_road(graph, read) if method == "lock-on-road" else None
+    table = locate_on(graph, read, online=online, matched=matched)
     if file is not None:
         road_table.save(table, file)
     return table

@@ -11,16 +11,15 @@ from typing import Annotated, Any
 import yaml
 from annotated_types import Ge, Le
 
-from egolane_pgm.drive import load_recording
-from egolane_pgm.experiment import experiment_path, load_experiment, load_yaml
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.model import Roles, build_network, compile_graph, fitting_rule, graph_roles
+from egolane_pgm.loading import experiment_path, load_yaml
+from egolane_pgm.model import compile_graph, matching_evidence_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import format_of
-from egolane_pgm.results import SCHEMA_VERSION
+from egolane_pgm.runs import open_input
 from egolane_pgm.tools.files import check_not_read, plain
-from egolane_pgm.types import MAX_LANES, InputError, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
 from egolane_pgm.verbs import listing
 from egolane_pgm.verbs.given import Option, StrPath, path_of, shown
 from egolane_pgm.views.description import (
@@ -70,8 +69,8 @@ def show(
     - n_lanes: number of lanes of the road.
     - tables: print a graph's tables in numbers.
     - frame: print the lines of this frame of an experiment's recording, as in the paper's Box 1.
-    - out: write a graph: a picture (.png, .svg, .pdf), text for Graphviz (.dot), or both slices
-      with their tables for other programs (.bif).
+    - out: write a graph: a picture (.png, .svg, .pdf), or both slices with their tables for
+      other programs (.bif).
 
     Returns the description. Raises InputError, one line, for whatever does not fit.
     """
@@ -116,7 +115,7 @@ def _onnx(path: Path) -> dict[str, Any]:
     # OpenCV is imported only if it is needed.
     from egolane_pgm.vision.detectors.networks.checking import describe_onnx
 
-    return {"schema_version": SCHEMA_VERSION, "name": str(path), "text": describe_onnx(path)}
+    return {"name": str(path), "text": describe_onnx(path)}
 
 
 def _is_recording(path: Path) -> bool:
@@ -130,7 +129,7 @@ def _is_recording(path: Path) -> bool:
 def _recording(path: Path) -> dict[str, Any]:
     from egolane_pgm.recordings.showing import show_recording
 
-    return {"schema_version": SCHEMA_VERSION, "name": str(path), "text": show_recording(path)}
+    return {"name": str(path), "text": show_recording(path)}
 
 
 def _schema(kind: str) -> dict[str, Any]:
@@ -162,14 +161,14 @@ def _yaml(name: str, frame: int | None) -> dict[str, Any]:
     path = experiment_path(name)
     keys = load_yaml(path)
     found: dict[str, Any] = {
-        "schema_version": SCHEMA_VERSION,
         "kind": "tuning file" if "experiments" in keys else "experiment",
         "name": keys.get("name", path.stem),
         "file": str(path),
         "keys": plain(keys),
     }
     if frame is not None:
-        found["text"] = box_text(load_recording(load_experiment(path)).log, frame)
+        [drive] = open_input(path).drives()
+        found["text"] = box_text(drive.log, frame)
     return found
 
 
@@ -193,8 +192,8 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
     kind, bare = find_plugin(name, _KINDS, Path.cwd())
     if out is not None:
         check_not_read(Path(out), [Path(bare)])
-    module = load_plugin(_KINDS[kind], bare, Path.cwd(), kind)
-    found: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "name": bare}
+    module = load_plugin(_KINDS[kind], bare, kind)
+    found: dict[str, Any] = {"name": bare}
     if kind == "evidence":
         return found | describe_rule(module, _defaults(module, n_lanes))
     if kind == "detector":
@@ -208,17 +207,11 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
 def compile_defaults(name: str, module: ModuleType, n_lanes: int) -> Compiled:
     """A graph with the default values of its parameters."""
     where = f"graph {name}"
-    try:
-        declared = build_network(module, n_lanes, _defaults(module, n_lanes), where)
-        rule = fitting_rule(module, n_lanes, "counting", Path.cwd(), where)
-        try:
-            roles = graph_roles(module, load_plugin("evidence", rule, Path.cwd(), where), declared)
-        except InputError:
-            # A rule of one's own may give what none of the package gives.
-            roles = Roles(None, (), (), ())
-        return compile_graph(module, roles, declared)
-    except InputError as error:
-        raise InputError(str(error) if where in str(error) else f"{where}: {error}") from error
+    parameters = _defaults(module, n_lanes)
+    with problems_in(where):
+        rule = matching_evidence_rule(module, n_lanes, "counting", where)
+        evidence = load_plugin("evidence", rule, where)
+        return compile_graph(evidence, module, n_lanes, parameters)[0]
 
 
 def _defaults(module: ModuleType, n_lanes: int) -> Parameters:

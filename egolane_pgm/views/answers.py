@@ -56,8 +56,7 @@ def outcomes(events: pd.DataFrame, frames: pd.DataFrame) -> list[str]:
     """The outcome of each lane change of one drive: "correct", "false" or "not annotated"."""
     if "delay_s" not in events:
         return ["not annotated"] * len(events)
+    is_right = events["delay_s"].notna()
     known = frames["true_lane"].reindex(events["detected_frame_id"]).notna()
-    return [
-        "not annotated" if not k else "false" if np.isnan(delay) else "correct"
-        for k, delay in zip(known | events["delay_s"].notna().to_numpy(), events["delay_s"])
-    ]
+    names = np.where(is_right, "correct", np.where(known, "false", "not annotated"))
+    return [str(name) for name in names]

@@ -1,4 +1,4 @@
-"""What a graph, an evidence rule or a detector is, as plain data and as text for a terminal."""
+"""Descriptions of graphs, evidence rules and detectors: as plain data, and as text."""
 
 from __future__ import annotations
 
@@ -9,30 +9,33 @@ from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
+import numpy as np
+import pandas as pd
+
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.plugins import plugin_errors
-from egolane_pgm.views.structure import structure_of
-from egolane_pgm.views.tables import line_width, wrapped
+from egolane_pgm.views.network import structure_of
+from egolane_pgm.views.tables import page, table, wrapped
 
-#: A table of more numbers is not printed: nobody reads them, and they are in the JSON.
+#: Longer tables are in the JSON only.
 MAX_PRINTED = 1000
 
-#: What follows the name of a parent in the frame before.
+#: The suffix of a parent in the previous frame.
 _BEFORE = " before"
 
 #: The end of a parameter's meaning that names its place in the paper.
 _SOURCE = re.compile(r"(?:; |, )?((?:\w+ of )?(?:Tables?|Figure|equation|section) [`\"].*)$")
 
 
-# --- as data ------------------------------------------------------------------------------------
+# --- as data -------------------------------------------------------------------------------------
 
 
 def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> dict[str, Any]:
-    """A compiled graph: its `nodes` with their `role`, its `edges`, `tables` and `parameters`.
+    """The nodes of a compiled graph with their roles, its edges, tables and parameters.
 
-    - numbers: the tables have their `values` too, one axis per parent and the node's own last.
+    - numbers: add the `values` of each table, an axis per parent and the node's own last.
     """
     structure = structure_of(compiled)
     nodes = [
@@ -40,10 +43,8 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
         for name, kind in structure.kind.items()
     ]
     tables = []
-    for name, _ in [node for node in compiled.tables if node[1] == 0]:
+    for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
         first, later = compiled.tables[name, 0], compiled.tables[name, 1]
-        if name in compiled.inputs:
-            continue
         if compiled.has_one_table(name):
             tables.append(_table("every frame", first, numbers))
         else:
@@ -61,19 +62,15 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
 
 
 def describe_rule(module: ModuleType, defaults: Parameters) -> dict[str, Any]:
-    """An evidence rule: what it `gives`, and its `parameters`.
-
-    - defaults: the value of every parameter, for what the rule says of itself.
-    """
+    """The evidence that a rule gives, and its parameters. defaults: of every parameter."""
     reason = None
     if hasattr(module, "looks_ahead"):
         with plugin_errors(module, "evidence"):
             reason = module.looks_ahead(defaults)
+    keys = getattr(module, "PROVIDES", ())
     return {
         **_head("evidence rule", module),
-        "gives": [
-            key if isinstance(key, str) else list(key) for key in getattr(module, "PROVIDES", ())
-        ],
+        "gives": [key if isinstance(key, str) else list(key) for key in keys],
         "inputs": list(getattr(module, "INPUTS", ())),
         "detector_only": getattr(module, "TENTATIVE", None),
         "looks_ahead": reason,
@@ -83,12 +80,9 @@ def describe_rule(module: ModuleType, defaults: Parameters) -> dict[str, Any]:
 
 
 def describe_detector(module: ModuleType) -> dict[str, Any]:
-    """A detector: whether it needs `stereo` pictures, and its `parameters`."""
-    return {
-        **_head("detector", module),
-        "stereo": bool(module.STEREO),
-        "parameters": _parameters(module),
-    }
+    """Whether a detector needs `stereo` pictures, and its parameters."""
+    parameters = _parameters(module)
+    return {**_head("detector", module), "stereo": bool(module.STEREO), "parameters": parameters}
 
 
 def _head(kind: str, module: ModuleType) -> dict[str, Any]:
@@ -99,12 +93,8 @@ def _head(kind: str, module: ModuleType) -> dict[str, Any]:
 def _table(frames: str, table: Table, numbers: bool) -> dict[str, Any]:
     name, now = table.node
     axes = [parent if s == now else parent + _BEFORE for parent, s in table.parents]
-    found = {
-        "node": name,
-        "frames": frames,
-        "axes": [*axes, name],
-        "shape": list(table.values.shape),
-    }
+    shape = list(table.values.shape)
+    found = {"node": name, "frames": frames, "axes": [*axes, name], "shape": shape}
     return {**found, "values": table.values} if numbers else found
 
 
@@ -127,12 +117,11 @@ def _parameter(spec: Parameter) -> dict[str, Any]:
     }
 
 
-# --- as text ------------------------------------------------------------------------------------
+# --- as text -------------------------------------------------------------------------------------
 
 
 def description_text(found: Mapping[str, Any]) -> str:
-    """A description as text, no line of which is wider than a terminal of 100 columns, but for
-    names that are."""
+    """A description as text that fits the terminal."""
     lines = [f"{found['kind']} {found['name']}"]
     lines += [found["file"]] if found["file"] != found["name"] else []
     if found["about"]:
@@ -149,65 +138,52 @@ def description_text(found: Mapping[str, Any]) -> str:
 def _graph_lines(found: Mapping[str, Any]) -> list[str]:
     lines = ["", f"nodes ({found['n_lanes']} lanes, {found['joint_states']} joint states)"]
     width = max(len(node["name"]) for node in found["nodes"])
-    parents: dict[str, list[str]] = {node["name"]: [] for node in found["nodes"]}
-    for parent, child in found["edges"]["within"]:
-        parents[child].append(parent)
-    for node in found["nodes"]:
-        name, role = node["name"], node["role"]
-        evidence = f"the likelihood of {', '.join(parents[name])}"
-        said = evidence if role == "virtual evidence" else _values(node["values"])
-        lines.append(
-            wrapped(f"  {name:{width}}  {role:{len('virtual evidence')}}  {said}", width + 20)
-        )
     roles = {node["name"]: node["role"] for node in found["nodes"]}
-    for title, which in (("within a frame", "within"), ("to the next frame", "across")):
-        children: dict[str, list[str]] = {}
-        for parent, child in found["edges"][which]:
-            if roles[child] != "virtual evidence":
-                children.setdefault(parent, []).append(child)
-        lines += ["", f"edges {title}"]
-        for parent, names in children.items():
-            lines.append(wrapped(f"  {parent:{width}}  -> {', '.join(names)}", width + 5))
-    lines += ["", "tables (the axes are the parents and the node itself)"]
     values = {node["name"]: node["values"] for node in found["nodes"]}
-    for table in found["tables"]:
-        *given, node = table["axes"]
-        frames = "" if table["frames"] == "every frame" else f"  ({table['frames']})"
-        shape = " x ".join(map(str, table["shape"]))
+    for name, role in roles.items():
+        text = _values_text(values[name])
+        if role == "virtual evidence":
+            of = [parent for parent, child in found["edges"]["within"] if child == name]
+            text = f"the likelihood of {', '.join(of)}"
+        lines.append(wrapped(f"  {name:{width}}  {role:16}  {text}", width + 20))
+    for title, which in (("within a frame", "within"), ("to the next frame", "across")):
+        lines += ["", f"edges {title}"]
+        edges = [edge for edge in found["edges"][which] if roles[edge[1]] != "virtual evidence"]
+        for parent in dict.fromkeys(parent for parent, _ in edges):
+            children = ", ".join(child for each, child in edges if each == parent)
+            lines.append(wrapped(f"  {parent:{width}}  -> {children}", width + 5))
+    lines += ["", "tables (the axes are the parents and the node itself)"]
+    for each in found["tables"]:
+        *given, node = each["axes"]
+        frames = "" if each["frames"] == "every frame" else f"  ({each['frames']})"
+        shape = " x ".join(map(str, each["shape"]))
         text = f"  P({node}{' | ' if given else ''}{', '.join(given)})"
         lines.append(wrapped(f"{text:58} {shape}{frames}", 2))
-        if "values" in table:
-            lines += _numbers(table, values)
+        if "values" in each:
+            lines.append(_numbers_text(each, values))
+    lines[-1] = lines[-1].rstrip()
     return lines
 
 
-def _values(names: Sequence[str]) -> str:
-    first = int(names[0]) if names[0].isdecimal() else 0
+def _values_text(names: Sequence[str]) -> str:
+    first = int(names[0]) if names and names[0].isdecimal() else 0
     if len(names) > 6 and list(names) == [str(first + k) for k in range(len(names))]:
         return f"{names[0]} to {names[-1]}"
     return ", ".join(names)
 
 
-def _numbers(table: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> list[str]:
-    """The rows of a table, one for each combination of the parents' values."""
-    values = table["values"]
+def _numbers_text(found: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> str:
+    """A table of probabilities: a row for each combination of the parents' values."""
+    values = found["values"]
     if values.size > MAX_PRINTED:
-        return [f"    {values.size} numbers, which the JSON has"]
-    *given, node = table["axes"]
+        return f"    {values.size} numbers, see --json"
+    *given, node = found["axes"]
     of_parents = (names[axis.removesuffix(_BEFORE)] for axis in given)
-    labels = ["", *map(", ".join, itertools.product(*of_parents))]
-    margin = max(map(len, labels))
-    per_line = max(1, (line_width() - margin - 4) // 10)
-    rows = values.reshape(len(labels) - 1, -1)
-    cells = [
-        [f"{name:>10}" for name in names[node]],
-        *([f"{p:10.4g}" for p in row] for row in rows),
-    ]
-    lines = []
-    for label, row in zip(labels, cells, strict=True):
-        for k in range(0, len(row), per_line):
-            lines.append(f"    {'' if k else label:{margin}}" + "".join(row[k : k + per_line]))
-    return lines
+    rows = [", ".join(combination) for combination in itertools.product(*of_parents)]
+    cells = np.reshape(values, (len(rows), -1))
+    frame = pd.DataFrame(cells, index=pd.Index(rows, name=", ".join(given) or " "))
+    printed = table(frame.set_axis(list(names[node]), axis=1), dict.fromkeys(names[node], ".4g"))
+    return f"\n{page([printed])}\n"
 
 
 def _rule_lines(found: Mapping[str, Any]) -> list[str]:
@@ -215,7 +191,7 @@ def _rule_lines(found: Mapping[str, Any]) -> list[str]:
         key if isinstance(key, str) else " and ".join(key) + ", jointly" for key in found["gives"]
     ]
     lines = ["", "gives, for each frame"]
-    lines += [f"  the likelihood of {key}" for key in keys] or ["  what it does not say (PROVIDES)"]
+    lines += [f"  the likelihood of {key}" for key in keys] or ["  unknown (no PROVIDES)"]
     lines += [f"  the value of the input {name}" for name in found["inputs"]]
     if found["detector_only"]:
         lines.append(f"  {found['detector_only']} is also the detector's own answer")
@@ -241,11 +217,11 @@ def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
     )
     lines = [first]
     for line, each in zip(others, parameters, strict=True):
-        said = "; ".join(filter(None, (each["meaning"], each["source"])))
+        text = "; ".join(filter(None, (each["meaning"], each["source"])))
         if each["choices"]:
             number = "" if each["kind"] == "choice" else "a number or "
-            said = f"{number}{' or '.join(each['choices'])}: {said}"
-        lines += [line, wrapped(f"      {said}")]
+            text = f"{number}{' or '.join(each['choices'])}: {text}"
+        lines += [line, wrapped(f"      {text}")]
     return lines
 
 

@@ -6,12 +6,10 @@ import html
 import math
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from egolane_pgm.inference.events import CONFIDENT, SURE
 from egolane_pgm.result import Result, by_drive, lanes_of
-from egolane_pgm.types import UNASSIGNED
 from egolane_pgm.views.answers import is_known
 from egolane_pgm.views.events import event_lines, event_table, segments_text
 from egolane_pgm.views.tables import (

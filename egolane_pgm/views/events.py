@@ -24,7 +24,7 @@ def event_table(events: pd.DataFrame) -> Table:
     is_known = shown["from_lane"] != UNASSIGNED
     side = shown["direction"].map({-1: "left", 1: "right"})
     columns = {
-        "drive": shown["drive"] if "drive" in shown else None,
+        "drive": shown.get("drive"),
         "time, s": shown["time_s"],
         "frame": shown["frame_id"],
         "from": shown["from_lane"].astype(object).where(is_known, "?"),

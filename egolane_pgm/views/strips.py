@@ -20,7 +20,7 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.result import Result, by_drive
-from egolane_pgm.types import BoolArray, FloatArray, InputError, runs_of
+from egolane_pgm.types import FloatArray, InputError, runs_of
 from egolane_pgm.views.answers import answers, is_known, outcomes, title_of, true_lane
 from egolane_pgm.views.style import (
     CROSSING,
@@ -44,7 +44,7 @@ MAX_ROWS = 8
 UNSEEN = 0.02
 
 # The layout, in inches; and the gap between two strips, in lanes.
-_WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 9.0, 1.1, 0.15, 0.5, 0.65
+_WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 9.0, 1.25, 0.15, 0.5, 0.3
 _LANE, _ROW_GAP, _GAP = 0.16, 0.45, 0.6
 
 
@@ -63,11 +63,12 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     """
     frames, events = _on_one_axis(result)
     low, high = frame_range(frames, first, last)
-    shown = strip_cells(frames.loc[low:high]).reindex(range(low, high + 1))
-    n_rows = min(MAX_ROWS, -(-len(shown) // MAX_COLUMNS))
-    each = -(-len(shown) // (n_rows * MAX_COLUMNS))
-    cells = shown.groupby((shown.index - low) // each).mean()
-    per_row = -(-len(cells) // n_rows)
+    n_frames = high - low + 1
+    n_rows = min(MAX_ROWS, -(-n_frames // MAX_COLUMNS))
+    each = -(-n_frames // (n_rows * MAX_COLUMNS))
+    cells = strip_cells(frames, low, high, each)
+    n_columns = len(cells["crossing"])
+    per_row = -(-n_columns // n_rows)
     heights = {
         name: 1 if name == "Changes" else cells[name].shape[1]
         for name in ("Model", "Detector", "Changes", "Truth")
@@ -78,17 +79,18 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     mean = f"; a column is the mean of {each} frames" if each > 1 else ""
     title = f"{title_of(result)}: frames {low} to {high}{mean}"
     figure.text(0.01, 1 - 0.08 / figure.get_figheight(), title, va="top", fontsize=10)
-    for ax, start in zip(axes, range(0, len(cells), per_row), strict=False):
-        part = cells.iloc[start : start + per_row]
+    for ax, start in zip(axes, range(0, n_columns, per_row), strict=False):
+        part = {name: values[start : start + per_row] for name, values in cells.items()}
         left = low + each * start - 0.5
-        _draw_strips(ax, part, heights, left, left + each * len(part))
+        right = left + each * len(part["crossing"])
+        _draw_strips(ax, part, heights, left, right)
         top = sum(heights[name] + _GAP for name in ("Model", "Detector") if name in heights)
         _draw_changes(ax, events, top + 0.5)
         ax.set(xlim=(left, left + each * per_row), ylim=(total - 0.3, 0))
-        _draw_ticks(ax, frames, left, left + each * len(part))
+        _draw_ticks(ax, frames, left, right)
     axes[0].text(0.5, 1, "frame\n", transform=axes[0].transAxes, ha="center", va="bottom")
     axes[-1].set_xlabel("time (s)", labelpad=1)
-    _draw_legend(figure, cells, {"detected_frame_id": (low, high)}, events)
+    _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
     if result.run["config"].get("road"):
         credit = "lanes of the map: © OpenStreetMap contributors, ODbL"
         figure.text(0.99, 0.01, credit, fontsize=7, ha="right", va="bottom")
@@ -124,15 +126,22 @@ def frame_range(frames: pd.DataFrame, first: int | None, last: int | None) -> tu
     high = int(ids[-1]) if last is None else min(last, int(ids[-1]))
     if not ((ids >= low) & (ids <= high)).any():
         raise InputError(
-            f"frames: {first} to {last} has no frames; the result has {ids[0]} to {ids[-1]}"
+            f"frames: no frame from {first} to {last}; the result has {ids[0]} to {ids[-1]}"
         )
     return low, high
 
 
-def strip_cells(frames: pd.DataFrame) -> pd.DataFrame:
-    """The content of the strips: a row per frame; columns (strip, lane or mark)."""
+def strip_cells(frames: pd.DataFrame, low: int, high: int, each: int = 1) -> dict[str, FloatArray]:
+    """The content of the strips, (columns, lanes), by name; a missing frame is NaN.
+
+    "Model", "Detector", "Truth" and, with one value per column, "crossing", "wrong Model", ...
+
+    - low, high: frame ids, both included.
+    - each: number of frame ids whose mean is one column.
+    """
+    frames = frames.loc[low:high]
     known, truth = is_known(frames), true_lane(frames)
-    cells: dict[Any, Any] = {("crossing", ""): frames["is_crossing"].eq(True).fillna(False)}
+    cells: dict[Any, Any] = {("crossing", 0): frames["is_crossing"].eq(True).fillna(False)}
     for name, (belief, assigned) in answers(frames).items():
         lanes = range(1, belief.shape[1] + 1)
         if "n_lanes" in frames:
@@ -140,11 +149,15 @@ def strip_cells(frames: pd.DataFrame) -> pd.DataFrame:
             is_absent = np.array(lanes) > frames["n_lanes"].to_numpy()[:, None]
             belief = np.where(is_absent & (belief < UNSEEN), np.nan, belief)
         cells |= {(name, k): belief[:, k - 1] for k in lanes}
-        cells["wrong", name] = known & (assigned != truth) & (assigned > 0)
-        cells["unassigned", name] = known & (assigned == 0)
+        cells[f"wrong {name}", 0] = known & (assigned != truth) & (assigned > 0)
+        cells[f"unassigned {name}", 0] = known & (assigned == 0)
         if not np.isnan(truth).all():
             cells |= {("Truth", k): np.where(known, truth == k, np.nan) for k in lanes}
-    return pd.DataFrame(cells, index=frames.index).astype(float)
+    table = pd.DataFrame(cells, index=frames.index).astype(float)
+    table = table.reindex(range(low, high + 1))
+    if each > 1:
+        table = table.groupby((table.index - low) // each).mean()
+    return {str(name): table[name].to_numpy() for name in table.columns.unique(0)}
 
 
 def _rows(n_rows: int, height: float) -> tuple[Figure, list[Axes]]:
@@ -155,36 +168,38 @@ def _rows(n_rows: int, height: float) -> tuple[Figure, list[Axes]]:
     for k in range(n_rows):
         bottom = tall - _HEAD - k * (height + _ROW_GAP) - height
         wide = _WIDTH - _LEFT - _RIGHT
-        axes.append(
-            figure.add_axes((_LEFT / _WIDTH, bottom / tall, wide / _WIDTH, height / tall))
-        )
+        axes.append(figure.add_axes((_LEFT / _WIDTH, bottom / tall, wide / _WIDTH, height / tall)))
     return figure, axes
 
 
 def _draw_strips(
-    ax: Axes, cells: pd.DataFrame, heights: Mapping[str, int], left: float, right: float
+    ax: Axes,
+    cells: Mapping[str, FloatArray],
+    heights: Mapping[str, int],
+    left: float,
+    right: float,
 ) -> None:
     """Draw one row of strips; y counts lanes from the top, x frames."""
-    step = (right - left) / len(cells)
+    step = (right - left) / len(cells["crossing"])
     top, ticks = 0.0, {}
-    crossing = _spans(cells["crossing", ""], left, step)
+    crossing = _spans(cells["crossing"], left, step)
     edges = [x for begin, length in crossing for x in (begin, begin + length)]
     for name, n in heights.items():
         box = (left, top), right - left, n
         if name != "Changes":
-            values = np.ma.masked_invalid(cells[name].to_numpy().T)
+            values = np.ma.masked_invalid(cells[name].T)
             if np.ma.is_masked(values):
                 ax.add_patch(Rectangle(*box, fc="w", ec=FAINT, hatch="//////", lw=0))
             x, y = (left, right), (top, top + n)
             ax.pcolorfast(x, y, values, cmap=PROBABILITY_RAMP, vmin=0, vmax=1, zorder=1)
             ax.hlines(top + np.arange(1, n), left, right, FAINT, lw=0.5, zorder=2)
             ticks |= {top + k + 0.5: f"{k + 1}{' (left)' * (k == 0)}" for k in range(n)}
-        if ("wrong", name) in cells:
+        if f"wrong {name}" in cells:
             ends = [[(x, top), (x, top + n)] for x in edges]
             dashes = (0, (3, 2))
             ax.add_collection(LineCollection(ends, colors=INK, linestyles=[dashes], linewidths=0.5))
             for mark, colour in (("wrong", DETECTOR_COLOUR), ("unassigned", UNASSIGNED_COLOUR)):
-                spans = _spans(cells[mark, name], left, step)
+                spans = _spans(cells[f"{mark} {name}"], left, step)
                 ax.broken_barh(spans, (top + n + 0.06, 0.3), color=colour, lw=0, zorder=2)
         if name == "Truth":
             ax.broken_barh(crossing, (top, n), color=CROSSING, lw=0, zorder=2)
@@ -200,10 +215,9 @@ def _draw_strips(
     ax.grid(False)
 
 
-def _spans(share: pd.Series, left: float, step: float) -> list[tuple[float, float]]:
-    """Begin and length, in frames, of the runs of columns with a share above 0."""
-    marked: BoolArray = (share > 0).to_numpy()
-    return [(left + a * step, (b - a) * step) for a, b in runs_of(marked)]
+def _spans(share: FloatArray, left: float, step: float) -> list[tuple[float, float]]:
+    """Begin and length, in frames, of the runs of columns, (C, 1), with a share above 0."""
+    return [(left + a * step, (b - a) * step) for a, b in runs_of(share[:, 0] > 0)]
 
 
 def _draw_changes(ax: Axes, events: pd.DataFrame, y: float) -> None:
@@ -226,7 +240,8 @@ def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> No
     marks = [(x, 0.0) for x in _ticks(left, right)]
     ax.plot(*np.reshape(marks, (-1, 2)).T, "|", ms=5, color=INK, mew=0.8, clip_on=False)
     for x, y in marks:
-        ax.annotate(f"{x:.12g}", (x, y), (0, 4), textcoords="offset points", ha="center")
+        place = {"textcoords": "offset points", "ha": "center", "fontsize": 8}
+        ax.annotate(f"{x:.12g}", (x, y), (0, 4), **place)
 
 
 def _ticks(low: float, high: float) -> FloatArray:
@@ -234,9 +249,7 @@ def _ticks(low: float, high: float) -> FloatArray:
     return ticks[(ticks >= low) & (ticks <= high)]
 
 
-def _draw_legend(
-    figure: Figure, cells: pd.DataFrame, shown: Mapping[str, Any], events: pd.DataFrame
-) -> None:
+def _draw_legend(figure: Figure, cells: Mapping[str, FloatArray], events: pd.DataFrame) -> None:
     shades = [Patch(fc=PROBABILITY_RAMP(p / 4), ec=FAINT, label=f"{p / 4:g}") for p in range(5)]
     entries: list[Any] = [Line2D([], [], ls="", label="probability:"), *shades]
     if "Truth" in cells:
@@ -244,10 +257,9 @@ def _draw_legend(
             "wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR, "crossing": CROSSING,
         }  # fmt: skip
         entries += [Patch(color=colour, label=label) for label, colour in colours.items()]
-    if cells.drop(columns="crossing").isna().any(axis=None):
+    is_elsewhere = ~(cells["crossing"][:, 0] > 0)
+    if any(np.isnan(values[is_elsewhere]).any() for values in cells.values()):
         entries.append(Patch(fc="w", ec=FAINT, hatch="//////", lw=0, label="no data"))
-    for column, ends in shown.items():
-        events = events[events[column].between(*ends)]
     if len(events):
         entries += [
             Line2D([], [], ls="", marker=marker, color=INK, label=label)

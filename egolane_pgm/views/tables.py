@@ -264,7 +264,7 @@ def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 STYLES = ("markdown", "latex", "csv")
 
 
-# --- tables that several commands print ------------------------------------------------------------
+# --- tables that several commands print ----------------------------------------------------------
 
 
 def score_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:

@@ -17,9 +17,9 @@ from pathlib import Path as File
 
 import numpy as np
 import pandas as pd
+from egolane_pgm.drive import open_drive
 from scipy.signal import lfilter
 
-from egolane_pgm.drive import open_drive
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth

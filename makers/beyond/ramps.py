@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.simulation import PRESETS, Road, detect_lines, sensor_failures
-from egolane_pgm.simulation._common import slow_noise
-from egolane_pgm.simulation.world import ease
+from egolane_pgm.simulation.world import ease, slow_noise
 from egolane_pgm.types import LaneEvents, LineLog
 from makers._running import run_of
 

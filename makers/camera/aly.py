@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 
 from egolane_pgm.classic.aly import PARAMETERS, Found, line_finder
+from egolane_pgm.classic.bezier.ridges import FAR_M, NEAR_M
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.camera.model import Camera, road_to_image
@@ -133,7 +134,7 @@ def last_frames(folder: Path, *, tracked: bool) -> Measured:
         step = start(detector, camera)
         lines = [step(picture) for picture in pictures][-1]
         shape = lines.shape[lines.is_valid]
-        near, far = (float(detector.parameters[f"{end}_m"]) for end in ("near", "far"))
+        near, far = NEAR_M, FAR_M
         ends = np.full((2, len(shape)), [[near], [far]])
         return Found(shape, np.ones(len(shape)), *ends)
 

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 import osmium
 
-RUN = "import sys; from egolane_pgm.maps import load_map; load_map(sys.argv[1])"
+RUN = "import sys; from egolane_pgm.maps.osm import read_osm; read_osm(sys.argv[1])"
 
 #: Ways of one road, one behind the other, and nodes of a way.
 ROAD, NODES = 200, 8

@@ -14,7 +14,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-
 from egolane_pgm.tuning.objective import all_used
 from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, scorer
 from egolane_pgm.tuning.search import Settings, search, search_in_memory

@@ -10,11 +10,14 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 import numpy as np
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
+from egolane_pgm.graphs.cpds import Table, quiet
+from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.assign import assigned_lane
@@ -33,7 +36,6 @@ from tests.benchmarks.position import position_rows
 from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
 from tests.reference import counting as plain_counting
 from tests.reference import inference as reference
-from tests.reference.oracle import oracle_assumed_density
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = Path("experiments/paper/run01_italy_ml.yaml")
@@ -245,12 +247,29 @@ def together_rows(data: Data, rounds: int) -> list[Row]:
 def pgmpy_rows(data: Data, rounds: int) -> list[Row]:
     evidence = data.evidence.take(slice(0, PGMPY_FRAMES))
     given = resolve_parameters(sensor_failure.PARAMETERS, PARAMETERS, N_LANES)
-    network = sensor_failure.build(N_LANES, given)
+    tables = sensor_failure.tables(N_LANES, given)
+    with quiet():
+        from pgmpy.inference import VariableElimination
 
     def theirs() -> FloatArray:
-        return oracle_assumed_density(
-            network, sensor_failure.HIDDEN, sensor_failure.OBSERVED, evidence
-        ).lane
+        before: dict[str, FloatArray] = {}
+        lane = []
+        for t in range(len(evidence)):
+            now = min(t, 1)
+            frame = [table for table in tables if table.node[1] == now]
+            frame += [Table((name, 0), (), values) for name, values in before.items()]
+            for key, rows in evidence.likelihoods.items():
+                share = rows[t] / rows[t].max()
+                seen = np.stack([1 - share, share], axis=-1)
+                frame.append(Table((f"{key}_ve", now), ((str(key), now),), seen))
+            found = {f"{key}_ve@{now}": 1 for key in evidence.likelihoods}
+            with quiet():
+                ask = VariableElimination(flat_network(frame, {})).query
+                for name in sensor_failure.HIDDEN:
+                    answer: Any = ask([f"{name}@{now}"], evidence=found, show_progress=False)
+                    before[name] = np.asarray(answer.values)
+            lane.append(before["Lane"])
+        return np.array(lane)
 
     def ours() -> FloatArray:
         return filter_beliefs(data.compiled, evidence, "assumed_density").lane

@@ -75,7 +75,7 @@ def test_a_mirrored_picture_has_mirrored_lines(offset: float, heading: float, se
     "given",
     [
         {"grouping_type": "hough", "detection_threshold": 1.0},
-        {"focal_px": 2000.0},
+        {},
     ],
     ids=str,
 )
@@ -87,7 +87,7 @@ def test_each_way_finds_three_lines(given: dict[str, Any]) -> None:
 
 def test_there_are_never_more_than_four_lines() -> None:
     many = [Paint(-7.5 + 2.5 * k) for k in range(7)]
-    assert len(found_in(road(many, camera=CAMERA), overlap_threshold=0.9).shape) == 4
+    assert len(found_in(road(many, camera=CAMERA)).shape) == 4
     assert len(found_in(road(many, camera=CAMERA), lines=2).shape) == 2
     with pytest.raises(InputError, match="lines: 5 must be at most 4"):
         resolve_parameters(aly.PARAMETERS, {"lines": 5}, 1)
@@ -110,8 +110,6 @@ def test_a_picture_has_the_same_lines_whatever_came_before() -> None:
     forward = [find(image) for image in pictures]
     for image, before in zip(reversed(pictures), reversed(forward), strict=True):
         assert np.array_equal(find(image).shape, before.shape)
-    other = found_in(pictures[0], seed=1)
-    assert not np.array_equal(other.shape, forward[0].shape)
 
 
 @pytest.mark.parametrize("grey", [0, 127, 255])

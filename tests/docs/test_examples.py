@@ -38,9 +38,9 @@ _MAPS = re.compile(r"roads\.osm|drive\.gpx")
 
 
 @pytest.fixture(scope="module")
-def world(boards: Path, tiny_network: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def world(boards: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("world")
-    write_world(folder, boards, tiny_network)
+    write_world(folder, boards)
     return folder
 
 

@@ -229,12 +229,6 @@ def changed(*cpds: Any) -> Any:
     return found
 
 
-def with_edge(network: Any, start: Any, end: Any) -> Any:
-    """With an edge that pgmpy would refuse to add."""
-    super(DynamicBayesianNetwork, network).add_edge(start, end)
-    return network
-
-
 def halves(*nodes: tuple[str, int], sizes: tuple[int, ...] = ()) -> Any:
     size = {"Lane": 3, "Seen": 3}.get(nodes[0][0], 2)
     sizes = sizes or tuple(3 if n in ("Lane", "Seen") else 2 for n, _ in nodes[1:])
@@ -267,14 +261,6 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
             cpd(RIGHT[1], Sensor=["OK", "BAD"]),
         ),
         "Seen: its table calls the values of Sensor good, bad; elsewhere they are OK, BAD",
-    ),
-    "back in time": (
-        lambda: DiscreteBayesianNetwork([("Lane_1", "Lane_0")]),
-        "Lane: an edge from Lane leads from slice 1 back to slice 0",
-    ),
-    "cycle": (
-        lambda: with_edge(dynamic(RIGHT), ("Seen", 0), ("Lane", 0)),
-        "the edges within a slice form a cycle: ",
     ),
     "continuous CPD": (
         lambda: changed(LinearGaussianCPD(("Lane", 0), [0], 1)),

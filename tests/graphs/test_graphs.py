@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.graphs.cpds import declare, ve_name
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -27,13 +26,10 @@ from tests.conformance.networks import (
     graph,
     graph_inputs,
     graph_names,
-    shuffle_axes,
 )
-from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 GRAPHS = graph_names()
 every_graph = pytest.mark.parametrize("name", GRAPHS)
-every_n = pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])
 
 
 def defaults(name: str, n_lanes: int, **given: object) -> Parameters:
@@ -67,21 +63,6 @@ def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
 
 
 @every_graph
-@every_n
-def test_build_declares_both_slices_in_full(name: str, n_lanes: int) -> None:
-    module = graph(name)
-    network = module.build(n_lanes, defaults(name, n_lanes))
-    assert network.check_model()
-    declared = {(str(cpd.variable[0]), int(cpd.variable[1])) for cpd in network.cpds}
-    nodes = {*module.HIDDEN, *graph_inputs(module), *map(ve_name, module.OBSERVED)}
-    nodes |= {n for key in module.OBSERVED for n in ((key,) if isinstance(key, str) else key)}
-    assert declared == {(node, s) for node in nodes for s in (0, 1)}
-    assert "Lane" in module.HIDDEN
-    lanes = {cpd.variable_card for cpd in network.cpds if cpd.variable[0] == "Lane"}
-    assert lanes == {n_lanes}
-
-
-@every_graph
 def test_parameters_have_a_default_that_passes_their_own_check_and_a_meaning(name: str) -> None:
     specs = graph(name).PARAMETERS
     assert len({spec.name for spec in specs}) == len(specs)
@@ -91,25 +72,6 @@ def test_parameters_have_a_default_that_passes_their_own_check_and_a_meaning(nam
         if spec.is_searched:
             low, high = spec.search_range
             assert low <= spec.default <= high  # type: ignore[operator]
-
-
-@every_graph
-@every_n
-@pytest.mark.parametrize("seed", [0, 1])
-def test_both_filters_agree_with_the_oracle(name: str, n_lanes: int, seed: int) -> None:
-    rng = np.random.default_rng([seed, n_lanes])
-    module = graph(name)
-    parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
-    network = module.build(n_lanes, parameters)
-    roles = (module.HIDDEN, module.OBSERVED)
-    inputs = graph_inputs(module)
-    compiled = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=inputs)
-    evidence = draw_evidence(compiled, 4, rng)
-    right = {
-        "exact": oracle_filter(network, *roles, evidence, inputs),
-        "assumed_density": oracle_assumed_density(network, *roles, evidence, inputs),
-    }
-    assert_filters_agree(compiled, evidence, right)
 
 
 @every_graph
@@ -127,27 +89,6 @@ def test_both_filters_agree_with_brute_force_on_tiny_cases(name: str, method: st
 
 
 @every_graph
-@pytest.mark.parametrize("zeroed", ["one", "all"])
-def test_a_frame_of_zero_joint_likelihood_is_kept_as_predicted_by_the_oracle_too(
-    name: str, zeroed: str
-) -> None:
-    module = graph(name)
-    network = module.build(3, defaults(name, 3))
-    roles = (module.HIDDEN, module.OBSERVED)
-    inputs = graph_inputs(module)
-    compiled = compile(network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=inputs)
-    evidence = draw_evidence(compiled, 4, np.random.default_rng(5), zeros=0)
-    for key in module.OBSERVED[: 1 if zeroed == "one" else None]:
-        evidence.likelihoods[key][[0, 2]] = 0
-    right = {
-        "exact": oracle_filter(network, *roles, evidence, inputs),
-        "assumed_density": oracle_assumed_density(network, *roles, evidence, inputs),
-    }
-    assert right["exact"].is_impossible.tolist() == [True, False, True, False]
-    assert_filters_agree(compiled, evidence, right)
-
-
-@every_graph
 def test_new_parameters_in_a_compiled_graph_equal_a_graph_built_with_them(name: str) -> None:
     module = graph(name)
     for n_lanes in (1, 3, 4):
@@ -156,24 +97,6 @@ def test_new_parameters_in_a_compiled_graph_equal_a_graph_built_with_them(name: 
         parameters = draw_parameters(module.PARAMETERS, n_lanes, rng)
         quick = with_tables(compiled, module.tables(n_lanes, parameters))
         assert_same_arrays(quick, compiled_graph(graph(name), n_lanes, parameters))
-
-
-@every_graph
-def test_the_order_of_a_tables_axes_does_not_matter(name: str) -> None:
-    module = graph(name)
-    rng = np.random.default_rng(3)
-    parameters = draw_parameters(module.PARAMETERS, 3, rng)
-    tables = module.tables(3, parameters)
-    compiled = compiled_graph(graph(name), 3, parameters)
-    for _ in range(3):
-        shuffled = shuffle_axes(tables, rng)
-        rng.shuffle(shuffled)  # type: ignore[arg-type]
-        network = declare(shuffled, module.OBSERVED)
-        other = compile(
-            network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
-        )
-        assert_same_arrays(other, compiled)
-        assert_same_arrays(with_tables(compiled, shuffled), compiled)
 
 
 def assert_same_arrays(ours: Compiled, right: Compiled) -> None:
@@ -265,82 +188,6 @@ def test_wor_on_lane_with_equal_numbers_for_all_lanes_is_sensor_failure(n_lanes:
 
 def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
     return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
-
-
-def test_wor_that_differs_per_lane_moves_the_belief_over_lanes() -> None:
-    parameters = defaults("wor_on_lane", 3, p3=[0.2, 0.9, 0.2], p4=[0.8, 0.1, 0.8])
-    compiled = compiled_graph(graph("wor_on_lane"), 3, parameters)
-    uniform = np.full((1, 3), 1 / 3)
-    evidence = Evidence({"DetectorOutput": uniform, "WOR": np.array([[1.0, 0.0]])})
-    # Both sensor states give WOR OK .2, .9, .2 in the three lanes; Bayes from a uniform prior.
-    np.testing.assert_allclose(
-        filter_beliefs(compiled, evidence).lane[0], np.array([0.2, 0.9, 0.2]) / 1.3, atol=1e-12
-    )
-
-
-def test_wor_without_information_makes_sensor_failure_equal_no_wor() -> None:
-    rng = np.random.default_rng(0)
-    parameters = resolve("sensor_failure", {"p3": 0.5, "p4": 0.5, "p1": 0.8, "p2": 0.7}, 3)
-    short = {k: v for k, v in parameters.items() if k not in ("p3", "p4")}
-    with_wor = compiled_graph(graph("sensor_failure"), 3, parameters)
-    without = compiled_graph(graph("no_wor"), 3, short)
-    evidence = draw_evidence(with_wor, 30, rng, zeros=0)
-    tentative = Evidence({"DetectorOutput": evidence.likelihoods["DetectorOutput"]})
-    for method in METHODS:
-        ours = filter_beliefs(with_wor, evidence, method)
-        right = filter_beliefs(without, tentative, method)
-        np.testing.assert_allclose(ours.lane, right.lane, atol=1e-12)
-        np.testing.assert_allclose(
-            ours.marginals["SensorState"], right.marginals["SensorState"], atol=1e-12
-        )
-
-
-def test_a_sensor_that_never_fails_makes_no_wor_equal_lane_only_from_a_certain_start() -> None:
-    # p1 = 1 and p2 = 0: after one transition the sensor is OK for good.
-    sensor = compiled_graph(graph("no_wor"), 4, defaults("no_wor", 4, p1=1.0, p2=0.0))
-    plain = compiled_graph(graph("lane_only"), 4, defaults("lane_only", 4))
-    evidence = draw_evidence(plain, 30, np.random.default_rng(1), zeros=0)
-    likelihood = evidence.likelihoods["DetectorOutput"]
-    likelihood[0] = 1.0  # says nothing in the frame in which the sensor may be BAD
-    for method in METHODS:
-        ours = filter_beliefs(sensor, evidence, method)
-        np.testing.assert_allclose(
-            ours.lane, filter_beliefs(plain, evidence, method).lane, atol=1e-12
-        )
-        np.testing.assert_allclose(ours.marginals["SensorState"][1:, 0], 1.0)
-
-
-@pytest.mark.parametrize("name", ["sensor_failure", "wor_on_lane", "lane_only", "no_wor"])
-def test_a_detector_of_boundless_sigma_says_nothing_about_the_lane(name: str) -> None:
-    wor_says_nothing = {"p3": 0.5, "p4": 0.5} if "WOR" in graph(name).OBSERVED else {}
-    compiled = compiled_graph(graph(name), 4, defaults(name, 4, sigma2=1e12, **wor_says_nothing))
-    evidence = draw_evidence(compiled, 20, np.random.default_rng(2), zeros=0)
-    nothing = Evidence({k: np.ones_like(v) for k, v in evidence.likelihoods.items()})
-    for method in METHODS:
-        np.testing.assert_allclose(
-            filter_beliefs(compiled, evidence, method).lane,
-            filter_beliefs(compiled, nothing, method).lane,
-            atol=1e-9,
-        )
-
-
-def test_tiny_sigmas_hold_the_lane_and_believe_the_detector() -> None:
-    compiled = compiled_graph(
-        graph("lane_only"), 4, defaults("lane_only", 4, sigma1=1e-3, sigma2=1e-3)
-    )
-    likelihood = np.array([[0.1, 0.4, 0.3, 0.2], [0.2, 0.2, 0.5, 0.1], [1.0, 0.0, 0.0, 0.0]])
-    lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood}), "exact").lane
-    for t in range(3):
-        product = likelihood[: t + 1].prod(axis=0)
-        np.testing.assert_allclose(lane[t], product / product.sum(), atol=1e-12)
-
-
-def test_boundless_sigma1_forgets_the_lane_in_one_frame() -> None:
-    parameters = defaults("lane_only", 3, sigma1=1e9, sigma2=1e-3)
-    compiled = compiled_graph(graph("lane_only"), 3, parameters)
-    likelihood = np.array([[0.98, 0.01, 0.01], [0.2, 0.3, 0.5]])
-    lane = filter_beliefs(compiled, Evidence({"DetectorOutput": likelihood})).lane
-    np.testing.assert_allclose(lane[1], likelihood[1], atol=1e-9)
 
 
 def test_the_papers_tables_are_the_papers_rows() -> None:

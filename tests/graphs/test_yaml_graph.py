@@ -162,7 +162,7 @@ def test_an_input_node_needs_no_table_and_selects_the_transition(tmp_path: Path)
         ("[1, 2]", "needs keys and values"),
         ("a: [", "is not YAML"),
         (changed(nods={}), "unknown key 'nods' (did you mean 'nodes'?)"),
-        (changed(parameters={"s": 1}), "unknown key 'parameters' (known: description, edges,"),
+        (changed(parameters={"s": 1}), "unknown key 'parameters' (known: description,"),
         (changed(hidden=None), "hidden: is missing"),
         (changed(hidden=["Lan"]), "hidden: no node 'Lan' (did you mean 'Lane'?)"),
         (changed(hidden="Lane"), "hidden: needs a list (got 'Lane')"),

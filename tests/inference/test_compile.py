@@ -1,8 +1,7 @@
-"""What compile accepts, against the oracle on networks drawn at random."""
+"""What compile accepts, against brute force on networks drawn at random."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -19,10 +18,9 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.inference import compile as _roles
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.types import Evidence, InputError, Observed
+from egolane_pgm.types import InputError, Observed
 from tests.conformance.networks import (
     KEEP,
     METHODS,
@@ -36,7 +34,6 @@ from tests.conformance.networks import (
     shuffle_axes,
     simple_tables,
 )
-from tests.reference.oracle import oracle_assumed_density, oracle_filter
 
 OF_TWO = np.array([[[0.7, 0.3], [0.4, 0.6]], [[0.1, 0.9], [0.5, 0.5]]])
 
@@ -45,25 +42,7 @@ def compiled_simple() -> Compiled:
     return compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=["D"])
 
 
-@pytest.mark.parametrize("tens", range(50))
-def test_random_networks_agree_with_the_oracle(tens: int) -> None:
-    """500 networks by the exact filter, 100 of them by assumed density too."""
-    for seed in range(10 * tens, 10 * tens + 10):
-        rng = np.random.default_rng(seed)
-        graph = draw_graph(rng)
-        network = declare(graph.tables, graph.observed)
-        compiled = compile(
-            network, hidden=graph.hidden, observed=graph.observed, inputs=graph.inputs
-        )
-        evidence = draw_evidence(compiled, 2, rng)
-        arguments = (network, graph.hidden, graph.observed, evidence, graph.inputs)
-        right = {"exact": oracle_filter(*arguments)}
-        if seed % 5 == 0:
-            right["assumed_density"] = oracle_assumed_density(*arguments)
-        assert_filters_agree(compiled, evidence, right, 1e-10)
-
-
-@pytest.mark.parametrize("seed", range(1000, 1020))
+@pytest.mark.parametrize("seed", range(60))
 def test_random_networks_agree_with_brute_force(seed: int) -> None:
     rng = np.random.default_rng(seed)
     graph = draw_graph(rng)
@@ -71,37 +50,6 @@ def test_random_networks_agree_with_brute_force(seed: int) -> None:
     evidence = draw_evidence(compiled, frames_to_enumerate(compiled), rng)
     right = {m: brute_force(graph.tables, graph.hidden, evidence, m) for m in METHODS}
     assert_filters_agree(compiled, evidence, right)
-
-
-def test_the_random_networks_contain_every_kind_of_node_and_edge() -> None:
-    """Among the first hundred; kinds of an edge: from and to hidden (H) or observed (O) nodes."""
-    found: Counter[str] = Counter()
-    for seed in range(100):
-        graph = draw_graph(np.random.default_rng(seed))
-        compiled = graph.compiled()
-        found["input"] += bool(graph.inputs)
-        found["function"] += bool(compiled.functions)
-        for key in graph.observed:
-            names = (key,) if isinstance(key, str) else key
-            found["joint evidence"] += len(names) > 1
-            found["hidden node observed"] += bool({*names} & {*graph.hidden})
-        for (name, s), table in compiled.tables.items():
-            if s == 0 or name in graph.inputs:
-                continue
-            to = "H" if name in graph.hidden else "O"
-            in_state = name in compiled.state_nodes
-            if not any(ps == 0 for _, ps in table.parents):
-                one = compiled.has_one_table(name)
-                found[f"{to} alone, {'one table' if one else 'two tables'}, {in_state}"] += 1
-            for parent, ps in table.parents:
-                kind = "H" if parent in graph.hidden else "O"
-                kind = "I" if parent in graph.inputs else kind
-                found[f"{kind} {'across' if ps == 0 else 'within'} {to}"] += 1
-    kinds = [f"{a} {how} {b}" for a in "HO" for how in ("across", "within") for b in "HO"]
-    kinds += ["I within H", "I within O", "O alone, one table, False"]
-    kinds += [f"{to} alone, {n}, True" for to in "HO" for n in ("one table", "two tables")]
-    kinds += ["input", "function", "joint evidence", "hidden node observed"]
-    assert {kind: found[kind] for kind in kinds if found[kind] < 5} == {}
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -139,20 +87,6 @@ def test_leaves_that_hang_together_in_a_chain_are_one_group_in_the_order_declare
     evidence = draw_evidence(compiled, 2, rng)
     right = {m: brute_force(tables, ["A"], evidence, m) for m in METHODS}
     assert_filters_agree(compiled, evidence, right)
-
-
-def test_an_input_selects_the_transition_and_the_prior() -> None:
-    tables = [
-        *within("Speed", [], [0.5, 0.5]),
-        *prior("A", KEEP, ["Speed"]),
-        *dynamics("A", ["Speed", previous("A")], OF_TWO),
-        *within("D", ["A"], np.eye(2)),
-    ]
-    compiled = compile(declare(tables, ["D"]), hidden=["A"], observed=["D"], inputs=["Speed"])
-    evidence = Evidence({"D": np.ones((2, 2))}, {"Speed": np.array([1, 0])})
-    belief = filter_beliefs(compiled, evidence, "exact").marginals["A"]
-    np.testing.assert_allclose(belief[0], KEEP[1])
-    np.testing.assert_allclose(belief[1], KEEP[1] @ OF_TWO[0])
 
 
 def test_new_tables_of_another_shape_or_other_parents_are_refused() -> None:
@@ -270,18 +204,6 @@ def test_missing_virtual_evidence_children_are_added_and_said() -> None:
     assert_filters_agree(compiled, evidence, right)
 
 
-def test_the_tables_are_those_of_every_node_and_change_with_the_numbers() -> None:
-    compiled = compiled_simple()
-    assert {node: table.values.tolist() for node, table in compiled.tables.items()} == {
-        table.node: table.values.tolist() for table in simple_tables()
-    }
-    changed = [t for t in simple_tables() if t.node != ("A", 1)]
-    changed += dynamics("A", [previous("A")], KEEP[::-1])
-    renewed = with_tables(compiled, changed)
-    np.testing.assert_array_equal(renewed.tables["A", 1].values, KEEP[::-1])
-    np.testing.assert_array_equal(compiled.tables["A", 1].values, KEEP)
-
-
 def test_values_have_the_names_of_the_network_or_those_given_and_lanes_count_from_one() -> None:
     tables = simple_tables("Lane")
     plain = compile(declare(tables, ["D"]), hidden=["Lane"], observed=["D"])
@@ -341,7 +263,7 @@ def test_a_hidden_node_may_be_a_constant() -> None:
     network = declare(tables, ["D", "E"])
     compiled = compile(network, hidden=["A", "F"], observed=["D", "E"])
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0), zeros=0)
-    right = oracle_filter(network, ["A", "F"], ["D", "E"], evidence)
+    right = brute_force(tables, ["A", "F"], evidence, "exact")
     np.testing.assert_allclose(right.marginals["F"], [[0, 1]] * 3)
     assert_filters_agree(compiled, evidence, {"exact": right})
 
@@ -428,15 +350,6 @@ def test_a_joint_state_too_large_is_refused_with_its_size_and_its_nodes() -> Non
         "the joint state has 4225 values (A 65 x D 65), more than 4096; D: observed, but no plain"
         " emission (an edge across the slices, an input, a carried child or another first table)"
     )
-
-
-def test_a_joint_state_of_just_the_largest_size_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    network = declare(simple_tables(), ["D"])
-    monkeypatch.setattr(_roles, "MAX_STATES", 2)
-    assert compile(network, hidden=["A"], observed=["D"]).n_states == 2
-    monkeypatch.setattr(_roles, "MAX_STATES", 1)
-    with pytest.raises(InputError, match=r"2 values \(A 2\), more than 1"):
-        compile(network, hidden=["A"], observed=["D"])
 
 
 def test_a_network_without_a_state_is_refused() -> None:

@@ -16,7 +16,6 @@ from tests.conformance.networks import (
     frames_to_enumerate,
     graph,
     graph_names,
-    random_network,
     small_parameters,
     template,
 )
@@ -45,13 +44,6 @@ def test_no_trajectory_of_any_graph_is_more_probable(name: str) -> None:
         compiled = with_tables(template(name, 2), tables)
         evidence = draw_evidence(compiled, frames_to_enumerate(compiled), rng)
         check_against(compiled, tables, evidence, module.HIDDEN)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_no_trajectory_of_random_networks_is_more_probable(seed: int) -> None:
-    drawn, compiled = random_network(seed)
-    evidence = draw_evidence(compiled, 2, np.random.default_rng(seed))
-    check_against(compiled, drawn.tables, evidence, drawn.hidden)
 
 
 def test_the_path_is_as_probable_as_that_of_plain_numpy() -> None:

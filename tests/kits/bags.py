@@ -8,10 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.recordings.rosbag import LINES_TYPE_2
 from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.types import LineLog
-from tests.kits.rosbag_writer import write_rosbag
+from tests.kits.rosbag_writer import LINES_TYPE_2, write_rosbag
 
 SEPARATOR = "=" * 80
 HEADER = f"{SEPARATOR}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"

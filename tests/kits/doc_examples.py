@@ -26,7 +26,7 @@ from tests.kits.image_line_files import entry, tusimple
 from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import foreign_table, own_bag, polynomials_table
 from tests.kits.synthetic_road import write_video
-from tests.kits.tiny_network import write_known
+from tests.kits.tiny_network import write_known, write_top_hat
 
 ROOT = Path(__file__).parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -126,10 +126,10 @@ def yaml_kind(content: dict[str, Any]) -> str:
     return "tuning" if "pictures" in content or "experiments" in content else "experiment"
 
 
-def write_world(folder: Path, boards: Path, network: Path) -> None:
+def write_world(folder: Path, boards: Path) -> None:
     """The files that the documentation names.
 
-    - boards: pictures of a chessboard. network: lanes.yaml and drivable.yaml with their weights.
+    boards: pictures of a chessboard.
     """
     (folder / "experiments").symlink_to(ROOT / "experiments")
     shutil.copytree(ROOT / "examples", folder / "examples")
@@ -159,9 +159,9 @@ def write_world(folder: Path, boards: Path, network: Path) -> None:
     (folder / "drive.avi").rename(folder / "drive.mp4")
     write_images(folder / "camera_bag", seen)
     write_camera(folder / "cam.yaml", TRUE)
-    for file in network.iterdir():
-        shutil.copy(file, folder)
-    (folder / "drivable.yaml").rename(folder / "road.yaml")
+    network = write_top_hat(folder, TRUE.width, TRUE.height)
+    for name in ("lanes.yaml", "road.yaml"):
+        shutil.copy(network, folder / name)
     # A network that sees nothing.
     blind = {"pred_logits": np.zeros((1, 7, 2)), "pred_curves": np.zeros((1, 7, 8))}
     (folder / "models").mkdir()

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
 from click.testing import CliRunner, Result
 
@@ -15,14 +16,26 @@ from egolane_pgm.command import egolane
 from egolane_pgm.experiment import Experiment, make_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.table import write_table
+from egolane_pgm.result import Result as Ran
+from egolane_pgm.runs import open_input, run_input
 from egolane_pgm.simulation import SimulatedDrive, simulate
+from egolane_pgm.types import LineLog
 
 N_FRAMES = 150
+
+#: Frames that a recording lacks; none of them first or last.
+GAPS = (20, 21, 22, 60)
 
 
 @functools.cache
 def short_drive(n_frames: int = N_FRAMES) -> SimulatedDrive:
     return simulate("quickstart", seed=3, frames=n_frames)
+
+
+def log_with_gaps(n_frames: int = N_FRAMES) -> LineLog:
+    """The drive without the frames of GAPS."""
+    log = short_drive(n_frames).log
+    return log.take(~np.isin(log.frame_id, GAPS))
 
 
 def write_drive(folder: Path, n_frames: int = N_FRAMES, **changes: Any) -> Path:
@@ -68,6 +81,14 @@ def with_changes(content: dict[str, Any], changes: Mapping[str, Any]) -> dict[st
     return content
 
 
+def run(
+    given: Any, overrides: Any = None, *, chunk_frames: int | None = None, **options: Any
+) -> Ran:
+    """Run an experiment; options as `open_input` takes them."""
+    opened = open_input(given, overrides=overrides, **options)
+    return run_input(opened, chunk_frames=chunk_frames)
+
+
 def command(*words: object, given: str | bytes | None = None) -> Result:
     """`egolane words...`, which must not end in a traceback. given: what it reads as input."""
     result = CliRunner().invoke(egolane, [str(word) for word in words], input=given)
@@ -110,7 +131,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 def simulated(name: str = "a", **keys: Any) -> Experiment:
     """An experiment on the simulated drive of two minutes."""
     content = {"name": name, "recording": {"simulate": "quickstart"}, "n_lanes": 4, **keys}
-    return make_experiment(content, Path(), f"{name}.yaml")
+    return make_experiment(content, f"{name}.yaml")
 
 
 def geometry(name: str = "geometry", **keys: Any) -> Experiment:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.types import LaneTruth
+from egolane_pgm.types import lane_truth
 from egolane_pgm.vision.camera.model import Camera, road_to_image, write_camera
 from tests.kits.drives import write_experiment
 
@@ -30,7 +30,7 @@ def write_labelled_drive(folder: Path) -> Path:
     (folder / "labels.json").write_text("".join(json.dumps(entry) + "\n" for entry in entries))
     write_camera(folder / "cam.yaml", CAMERA)
     lane, is_crossing = np.full(N_LABELLED, 2), np.zeros(N_LABELLED, dtype=bool)
-    write_ground_truth(folder / "t.txt", LaneTruth(np.arange(N_LABELLED), lane, is_crossing))
+    write_ground_truth(folder / "t.txt", lane_truth(np.arange(N_LABELLED), lane, is_crossing))
     return write_experiment(
         folder / "x.yaml",
         recording={"path": "labels.json", "camera": "cam.yaml", "options": {"valid": "always"}},

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from egolane_pgm.maps.index import RoadIndex
-from egolane_pgm.maps.lane_graph import LaneGraph, joins_from
-from egolane_pgm.maps.local import Plane
+from egolane_pgm.maps.lane_graph import LaneGraph, Plane
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import FloatArray, IntArray
@@ -21,8 +19,9 @@ def lane_map(
     lines: Sequence[Sequence[tuple[float, float]]],
     n_lanes: Sequence[int],
     joins: Sequence[tuple[int, int]] = (),
+    plane: Plane = PLANE,
 ) -> LaneGraph:
-    """A graph of segments along lines in metres, east and north of PLANE's centre.
+    """A graph of segments along lines in metres, east and north of the plane's centre.
 
     - joins: the segments that each leads from and to.
     """
@@ -34,9 +33,9 @@ def lane_map(
         kind=np.full(n, "motorway"),
         name=np.array([f"A {k}" for k in range(n)], dtype=object),
         n_lanes=np.array(n_lanes),
-        point=PLANE.degrees(np.concatenate(points)),
+        plane=plane,
+        point=np.concatenate(points),
         first=np.concatenate([[0], np.cumsum([len(p) for p in points])]),
-        length_m=np.array([np.hypot(*np.diff(p, axis=0).T).sum() for p in points]),
         before=before,
         after=after,
     )
@@ -61,7 +60,6 @@ def interchange() -> LaneGraph:
 
 def random_trip(
     graph: LaneGraph,
-    index: RoadIndex,
     rng: np.random.Generator,
     *,
     speed: float = 30.0,
@@ -74,7 +72,7 @@ def random_trip(
     The noise is half white and half slow, as a receiver's; lane_m is the standard deviation of the
     lane's offset from the way's line.
     """  # fmt: skip
-    joins = joins_from(graph)
+    joins = graph.join_start
     way = [int(rng.choice(len(graph), p=graph.length_m / graph.length_m.sum()))]
     while graph.length_m[way].sum() < longest_m and joins[way[-1]] < joins[way[-1] + 1]:
         row = rng.integers(joins[way[-1]], joins[way[-1] + 1])
@@ -84,7 +82,7 @@ def random_trip(
     at = np.minimum(np.searchsorted(start, driven, side="right") - 1, len(way) - 1)
     segment = np.array(way)[at]
     place = np.stack(
-        [_place(index, s, d) for s, d in zip(segment, driven - start[at], strict=True)]
+        [_place(graph, s, d) for s, d in zip(segment, driven - start[at], strict=True)]
     )
     heading = np.gradient(place, axis=0) if len(place) > 1 else np.ones_like(place)
     right = np.stack([heading[:, 1], -heading[:, 0]], axis=1)
@@ -92,14 +90,14 @@ def random_trip(
     place += right * slow(rng, len(place), 60)[:, None] * lane_m
     drift = np.stack([slow(rng, len(place), 30) for _ in range(2)], axis=1)
     place += noise_m * np.sqrt(0.5) * (drift + rng.normal(size=place.shape))
-    latitude, longitude = index.plane.degrees(place).T
+    latitude, longitude = graph.plane.degrees(place).T
     return Positions.make(np.arange(len(place)) * 1.0, latitude, longitude), segment
 
 
-def _place(index: RoadIndex, segment: int, along: float) -> FloatArray:
-    rows = slice(index.first[segment], index.first[segment + 1])
+def _place(graph: LaneGraph, segment: int, along: float) -> FloatArray:
+    rows = slice(graph.first[segment], graph.first[segment + 1])
     return np.array(
-        [np.interp(along, index.along_m[rows], index.point[rows, axis]) for axis in (0, 1)]
+        [np.interp(along, graph.along_m[rows], graph.point[rows, axis]) for axis in (0, 1)]
     )
 
 

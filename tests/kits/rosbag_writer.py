@@ -12,10 +12,43 @@ from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from egolane_pgm import recordings
-from egolane_pgm.recordings import rosbag
 from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
+
+#: The published definitions. ROS tells types apart by a checksum of these.
+LINES_TYPE, LINE_TYPE = (
+    "road_layout_estimation/msg/msg_lines",
+    "road_layout_estimation/msg/msg_lineInfo",
+)
+DEFINITIONS = {
+    LINES_TYPE: """\
+Header header
+float64 number_of_lines
+float64 goodLines
+float64 width
+float64 naive_width
+int64 way_id
+msg_lineInfo[] lines
+""",
+    LINE_TYPE: """\
+bool isValid
+bool continuous
+int32 counter
+float32 offset
+""",
+}
+
+#: The same, with names that ROS 2 allows.
+LINES_TYPE_2 = "road_layout_estimation/msg/MsgLines"
+LINE_TYPE_2 = "road_layout_estimation/msg/MsgLineInfo"
+DEFINITIONS_2 = {
+    LINES_TYPE_2: DEFINITIONS[LINES_TYPE]
+    .replace("Header", "std_msgs/Header")
+    .replace("goodLines", "good_lines")
+    .replace("msg_lineInfo", "MsgLineInfo"),
+    LINE_TYPE_2: DEFINITIONS[LINE_TYPE].replace("isValid", "is_valid"),
+}
 
 
 def write_lines(path: str | Path, log: LineLog) -> None:
@@ -45,11 +78,11 @@ def write_rosbag(path: str | Path, log: LineLog) -> None:
         )
     is_ros2 = path.suffix.lower() == ".mcap"
     store = get_typestore(Stores.ROS2_HUMBLE if is_ros2 else Stores.ROS1_NOETIC)
-    for name, definition in (rosbag.DEFINITIONS_2 if is_ros2 else rosbag.DEFINITIONS).items():
+    for name, definition in (DEFINITIONS_2 if is_ros2 else DEFINITIONS).items():
         store.register(get_types_from_msg(definition, name))
-    lines_type, serialised = rosbag.LINES_TYPE, store.serialize_ros1
+    lines_type, serialised = LINES_TYPE, store.serialize_ros1
     if is_ros2:
-        lines_type, serialised = rosbag.LINES_TYPE_2, store.serialize_cdr
+        lines_type, serialised = LINES_TYPE_2, store.serialize_cdr
     with atomic(path) as temporary, (_mcap if is_ros2 else Writer)(temporary) as bag:
         connection = bag.add_connection(TOPICS[0], lines_type, typestore=store)
         for t in np.flatnonzero(~log.is_missing):
@@ -81,7 +114,7 @@ def _message(
     stamp = types["builtin_interfaces/msg/Time"](seconds % 2**31, ns)
     header = types["std_msgs/msg/Header"](*([] if is_ros2 else [t]), stamp, "")
     lines = [
-        types[rosbag.LINE_TYPE_2 if is_ros2 else rosbag.LINE_TYPE](
+        types[LINE_TYPE_2 if is_ros2 else LINE_TYPE](
             bool(log.is_valid[t, k]),
             bool(log.is_continuous[t, k]),
             int(log.lri[t, k]),
@@ -90,6 +123,6 @@ def _message(
         for k in np.flatnonzero(listed)
     ]
     n_valid, unknown = float(log.is_valid[t].sum()), 0.0
-    return types[rosbag.LINES_TYPE_2 if is_ros2 else rosbag.LINES_TYPE](
+    return types[LINES_TYPE_2 if is_ros2 else LINES_TYPE](
         header, float(len(lines)), n_valid, unknown, unknown, int(log.frame_id[t]), lines
     )

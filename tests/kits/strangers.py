@@ -14,11 +14,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from egolane_pgm.comparing.placing import on_recording
+from egolane_pgm.drive import load_recording
 from scipy.signal import lfilter
 from scipy.special import ndtri
 
-from egolane_pgm.comparing.placing import on_recording
-from egolane_pgm.drive import load_recording
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.inference.smoothing import smooth_beliefs

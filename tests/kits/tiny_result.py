@@ -1,4 +1,4 @@
-"""A result directory of seven frames, as read, and how to read a figure."""
+"""A result of seven frames, as read, and how to read a figure."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.results import Result
+from egolane_pgm.result import Result
 from egolane_pgm.scoring.assign import assigned_lane
 
 #: Ids 100 to 107 with 104 missing; 102 and 103 are crossing, 107 is not annotated.
@@ -39,64 +40,61 @@ DETECTOR = [
 EXPERIMENT = Experiment.model_validate(
     {"name": "tiny", "n_lanes": 3, "recording": {"simulate": "quickstart"}}
 )
+CONFIG = {"parameters": {"bonus_value": 4.0, "sigma1": 0.3}, "graph": "sensor_failure"}
+RUN = {
+    "name": "tiny",
+    "config": CONFIG,
+    "n_lanes": 3,
+    "frame_rate": 10.0,
+    "values": {"Lane": ["1", "2", "3"]},
+    "tuned_on": "same_frames",
+    "tags": {},
+    "warnings": [],
+}
+
+
+def frames_of(
+    ids: Any, lane: Any, detector: Any, truth: Any, crossing: Any, rate: float = 10.0
+) -> pd.DataFrame:
+    """A table of frames. truth (T,): 0 where it is unknown; detector: None for no own answer."""
+    lane, known = np.asarray(lane), np.asarray(truth) > 0
+    columns: dict[str, Any] = {"time_s": np.asarray(ids) / rate}
+    columns |= {f"Lane_{k}": column for k, column in enumerate(lane.T, start=1)}
+    columns["assigned_lane"] = assigned_lane(lane)
+    if detector is not None:
+        detector = np.asarray(detector)
+        columns |= {f"detector_{k}": column for k, column in enumerate(detector.T, start=1)}
+        columns["detector_lane"] = assigned_lane(detector)
+    columns["log_evidence"] = np.zeros(len(lane))
+    columns["is_impossible"] = np.zeros(len(lane), dtype=bool)
+    columns["true_lane"] = pd.array(np.where(known, truth, 0), dtype="Int64")
+    columns["is_crossing"] = pd.array(np.asarray(crossing, dtype=bool), dtype="boolean")
+    frames = pd.DataFrame(columns, index=pd.Index(ids, name="frame_id"))
+    frames.loc[~known, ["true_lane", "is_crossing"]] = pd.NA
+    return frames
 
 
 def a_result(**changes: Any) -> Result:
-    model, detector = np.array(MODEL), np.array(DETECTOR)
-    result = Result(
-        directory=Path("results/tiny"),
-        experiment=EXPERIMENT,
-        config={"parameters": {"bonus_value": 4.0, "sigma1": 0.3}, "graph": "sensor_failure"},
-        run={"name": "tiny", "n_lanes": 3, "frame_rate": 10.0, "tuned_on": "same_frames"},
-        scores={},
-        frame_id=np.array(IDS),
-        time_s=np.array(IDS) / 10,
-        marginals={"Lane": model},
-        values={"Lane": ("1", "2", "3")},
-        tentative=detector,
-        assigned_lane=assigned_lane(model),
-        true_lane=np.array(TRUTH),
-        is_crossing=np.array(CROSSING, dtype=bool),
-        log_evidence=np.zeros(len(IDS)),
-        is_impossible=np.zeros(len(IDS), dtype=bool),
-    )
+    frames = frames_of(IDS, MODEL, DETECTOR, TRUTH, CROSSING)
+    result = Result(EXPERIMENT, frames, RUN, {}, directory=Path("results/tiny"))
     return replace(result, **changes)
 
 
 def without_truth() -> Result:
-    nothing = np.zeros(len(IDS), dtype=int)
-    return a_result(true_lane=nothing, is_crossing=nothing.astype(bool))
+    nothing = [0] * len(IDS)
+    return a_result(frames=frames_of(IDS, MODEL, DETECTOR, nothing, nothing))
 
 
-def without_tentative() -> Result:
-    return a_result(tentative=None)
-
-
-def without_bonus(**changes: Any) -> Result:
-    config = {"parameters": {"bonus_value": 0.0, "sigma1": 0.3}, "graph": "sensor_failure"}
-    return a_result(**{"config": config, "directory": Path("results/no_bonus"), **changes})
+def without_detector() -> Result:
+    return a_result(frames=frames_of(IDS, MODEL, None, TRUTH, CROSSING))
 
 
 def long_drive(n_frames: int) -> Result:
-    """One belief for every frame, so that any average of it is known."""
-    lane = np.full(n_frames, 2)
-    belief = np.tile([0.1, 0.7, 0.2], (n_frames, 1))
-    belief[1::2] = [0.3, 0.5, 0.2]
-    return a_result(
-        frame_id=np.arange(n_frames) + 5,
-        time_s=(np.arange(n_frames) + 5) / 10,
-        marginals={"Lane": belief},
-        tentative=belief,
-        assigned_lane=lane,
-        true_lane=lane,
-        is_crossing=np.zeros(n_frames, dtype=bool),
-        log_evidence=np.zeros(n_frames),
-        is_impossible=np.zeros(n_frames, dtype=bool),
-    )
-
-
-def axes_called(figure: Any, name: str) -> list[Any]:
-    return [ax for ax in figure.axes if ax.get_label() == name]
+    """One posterior for every second frame, so that any average of it is known."""
+    lane = np.tile([0.1, 0.7, 0.2], (n_frames, 1))
+    lane[1::2] = [0.3, 0.5, 0.2]
+    ids, nothing = np.arange(n_frames) + 5, np.zeros(n_frames)
+    return a_result(frames=frames_of(ids, lane, lane, np.full(n_frames, 2), nothing))
 
 
 def texts(figure: Any) -> list[str]:

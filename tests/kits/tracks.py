@@ -8,25 +8,22 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.maps.index import RoadIndex, index_of
-from egolane_pgm.maps.lane_graph import LaneGraph
-from egolane_pgm.maps.local import around
+from egolane_pgm.maps.lane_graph import LaneGraph, around
 from egolane_pgm.maps.positions import Positions, read_positions
 from tests.kits.lane_maps import lane_map
 
 ROTTERDAM = "tracks/gps_lane_changes"
 
 
-def rotterdam_road(data: Path) -> tuple[LaneGraph, RoadIndex]:
+def rotterdam_road(data: Path) -> LaneGraph:
     """The route as a map: a segment for each stretch without a gap, lanes unknown."""
     route = pd.read_csv(data / ROTTERDAM / "route 1 mindist10.csv")
-    metres = around(route.lat.to_numpy(), route.lon.to_numpy()).metres(route.lat, route.lon)
+    plane = around(route.lat.to_numpy(), route.lon.to_numpy())
+    metres = plane.metres(route.lat, route.lon)
     cuts = [0, *np.flatnonzero(route.distance > 150), len(route)]
     parts = [slice(a, b) for a, b in itertools.pairwise(cuts) if b - a > 1]
-    drawn = lane_map([[tuple(p) for p in metres[part]] for part in parts], [0] * len(parts))
-    places = np.concatenate([route[["lat", "lon"]].to_numpy()[part] for part in parts])
-    graph = LaneGraph(**(vars(drawn) | {"point": places}))
-    return graph, index_of(graph)
+    lines = [[tuple(p) for p in metres[part]] for part in parts]
+    return lane_map(lines, [0] * len(parts), plane=plane)
 
 
 def rotterdam_receivers(data: Path) -> dict[str, Positions]:

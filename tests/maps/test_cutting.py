@@ -70,9 +70,8 @@ def test_what_the_map_does_not_tell_is_said() -> None:
     road = road_rows([3, 0, 0, 4], 0.0, off=[2], untold={1: 7, 3: 9})
     said = untold_lanes(road, log_of([0, 1, 2, 3, 3.5]))
     assert [line.partition(": ")[2] for line in said] == [
-        "in 2 of 5 frames the map does not tell how many lanes the road has (way 9); the number is"
-        " a guess",
-        "in 1 of 5 frames the map does not tell how many lanes the road has; the number before"
-        " goes on",
+        "in 2 of 5 frames the road has no number of lanes in the map (way 9); the number is a"
+        " guess",
+        "in 1 of 5 frames the road has no number of lanes in the map; the number before goes on",
         "in 1 of 5 frames the car is off the map; the number before goes on",
     ]

@@ -13,8 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.maps.lane_graph import joins_from
-from egolane_pgm.maps.osm import joined, of_ways, read_osm, with_joins
+from egolane_pgm.maps.osm import join_ways, read_osm, read_ways, with_joins
 from tests.kits.lane_maps import lane_map
 from tests.kits.osm_files import write_osm
 
@@ -29,32 +28,9 @@ def extract(request: pytest.FixtureRequest) -> Path:
     return path
 
 
-def test_lanes_that_part_and_meet_add_up_on_the_real_maps() -> None:
-    """Where roads meet in a motorway, lanes are conserved 6 times of 6 (and where links of the
-    interchange do, once of once); where it parts, 4 of 5: the fifth has a lane that leads to both.
-    """
-    folder = Path(os.environ.get("EGOLANE_DATA", ".")) / "maps"
-    if not folder.is_dir():
-        pytest.skip("maps of motorways: needs EGOLANE_DATA with a folder maps")
-    more: dict[str, list[int]] = {"parts": [], "meets": []}
-    for path in sorted(folder.glob("*.osm")):
-        graph = of_ways(path)
-        for here, there, what in (
-            (graph.before, graph.after, "parts"),
-            (graph.after, graph.before, "meets"),
-        ):
-            three_links = graph.way == 184420576
-            for k in np.flatnonzero((graph.kind == "motorway") | three_links):
-                arms = there[here == k]
-                if len(arms) > 1:
-                    more[what].append(int(graph.n_lanes[arms].sum() - graph.n_lanes[k]))
-    assert sorted(more["parts"]) == [0, 0, 0, 0, 1]
-    assert more["meets"] == [0] * 7
-
-
-def test_ways_are_joined_where_nothing_changes_and_keep_their_length(extract: Path) -> None:
-    graph = of_ways(extract)
-    short = joined(graph)
+def test_ways_are_join_ways_where_nothing_changes_and_keep_their_length(extract: Path) -> None:
+    graph = read_ways(extract)
+    short = join_ways(graph)
     assert len(short) < 0.7 * len(graph)
     assert short.length_m.sum() == pytest.approx(graph.length_m.sum())
     assert (short.n_lanes * short.length_m).sum() == pytest.approx(
@@ -77,7 +53,7 @@ def test_nobody_turns_back_where_a_road_for_both_directions_ends(tmp_path: Path)
     nodes = {1: (0.0, 0.0), 2: (500.0, 0.0), 3: (1000.0, 0.0)}
     trunk = {"highway": "trunk", "lanes": 2}
     ways = [(10, [1, 2], trunk), (11, [2, 3], {**trunk, "lanes": 4})]
-    graph = of_ways(write_osm(tmp_path / "both.osm", nodes, ways))
+    graph = read_ways(write_osm(tmp_path / "both.osm", nodes, ways))
     assert len(graph) == 4
     assert sorted(zip(graph.before.tolist(), graph.after.tolist(), strict=True)) == [(0, 2), (3, 1)]
 
@@ -88,8 +64,7 @@ def test_a_ring_is_one_segment_that_leads_to_itself(tmp_path: Path) -> None:
     graph = read_osm(write_osm(tmp_path / "ring.osm", corners, ways))
     assert len(graph) == 1
     assert (graph.before.tolist(), graph.after.tolist()) == ([0], [0])
-    np.testing.assert_array_equal(graph.line(0)[0], graph.line(0)[-1])
-    assert joins_from(graph).tolist() == [0, 1]
+    np.testing.assert_array_equal(graph.point[0], graph.point[-1])
 
 
 # --- any road ----------------------------------------------------------------------------------
@@ -107,7 +82,7 @@ def test_joining_ways_keeps_the_road_as_it_is(n_lanes: list[int], seed: int) -> 
         **{name: getattr(graph, name)[order] for name in ("way", "n_lanes")},
         point=graph.point.reshape(-1, 2, 2)[order].reshape(-1, 2),
     )
-    short = joined(with_joins(mixed))
+    short = join_ways(with_joins(mixed))
     changes = sum(one != other for one, other in pairwise(n_lanes))
     assert len(short) == changes + 1
     assert len(short.before) == changes

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pyproj
 import pytest
 
-from egolane_pgm.maps import load_map
-from egolane_pgm.maps.lane_graph import LaneGraph, along_points
+from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.types import InputError
 from tests.kits.osm_files import write_osm
@@ -24,7 +22,7 @@ def test_ways_become_one_segment_where_nothing_changes(tmp_path: Path) -> None:
     assert graph.way.tolist() == [10, 12]
     assert graph.n_lanes.tolist() == [2, 3]
     assert graph.name.tolist() == ["A 1", "A 1"]
-    assert len(graph.line(0)) == 3
+    assert graph.first[1] == 3
     assert graph.length_m[0] == pytest.approx(1000, rel=0.001)
     assert (graph.before.tolist(), graph.after.tolist()) == ([0], [1])
 
@@ -54,7 +52,7 @@ def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> N
     with pytest.warns(UserWarning, match=r"a\.osm: 2 nodes of .* have no coordinates"):
         graph = read_osm(path)
     assert graph.way.tolist() == [10]
-    assert len(graph.line(0)) == 3
+    assert graph.first[1] == 3
 
 
 def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None:
@@ -79,7 +77,6 @@ def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None
         ("a.osm", "<osm version='0.6'><node id='1' lat='north' lon='2'/></osm>", "cannot be read"),
         ("a.osm.pbf", "not at all", "cannot be read as a map"),
         ("a.txt", "not at all", "cannot be read as a map: Could not detect file format"),
-        ("a.parquet", "not at all", "is not a whole Parquet file"),
     ],
 )
 def test_a_file_without_a_road_is_refused_in_one_line(
@@ -87,21 +84,11 @@ def test_a_file_without_a_road_is_refused_in_one_line(
 ) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message) as error:
-        load_map(tmp_path / name)
+        read_osm(tmp_path / name)
     assert str(tmp_path / name) in str(error.value)
     assert "\n" not in str(error.value)
 
 
 def test_a_map_that_is_not_there_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"nowhere\.osm: no such file"):
-        load_map(tmp_path / "nowhere.osm")
-
-
-def test_lengths_are_those_of_a_geodesic() -> None:
-    rng = np.random.default_rng(0)
-    point = np.array([[50.0, 11.0]]) + np.cumsum(rng.normal(0, 0.002, (200, 2)), axis=0)
-    first = np.array([0, 80, 200])
-    along = along_points(point, first)
-    exact = pyproj.Geod(ellps="WGS84").line_length(point[80:, 1], point[80:, 0])
-    assert along[80] == 0
-    assert along[199] == pytest.approx(exact, rel=1e-6)
+        read_osm(tmp_path / "nowhere.osm")

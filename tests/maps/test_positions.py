@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from tests.kits.bags import HEADER, SEPARATOR, write_bag
 GPX = """<?xml version="1.0"?>
 <gpx version="1.1" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>
 <trkpt lat="49.9" lon="11.5"><time>2024-05-01T10:00:00Z</time></trkpt>
-<trkpt lat="49.9002" lon="11.5"><time>2024-05-01T10:00:01.5Z</time></trkpt>
+<trkpt lat="49.9002" lon="11.5"><time>2024-05-01T10:00:01.5Z</time><hdop>1.5</hdop></trkpt>
 </trkseg></trk></gpx>
 """
 #: 2024-05-01 10:00:00 UTC.
@@ -27,13 +28,6 @@ FIX_MESSAGE = (
     f"float64[9] position_covariance\nuint8 position_covariance_type\n\n{HEADER}\n{SEPARATOR}\n"
     "MSG: sensor_msgs/NavSatStatus\nint8 status\nuint16 service\n"
 )
-
-
-def sentence(body: str) -> str:
-    check = 0
-    for letter in body:
-        check ^= ord(letter)
-    return f"${body}*{check:02X}\r\n"
 
 
 def fix(seconds: int, latitude: float, longitude: float, status: int = 0) -> bytes:
@@ -74,30 +68,7 @@ def test_gpx_is_read(tmp_path: Path) -> None:
     found = read_positions(write(tmp_path / "a.gpx", GPX))
     assert found.t_s.tolist() == [TEN, TEN + 1.5]
     assert found.latitude.tolist() == [49.9, 49.9002]
-
-
-def test_nmea_is_read_across_midnight(tmp_path: Path) -> None:
-    pytest.importorskip("pynmea2")
-    text = (
-        sentence("GPGGA,235959.00,4954.000,N,01130.000,E,1,08,1.5,300,M,,M,,")
-        + sentence("GPRMC,235959.00,A,4954.000,N,01130.000,E,60.0,45.0,010524,,,A")
-        + sentence("GPGGA,000000.00,4954.010,N,01130.000,E,1,08,1.0,300,M,,M,,")
-        + sentence("GPRMC,000000.00,A,4954.010,N,01130.000,E,60.0,45.0,020524,,,A")
-        + "$GPRMC,000001.00,A,4954.020,N,01130.000,E,60.0,45.0,020524,,,A*00\n"
-    )
-    with pytest.warns(UserWarning, match="left out 1 of 5 sentences that are damaged"):
-        found = read_positions(write(tmp_path / "a.nmea", text))
-    assert np.diff(found.t_s).tolist() == [1.0]
-    np.testing.assert_allclose(found.speed_mps, 60 * 1852 / 3600)
-    np.testing.assert_allclose(found.sigma_m, [4.5, 3.0])
-    np.testing.assert_allclose(found.latitude, [49.9, 49.9 + 0.01 / 60])
-
-
-def test_nmea_without_a_date_is_refused(tmp_path: Path) -> None:
-    pytest.importorskip("pynmea2")
-    text = sentence("GPGGA,235959.00,4954.000,N,01130.000,E,1,08,1.5,300,M,,M,,")
-    with pytest.raises(InputError, match="has no date"):
-        read_positions(write(tmp_path / "a.nmea", text))
+    np.testing.assert_array_equal(found.sigma_m, [np.nan, 4.5])
 
 
 def test_a_bag_is_read_and_fixes_without_status_are_left_out(tmp_path: Path) -> None:
@@ -123,7 +94,7 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
     [
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
         ("t,lat,lat,lon\n0,52,52,4\n", "column lat occurs more than once"),
-        ("t,lat,lon\n0,52,4\n1,x,4\n", r"line 3: lat \(latitude\) is 'x', not a number"),
+        ("t,lat,lon\n0,52,4\n1,x,4\n", r"row 2: lat \(latitude\) is 'x', not a number"),
         ("t,lat,lon\nsoon,52,4\n", "row 1: t is 'soon', not a number or a date"),
         ("t,lat,lon\n,52,4\n", "position 1 has no time"),
         ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
@@ -140,20 +111,23 @@ def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str
     assert "\n" not in str(error.value)
 
 
-def test_other_files_and_options_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"unknown extension '\.kml' of positions"):
-        read_positions(tmp_path / "a.kml")
-    with pytest.raises(InputError, match="no such file"):
-        read_positions(tmp_path / "a.csv")
-    with pytest.raises(InputError, match="a topic is named for a bag"):
-        read_positions(tmp_path / "a.csv", topic="/fix")
-    with pytest.raises(InputError, match="columns are named for a table"):
-        read_positions(tmp_path / "a.bag", columns={"latitude": "x"})
-    table = write(tmp_path / "b.csv", "t,lat,lon\n0,52,4\n")
-    with pytest.raises(InputError, match=r"unknown column 'latitud' \(did you mean 'latitude'"):
-        read_positions(table, columns={"latitud": "lat"})
-    with pytest.raises(InputError, match="no column 'lta'"):
-        read_positions(table, columns={"latitude": "lta"})
+@pytest.mark.parametrize(
+    ("name", "options", "said"),
+    [
+        ("a.kml", {}, r"unknown extension '\.kml' of positions"),
+        ("a.csv", {}, "no such file"),
+        ("a.csv", {"topic": "/fix"}, "a topic is named for a bag"),
+        ("a.bag", {"columns": {"latitude": "x"}}, "columns are named for a table"),
+        ("b.csv", {"columns": {"latitud": "lat"}}, r"unknown column 'latitud' \(did you mean"),
+        ("b.csv", {"columns": {"latitude": "lta"}}, "no column 'lta'"),
+    ],
+)
+def test_other_files_and_options_are_refused(
+    tmp_path: Path, name: str, options: dict[str, Any], said: str
+) -> None:
+    write(tmp_path / "b.csv", "t,lat,lon\n0,52,4\n")
+    with pytest.raises(InputError, match=said):
+        read_positions(tmp_path / name, **options)
 
 
 def test_times_that_repeat_are_left_out() -> None:

@@ -12,7 +12,6 @@ import pytest
 pytest.importorskip("shapely")
 pytest.importorskip("pyproj")
 
-from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.matching import match
@@ -28,34 +27,30 @@ def data() -> Path:
 
 
 @pytest.fixture(scope="module")
-def road(data: Path) -> tuple[LaneGraph, RoadIndex]:
+def road(data: Path) -> LaneGraph:
     return rotterdam_road(data)
 
 
-def test_every_receiver_is_within_metres_of_its_road(
-    data: Path, road: tuple[LaneGraph, RoadIndex]
-) -> None:
+def test_every_receiver_is_within_metres_of_its_road(data: Path, road: LaneGraph) -> None:
     for name, drove in rotterdam_receivers(data).items():
-        found = match(*road, drove)
+        found = match(road, drove)
         assert (found.segment >= 0).all(), name
         assert np.median(np.abs(found.offset_m)) < 3
         assert np.abs(found.offset_m).max() < 12
 
 
-def test_gross_outliers_in_a_recorded_drive_are_rejected(
-    data: Path, road: tuple[LaneGraph, RoadIndex]
-) -> None:
+def test_gross_outliers_in_a_recorded_drive_are_rejected(data: Path, road: LaneGraph) -> None:
     drove = rotterdam_receivers(data)["GoPro"]
     rng = np.random.default_rng(0)
     wrong = np.sort(rng.choice(np.arange(10, len(drove) - 10), 40, replace=False))
     latitude = drove.latitude.copy()
     latitude[wrong] += rng.choice([-1, 1], 40) * rng.uniform(0.005, 0.05, 40)
     spoilt = replace(drove, latitude=latitude)
-    found = match(*road, spoilt)
+    found = match(road, spoilt)
     assert found.is_outlier[wrong].all()
     assert found.is_outlier.sum() == len(wrong)
     # The place on the road is bridged.
-    table, whole = (locate(*road, p) for p in (spoilt, drove))
+    table, whole = (locate(road, p) for p in (spoilt, drove))
     at = np.searchsorted(table.t_s, drove.t_s[wrong])
     as_it_was = np.searchsorted(whole.t_s, drove.t_s[wrong])
     assert (table.segment[at] == whole.segment[as_it_was]).all()

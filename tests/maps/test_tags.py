@@ -6,66 +6,56 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.maps.tags import KEYS, Direction, directions
+from egolane_pgm.maps.tags import KEYS, read_lanes
 
 
-def read(**tags: object) -> tuple[tuple[Direction, ...], list[str]]:
+def read(**tags: object) -> tuple[tuple[int, int], list[str]]:
     """Tags with _ for : in their keys."""
     given = {
         key.replace("_", ":").replace("both:", "both_"): str(value) for key, value in tags.items()
     }
     given = {"highway": "motorway", **given}
     assert set(given) <= set(KEYS)
-    found, problems = directions(tuple(given.get(key) for key in KEYS))
+    found, problems = read_lanes(tuple(given.get(key) for key in KEYS))
     return found, list(problems)
 
 
-def test_a_motorway_is_a_oneway() -> None:
-    (way,), problems = read(lanes=3)
-    assert way == Direction(False, 3)
-    assert not problems
-
-
-def test_a_oneway_drawn_backwards_is_driven_from_its_end() -> None:
-    (way,), _ = read(oneway="-1", lanes=2)
-    assert way == Direction(True, 2)
+@pytest.mark.parametrize(
+    ("tags", "lanes"),
+    [
+        # A motorway is a oneway, and so is its link without lanes against it.
+        ({"lanes": 3}, (3, -1)),
+        ({"oneway": "-1", "lanes": 2}, (-1, 2)),
+        ({"highway": "motorway_link", "lanes": 1}, (1, -1)),
+        ({"highway": "motorway_link", "lanes_backward": 1}, (0, 1)),
+        ({"highway": "motorway_link", "oneway": "no"}, (0, 0)),
+        ({"highway": "trunk", "junction": "roundabout"}, (0, -1)),
+        # Lists of lanes give their number if no tag does.
+        ({"turn_lanes": "none|none|slight_right"}, (3, -1)),
+        # Of an even number alone, half goes in each direction.
+        ({"highway": "trunk", "lanes": 4}, (2, 2)),
+        ({"highway": "trunk", "lanes": 3}, (0, 0)),
+        ({"highway": "trunk", "lanes": 3, "lanes_both_ways": 1}, (1, 1)),
+        ({"highway": "trunk", "lanes": 5, "lanes_forward": 3}, (3, 2)),
+        ({"highway": "trunk", "lanes": 3, "lanes_forward": 2, "lanes_backward": 1}, (2, 1)),
+        ({"highway": "trunk"}, (0, 0)),
+    ],
+)
+def test_lanes_forward_and_backward(tags: dict[str, object], lanes: tuple[int, int]) -> None:
+    assert read(**tags) == (lanes, [])
 
 
 @pytest.mark.parametrize("lanes", ["two", "3;4", "0", "40", "-1", "2.5"])
 def test_a_number_of_lanes_that_makes_no_sense_is_unknown_and_said(lanes: str) -> None:
-    (way,), problems = read(lanes=lanes, turn_lanes="none|none|slight_right")
-    assert way.n_lanes == 0
+    found, problems = read(lanes=lanes, turn_lanes="none|none|slight_right")
+    assert found == (0, -1)
     assert problems == [f"lanes={lanes} is no number from 1 to 30, the lanes are unknown"]
 
 
-def test_lists_of_lanes_tell_their_number_where_no_tag_does() -> None:
-    (way,), problems = read(turn_lanes="none|none|slight_right")
-    assert (way.n_lanes, problems) == (3, [])
-    (way,), problems = read(lanes=2, change_lanes="yes|no|no")
-    assert way.n_lanes == 2
+def test_a_list_of_another_length_is_ignored() -> None:
+    found, problems = read(lanes=2, change_lanes="yes|no|no")
+    assert found == (2, -1)
     assert problems == ["change:lanes lists 3 lanes of 2, it is ignored"]
-
-
-def test_a_road_for_both_directions_is_two() -> None:
-    trunk = {"highway": "trunk", "lanes": 3, "lanes_forward": 2, "lanes_backward": 1}
-    (there, back), problems = read(**trunk, turn_lanes_forward="through|right")
-    assert not problems
-    assert (there.n_lanes, back.n_lanes) == (2, 1)
-
-
-def test_an_even_number_of_lanes_is_half_for_each_direction() -> None:
-    assert [way.n_lanes for way in read(highway="trunk", lanes=4)[0]] == [2, 2]
-    assert [way.n_lanes for way in read(highway="trunk", lanes=3)[0]] == [0, 0]
-    assert [way.n_lanes for way in read(highway="trunk", lanes=3, lanes_both_ways=1)[0]] == [1, 1]
-    assert [way.n_lanes for way in read(highway="trunk", lanes=5, lanes_forward=3)[0]] == [3, 2]
-    assert [way.n_lanes for way in read(highway="trunk")[0]] == [0, 0]
-
-
-def test_links_are_oneways_but_for_those_with_lanes_against_them() -> None:
-    assert len(read(highway="motorway_link", lanes=1)[0]) == 1
-    assert len(read(highway="motorway_link", lanes_backward=1)[0]) == 2
-    assert len(read(highway="motorway_link", oneway="no")[0]) == 2
-    assert len(read(highway="trunk", junction="roundabout")[0]) == 1
 
 
 @given(
@@ -80,6 +70,5 @@ def test_links_are_oneways_but_for_those_with_lanes_against_them() -> None:
     )
 )
 def test_no_tags_can_break_the_reader(values: list[str | None]) -> None:
-    found, _ = directions(("trunk", *values))
-    for way in found:
-        assert 0 <= way.n_lanes <= 30
+    found, _ = read_lanes(("trunk", *values))
+    assert all(-1 <= n_lanes <= 30 for n_lanes in found)

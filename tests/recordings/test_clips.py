@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from egolane_pgm.results import read_result
 
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.select import fill_missing
-from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import done, refused, write_experiment
 from tests.kits.image_line_files import (

@@ -26,16 +26,10 @@ def command_of(path: Path) -> list[str]:
     return shlex.split(command.replace("--n-lanes N", "--n-lanes 3"))[1:]
 
 
-def sides(path: Path) -> None:
-    table = {"stamp": 10**18 + np.arange(N_FRAMES) * 10**8}
-    pd.DataFrame({**table, "left": OFFSETS[:, 1], "right": OFFSETS[:, 2]}).to_csv(path, index=False)
-
-
 @pytest.mark.parametrize(
     ("name", "make", "which"),
     [
         ("foreign.csv", foreign_table, slice(4)),
-        ("sides.csv", sides, slice(1, 3)),
         ("own.parquet", lambda path: per_line(
             frame_id=lambda t, k, y: t, offset_m=lambda t, k, y: y).to_parquet(path), slice(4)),
     ],
@@ -54,7 +48,7 @@ def test_every_guess_is_marked_and_rate_gaps_and_spans_are_said(tmp_path: Path) 
     foreign_table(tmp_path / "a.csv")
     shown = done("show", tmp_path / "a.csv").stdout
     assert re.search(r"  lateral_cm +-55\d[.\d]* to 55\d", shown)
-    assert "90 frames, 10 per second, gaps: 1 (the longest 1.1 s)" in shown
+    assert "90 frames, 10.0 per second, gaps: 1; lines from -5.55 to 5.55 m" in shown
     guesses = [line for line in shown.splitlines() if line.startswith("  guess: ")]
     assert len(guesses) == 6
     assert "  guess: positive offsets are to the left: then lines go from left to right" in guesses
@@ -67,9 +61,11 @@ def test_every_guess_is_marked_and_rate_gaps_and_spans_are_said(tmp_path: Path) 
             {"dist_l": OFFSETS[:, 2], "dist_r": OFFSETS[:, 2]},
             "no name is plainly that of an offset",
         ),
-        ({"left": -OFFSETS[:, 1], "right": OFFSETS[:, 2]}, "the unit of offset_m is not plain"),
-        ({"left_m": -OFFSETS[:, 1], "right_m": OFFSETS[:, 2]}, "the data do not show whether"),
-        ({"left": OFFSETS[:, 2], "right": OFFSETS[:, 3]}, "not those of lines on both sides"),
+        ({"offset": OFFSETS[:, 2]}, "the unit of offset_m is not plain"),
+        (
+            {"offset_1": OFFSETS[:, 2], "offset_2": OFFSETS[:, 3]},
+            "not those of lines on both sides",
+        ),
         ({"x": OFFSETS[:, 2], "y": OFFSETS[:, 1]}, "no name is plainly that of an offset"),
         ({"lateral": OFFSETS[:, 2], "offset": OFFSETS[:, 2]}, "offset_m may be lateral or offset"),
     ],
@@ -101,7 +97,7 @@ def test_messages_of_ones_own_are_described_and_not_guessed(
 ) -> None:
     make(tmp_path / name)
     shown = done("show", tmp_path / name).stdout
-    assert "): 100 messages; in 100 of them 10 per second, gaps: 0" in shown
+    assert "): 100 messages; 10 per second, gaps: 0" in shown
     assert "  c0                       -5.55 to 5.55" in shown
     assert "egolane run" not in shown
 

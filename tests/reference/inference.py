@@ -261,13 +261,13 @@ def expected_counts(
         table = compiled.tables[node]
         if any(parent in compiled.inputs for parent, _ in table.parents):
             continue
-        array = {"prior": first[None], "transition": moves[None]}.get(place.kind)
+        array = {"prior": first[None], "transition": moves[None]}.get(place.target)
         if array is None:
-            group = compiled.groups[place.group]
+            group = compiled.groups[place.target]
             array = np.zeros_like(group.emission)
             for t in np.flatnonzero(~is_impossible):
                 # P(value | state, evidence), for the states that the evidence allows.
-                of_value = logarithms(group.emission) + blocks[place.group][t]
+                of_value = logarithms(group.emission) + blocks[place.target][t]
                 of_state = _log_sum(of_value, axis=1)[:, None]
                 of_state[of_state == -np.inf] = 0.0
                 array += smoothed[t][:, None] * np.exp(of_value - of_state)

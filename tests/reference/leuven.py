@@ -8,7 +8,6 @@ import numpy as np
 from leuvenmapmatching.map.inmem import InMemMap
 from leuvenmapmatching.matcher.distance import DistanceMatcher
 
-from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.types import IntArray
@@ -17,13 +16,13 @@ from egolane_pgm.types import IntArray
 class Leuven:
     """Its map of a lane graph: every straight piece of a segment is an edge."""
 
-    def __init__(self, graph: LaneGraph, index: RoadIndex) -> None:
+    def __init__(self, graph: LaneGraph) -> None:
         logging.getLogger("be.kuleuven.cs.dtai.mapmatching").setLevel(logging.ERROR)
-        self.index = index
+        self.graph = graph
         self.map = InMemMap("map", use_latlon=False, use_rtree=False)
         self.segment: dict[tuple[int, int], int] = {}
         # Where segments meet, the last point of one and the first of the next are one node.
-        node = {k: k for k in range(len(index.point))}
+        node = {k: k for k in range(len(graph.point))}
 
         def node_of(point: int) -> int:
             while node[point] != point:
@@ -31,18 +30,18 @@ class Leuven:
             return point
 
         for before, after in zip(graph.before, graph.after, strict=True):
-            node[node_of(int(index.first[after]))] = node_of(int(index.first[before + 1] - 1))
-        for point in range(len(index.point)):
-            self.map.add_node(node_of(point), tuple(index.point[node_of(point)]))
+            node[node_of(int(graph.first[after]))] = node_of(int(graph.first[before + 1] - 1))
+        for point in range(len(graph.point)):
+            self.map.add_node(node_of(point), tuple(graph.point[node_of(point)]))
         for segment in range(len(graph)):
-            for point in range(index.first[segment], index.first[segment + 1] - 1):
+            for point in range(graph.first[segment], graph.first[segment + 1] - 1):
                 edge = (node_of(point), node_of(point + 1))
                 self.map.add_edge(*edge)
                 self.segment[edge] = segment
 
     def match(self, positions: Positions) -> IntArray:
         """The segment of each position, (T,); -1 where it gave up."""
-        place = self.index.plane.metres(positions.latitude, positions.longitude)
+        place = self.graph.plane.metres(positions.latitude, positions.longitude)
         matcher = DistanceMatcher(
             self.map, max_dist=200, max_dist_init=200, obs_noise=6, obs_noise_ne=12, dist_noise=6,
             min_prob_norm=1e-6, non_emitting_states=True, max_lattice_width=10,

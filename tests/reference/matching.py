@@ -6,23 +6,22 @@ from itertools import product
 
 import numpy as np
 
-from egolane_pgm.maps.index import RoadIndex
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.types import FloatArray, IntArray
 
 
 def nearest_by_hand(
-    graph: LaneGraph, index: RoadIndex, place: FloatArray, radius_m: float
+    graph: LaneGraph, place: FloatArray, radius_m: float
 ) -> dict[int, tuple[float, float]]:
     """Segment: (metres along it, distance) of its place that is nearest, for those in a radius."""
     found = {}
     for segment in range(len(graph)):
-        rows = range(index.first[segment], index.first[segment + 1] - 1)
+        rows = range(graph.first[segment], graph.first[segment + 1] - 1)
         options = []
         for row in rows:
-            a, b = index.point[row], index.point[row + 1]
+            a, b = graph.point[row], graph.point[row + 1]
             share = float(np.clip((place - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1))
-            along = index.along_m[row] * (1 - share) + index.along_m[row + 1] * share
+            along = graph.along_m[row] * (1 - share) + graph.along_m[row + 1] * share
             options.append((float(np.linalg.norm(place - a - share * (b - a))), float(along)))
         distance, along = min(options)
         if distance <= radius_m:

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from egolane_pgm.results import read_result
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.online import filter_stream
-from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
-from egolane_pgm.views.coverage import MARKED, coverage_curves, coverage_figure
+from egolane_pgm.views.figures import MARKED, coverage_curves, coverage_figure
 from tests.kits.drives import done, short_drive, write_drive
 from tests.kits.streams import messages
 from tests.kits.tiny_result import a_result, without_truth
@@ -116,7 +116,7 @@ def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Pa
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
     result = a_result()
     curves = coverage_curves(result)
-    assert list(curves) == ["Detector only", "Model"]
+    assert list(curves) == ["Detector", "Model"]
     (ax,) = coverage_figure(result).axes
     line = next(line for line in ax.lines if line.get_label() == "Model")
     assert np.asarray(line.get_xdata()).tolist() == curves["Model"].coverage.tolist()

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from egolane_pgm.tuning.search import check_sampler
 
-from egolane_pgm.maps import load_map
-from egolane_pgm.maps.local import Plane
+from egolane_pgm.maps.lane_graph import Plane
+from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.types import InputError
@@ -43,9 +43,8 @@ def position(_: Path) -> None:
     [
         ("bokeh", "a.html", a_result().report, "a page of results needs bokeh|page"),
         ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
-        ("osmium", "a.osm", load_map, "{} needs osmium|maps"),
+        ("osmium", "a.osm", read_osm, "{} needs osmium|maps"),
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),
-        ("pynmea2", "a.nmea", read_positions, "{} needs pynmea2|maps"),
         ("pyproj", "", position, "a position on a map needs pyproj|maps"),
         ("onnx", "a.onnx", lambda p: read_onnx(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
         ("distributed", "", cluster, "a cluster needs distributed|cluster"),
@@ -66,7 +65,7 @@ def test_a_package_that_is_not_installed_is_named_with_its_extra(
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, module, None)
     place = tmp_path / file
-    if file.endswith((".osm", ".gpx", ".nmea", ".onnx")):
+    if file.endswith((".osm", ".gpx", ".onnx")):
         place.touch()
     with pytest.raises(InputError) as caught:
         call(place)

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
-pytest.importorskip("shapely")
-pytest.importorskip("pyproj")
+pytest.importorskip("osmium")
 
 from egolane_pgm.command import egolane
-from egolane_pgm.maps import lane_graph, road_table
-from tests.kits.lane_maps import PLANE, interchange
+from egolane_pgm.maps import road_table
+from tests.kits.osm_files import EAST_M, LATITUDE, LONGITUDE, write_osm
+
+
+def write_map(path: Path, middle: dict[str, int]) -> Path:
+    """A motorway to the east: 2 km of two lanes, 1 km with the tags of `middle`, 3 km of two."""
+    nodes = {0: (0.0, 0.0), 1: (2000.0, 0.0), 2: (3000.0, 0.0), 3: (6000.0, 0.0)}
+    tags = ({"lanes": 2}, middle, {"lanes": 2})
+    ways = [(100 + k, [k, k + 1], {"highway": "motorway"} | tags[k]) for k in range(3)]
+    return write_osm(path, nodes, ways)
 
 
 @pytest.fixture
 def files(tmp_path: Path) -> tuple[str, str, str]:
-    """A map, positions with columns of their own names, and where the table goes."""
-    lane_graph.save(interchange(), tmp_path / "lanes.parquet")
-    x = np.arange(10.0, 5990, 30)
-    places = PLANE.degrees(np.stack([x, np.zeros(len(x))], axis=1))
-    rows = [f"{t},{north:.8f},{east:.8f}" for t, (north, east) in enumerate(places)]
+    """A map, positions with columns of their own names, and the path of the table."""
+    write_map(tmp_path / "roads.osm", {"lanes": 3})
+    east = LONGITUDE + np.arange(10.0, 5990, 30) / EAST_M
+    rows = [f"{t},{LATITUDE},{longitude:.8f}" for t, longitude in enumerate(east)]
     (tmp_path / "drive.csv").write_text("when,lat_gps,lon\n" + "\n".join(rows) + "\n")
-    return tuple(str(tmp_path / name) for name in ("lanes.parquet", "drive.csv", "road.parquet"))
+    return tuple(str(tmp_path / name) for name in ("roads.osm", "drive.csv", "road.parquet"))
 
 
 def run(*words: str) -> Result:
@@ -47,9 +52,7 @@ def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, .
 
 
 def test_a_number_of_lanes_that_the_map_does_not_tell_is_said(files: tuple[str, str, str]) -> None:
-    graph = interchange()
-    untold = replace(graph, n_lanes=graph.n_lanes * (graph.way != 101))
-    lane_graph.save(untold, files[0])
+    write_map(Path(files[0]), {})
     assert "lanes: 2 (a guess in " in run(*files[:2], "-o", files[2], *NAMED).output
 
 
@@ -57,9 +60,8 @@ def test_a_number_of_lanes_that_the_map_does_not_tell_is_said(files: tuple[str, 
     ("change", "said"),
     [
         ({2: "road.csv"}, "a road table is a .parquet file"),
-        ({2: "lanes.parquet"}, "is read here; name another file"),
         ({0: "drive.csv"}, "cannot be read as a map"),
-        ({1: "lanes.parquet"}, "no column t_s"),
+        ({1: "roads.osm"}, "unknown extension '.osm' of positions"),
         ({1: "nowhere.csv"}, "no such file"),
     ],
 )

@@ -15,8 +15,14 @@ from matplotlib.path import Path as Curve
 from egolane_pgm.graphs.cpds import Table, quiet
 from egolane_pgm.graphs.flat import bif
 from egolane_pgm.types import InputError
-from egolane_pgm.views.network import ENDINGS, check_ending, network_figure, write_network
-from egolane_pgm.views.structure import Structure, graphviz, structure_of
+from egolane_pgm.views.network import (
+    ENDINGS,
+    Structure,
+    check_ending,
+    network_figure,
+    structure_of,
+    write_network,
+)
 from tests.conformance.networks import random_network, template
 
 PAPER = [("Lane", "DetectorOutput"), ("SensorState", "DetectorOutput"), ("SensorState", "WOR")]
@@ -119,7 +125,7 @@ def test_children_are_below_their_parents_and_the_next_frame_to_the_right(
     drawn = circles(network_figure(network))
     for start, end in network.edges:
         (x0, y0), (x1, y1) = drawn[start].center, drawn[end].center
-        assert y1 < y0 if start[1] == end[1] else x1 > x0
+        assert y1 > y0 if start[1] == end[1] else x1 > x0
     for name, time in drawn:
         assert drawn[name, time].center[1] == drawn[name, 0].center[1]
 
@@ -160,28 +166,10 @@ def test_a_picture_is_written(tmp_path: Path) -> None:
 
 
 def test_another_ending_is_refused() -> None:
-    with pytest.raises(InputError, match=r"jpg: a network is written to a file that ends in \.png"):
+    with pytest.raises(InputError, match=r"jpg: .* a network is written to \.png"):
         check_ending("network.jpg")
     for ending in ENDINGS:
         check_ending(f"network{ending}")
-
-
-def test_graphviz_gets_every_node_once_and_every_edge(tmp_path: Path) -> None:
-    compiled = template("position_in_lane", 2)
-    write_network(compiled, tmp_path / "network.dot")
-    lines = (tmp_path / "network.dot").read_text().splitlines()
-    structure = structure_of(compiled)
-    drawn = [line.split('"')[1] for line in lines if "shape=" in line]
-    assert sorted(drawn) == sorted(f"{name}_{s}" for name, s in nodes(structure))
-    assert sorted(tuple(line.split('"')[1:4:2]) for line in lines if "->" in line) == sorted(
-        (f"{a}_{s}", f"{b}_{t}") for (a, s), (b, t) in structure.edges
-    )
-    assert 'label="Lane"' in next(line for line in lines if "peripheries=2" in line)
-
-
-def test_names_are_quoted_for_graphviz() -> None:
-    text = graphviz(declared([('a"b', "c\\d")], []))
-    assert r'"a\"b_0" -> "c\\d_0";' in text
 
 
 @pytest.mark.parametrize("name", ["sensor_failure", "position_in_lane"])

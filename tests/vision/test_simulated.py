@@ -9,7 +9,7 @@ import pytest
 
 from egolane_pgm.simulation import simulate, simulated_road
 from egolane_pgm.vision.camera.model import road_to_image
-from egolane_pgm.vision.simulated import CAMERA, DASH_M, PERIOD_M, Paint, draw_road
+from egolane_pgm.vision.simulated import CAMERA, Paint, draw_road
 
 
 @pytest.mark.parametrize("yaw_deg", [0.0, -2.0])
@@ -26,16 +26,6 @@ def test_a_line_is_in_the_picture_where_the_camera_says_it_is(
     assert (image[v, u] == line.grey).mean() > 0.95
     u, v = np.round(road_to_image(camera, x, y + 0.5)).astype(int)
     assert (image[v, u] == 95).all()
-
-
-def test_dashes_move_towards_the_car() -> None:
-    line = Paint(0.0, DASH_M, PERIOD_M)
-    x = np.linspace(6, 20, 57)
-    u, v = np.round(road_to_image(CAMERA, x, 0.0)).astype(int)
-    for travelled_m in (0.0, 5.0, 13.0):
-        shown = draw_road([line], travelled_m, noise=0)[v, u, 0] == line.grey
-        there = np.mod(x + travelled_m, PERIOD_M) < DASH_M
-        assert (shown == there).mean() > 0.9
 
 
 def test_pictures_are_of_the_drive_whose_lines_are_simulated() -> None:

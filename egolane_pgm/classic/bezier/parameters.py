@@ -18,15 +18,7 @@ from __future__ import annotations
 from egolane_pgm.parameters import Parameter
 
 PARAMETERS = (
-    Parameter("near_m", "positive", 4.0, "near edge of the view, metres ahead"),
-    Parameter("far_m", "positive", 20.0, "far edge of the view, metres ahead"),
     Parameter("side_m", "positive", 9.0, "half-width of the view, metres"),
-    Parameter(
-        "focal_px",
-        "positive",
-        618.8,
-        "pictures are made smaller until their focal length is this, pixels",
-    ),
     Parameter(
         "lower_quantile",
         "probability",
@@ -41,7 +33,5 @@ PARAMETERS = (
         choices=("columns", "hough"),
     ),
     Parameter("detection_threshold", "non_negative", 0.1, "least score of a first line"),
-    Parameter("overlap_threshold", "probability", 0.5, "boxes that share more than this are one"),
-    Parameter("seed", "integer", 0, "of the random samples"),
     Parameter("lines", "integer", 4, "most lines per picture", lowest=1, highest=4),
 )

@@ -11,6 +11,10 @@ from egolane_pgm.vision.camera.model import Camera, scaled
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, make_view
 
+#: The near and the far edge of the view, metres ahead, and the focal length that larger pictures
+#: are brought to, pixels.
+NEAR_M, FAR_M, _FOCAL_PX = 4.0, 20.0, 618.8
+
 #: Rows and columns of the view.
 _ROWS, _COLUMNS = 240, 320
 
@@ -20,10 +24,10 @@ _SMOOTH_TAPS, _SMOOTH_SIGMA = 33, 8.0
 _RIDGE_REACH, _RIDGE_SIGMA = 4, 0.8
 
 
-def smaller(camera: Camera, focal_px: float) -> Camera:
-    """The camera whose pictures are this one's, made smaller to a focal length; one with a shorter
-    focal length stays as it is."""
-    factor = camera.fx / focal_px
+def smaller(camera: Camera) -> Camera:
+    """The camera whose pictures are this one's, made smaller to the focal length of the view; one
+    with a shorter focal length stays as it is."""
+    factor = camera.fx / _FOCAL_PX
     if factor <= 1:
         return camera
     return scaled(camera, round(camera.width / factor), round(camera.height / factor))
@@ -31,17 +35,9 @@ def smaller(camera: Camera, focal_px: float) -> Camera:
 
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
     """The view that the parameters ask for. Raises InputError as `make_view` does."""
-    near, far = number(parameters, "near_m"), number(parameters, "far_m")
     side = number(parameters, "side_m")
-    return make_view(
-        camera,
-        near,
-        far,
-        -side,
-        side,
-        (far - near) / _ROWS,
-        2 * side / _COLUMNS,
-    )
+    along_m, across_m = (FAR_M - NEAR_M) / _ROWS, 2 * side / _COLUMNS
+    return make_view(camera, NEAR_M, FAR_M, -side, side, along_m, across_m)
 
 
 def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:

@@ -46,6 +46,10 @@ _MERGE, _MERGE_CENTROID = ((0.1, 5.0), (0.2, 10.0)), 15.0
 Finder = Callable[[FloatArray], "Splines"]
 
 
+#: Boxes that share more than this are one.
+_OVERLAP = 0.5
+
+
 @dataclass(frozen=True)
 class Splines:
     """M cubic Bezier splines, best first. control: (M, 4, 2) control points, from far to near;
@@ -65,11 +69,10 @@ class _Lines:
 
 
 def spline_finder(parameters: Parameters) -> Finder:
-    """Makes the function that finds splines. Each call takes the same random numbers, drawn here
-    from the seed, so that a picture's splines do not depend on the pictures before."""
-    rng = np.random.default_rng(int(number(parameters, "seed")))
+    """Makes the function that finds splines. Each call takes the same random numbers, drawn here,
+    so that a picture's splines do not depend on the pictures before."""
+    rng = np.random.default_rng(0)
     line_draw, spline_draw = (rng.random((_SAMPLES, _POINTS)) for _ in range(2))
-    overlap = number(parameters, "overlap_threshold")
 
     def find(ridge: FloatArray) -> Splines:
         rows, columns = np.nonzero(ridge)
@@ -78,9 +81,9 @@ def spline_finder(parameters: Parameters) -> Finder:
         point = np.stack([columns, rows], axis=1).astype(np.float64)
         value = ridge[rows, columns]
         lines = _first_lines(ridge, point, value, parameters)
-        boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1], overlap)
+        boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1], _OVERLAP)
         lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0])
-        boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1], overlap)
+        boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1], _OVERLAP)
         return _checked(_fitted_splines(boxes, point, value, spline_draw, ridge))
 
     return find

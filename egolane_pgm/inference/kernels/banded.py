@@ -59,26 +59,21 @@ def find_band(compiled: Compiled) -> Band | None:
         product = others[u][:, None, :, None] * own[u][:, None, :]
         if (np.abs(product - whole) > _EQUAL * whole).any():
             return None
-    return Band(others, *_bands(own))
-
-
-def _bands(own: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
-    n_inputs, size, _ = own.shape
-    distance = np.abs(np.arange(size)[:, None] - np.arange(size))
+    to = np.arange(n_wide)
+    distance = np.abs(to[:, None] - to)
     floor = own.min(axis=1)
     # A share of what is moved there: nothing but the floor may be in the frame's evidence.
     is_more = own - floor[:, None, :] > _EQUAL * floor[:, None, :]
     half = np.array([distance[each].max(initial=0) for each in is_more], dtype=np.int64)
     widest = int(half.max())
-    to = np.arange(size)
     source = to - np.arange(-widest, widest + 1)[:, None]
-    inside = (source >= 0) & (source < size)
-    entry = np.where(inside, source, 0) * size + to
+    inside = (source >= 0) & (source < n_wide)
+    entry = np.where(inside, source, 0) * n_wide + to
     band = own.reshape(n_inputs, -1)[:, entry.ravel()].reshape(n_inputs, *entry.shape)
     band -= floor[:, None, :]
     band *= inside
     # Indexing leaves the axes in another order in memory, which costs the kernel half its speed.
-    return half, floor, np.ascontiguousarray(band)
+    return Band(others, half, floor, np.ascontiguousarray(band))
 
 
 @kernel(fastmath={"reassoc", "contract"}, error_model="numpy")

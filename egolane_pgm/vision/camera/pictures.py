@@ -186,23 +186,14 @@ def read_pictures(
     - right: the pictures of the second camera of a stereo pair
     - frames: the first frame id to read and the one after the last; None for all
 
-    Warns of a video that lacks pictures, and of folders that look like clips.
-    Raises InputError, naming file and frame, for a picture that cannot be read or has another size
-    than the calibration or the other camera's, and for two cameras with different numbers of
-    pictures.
+    Warns of a video that lacks pictures. Raises InputError, naming file and frame, for a picture
+    that cannot be read or has another size than the calibration, and for two cameras with
+    different numbers of pictures.
     """
     counts = source.n_frames, source.n_frames if right is None else right.n_frames
     if right is not None and None not in counts and counts[0] != counts[1]:
         raise InputError(
             f"{right.path}: has {counts[1]} pictures, {source.path} has {counts[0]}; {_EQUAL}"
-        )
-    folders = {file.parent for file in source.files}
-    if len(folders) > 1 and len({file.name for file in source.files}) < len(source.files):
-        warnings.warn(
-            f"{source.path}: {len(folders)} folders have pictures of the same names: they are taken"
-            " for one drive, folder after folder; if each is a clip, name them one by one",
-            UserWarning,
-            stacklevel=2,
         )
     seconds = None if right is None else images_of(right, _same_frames(source, right, frames))
     for frame_id, file, image in images_of(source, frames):

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog
 from egolane_pgm.vision.camera.picture import Image as Image
 from egolane_pgm.vision.camera.picture import Picture
 
@@ -32,6 +32,15 @@ def powers(x: FloatArray | float) -> FloatArray:
     return np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=-1)
 
 
+#: The arrays of `FrameLines`: kinds of their types, and how a message names them.
+_ARRAYS = (
+    ("shape", "iuf", "numbers"),
+    ("is_valid", "b", "True or False"),
+    ("is_continuous", "b", "True or False"),
+    ("lri", "iuf", "numbers"),
+)
+
+
 @dataclass(frozen=True)
 class FrameLines:
     """The L lines of one frame, sorted left to right.
@@ -41,40 +50,30 @@ class FrameLines:
       s2 = s3 = 0.
     - is_valid, is_continuous: (L,) bool
     - lri: (L,) the line reliability index, how often the line was detected in the last frames
-    - slot: (L,) a whole number that stays with a line from frame to frame, another one for each
-      line of a frame; None for a detector that follows nothing
 
-    Raises InputError for arrays of other shapes or types.
+    Raises InputError for arrays of other shapes or types, for shapes that are not finite or sorted.
     """
 
     shape: FloatArray
     is_valid: BoolArray
     is_continuous: BoolArray
     lri: FloatArray
-    slot: IntArray | None = None
 
     def __post_init__(self) -> None:
-        kinds_of = [
-            ("shape", "iuf", "numbers"),
-            ("is_valid", "b", "True or False"),
-            ("is_continuous", "b", "True or False"),
-            ("lri", "iuf", "numbers"),
-        ]
-        if self.slot is not None:
-            kinds_of.append(("slot", "iu", "whole numbers"))
-        for name, kinds, needed in kinds_of:
+        for name, kinds, needed in _ARRAYS:
             value = getattr(self, name)
             if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
-                found = value.dtype if isinstance(value, np.ndarray) else type(value).__name__
-                raise InputError(f"lines: {name} is {found}, needs a NumPy array of {needed}")
-        n_lines = len(self.shape) if self.shape.ndim else 0
-        if self.shape.shape != (n_lines, 4):
-            raise InputError(f"lines: shape is {self.shape.shape}, needs (L, 4)")
-        for name, _, _ in kinds_of[1:]:
-            if getattr(self, name).shape != (n_lines,):
-                raise InputError(f"lines: {name} needs one value for each of {n_lines} lines")
-        if self.slot is not None and len(np.unique(self.slot)) < n_lines:
-            raise InputError(f"lines: slot {self.slot.tolist()} has a number twice")
+                raise InputError(f"lines: {name} needs a NumPy array of {needed}")
+            wanted = (value.shape[:1] or (0,)) + (4,) if name == "shape" else self.shape.shape[:1]
+            if value.shape != wanted:
+                size = "(L, 4)" if name == "shape" else f"{self.shape.shape[:1]}"
+                raise InputError(f"lines: {name} is {value.shape}, needs {size}")
+        if not np.isfinite(self.shape).all():
+            raise InputError("lines: a line's shape is not finite")
+        if not (np.isfinite(self.lri) & (self.lri >= 0)).all():
+            raise InputError("lines: a line's lri is not a count of detections")
+        if (np.diff(self.offset_m) < 0).any():
+            raise InputError("lines: the lines are not sorted left to right")
 
     @property
     def offset_m(self) -> FloatArray:

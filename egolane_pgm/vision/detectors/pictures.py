@@ -76,7 +76,7 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
         total=left.n_frames if recording.frames is None else None,
     )
     lines = detect(detector, camera, pictures)
-    done = collect(lines, frame_rate, left.path, left.time_s, camera)
+    done = collect(lines, frame_rate, left.path, left.time_s)
     if isinstance(done.stopped, InputError) and done.log is not None:
         raise InputError(f"{done.stopped}; `egolane detect` writes the lines of the frames before")
     if done.stopped is not None:

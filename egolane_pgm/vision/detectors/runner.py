@@ -4,26 +4,19 @@ its lines."""
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.types import FloatArray, InputError, LineLog
-from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera
+from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step, as_log
 from egolane_pgm.vision.detectors.networks.description import YAML, network_files
-
-#: The own lane looks like two if its lines are between these numbers of lane widths apart, and the
-#: fewest frames with both lines that say so.
-_TWO_LANES, _LEAST_PAIRS = (1.7, 2.3), 10
 
 
 @dataclass(frozen=True)
@@ -108,39 +101,9 @@ def detect(
         except InputError as error:
             said = str(error)
             raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
-        _check(lines, where)
+        if not isinstance(lines, FrameLines):
+            raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
         yield picture.frame_id, lines
-
-
-def _check(lines: FrameLines, where: str) -> None:
-    if not isinstance(lines, FrameLines):
-        raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
-    if not np.isfinite(lines.shape).all():
-        raise InputError(f"{where}: a line's shape is not finite")
-    if not (np.isfinite(lines.lri) & (lines.lri >= 0)).all():
-        raise InputError(f"{where}: a line's lri is not a count of detections")
-    if (np.diff(lines.offset_m) < 0).any():
-        raise InputError(f"{where}: the lines are not sorted left to right")
-
-
-def _warn_of_own_lane(log: LineLog, camera: Camera) -> None:
-    """Warns if the valid lines beside the car are two lanes apart in most frames that have both."""
-    offset = np.where(log.is_valid, log.offset_m, np.nan)
-    left = np.where(offset < 0, -offset, np.inf).min(axis=1, initial=np.inf)
-    width = left + np.where(offset > 0, offset, np.inf).min(axis=1, initial=np.inf)
-    width = width[np.isfinite(width)]
-    one = camera.lane_width_m or USUAL_LANE_M
-    is_double = (width > _TWO_LANES[0] * one) & (width < _TWO_LANES[1] * one)
-    if len(width) < _LEAST_PAIRS or is_double.mean() <= 0.5:
-        return
-    warnings.warn(
-        f"{camera.name or 'the camera'}: doubtful: the lines left and right of the car are"
-        f" {np.median(width[is_double]):.1f} m apart in {is_double.sum()} of {len(width)} frames,"
-        f" two lanes of {one:g} m; if no line is between them, the camera is at half its height_m"
-        f" of {camera.height_m:.2f}: calibrate it again",
-        UserWarning,
-        stacklevel=3,
-    )
 
 
 @dataclass(frozen=True)
@@ -160,16 +123,13 @@ def collect(
     frame_rate: float,
     source: str,
     time_s: FloatArray | None = None,
-    camera: Camera | None = None,
 ) -> Collected:
-    """Collects the lines of a drive into one log; an interruption keeps the frames before it. Warns
-    of a camera with which the own lane looks as wide as two.
+    """Collects the lines of a drive into one log; an interruption keeps the frames before it.
 
     - frames: pairs of frame id and lines, as `detect` gives them
     - frame_rate: Hz
     - source: where the lines come from, for messages
     - time_s: when the frame of each id was taken, seconds; None for frame id over frame rate
-    - camera: what saw the lines
     """
     found: list[tuple[int, FrameLines]] = []
     stopped: KeyboardInterrupt | InputError | None = None
@@ -180,6 +140,4 @@ def collect(
     if not found:
         return Collected(None, stopped)
     log = as_log(found, frame_rate, source)
-    if camera is not None:
-        _warn_of_own_lane(log, camera)
     return Collected(log if time_s is None else replace(log, time_s=time_s[log.frame_id]), stopped)

@@ -127,7 +127,7 @@ def read_tusimple(
         raise InputError(f"{path}: frame_step: {frame_step!r} is not a whole number from 1 up")
     if not entries:
         raise InputError(f"{path}: no frame in it")
-    return _log(_clips(entries, seen_by, frame_step), seen_by, frame_rate, valid, str(path))
+    return _log(_clips(entries, frame_step), seen_by, frame_rate, valid, str(path))
 
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -204,7 +204,7 @@ def _numbers(values: object, where: str, what: str) -> FloatArray:
 
 
 def _clips(
-    entries: Sequence[tuple[str, dict[str, Any]]], camera: Camera, frame_step: int
+    entries: Sequence[tuple[str, dict[str, Any]]], frame_step: int
 ) -> dict[str, dict[int, _Frame]]:
     """The frames of each clip by their numbers over frame_step, ascending."""
     pictures = [PurePosixPath(entry["raw_file"]) for _, entry in entries]
@@ -225,14 +225,7 @@ def _clips(
             raise InputError(
                 f"{where}: frame {number} is there twice (also {members[k][0]}); keep one"
             )
-        lines = entry_lines(entry, where)
-        lowest = max((float(line.v.max()) for line in lines), default=0.0)
-        if lowest > 1.1 * camera.height:
-            raise InputError(
-                f"{where}: a line reaches down to row {lowest:.0f}, the camera's pictures have"
-                f" {camera.height}; is it the camera of these pictures?"
-            )
-        members[k] = (where, lines)
+        members[k] = (where, entry_lines(entry, where))
     return {clip: dict(sorted(members.items())) for clip, members in clips.items()}
 
 

@@ -14,10 +14,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from egolane_pgm.drive import Recorded, load_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.drive import Recorded, load_recording
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import (

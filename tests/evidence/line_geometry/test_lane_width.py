@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from egolane_pgm.drive import load_recording
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.drive import load_recording
 from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, lane_width, width_of_gaps
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.paper import paper_experiment

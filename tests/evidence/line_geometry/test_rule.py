@@ -14,11 +14,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from egolane_pgm.drive import load_recording
+from egolane_pgm.results import read_result
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm import paper
-from egolane_pgm.drive import load_recording
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
@@ -37,7 +38,6 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import make_evidence, prepare_model
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.results import read_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
 from tests.conftest import needs_compiler

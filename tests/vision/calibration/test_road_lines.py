@@ -68,24 +68,6 @@ def test_a_camera_is_recovered_from_lines_found_in_stills(stills):
     assert min(len(lines) for lines in found.lines) >= 3
 
 
-def test_what_is_ignored_is_not_looked_at(stills):
-    masked = replace(unturned(TRUE), ignore=((0, 0, 640, 720),))
-    found = find_in_stills(masked, sorted(stills.iterdir()))
-    assert all(points[:, 0].min() > 640 for lines in found.lines for points in lines)
-
-
-def test_a_still_without_lines_says_nothing(stills, tmp_path):
-    blank = tmp_path / "blank.png"
-    cv2.imwrite(str(blank), np.full((720, 1280, 3), 90, np.uint8))
-    found = find_in_stills(unturned(TRUE), [sorted(stills.iterdir())[0], blank])
-    assert len(found.paths) == len(found.lines) == 2
-    assert len(found.lines[0]) >= 3
-    assert found.lines[1] == []
-    assert found.each.shape == (1, 2)
-    assert np.isfinite(found.each).all()
-    assert len(found.fits) == 1
-
-
 def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):
     small = tmp_path / "small.png"
     cv2.imwrite(str(small), np.zeros((100, 100, 3), np.uint8))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -38,14 +37,6 @@ def turned(path: Path, orientation: int) -> Path:
     exif[274] = orientation
     rgb(colourful()).save(path, exif=exif, quality=98)
     return path
-
-
-def test_sixteen_bits_are_scaled_to_eight(tmp_path: Path) -> None:
-    deep = colourful().astype(np.uint16) * 257
-    for name in ("deep.png", "deep.tif"):
-        np.testing.assert_array_equal(read_image(write(tmp_path / name, deep)), colourful())
-    grey = read_image(write(tmp_path / "grey.png", deep[:, :, 0]))
-    np.testing.assert_array_equal(grey, colourful()[:, :, :1].repeat(3, axis=2))
 
 
 def test_grey_transparent_palette_and_cmyk_pictures_have_three_colours(tmp_path: Path) -> None:
@@ -113,15 +104,3 @@ def test_a_second_picture_of_another_size_is_refused(tmp_path: Path) -> None:
     write(right / "1.png", np.zeros((100, 200, 3), np.uint8))
     with pytest.raises(InputError, match=r"right/1\.png: frame 1: the picture has 200x100"):
         list(read_pictures(open_source(left), CAMERA, open_source(right)))
-
-
-def test_clips_that_are_taken_for_one_drive_are_warned_of(tmp_path: Path) -> None:
-    for clip in "ab":
-        write_pictures(tmp_path / clip, images(2))
-    with pytest.warns(UserWarning, match="2 folders have pictures of the same names: they are"):
-        assert read_all(tmp_path / "*" / "*.png") == 4
-    for k in range(2):
-        (tmp_path / "b" / f"{k}.png").rename(tmp_path / "b" / f"{k + 2}.png")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert read_all(tmp_path / "*" / "*.png") == 4

@@ -3,7 +3,6 @@ contract: they give lines, or one line of text that says what is wrong."""
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -47,11 +46,11 @@ def lines(count: int, lri: float = 1.0) -> FrameLines:
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
-        ("shape", [[0.0, 0.0, 0.0, 0.0]], "shape is list, needs a NumPy array of numbers"),
+        ("shape", [[0.0, 0.0, 0.0, 0.0]], "shape needs a NumPy array of numbers"),
         ("shape", np.array(3.0), r"shape is \(\), needs \(L, 4\)"),
-        ("is_valid", np.array([0.5]), "is_valid is float64, needs a NumPy array of True or False"),
-        ("slot", np.array([1.0]), "slot is float64, needs a NumPy array of whole numbers"),
-        ("slot", np.array([1, 2]), "slot needs one value for each of 1 lines"),
+        ("is_valid", np.array([0.5]), "is_valid needs a NumPy array of True or False"),
+        ("lri", np.array([1, 2]), r"lri is \(2,\), needs \(1,\)"),
+        ("lri", np.array([np.nan]), "a line's lri is not a count of detections"),
     ],
 )
 def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> None:
@@ -60,18 +59,10 @@ def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> 
         FrameLines(**{**GOOD, name: value})
 
 
-def test_two_lines_have_two_slots() -> None:
-    many = {name: np.repeat(value, 2, axis=0) for name, value in GOOD.items()}
-    assert FrameLines(**many).slot is None
-    FrameLines(**many, slot=np.array([4, 1]))
-    with pytest.raises(InputError, match=r"^lines: slot \[4, 4\] has a number twice$"):
-        FrameLines(**many, slot=np.array([4, 4]))
-
-
 @pytest.mark.parametrize(
     ("more", "lri", "said"),
     [
-        ("", "np.nan", "frame 0: a line's lri is not a count of detections"),
+        ("", "np.nan", "frame 0: lines: a line's lri is not a count of detections"),
         ("PARAMETERS = None", "1.0", "PARAMETERS is no tuple of Parameter"),
         ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS has {'contrast': 8}, which is no"),
     ],
@@ -117,33 +108,6 @@ def test_what_was_detected_before_a_drive_ends_early_is_kept(reason: BaseExcepti
     assert found.stopped is reason
     assert found.log is not None
     assert found.log.frame_id.tolist() == [3, 4, 6]
-
-
-def own_lane(left_m: float, right_m: float) -> FrameLines:
-    shape, yes = np.zeros((2, 4)), np.ones(2, dtype=bool)
-    shape[:, 0] = left_m, right_m
-    return FrameLines(shape, yes, ~yes, np.ones(2))
-
-
-def test_an_own_lane_as_wide_as_two_is_doubted_and_a_lane_change_is_not() -> None:
-    camera = Camera(640, 360, fx=500, fy=500, cx=320, cy=180, height_m=3.0, name="front.yaml")
-
-    def said(frames: list[FrameLines], camera: Camera = camera) -> list[str]:
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            runner.collect(enumerate(frames), 10.0, "here", camera=camera)
-        return [str(warning.message) for warning in caught]
-
-    single, double, none = own_lane(-1.8, 1.9), own_lane(-3.6, 3.7), lines(2)
-    (doubt,) = said([*9 * [single], *30 * [none], *10 * [double]])
-    assert "front.yaml: doubtful: the lines left and right of the car are 7.3 m apart" in doubt
-    assert "in 10 of 19 frames, two lanes of 3.66 m" in doubt
-    # While the car changes lanes, the line in the middle may be missed for a while.
-    assert not said([*10 * [single], *10 * [double]])
-    # Too few frames to say.
-    assert not said(9 * [double])
-    assert not said(20 * [none])
-    assert not said(20 * [double], replace(camera, lane_width_m=6.0))
 
 
 def test_a_stereo_detector_needs_two_cameras_and_how_far_they_are_apart() -> None:

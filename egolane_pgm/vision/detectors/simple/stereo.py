@@ -13,7 +13,7 @@ import math
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -91,35 +91,36 @@ _SWAP_TRIALS = 5
 class Pair:
     """How the pairs of pictures of one camera are matched: as H x W pixels.
 
-    - scale, rows: width of a small pixel, columns, and its height, rows
+    - rows: height of a small pixel, rows of the full picture; its width is _SCALE
     - top: first row of the full picture that is used
-    - road: (3,) the calibrated plane
-    - flat: (H, W) its disparities
+    - flat: (H, W) disparities of the calibrated plane
     - u, v: (H, W) pixel of the full picture at the middle of each small pixel
     - looked: (H, W) whether a pixel shows road, and the right picture shows it as well
-    - points: (N,) flat indices of the small pixels that the plane is fitted to
     - below_px: how far below the road's disparity the search goes, small pixels
     - n_disparities: number of disparities that are searched
-    - edge_px: how far inside the right picture a match must be, pixels of the full picture
     - warp: (2, 3) affine map that moves the rows of the right picture by the plane
     - match: the matcher
     """
 
     camera: Camera
-    scale: int
     rows: int
     top: int
-    road: FloatArray
     flat: FloatArray
     u: FloatArray
     v: FloatArray
     looked: BoolArray
-    points: NDArray[np.int64]
     below_px: int
     n_disparities: int
-    edge_px: int
     warp: FloatArray
     match: Match
+
+    @cached_property
+    def points(self) -> NDArray[np.int64]:
+        """Flat indices of the small pixels that the plane is fitted to, (N,)."""
+        every = max(math.ceil(math.sqrt(self.looked.sum() / planes.MOST_POINTS)), 1)
+        grid = np.zeros_like(self.looked)
+        grid[::every, ::every] = True
+        return np.flatnonzero(self.looked & grid)
 
 
 def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRoad]:
@@ -167,62 +168,39 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 
     Raises InputError if the pictures would become too small, or `nearest_m` too near for them.
     """
-    scale, rows = _SCALE, int(number(parameters, "match_rows"))
-    road = planes.ground_plane(camera)
+    rows, height_m = int(number(parameters, "match_rows")), camera.height_m
     top, bottom = _rows(camera, parameters)
-    edge = scale * _EDGE_PX
-    height, width = (bottom - top) // rows, camera.width // scale
-    if height < 16 or width < 64:
+    height, width = (bottom - top) // rows, camera.width // _SCALE
+    least = _ELAS_ROWS if parameters["matcher"] == "elas" else 16
+    if height < least or width < 64:
         raise InputError(
-            f"match_rows: {rows} leaves {width}x{height} pixels of the road to match; make it"
-            " smaller, or take larger pictures"
+            f"match_rows: {rows} leaves {width}x{height} pixels of the road to match, and"
+            f" {parameters['matcher']} needs 64x{least}; make it smaller, or take larger pictures"
         )
-    if parameters["matcher"] == "elas" and height < _ELAS_ROWS:
-        raise InputError(
-            f"match_rows: {rows} leaves {height} rows, and elas needs {_ELAS_ROWS}; make it smaller"
-        )
-    half, half_row = (scale - 1) / 2, (rows - 1) / 2
-    u, v = np.meshgrid(np.arange(width) * scale + half, np.arange(height) * rows + half_row + top)
+    half, half_row = (_SCALE - 1) / 2, (rows - 1) / 2
+    u, v = np.meshgrid(np.arange(width) * _SCALE + half, np.arange(height) * rows + half_row + top)
+    road = planes.ground_plane(camera)
     flat = planes.disparity_at(road, u, v)
-    looked = _is_road(camera, u, v, parameters) & (u >= flat + edge)
+    looked = _is_road(camera, u, v, parameters) & (u >= flat + _SCALE * _EDGE_PX)
     for left, above, right, bottom in camera.ignore:
         looked &= ~((u >= left) & (u < right) & (v >= above) & (v < bottom))
-    every = max(math.ceil(math.sqrt(looked.sum() / planes.MOST_POINTS)), 1)
-    grid = np.zeros_like(looked)
-    grid[::every, ::every] = True
     assert camera.baseline_m is not None
     swing = math.radians(planes.MOST_PITCH_DEG)
     full = camera.fx * camera.baseline_m
-    below = math.ceil(swing * full / camera.height_m / scale) + 2
+    below = math.ceil(swing * full / height_m / _SCALE) + 2
     nearest = full / number(parameters, "nearest_m") - max(float(flat.min()), 0.0)
-    n_disparities = 16 * math.ceil((below + max(nearest / scale, 1)) / 16)
+    n_disparities = 16 * math.ceil((below + max(nearest / _SCALE, 1)) / 16)
     if n_disparities >= width:
         raise InputError(
             f"nearest_m: what is {number(parameters, 'nearest_m'):g} m away is"
-            f" {n_disparities * scale} pixels apart in the two pictures, which are"
+            f" {n_disparities * _SCALE} pixels apart in the two pictures, which are"
             f" {camera.width} wide; look less near (or is baseline_m wrong?)"
         )
     a, b, c = road
     first = c + a * half + b * (half_row + top)
-    warp = np.array([[1 - a, -b * rows / scale, below - first / scale], [0, 1, 0]])
-    points = np.flatnonzero(looked & grid)
-    return Pair(
-        camera,
-        scale,
-        rows,
-        top,
-        road,
-        flat,
-        u,
-        v,
-        looked,
-        points,
-        below,
-        n_disparities,
-        edge,
-        warp,
-        _elas() if parameters["matcher"] == "elas" else _sgbm,
-    )
+    warp = np.array([[1 - a, -b * rows / _SCALE, below - first / _SCALE], [0, 1, 0]])
+    match = _elas() if parameters["matcher"] == "elas" else _sgbm
+    return Pair(camera, rows, top, flat, u, v, looked, below, n_disparities, warp, match)
 
 
 def _sgbm(left: Image, right: Image, n_disparities: int) -> FloatArray:
@@ -304,7 +282,7 @@ def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
 
 def _small(pair: Pair, image: Image) -> Image:
     height, width = pair.u.shape
-    cut = image[pair.top : pair.top + height * pair.rows, : width * pair.scale]
+    cut = image[pair.top : pair.top + height * pair.rows, : width * _SCALE]
     grey = cut if cut.ndim == 2 else cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
     small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
     return small.astype(np.uint8, copy=False)
@@ -331,8 +309,8 @@ def disparities(pair: Pair, left: Image, right: Image) -> FloatArray:
         for image in (left, moved)
     ]
     found = pair.match(wide[0], wide[1], more)[:, more:]
-    disparity = pair.scale * (found - pair.below_px) + pair.flat
-    is_shown = pair.u - np.maximum(disparity, pair.flat) >= pair.edge_px
+    disparity = _SCALE * (found - pair.below_px) + pair.flat
+    is_shown = pair.u - np.maximum(disparity, pair.flat) >= _SCALE * _EDGE_PX
     is_found = (found >= 0) & (found < pair.n_disparities)
     return np.where(is_found & is_shown, disparity, np.nan)
 
@@ -341,7 +319,7 @@ def find_plane(pair: Pair, disparity: FloatArray) -> Plane:
     """Finds the plane of the road in disparities (H, W)."""
     points = pair.points[np.isfinite(disparity.ravel()[pair.points])]
     u, v, d = (a.ravel()[points] for a in (pair.u, pair.v, disparity))
-    plane = planes.fit_plane(pair.camera, u, v, d, pair.scale * _PLANE_PX, _PLANE_SHARE)
+    plane = planes.fit_plane(pair.camera, u, v, d, _SCALE * _PLANE_PX, _PLANE_SHARE)
     share = plane.share * len(points) / max(len(pair.points), 1)
     return replace(plane, share=share)
 
@@ -349,7 +327,7 @@ def find_plane(pair: Pair, disparity: FloatArray) -> Plane:
 def off_plane(pair: Pair, disparity: FloatArray, plane: Plane) -> BoolArray:
     """The pixels, (H, W), that are not on the plane. A pixel without disparity counts as on it. If
     the plane is not sure, so does a pixel that would be on it at the largest allowed pitch."""
-    least_px = pair.scale * (_OFF_PLANE_PX + (0 if plane.is_sure else pair.below_px))
+    least_px = _SCALE * (_OFF_PLANE_PX + (0 if plane.is_sure else pair.below_px))
     # A point with disparity d is above the plane by the share (d - plane's) / d of the camera's
     # height.
     least_share = _OFF_PLANE_M / pair.camera.height_m
@@ -391,6 +369,6 @@ def _watch(pair: Pair) -> Callable[[int, Plane, Image, Image], None]:
 def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
     """For each pixel of the view, (R, C), the flat index of the small picture's pixel there."""
     height, width = pair.u.shape
-    column = np.clip(view.map_uv[0][..., 0] // pair.scale, 0, width - 1).astype(np.int64)
+    column = np.clip(view.map_uv[0][..., 0] // _SCALE, 0, width - 1).astype(np.int64)
     row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.rows, 0, height - 1)
     return np.asarray(row.astype(np.int64) * width + column)

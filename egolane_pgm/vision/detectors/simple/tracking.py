@@ -256,7 +256,6 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
         tracks.is_valid[order],
         is_continuous[order],
         tracks.lri[order],
-        tracks.number[order],
     )
 
 

@@ -19,7 +19,7 @@ from tests.kits.synthetic_road import CAMERA, road
 from tests.kits.tiny_network import write_answers
 
 WIDTH, HEIGHT = 480, 270
-seeds = pytest.mark.parametrize("seed", range(4))
+seeds = pytest.mark.parametrize("seed", range(2))
 
 #: Pixels are counted from their middles here, from their edges in the published code.
 HALF_PX = 0.5
@@ -110,17 +110,6 @@ def test_lstr(tmp_path: Path, seed: int) -> None:
     found = lines_of(write_answers(tmp_path, outputs, layout="lstr_curves", output=names))
     check(found, wanted)
     np.testing.assert_allclose([line.probability for line in found], likely, rtol=1e-5)
-
-
-def test_the_pole_of_a_curve_is_left_out(tmp_path: Path) -> None:
-    """The curve is where y is not 0, its last point."""
-    curves = np.array([[[1, 0, 0, 0, 0.02, 0.3, 0, 0]]])
-    outputs = {"scores": np.array([[[0.0, 9.0]]]), "curves": curves}
-    path = write_answers(
-        tmp_path, outputs, layout="lstr_curves", output={"scores": "scores", "curves": "curves"}
-    )
-    (line,) = lines_of(path)
-    assert line.points.shape == (99, 2)
 
 
 # --- segments ---------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import onnx
 import pytest
 import yaml
 
@@ -370,29 +369,6 @@ def test_the_layout_of_another_file_is_the_one_that_its_numbers_are_of(
     assert keys["layout"] == layout
     (tmp_path / "mine.yaml").write_text(said)
     load(read_network(tmp_path / "mine.yaml"), Fit(80, 40, 0, 0, 0, 80, 40))
-
-
-@pytest.mark.parametrize(
-    ("names", "classes"),
-    [
-        (
-            "{0: 'car', 1: 'Solid', 2: 'dashed', 3: 'solid yellow'}",
-            {"solid": [1, 3], "dashed": [2]},
-        ),
-        ("{0: 'car', 1: 'line'}", {}),
-        ("car, line", {"solid": [0], "dashed": [1]}),
-    ],
-)
-def test_names_of_classes_in_the_file_say_which_are_lines(
-    tmp_path: Path, names: str, classes: dict[str, list[int]]
-) -> None:
-    file = read_network(written(tmp_path, "yolo_seg")).files[1]
-    model = onnx.load(file)
-    onnx.helper.set_model_props(model, {"task": "segment", "names": names})
-    onnx.save(model, file)
-    said = describe_onnx(file)
-    assert f"# names: {names}\n" in said
-    assert yaml.safe_load(said)["classes"] == classes
 
 
 def test_the_page_has_each_layout_each_key_and_each_network() -> None:

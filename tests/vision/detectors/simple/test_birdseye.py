@@ -79,23 +79,3 @@ def test_a_tenth_of_the_road_must_be_in_the_picture(percent, is_refused):
             make_view(window, 10, 20, -5, 5)
     else:
         assert 0.1 < make_view(window, 10, 20, -5, 5).valid.mean() < 0.16
-
-
-@pytest.mark.parametrize("region", [(0, 20, -5, 5), (20, 10, -5, 5), (5, 20, 5, -5)])
-def test_a_region_that_is_none_is_refused(region):
-    with pytest.raises(InputError, match="no region in front of the camera"):
-        make_view(CAMERA, *region)
-
-
-def test_pixels_in_the_wrong_unit_are_refused():
-    with pytest.raises(InputError, match=r"bird's-eye view: 200000 x 250 pixels.*larger pixels"):
-        make_view(CAMERA, 5, 30, -5, 5, along_m=0.1, across_m=5e-5)
-    with pytest.raises(InputError, match=r"bird's-eye view: 200 x 25000 pixels.*larger pixels"):
-        make_view(CAMERA, 5, 30, -5, 5, along_m=1e-3, across_m=0.05)
-
-
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (960, 720), (1280, 540)])
-def test_pictures_of_another_size_are_refused(width, height):
-    view = make_view(CAMERA, 5, 25, -5, 5)
-    with pytest.raises(InputError, match=rf"{width}x{height} pixels.*960x540"):
-        look(view, np.zeros((height, width, 3), np.uint8))

@@ -16,7 +16,7 @@ from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.simple.contours import Strips
 from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
-from egolane_pgm.vision.detectors.simple.fit import find_lines, fit_lines, view_for
+from egolane_pgm.vision.detectors.simple.fit import fit_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING, TRACKING
 from egolane_pgm.vision.detectors.simple.tracking import Tracks, advance, lines_of, no_tracks, rules
 from tests.conftest import needs_compiler
@@ -55,15 +55,6 @@ def pictures(rate: float) -> tuple[Picture, ...]:
 
 @needs_compiler
 @pytest.mark.parametrize("rate", RATES)
-def test_single_pictures_tell_the_rate_to_thirty_percent_in_the_median(rate: float) -> None:
-    found = [find_lines(VIEW, picture.image, CLOTHOID).shape for picture in pictures(rate)[::2]]
-    assert np.median([shape[0, 3] for shape in found]) == pytest.approx(rate, rel=0.3)
-    away = [np.abs(shape[:, 0] - o).min() for shape in found for o in OFFSETS[1:-1]]
-    assert np.median(away) <= 0.03
-
-
-@needs_compiler
-@pytest.mark.parametrize("rate", RATES)
 def test_over_a_drive_rate_curvature_and_offsets_are_followed(rate: float) -> None:
     follow, rule = follower(CAMERA, resolve_parameters(PARAMETERS, {}, 1), curve="clothoid")
     tracks = no_tracks(rule)
@@ -78,14 +69,6 @@ def test_over_a_drive_rate_curvature_and_offsets_are_followed(rate: float) -> No
             assert np.abs(shape[:, 0] - offset).min() < 0.06
     assert np.median(shape[:, 3]) == pytest.approx(rate, rel=0.3)
     assert np.median(shape[:, 2]) == pytest.approx(curvature_at(rate, N_FRAMES - 1), abs=3e-4)
-
-
-def test_a_parabola_has_a_curvature_and_no_rate() -> None:
-    parabola = {**CLOTHOID, "curve": "parabola"}
-    before = np.array([[-1.8, 0.0, 1e-3, 6e-5], [1.86, 0.0, 1e-3, 6e-5]])
-    found = find_lines(VIEW, pictures(6e-5)[-1].image, parabola, prior_shape=before)
-    assert (found.shape[:, 3] == 0).all()
-    assert (found.shape[:, 2] > 1e-3).all()
 
 
 def strips_of(shape: FloatArray, reach: list[tuple[int, int]], seed: int) -> Strips:
@@ -169,21 +152,3 @@ def assert_sound(tracks: Tracks, n_values: int) -> None:
     for covariance in tracks.covariance[:, :n_values, :n_values]:
         scale = np.sqrt(np.diag(covariance))
         assert np.linalg.eigvalsh(covariance / np.outer(scale, scale)).min() > 0
-
-
-def test_lines_that_bend_more_and_more_are_followed_without_lag() -> None:
-    """A car that follows a clothoid: the lines stay at their offsets, the curvature grows."""
-    rule = rules(resolve_parameters(TRACKING, {}, 1), curve="clothoid")
-    tracks, rate = no_tracks(rule), 4e-5
-    for frame in range(60):
-        curvature = rate * frame * STEP_M
-        shape = np.array([[offset, 0.0, curvature, rate] for offset in OFFSETS])
-        tracks = advance(tracks, rule, shape, np.full(4, 0.5))
-    np.testing.assert_allclose(tracks.mean[:, 0], OFFSETS, atol=0.01)
-    np.testing.assert_allclose(tracks.mean[:, 2], curvature, atol=2e-5)
-    np.testing.assert_allclose(tracks.mean[:, 3], rate, rtol=0.1)
-    # Where the clothoid ends in an arc, the rate goes.
-    for _ in range(25):
-        tracks = advance(tracks, rule, shape * [1, 1, 1, 0], np.full(4, 0.5))
-    np.testing.assert_allclose(tracks.mean[:, 2], curvature, rtol=0.05)
-    np.testing.assert_allclose(tracks.mean[:, 3], 0, atol=0.25 * rate)

@@ -53,15 +53,6 @@ def test_a_bar_across_its_row_has_the_direction_of_its_middles(to_the_right: int
     assert strips.slope_sd == pytest.approx([0.2 / 4.0], rel=0.05)
 
 
-def test_a_bar_of_larger_values_weighs_more_and_the_mean_weight_is_one() -> None:
-    mask = nothing()
-    mask[100:120, 60:64], mask[100:120, 120:124] = 50, 150
-    strips = strips_of(mask)
-    widths = [strips.width_m[strips.y_m < 0], strips.width_m[strips.y_m > 0]]
-    np.testing.assert_allclose(widths[0], 0.1)
-    np.testing.assert_allclose(widths[1], 0.3)
-
-
 def test_what_is_small_or_lies_across_the_road_is_dropped_and_the_rest_numbered_anew() -> None:
     mask = nothing()
     mask[230:232, 20:23] = 1  # 0.03 m^2

@@ -12,15 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, runner
 from egolane_pgm.vision.detectors.simple import drift
-from egolane_pgm.vision.detectors.simple.fit import lane_width_m, view_for
+from egolane_pgm.vision.detectors.simple.fit import lane_width_m
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import CAMERA, Paint, road
 
@@ -42,12 +40,6 @@ def pictures(n: int, pitching: float = 0.0) -> tuple[Picture, ...]:
     )
 
 
-def watched(camera: Camera, shown: Sequence[Picture], **parameters: Any) -> list[drift.Drift]:
-    values = {**STRAIGHT, **parameters}
-    look = drift.watch(view_for(camera, values), values)
-    return [look(picture) for picture in shown]
-
-
 def detected(
     camera: Camera, shown: Sequence[Picture], name: str = "ml", **parameters: Any
 ) -> tuple[list[FrameLines], list[str]]:
@@ -57,16 +49,6 @@ def detected(
         warnings.simplefilter("always")
         lines = [found for _, found in runner.detect(detector, camera, shown)]
     return lines, [str(one.message) for one in said]
-
-
-@needs_compiler
-@pytest.mark.parametrize("away", [-1.5, -1.0, 0.0, 1.0, 1.5])
-def test_the_pitch_is_found_within_a_few_pictures(away: float) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        believed = watched(turned(away), pictures(14)[:12])[-1]
-    assert believed.pitch_deg == pytest.approx(-away, abs=0.2)
-    assert abs(believed.pitch_deg + away) < 2 * believed.pitch_sd_deg < 1.0
 
 
 @needs_compiler
@@ -122,18 +104,6 @@ def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected(
         assert found.offset_m[found.is_valid][-2:] == pytest.approx([-1.8, 1.86], abs=0.5)
     last = lines[-1].shape
     assert last[:, 0] + 20 * last[:, 1] == pytest.approx([-5.46, -1.8, 1.86], abs=0.2)
-
-
-@settings(deadline=None)
-@given(st.floats(-2, 2), st.integers(0, 100))
-def test_looks_at_a_known_curve_end_at_its_top(top: float, seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    believed = drift.no_drift()
-    for _ in range(60):
-        away = believed.pitch_deg + np.array([-0.75, 0.0, 0.75])
-        amount = 3 / (1 + (away - top) ** 2) + rng.normal(0, 0.1, 3)
-        believed = drift.looked(believed, away, amount, float("nan"))
-    assert believed.pitch_deg == pytest.approx(top, abs=0.25)
 
 
 def test_detectors_expect_the_lane_width_that_the_camera_was_calibrated_with() -> None:

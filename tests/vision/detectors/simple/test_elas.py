@@ -35,7 +35,7 @@ def test_elas_that_is_not_installed_says_how_it_is(monkeypatch: pytest.MonkeyPat
     with pytest.raises(InputError, match=r"matcher: elas is not installed: .*\[elas\]'$"):
         start(detector, SEEN)
     flat = find_detector("sc", {"matcher": "elas", "match_rows": 6}, Path.cwd(), "detector")
-    with pytest.raises(InputError, match=r"match_rows: 6 leaves .* rows, and elas needs 48"):
+    with pytest.raises(InputError, match=r"match_rows: 6 leaves .*, and elas needs 64x48"):
         start(flat, SEEN)
     with pytest.raises(InputError, match=r"matcher: 'sgmb' is not one of sgbm, elas"):
         find_detector("sc", {"matcher": "sgmb"}, Path.cwd(), "detector")

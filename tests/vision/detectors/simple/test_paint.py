@@ -44,12 +44,6 @@ def test_block_marking_is_broken_wherever_its_gaps_are(width: float) -> None:
     assert np.median(shares) == max(shares[:2]) == 0.5
 
 
-def test_a_curved_line_is_followed_along_its_curve() -> None:
-    line = Paint(1.8, heading=0.02, curvature=1.5e-3)
-    assert share(road([line]), line)[0] > 0.95
-    assert share(road([line]), Paint(1.0))[0] < 0.3
-
-
 def test_a_yellow_line_is_as_bright_as_a_white_one() -> None:
     """On concrete its grey is that of the road."""
     line = Paint(-1.7, grey=255)
@@ -67,28 +61,10 @@ def test_noise_is_no_paint(noise: float) -> None:
     assert share(road([dashed], 2.0, noise=noise), line)[0] < 0.6
 
 
-def test_a_bright_shoulder_beside_the_line_is_no_paint() -> None:
-    image = road([], noise=2).copy()
-    wide = road([Paint(1.8 + 1.5, width_m=3.0, grey=170)], noise=0)
-    image[wide > 150] = 170
-    assert share(image, Paint(1.8))[0] < 0.3
-
-
 def test_too_little_in_view_says_nothing() -> None:
     line = Paint(1.8)
     assert np.isnan(share(road([line]), Paint(30.0)))[0]
     assert share(road([line])).shape == (0,)
-
-
-def test_masked_parts_of_the_picture_are_not_looked_at() -> None:
-    """The bonnet is no gap in the line."""
-    line = Paint(1.8)
-    bonnet = replace(CAMERA, ignore=((0, 200, 480, 270),))
-    view = make_view(bonnet, 4.5, 35.0, -9.0, 9.0, 0.1, 0.05)
-    image = road([line]).copy()
-    image[200:] = 20
-    shape = np.array([[1.8, 0.0, 0.0, 0.0]])
-    assert painted_share(view, image, shape, resolve_parameters(PARAMETERS, {}, 1))[0] > 0.9
 
 
 def test_paint_half_a_metre_beside_a_line_is_not_its_own_and_does_not_hide_it() -> None:
@@ -102,10 +78,3 @@ def test_traces_between_bright_dashes_are_no_paint() -> None:
     image = np.maximum(road([dashes], noise=0), road([trace], noise=0))
     assert share(image, trace, paint_share=0.5)[0] < 0.75
     assert share(image, trace, paint_share=0.05)[0] > 0.95
-
-
-def test_paint_in_deep_shade_is_paint() -> None:
-    line = Paint(1.8)
-    image = road([line], noise=0)
-    image[190:] = (image[190:] * 0.12).astype(np.uint8)
-    assert share(image, line)[0] > 0.95

@@ -40,15 +40,6 @@ def test_the_disparity_of_the_road_is_that_of_its_projection_in_both_cameras(
     assert u - other_u == pytest.approx(expected, abs=1e-6)
 
 
-@given(pitches, rolls, heights)
-def test_the_pose_over_a_plane_is_that_of_the_camera_that_made_it(
-    pitch: float, roll: float, height: float
-) -> None:
-    camera = replace(PAIR, pitch_deg=pitch, roll_deg=roll, height_m=height)
-    found = _plane.pose(PAIR, _plane.ground_plane(camera))
-    assert found == pytest.approx([height, pitch, roll], abs=1e-6)
-
-
 @settings(max_examples=20)
 @given(st.floats(-2, 2), st.floats(-1, 1), st.floats(0.95, 1.05), st.integers(0, 99))
 def test_a_plane_is_found_among_many_points_that_are_not_on_it(
@@ -153,7 +144,10 @@ def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) 
 @pytest.mark.parametrize(
     ("given_", "message"),
     [
-        ({"match_rows": 30}, "match_rows: 30 leaves 656x9 pixels"),
+        (
+            {"match_rows": 30},
+            "match_rows: 30 leaves 656x9 .*, and sgbm needs 64x16",
+        ),
         ({"nearest_m": 0.1}, "nearest_m: what is 0.1 m away is .* pixels apart"),
         ({"nearst_m": 1.0}, r"unknown key 'nearst_m' \(did you mean 'nearest_m'\?\)"),
     ],

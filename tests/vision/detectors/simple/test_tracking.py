@@ -16,8 +16,6 @@ from egolane_pgm.vision.detectors.simple.tracking import (
     Rules,
     Tracks,
     advance,
-    continuous_share,
-    expected,
     lines_of,
     no_tracks,
     rules,
@@ -88,14 +86,6 @@ def test_a_line_that_is_missed_now_and_then_becomes_valid_in_proportion(
     assert validity(hits, valid_when="paper").any() == (every == 1000)
 
 
-def test_a_line_that_is_missed_by_chance_becomes_valid_and_a_flickering_one_hardly_ever() -> None:
-    rng = np.random.default_rng(6)
-    assert validity(rng.random(1000) < 0.8)[30:].mean() > 0.95
-    assert validity(rng.random(1000) < 0.5).mean() < 0.1
-    for hits in (1, 2, 3):
-        assert not validity(np.arange(300) % (2 * hits) < hits).any()
-
-
 def test_the_filter_has_less_noise_than_single_frames_and_no_bias() -> None:
     rng = np.random.default_rng(1)
     true = np.array([-1.8, 0.01, 3e-4, 0.0])
@@ -151,10 +141,6 @@ def test_a_new_line_that_is_not_seen_again_dies_soon_a_proven_one_late() -> None
     assert [len(t) for t in proven[10:]] == [1] * 9 + [0]
 
 
-def test_a_line_far_to_the_side_is_given_up() -> None:
-    assert followed(made(), [seen(at(15.0))] * 3)[-1].number.size == 0
-
-
 def test_dashed_and_continuous_follow_the_majority_of_the_last_votes() -> None:
     rule = made(continuous_cover=0.8)
     rng = np.random.default_rng(3)
@@ -190,14 +176,6 @@ def test_lines_beyond_a_valid_continuous_one_are_hidden_unless_asked_for() -> No
     assert lines_of(history[-1], rule).offset_m.round(1).tolist() == [-2.1, 1.5]
 
 
-def test_what_is_expected_is_the_valid_lines_moved_on() -> None:
-    rule = made()
-    history = followed(rule, [seen(at(1.8, -1.8))] * 10 + [seen(at(1.8, -1.8, 5.4))] * 2)
-    np.testing.assert_allclose(expected(history[-1])[:, 0], [-1.8, 1.8], atol=0.05)
-    np.testing.assert_allclose(expected(history[3])[:, 0], [-1.8, 1.8], atol=0.05)
-    assert expected(no_tracks(rule)).shape == (0, 4)
-
-
 def test_a_line_close_beyond_another_bounds_no_lane_and_is_given_up() -> None:
     rule = made()
     tracks = followed(rule, [seen(at(-4.1, -1.7, 1.9, 5.5))] * 12)[-1]
@@ -211,20 +189,6 @@ def test_a_line_close_beyond_another_bounds_no_lane_and_is_given_up() -> None:
 
 def offset_of(tracks: Tracks, number: int) -> float:
     return float(tracks.mean[tracks.number == number][0, 0])
-
-
-def test_half_of_the_votes_are_not_more_than_half_and_just_enough_paint_is_enough() -> None:
-    rule = made(continuous_cover=0.4)
-    frames = [seen(at(-1.8), cover) for cover in (0.4, 0.39, 0.4, 0.39)]
-    history = followed(rule, frames)
-    assert [float(continuous_share(t)[0]) for t in history] == [1, 0.5, pytest.approx(2 / 3), 0.5]
-    assert [bool(lines_of(t, rule).is_continuous[0]) for t in history] == [True, False, True, False]
-
-
-def test_a_detection_that_cannot_tell_its_paint_does_not_vote() -> None:
-    frames = [seen(at(-1.8), 1.0), *[seen(at(-1.8), float("nan"))] * 6]
-    for tracks in followed(made(), frames):
-        assert continuous_share(tracks).tolist() == [1.0]
 
 
 @pytest.mark.parametrize(("gate_m", "is_followed"), [(0.3, False), (1.0, True)])
@@ -243,14 +207,6 @@ def test_one_line_that_moves_alone_does_not_take_the_others_along() -> None:
     moved = (-5.4, -1.8, 1.8, 6.2)
     tracks = followed(made(), [seen(at(*many))] * 12 + [seen(at(*moved))])[-1]
     assert offset_of(tracks, 5) == pytest.approx(9.0, abs=0.03)
-
-
-def test_the_steady_motion_comes_to_rest_where_nothing_tells_of_it() -> None:
-    drifting = [seen(at(-1.8 + 0.05 * k, 1.8 + 0.05 * k)) for k in range(30)]
-    history = followed(made(), drifting + [NOTHING] * 3)
-    motion = [float(t.motion[0]) for t in history]
-    assert motion[29] == pytest.approx(0.05, abs=0.01)
-    np.testing.assert_allclose(motion[30:], motion[29] * 0.6 ** np.arange(1, 4))
 
 
 def test_the_covariance_is_that_of_the_kalman_filter() -> None:

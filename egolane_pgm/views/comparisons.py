@@ -1,0 +1,91 @@
+"""The table and the figure of a comparison of results."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullLocator
+
+from egolane_pgm.views.style import FAINT, INK, MODEL_COLOUR, new_figure
+from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, page, table
+
+#: The scores of a comparison, and their names.
+_SCORES = {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}
+
+LEGEND = (
+    "Means over the recordings, with 95 % intervals (block bootstrap); differences to the first"
+    " row, with paired intervals. Frames of untrusted labels are left out."
+)
+
+#: Accuracies that the axis names; larger ones than the last are drawn there.
+_ACCURACIES = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9997)
+
+
+def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
+    """The text of `egolane compare`: a table per score, and the lane changes if they were compared.
+
+    - found: as `comparing.compare` returns it.
+    """
+    shown = found.assign(
+        tuned_on=[
+            ", ".join(TUNED_ON_SHORT.get(each, each) for each in str(cell).split(", "))
+            for cell in found["tuned_on"]
+        ]
+    )
+    if style == "csv":
+        return page([table(found)], style)
+    counts = sorted(set(found["recordings"].astype(str)))
+    parts: list[str | Table] = [f"recordings per row: {', '.join(counts)}"]
+    for key, name in _SCORES.items():
+        columns = [c for c in found if c == key or c.startswith((f"{key}_low", f"{key}_high"))]
+        columns += [c for c in found if c.startswith(f"{key}_difference")]
+        of_score = shown[[*columns, *(["tuned_on"] if key == "accuracy" else [])]]
+        renamed = of_score.rename(columns=lambda c, key=key, name=name: c.replace(key, name, 1))
+        digits = {f"{name}_difference": "+.3f"}
+        parts.append(table(renamed, digits))
+    events = [c for c in found if c.startswith("event_")]
+    if events:
+        renamed = found[events].rename(columns=lambda c: c.removeprefix("event_"))
+        renamed = renamed.rename(columns={"delay_s": "median delay, s"}).dropna(how="all")
+        parts.append("lane changes, detected within 1 s")
+        parts.append(table(renamed, {"false_per_hour": 1, "median delay, s": "+.2f"}))
+    return page([*parts, LEGEND], style, wide)
+
+
+def comparison_figure(found: pd.DataFrame) -> Figure:
+    """Draw the accuracy of each row with its interval, on a logit axis.
+
+    Rows with several index levels are grouped by the first; hollow markers are in-sample.
+    """
+    names = [
+        ", ".join(map(str, name)) if isinstance(name, tuple) else str(name) for name in found.index
+    ]
+    is_hollow = found["tuned_on"].str.contains("same_frames|unknown").to_numpy(bool)
+    y = np.arange(float(len(found)))
+    if found.index.nlevels > 1:
+        y += 0.5 * pd.factorize(found.index.get_level_values(0))[0]
+    columns = found[["accuracy", "accuracy_low", "accuracy_high"]].astype(float)
+    value, low, high = columns.to_numpy().T
+    figure = new_figure(7, 1.2 + 0.25 * (y[-1] + 1), "Accuracy, with 95 % intervals")
+    ax = figure.subplots()
+    ax.hlines(y, low, high, MODEL_COLOUR, lw=1.4)
+    shown, highest = np.minimum(value, _ACCURACIES[-1]), np.nanmax([value, high])
+    for mask, face in ((~is_hollow, MODEL_COLOUR), (is_hollow, "w")):
+        ax.plot(
+            shown[mask], y[mask], "o", ms=5.5, color=MODEL_COLOUR, mfc=face, ls="", clip_on=False
+        )
+    for at in np.flatnonzero(np.diff(y) > 1):
+        ax.axhline((y[at] + y[at + 1]) / 2, color=FAINT, lw=0.6)
+    ax.set(ylim=(y[-1] + 0.6, -0.6), xlabel="accuracy (logit scale)")
+    ax.set_yticks(y, names)
+    ax.tick_params(axis="y", length=0)
+    ax.set_xscale("logit")
+    ends = [np.nanmin([value, low]) - 0.03, _ACCURACIES[np.searchsorted(_ACCURACIES[:-1], highest)]]
+    ax.set_xlim(*np.clip(ends, 0.01, _ACCURACIES[-1]))
+    ax.set_xticks(_ACCURACIES, [f"{v:g}" for v in _ACCURACIES])
+    ax.xaxis.set_minor_locator(NullLocator())
+    if is_hollow.any():
+        ax.plot([], [], "o", color=INK, mfc="w", ls="", label="hollow: in-sample")
+        figure.legend(loc="outside lower right")
+    return figure

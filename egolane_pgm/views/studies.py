@@ -1,0 +1,257 @@
+"""The text and the figures of a study."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.types import InputError
+from egolane_pgm.views.display import drive_parts
+from egolane_pgm.views.style import (
+    DETECTOR_COLOUR,
+    INK,
+    MODEL_COLOUR,
+    new_figure,
+    write_figures,
+)
+from egolane_pgm.views.tables import Table, cell, page, score_table, table
+
+if TYPE_CHECKING:
+    from egolane_pgm.studies.study import Study
+
+#: Importances of fewer trials would be mostly chance.
+FEWEST = 20
+
+#: Trials with a score this close to the best are shaded in a profile.
+TOLERANCE = 0.005
+
+_DOTS, _SHADE = "#8aa9c0", "#d5e6f3"
+
+
+# --- text ----------------------------------------------------------------------------------------
+
+
+def study_title(study: Study) -> str:
+    """A study in one line: method, trials, and accuracy in-sample and held out."""
+    more = len(study.experiments) - 1
+    parts = [f"{study.name!r}{f' and {more} more' if more else ''}: {study.method}"]
+    if len(study.trials):
+        parts.append(f"{len(study.trials)} trials")
+    names = {"in-sample": study.in_sample, "held out": study.held_out}
+    scores = [
+        f"{found.scores['model']['accuracy']:.3f} {name}"
+        for name, found in names.items()
+        if found is not None and "model" in found.scores
+    ]
+    parts.append(f"accuracy {', '.join(scores)}" if scores else "no ground truth")
+    return ", ".join(parts)
+
+
+def study_text(study: Study, style: str, wide: bool) -> str:
+    """The text of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
+    parts: list[str | Table] = [study_title(study)]
+    in_sample, held_out = study.in_sample.scores, {}
+    if study.held_out is not None:
+        held_out = study.held_out.scores
+        parts.append(
+            f"held out: {study.held_out.run['blocks']} folds, each scored with its own fit"
+        )
+    both = {"in-sample": in_sample.get("model"), "held out": held_out.get("model")}
+    scores = {name: found for name, found in both.items() if found}
+    if scores:
+        parts.append(score_table(scores))
+    if study.held_out is not None and "drive" in study.held_out.frames:
+        parts += drive_parts(study.held_out)
+    evidence = [f"{found['mean_log_evidence']:.4f}" for found in (in_sample, held_out) if found]
+    names = " in-sample, ".join(evidence) + (" held out" if held_out else " in-sample")
+    parts.append(f"mean log evidence per frame: {names}")
+    values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
+    folds = study.held_out.run["fitted"] if study.held_out is not None else []
+    if values:
+        parts.append(_best_table(study, values, folds))
+    tables = [name for name in study.fitted if name not in values]
+    if tables:
+        parts.append(f"fitted tables and lists: {', '.join(tables)}")
+    return page(parts, style, wide)
+
+
+def _best_table(
+    study: Study, values: Mapping[str, Any], folds: Sequence[Mapping[str, Any]]
+) -> Table:
+    """The best parameters, beside the first experiment's own and the range of the folds' best."""
+    before = study.experiments[0].parameters
+    rows = []
+    for name, value in values.items():
+        row = {"parameter": name, "before": cell(before.get(name)), "best": cell(value)}
+        of_folds = [fold[name] for fold in folds if name in fold]
+        if of_folds:
+            is_number = all(isinstance(each, (int, float)) for each in of_folds)
+            ends = (min(of_folds), max(of_folds)) if is_number else dict.fromkeys(of_folds)
+            words = dict.fromkeys(cell(each) for each in ends)
+            row["folds"] = (" to " if is_number else ", ").join(words)
+        rows.append(row)
+    return table(pd.DataFrame(rows).set_index("parameter"))
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+def draw_study(
+    directory: str | Path, target: str | Path | None = None, style: str = "png"
+) -> list[Path]:
+    """Draw the history, the profile and, with enough trials, the importances of a study.
+
+    - directory: as `Study.save` writes it. target: default `figures/` in it.
+    - style: png, pdf or svg.
+
+    Raises InputError for a directory without a search, and for one without a complete trial.
+    """
+    place = Path(directory)
+    document, trials = read_trials(place)
+    name = f"{document['name']}: {len(trials)} trials"
+    importance = importances(trials, document["settings"])
+    figures: dict[str, Callable[[], Figure]] = {
+        "history": lambda: history_figure(trials, document, name),
+        "profile": lambda: profile_figure(trials, document, name),
+    }
+    if importance:
+        figures["importances"] = lambda: importances_figure(importance, name)
+    return write_figures(figures, Path(target or place / "figures"), style)
+
+
+def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
+    """The content of study.json, and the complete trials.
+
+    The column `score` is the first objective; those of the parameters follow.
+    """
+    try:
+        document = json.loads((directory / "study.json").read_text())
+        trials = pd.read_parquet(directory / "trials.parquet")
+        trials = trials[trials["state"] == "COMPLETE"]
+        score = document["settings"]["objectives"][0]
+        parameters = list(document["settings"]["searched"])
+        trials = trials[["number", score, *parameters]].rename(columns={score: "score"})
+    except (OSError, ValueError, KeyError) as error:
+        raise InputError(
+            f"{directory}: is not the directory of a search ({type(error).__name__}: {error}); make"
+            " one with `egolane tune --out`"
+        ) from error
+    if trials.empty:
+        raise InputError(f"{directory}: has no complete trial to draw")
+    return document, trials.sort_values("number", ignore_index=True)
+
+
+def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
+    """The share of each parameter in what sets the best tenth of the trials apart (PED-ANOVA).
+
+    The most important one is first. Empty for too few trials, and if all have one score.
+    """
+    if len(trials) < FEWEST or np.ptp(trials["score"]) == 0:
+        return {}
+    import optuna
+
+    from egolane_pgm.studies.search import quiet
+
+    space: dict[str, Any] = {}
+    for name, ends in settings["searched"].items():
+        if isinstance(ends[0], str):
+            space[name] = optuna.distributions.CategoricalDistribution(ends)
+        elif trials[name].dtype.kind == "i":
+            space[name] = optuna.distributions.IntDistribution(*map(int, ends))
+        else:
+            space[name] = optuna.distributions.FloatDistribution(*ends)
+    with quiet():
+        is_up = is_maximised(settings["objectives"][0])
+        study = optuna.create_study(direction="maximize" if is_up else "minimize")
+        for row in trials.to_dict("records"):
+            point = {name: row[name] for name in space}
+            trial = optuna.trial.create_trial(params=point, distributions=space, value=row["score"])
+            study.add_trial(trial)
+        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+        return optuna.importance.get_param_importances(study, evaluator=evaluator)
+
+
+def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
+    """Draw the score of each trial, the best so far, and the held-out score."""
+    score, sign = _score(document)
+    best = sign * (sign * trials["score"]).cummax()
+    held_out = ((document["held_out"] or {}).get("model") or {}).get(score)
+    figure = new_figure(8, 3.2, title)
+    ax = figure.subplots()
+    ax.plot(trials["number"], trials["score"], ".", ms=4, color=_DOTS, label="trial")
+    label = f"best so far: {best.iloc[-1]:.3f} (in-sample)"
+    ax.plot(trials["number"], best, color=MODEL_COLOUR, lw=1.5, ds="steps-post", label=label)
+    if held_out is not None:
+        label = f"held out: {held_out:.3f}"
+        ax.axhline(held_out, color=DETECTOR_COLOUR, ls=(0, (4, 2)), label=label)
+    low, high = _limits(trials, sign, held_out)
+    n_outside = int((~trials["score"].between(low, high)).sum())
+    ax.set(ylim=(low, high), ylabel=score.replace("_", " "))
+    ax.set_xlabel(f"trial ({n_outside} of {len(trials)} outside the axis)")
+    figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
+    """Draw the score over each parameter, the range of the best trials, and the folds' best."""
+    score, sign = _score(document)
+    names = [name for name in trials if name not in ("number", "score")]
+    gain = sign * trials["score"]
+    best, good = trials.loc[gain.idxmax()], trials[gain >= gain.max() - TOLERANCE]
+    columns = min(4, len(names))
+    rows = -(-len(names) // columns)
+    figure = new_figure(max(2.2 * columns + 0.6, 5), 0.8 + 1.8 * rows, title)
+    axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for ax in axes.flat[len(names) :]:
+        ax.remove()
+    low, high = _limits(trials, sign)
+    for ax, name in zip(axes.flat, names, strict=False):
+        values = trials[name]
+        if values.dtype.kind in "if":
+            label = f"within {TOLERANCE:g} of the best ({len(good)} trials)"
+            ax.axvspan(good[name].min(), good[name].max(), color=_SHADE, lw=0, label=label)
+            ax.xaxis.set_major_locator(MaxNLocator(4, integer=values.dtype.kind == "i"))
+        ax.plot(values, trials["score"], ".", ms=3, color=_DOTS, label="trial")
+        ax.plot([best[name]], [best["score"]], "o", color=MODEL_COLOUR, ms=6, label="best")
+        folds = [fold[name] for fold in document["folds"] or () if name in fold]
+        if folds:
+            ax.plot(folds, [low] * len(folds), "|", color=INK, ms=12, label="best of a fold")
+        ax.set_title(name)
+        ax.set_ylim(low, high)
+    axes[0, 0].set_ylabel(score.replace("_", " "))
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
+    return figure
+
+
+def importances_figure(importance: Mapping[str, float], title: str) -> Figure:
+    """Draw the importance of each parameter as bars, the most important one at the top."""
+    figure = new_figure(6, 1 + 0.25 * len(importance), title)
+    ax = figure.subplots()
+    bars = ax.barh(list(importance), list(importance.values()), color=MODEL_COLOUR)
+    ax.bar_label(bars, [f"{share:.0%}" for share in importance.values()], padding=3)
+    ax.invert_yaxis()
+    ax.set_xlim(0, 1.12 * max(importance.values()))
+    ax.set_xlabel("share in what sets the best tenth of the trials apart (PED-ANOVA)")
+    return figure
+
+
+def _score(document: Mapping[str, Any]) -> tuple[str, int]:
+    """The name of the score, and 1 if it is maximised or -1."""
+    name = document["settings"]["objectives"][0]
+    return name, 1 if is_maximised(name) else -1
+
+
+def _limits(trials: pd.DataFrame, sign: int, *others: float | None) -> tuple[float, float]:
+    """The range of scores that is shown: the worst trials would squeeze the good ones together."""
+    gain = sign * trials["score"]
+    shown = [sign * gain.max(), sign * gain.quantile(0.3), *(v for v in others if v is not None)]
+    margin = 0.08 * float(np.ptp(shown)) or 0.01
+    return min(shown) - margin, max(shown) + margin

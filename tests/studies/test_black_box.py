@@ -1,0 +1,87 @@
+"""An experiment's score for anybody's optimiser: what our own search scores."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+
+from egolane_pgm.experiment import Tuning
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.simulation import simulate
+from egolane_pgm.studies.black_box import objective
+from egolane_pgm.studies.fits import tune_study
+from egolane_pgm.studies.sampler import Shade
+from egolane_pgm.types import InputError
+from tests.kits.studies import drive_of, tried
+
+QUICKSTART = "quickstart"
+
+
+def test_optuna_finds_with_it_what_our_own_search_finds() -> None:
+    score = objective(QUICKSTART)
+    drive = drive_of(load_experiment(QUICKSTART))
+    tuning = Tuning(trials=45, seed=1, from_scratch=True)
+    ours = tune_study([drive], [np.arange(len(drive))], None, tuning=tuning)
+    study = optuna.create_study(direction=score.direction, sampler=Shade(1, score.distributions))
+    for _ in range(45):
+        trial = study.ask(score.distributions)
+        study.tell(trial, score(trial.params))
+    assert tried(study.trials) == tried(ours.trials)
+
+
+def test_values_that_are_left_out_are_the_experiments() -> None:
+    score = objective(QUICKSTART)
+    sigma1 = load_experiment(QUICKSTART).parameters["sigma1"]
+    assert score({}) == score({"sigma1": np.float64(sigma1)}) != score({"sigma1": 2.5})
+    assert list(score.space) == list(score.distributions)
+    assert score.space["bonus_value"] == [0, 9]
+
+
+def test_a_part_of_the_frames_counts_and_lines_may_be_in_memory() -> None:
+    drive = simulate("quickstart", seed=0, n_lanes=4)
+    experiment = load_experiment(
+        QUICKSTART, {"recording.frame_rate": 10}, lines=drive.log, n_lanes=4
+    )
+    whole, first, last = (
+        objective(experiment, frames=frames, lines=drive.log, ground_truth=drive.truth)(
+            {"sigma1": 1.5}
+        )
+        for frames in ((None, None), (0, 500), (500, None))
+    )
+    assert objective(QUICKSTART)({"sigma1": 1.5}) == whole
+    assert min(first, last) < whole < max(first, last)
+    switches = objective(QUICKSTART, score="false_switches_per_minute")
+    assert switches.direction == "minimize"
+
+
+@pytest.mark.parametrize(
+    ("parameters", "said"),
+    [
+        ({"sigm1": 1}, "sigm1: is not searched (did you mean 'sigma1'?)"),
+        ({"sigma1": 9}, "sigma1: 9 is no number from 3e-06 to 3"),
+        ({"sigma1": "a"}, "sigma1: 'a' is no number from 3e-06 to 3"),
+        ({"p1": float("nan")}, "p1: nan is no number from 1e-06 to 0.999999"),
+        ({"bonus_value": 2.5}, "bonus_value: 2.5 is no whole number from 0 to 9"),
+    ],
+)
+def test_what_is_out_of_the_space_is_refused(parameters: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as info:
+        objective(QUICKSTART)(parameters)
+    assert str(info.value) == said
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"frames": (5000, None)}, "frames (5000, None): there is nothing to score"),
+        ({"score": "acuracy"}, "score: unknown score 'acuracy' (did you mean 'accuracy'?)"),
+        ({"overrides": {"filter": "smoothed"}}, "filter: a search takes assumed_density or exact"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(given: dict[str, Any], said: str) -> None:
+    with pytest.raises(InputError) as info:
+        objective(QUICKSTART, **given)
+    assert said in str(info.value)

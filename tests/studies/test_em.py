@@ -1,0 +1,245 @@
+"""EM of a network's tables: never down, the right answer, nothing possible lost."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
+from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.paper import paper_experiment
+from egolane_pgm.parameters import Parameters
+from egolane_pgm.studies import em
+from egolane_pgm.studies.em import Training, fit_tables, fit_tables_pooled
+from egolane_pgm.studies.fits import start_of_learning, training_of
+from egolane_pgm.types import Evidence, IntArray
+from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
+from tests.conftest import needs_compiler
+from tests.kits.studies import drive_of
+from tests.reference import inference as reference
+
+
+def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, Evidence, Any, Any]:
+    """A random network with evidence, some of it known, in some sequences."""
+    rng = np.random.default_rng(seed)
+    drawn = draw_graph(rng)
+    compiled = drawn.compiled()
+    evidence = draw_evidence(compiled, n_frames, rng, zeros=0.1)
+    node = str(rng.choice(drawn.hidden))
+    value = rng.integers(compiled.cardinality[node], size=n_frames)
+    known = {node: np.where(rng.random(n_frames) < 0.7, FREE, value)}
+    return compiled, evidence, known, rng.random(n_frames) < 0.1
+
+
+@given(seed=st.integers(0, 2**32 - 1), strength=st.sampled_from([0.0, 0.5, 20.0, 1000.0]))
+@settings(max_examples=40, deadline=None)
+def test_no_iteration_lowers_the_log_posterior(seed: int, strength: float) -> None:
+    compiled, evidence, known, is_first = a_case(seed)
+    fitted = fit_tables(compiled, evidence, known, is_first, strength=strength, iterations=12)
+    history = fitted.log_posterior
+    assert (np.diff(history) >= -1e-9 * np.abs(history[:-1]) - 1e-9).all()
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_counts_in_plain_numpy_teach_the_same(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compiled, evidence, known, is_first = a_case(seed)
+    one = fit_tables(compiled, evidence, known, is_first, iterations=4)
+    monkeypatch.setattr(em, "expected_counts", reference.expected_counts)
+    other = fit_tables(compiled, evidence, known, is_first, iterations=4)
+    np.testing.assert_allclose(one.log_posterior, other.log_posterior, atol=1e-7)
+    for node in one.tables:
+        np.testing.assert_allclose(one.tables[node].values, other.tables[node].values, atol=1e-7)
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=20, deadline=None)
+def test_what_was_possible_stays_so_and_nothing_else_becomes_so(seed: int) -> None:
+    compiled, evidence, known, is_first = a_case(seed)
+    start = counted_tables(compiled)
+    fitted = fit_tables(compiled, evidence, known, is_first, strength=1e-3, iterations=30)
+    for node, table in start.items():
+        np.testing.assert_array_equal(fitted.tables[node].values > 0, table.values > 0)
+    after = fitted.compiled
+    for node, table in compiled.tables.items():
+        if (node[0], 1) not in start and node not in start:
+            assert after.tables[node] is table
+
+
+@given(seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=8, deadline=None)
+def test_pooled_is_one_behind_the_other_in_any_order(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    compiled, _, known, _ = a_case(seed)
+    [node] = known
+    parts = []
+    for n in rng.integers(1, 30, 3).tolist():
+        value = rng.integers(compiled.cardinality[node], size=n)
+        own = {node: np.where(rng.random(n) < 0.7, FREE, value)}
+        evidence = draw_evidence(compiled, n, rng, zeros=0.1)
+        parts.append(Training(evidence, own, rng.random(n) < 0.1))
+    begins = [np.concatenate([[True], part.is_first[1:]]) for part in parts]  # type: ignore[index]
+    whole = fit_tables(
+        compiled,
+        Evidence.joined([part.evidence for part in parts]),
+        {node: np.concatenate([part.known[node] for part in parts])},
+        np.concatenate(begins),
+        iterations=5,
+    )
+    for order in (parts, parts[::-1]):
+        pooled = fit_tables_pooled(compiled, order, iterations=5)
+        np.testing.assert_allclose(pooled.log_posterior, whole.log_posterior, rtol=1e-12)
+        for name, table in whole.tables.items():
+            np.testing.assert_allclose(pooled.tables[name].values, table.values, atol=1e-12)
+
+
+def paper_case(n_lanes: int = 3, **changes: float) -> Compiled:
+    module = graph("sensor_failure")
+    defaults: dict[str, Any] = {p.name: p.default for p in module.PARAMETERS}
+    parameters: Parameters = {**defaults, **changes}
+    return compiled_graph(module, n_lanes, parameters)
+
+
+def a_drive_of(compiled: Compiled, n_frames: int, seed: int) -> tuple[Evidence, IntArray]:
+    """Evidence that is certain about what was observed, and the lanes, drawn from the network."""
+    rng = np.random.default_rng(seed)
+    move, sensor, output, wor = (
+        compiled.tables[name, 1].values for name in ("Lane", "SensorState", "DetectorOutput", "WOR")
+    )
+    lane, state = 0, 0
+    lanes, outputs, wors = [], [], []
+    for _ in range(n_frames):
+        lane = int(rng.choice(len(move), p=move[lane]))
+        state = int(rng.choice(2, p=sensor[state]))
+        lanes.append(lane)
+        outputs.append(rng.choice(len(move), p=output[state, lane]))
+        wors.append(rng.choice(2, p=wor[state]))
+    eye = {"DetectorOutput": np.eye(len(move))[outputs], "WOR": np.eye(2)[wors]}
+    return Evidence(eye), np.array(lanes)
+
+
+@needs_compiler
+@pytest.mark.parametrize("labelled", [True, False])
+def test_em_finds_the_tables_that_the_drive_was_drawn_from(labelled: bool) -> None:
+    compiled = paper_case(sigma1=0.45, sigma2=0.3, p1=0.97, p2=0.9, p3=0.9, p4=0.8)
+    evidence, lane = a_drive_of(compiled, 20_000, seed=1)
+    start = paper_case(sigma1=0.6, sigma2=0.5, p1=0.9, p2=0.8, p3=0.7, p4=0.7)
+    known = {"Lane": lane} if labelled else None
+    fitted = fit_tables(start, evidence, known, strength=1.0, iterations=400)
+    right = counted_tables(compiled)
+    for node in (("Lane", 1), ("SensorState", 1), ("WOR", 1)):
+        np.testing.assert_allclose(fitted.tables[node].values, right[node].values, atol=0.05)
+    output = fitted.tables["DetectorOutput", 1].values
+    np.testing.assert_allclose(output[0], right["DetectorOutput", 1].values[0], atol=0.05)
+
+
+@needs_compiler
+def test_em_finds_how_long_the_errors_of_a_detector_last() -> None:
+    """Seen keeps its own value for a while, whatever the lane; the light changes every frame."""
+    rng = np.random.default_rng(5)
+
+    def compiled(stay: float, keeps: float, dark: float) -> Compiled:
+        fresh = np.array([[[0.9, 0.1], [0.1, 0.9]], [[0.5, 0.5], [0.5, 0.5]]])  # light, lane, seen
+        tables = [
+            *prior("Lane", [0.5, 0.5]),
+            *dynamics("Lane", [previous("Lane")], [[stay, 1 - stay], [1 - stay, stay]]),
+            *within("Light", [], [1 - dark, dark]),
+            *prior("Seen", fresh, ["Light", "Lane"]),
+            *dynamics(
+                "Seen",
+                ["Light", "Lane", previous("Seen")],
+                keeps * np.eye(2) + (1 - keeps) * fresh[:, :, None, :],
+            ),
+        ]
+        return compile(declare(tables, ["Seen"]), hidden=["Lane", "Light"], observed=["Seen"])
+
+    truth = compiled(stay=0.95, keeps=0.7, dark=0.3)
+    lane, seen, lanes, light_of, seen_of = 0, 0, [], [], []
+    for _ in range(6_000):
+        lane = int(rng.choice(2, p=truth.tables["Lane", 1].values[lane]))
+        light = int(rng.choice(2, p=truth.tables["Light", 1].values))
+        seen = int(rng.choice(2, p=truth.tables["Seen", 1].values[light, lane, seen]))
+        lanes.append(lane)
+        light_of.append(light)
+        seen_of.append(seen)
+    known = {"Lane": np.array(lanes), "Light": np.where(rng.random(6_000) < 0.5, FREE, light_of)}
+    evidence = Evidence({"Seen": np.eye(2)[seen_of]})
+    start = compiled(stay=0.8, keeps=0.2, dark=0.5)
+    fitted = fit_tables(start, evidence, known, strength=1.0, iterations=60)
+    for node in (("Lane", 1), ("Light", 1), ("Seen", 1)):
+        learned = fitted.tables[node].values
+        np.testing.assert_allclose(learned, truth.tables[node].values, atol=0.06)
+    assert fitted.compiled.has_one_table("Light")
+    assert ("Light", 0) not in fitted.tables
+
+
+def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:
+    """Every label known: the counts are whole numbers, and a row is their mean with the prior."""
+    compiled = paper_case()
+    lane = np.array([0, 0, 1, 1, 1, 0, 0, 0])
+    evidence = Evidence({"DetectorOutput": np.ones((8, 3)), "WOR": np.ones((8, 2))})
+    fitted = fit_tables(compiled, evidence, {"Lane": lane}, strength=10, iterations=1)
+    start = counted_tables(compiled)["Lane", 1].values
+    counts = np.array([[3, 1, 0], [1, 2, 0], [0, 0, 0]])
+    right = (counts + 10 * start) / (counts + 10 * start).sum(axis=1, keepdims=True)
+    np.testing.assert_allclose(fitted.tables["Lane", 1].values, right, atol=1e-12)
+    strong = fit_tables(compiled, evidence, {"Lane": lane}, strength=1e9)
+    np.testing.assert_allclose(strong.tables["Lane", 1].values, start, atol=1e-7)
+
+
+def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_hand() -> None:
+    compiled = paper_case()
+    evidence, _ = a_drive_of(compiled, 50, seed=3)
+    fitted = fit_tables(compiled, evidence, strength=7.0, iterations=2)
+    after = fitted.compiled
+    log_prior = 0.0
+    for node, table in counted_tables(compiled).items():
+        some = table.values > 0
+        ratio = fitted.tables[node].values[some] / table.values[some]
+        log_prior += 7.0 * float((table.values[some] * np.log(ratio)).sum())
+    assert log_prior < -0.1
+    before, now = (
+        filter_beliefs(network, evidence, "exact").log_evidence.sum()
+        for network in (compiled, after)
+    )
+    assert fitted.log_posterior[0] == pytest.approx(before)
+    assert fitted.log_posterior[-1] == pytest.approx(now + log_prior)
+
+
+def test_what_is_never_used_stays_possible_without_any_prior() -> None:
+    compiled = paper_case()
+    evidence = Evidence({"DetectorOutput": np.ones((8, 3)), "WOR": np.ones((8, 2))})
+    held = {"Lane": np.zeros(8, dtype=np.int64)}
+    fitted = fit_tables(compiled, evidence, held, strength=0.0)
+    lane = fitted.tables["Lane", 1].values
+    start = counted_tables(compiled)["Lane", 1].values
+    np.testing.assert_allclose(lane[0], [1, 0, 0], atol=1e-300)
+    np.testing.assert_array_equal(lane > 0, start > 0)
+    np.testing.assert_array_equal(lane[1:], start[1:])  # rows that were not used
+
+
+@needs_compiler
+@pytest.mark.parametrize("run", [1, 10])
+@pytest.mark.parametrize("labels", [True, False])
+def test_no_iteration_lowers_the_log_posterior_of_the_papers_recordings(
+    recordings: Path, run: int, labels: bool
+) -> None:
+    drive = drive_of(load_experiment(paper_experiment(run)))
+    training = training_of(drive, np.arange(len(drive)), labels=labels)
+    start = start_of_learning(drive.model).compiled
+    fitted = fit_tables_pooled(start, [training], iterations=40)
+    history = fitted.log_posterior
+    assert (np.diff(history) >= -1e-9 * np.abs(history[:-1])).all()
+    assert history[-1] > history[0] + 100
+    assert not fitted.is_impossible.any()
+    for node, table in counted_tables(start).items():
+        np.testing.assert_array_equal(fitted.tables[node].values > 0, table.values > 0)

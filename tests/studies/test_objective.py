@@ -1,0 +1,167 @@
+"""Scores of parameter sets: the same as a run's, evidence once per value of its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.drives import Drive
+from egolane_pgm.experiment import Tuning
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import make_evidence
+from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.studies import objective
+from egolane_pgm.studies.fits import search_space, settings_of
+from egolane_pgm.studies.space import to_parameters
+from egolane_pgm.types import InputError
+from tests.kits.drives import run
+from tests.kits.studies import drive_of, points_at, scrambled
+
+NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
+OF_CHANGES = ("delay", "share_missed")
+
+
+@cache
+def quickstart() -> Drive:
+    return drive_of(load_experiment("quickstart"))
+
+
+def everything() -> Any:
+    return np.ones(len(quickstart()), dtype=bool)
+
+
+@cache
+def posteriors(n: int) -> list[tuple[dict[str, Any], np.ndarray]]:
+    """Some parameter sets, and the posterior (K, lanes) of each."""
+    space = search_space(quickstart().model, Tuning())
+    units = np.random.default_rng(0).random((n, len(space)))
+    sets = [to_parameters(space, point) for point in points_at(space, units)]
+    posterior_at = objective.posterior_at(quickstart())
+    return [(each, posterior_at(each)) for each in sets]
+
+
+def scores(drives: Sequence[Drive], used: Sequence[Any], names: Sequence[str], n: int) -> Any:
+    """(P, O): the scores of n parameter sets, the same posterior for each drive."""
+    return np.array(
+        [
+            objective.scores_of(drives, [posterior] * len(drives), used, names)
+            for _, posterior in posteriors(n)
+        ]
+    )
+
+
+def test_scores_are_those_of_a_run_with_the_same_parameters() -> None:
+    names = (*NAMES, "log_loss", "brier", "expected_calibration_error", "false_switches_per_minute")
+    found = scores([quickstart()], [everything()], names, 12)
+    of_changes = scores([quickstart()], [everything()], OF_CHANGES, 12)
+    for row, delays, (parameters, _) in zip(found, of_changes, posteriors(12), strict=True):
+        model = run("quickstart", {"parameters": parameters}).scores["model"]
+        assert row == pytest.approx([model[name] for name in names], rel=1e-9)
+        median = model["delay"]["median_frames"]
+        assert delays[0] == (objective.UNDEFINED if median is None else median)
+        assert delays[1] == pytest.approx(model["delay"]["share_missed"])
+
+
+def test_only_frames_that_are_used_count_and_labels_of_others_do_not_matter() -> None:
+    drive, used = quickstart(), np.zeros(len(quickstart()), dtype=bool)
+    used[200:700] = True
+    names = (*NAMES, *(n for n in objective.BELIEF_SCORES if n not in OF_CHANGES))
+    before = scores([drive], [used], names, 12)
+    changed = scrambled(drive, np.flatnonzero(~used))
+    np.testing.assert_array_equal(scores([changed], [used], names, 12), before)
+    assert len(np.unique(before[:, 0])) > 3
+
+
+def test_evidence_is_made_again_only_when_its_own_parameters_change(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made = []
+    name = "egolane_pgm.studies.objective.make_evidence"
+    monkeypatch.setattr(name, lambda *given: made.append(1) or make_evidence(*given))
+    posterior_at = objective.posterior_at(quickstart())
+    parameters = quickstart().model.parameters
+    for k in range(40):
+        posterior_at({**parameters, "bonus_value": k % 3, "p1": k / 40})
+    assert len(made) == 3
+
+
+def test_drives_weigh_the_same_whatever_their_length_unless_they_are_pooled() -> None:
+    drive = quickstart()
+    few = np.arange(len(drive)) < 150
+    both = scores([drive, drive], [few, ~few], ("accuracy",), 5)
+    one, other = (scores([drive], [used], ("accuracy",), 5) for used in (few, ~few))
+    np.testing.assert_allclose(both, (one + other) / 2)
+    for _, posterior in posteriors(5):
+        names = ("accuracy", "f1", "log_loss", "brier")
+        pooled, whole = (
+            objective.scores_of(drives, [posterior] * len(drives), used, names, pooled=True)
+            for drives, used in (([drive, drive], [few, ~few]), ([drive], [everything()]))
+        )
+        assert pooled == pytest.approx(whole)
+
+
+@pytest.mark.parametrize("pooled", [False, True])
+def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) -> None:
+    drive = quickstart()
+    rows = drive.rows
+    changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
+    straight = np.arange(len(drive)) < changes.start[0]
+    for _, posterior in posteriors(5):
+
+        def found(*used: Any, posterior: Any = posterior) -> list[float]:
+            many = [drive] * len(used), [posterior] * len(used)
+            return objective.scores_of(*many, used, OF_CHANGES, pooled=pooled)
+
+        alone = found(everything())
+        assert 0 <= alone[1] <= 1
+        assert found(everything(), straight) == pytest.approx(alone)
+        assert found(straight) == [objective.UNDEFINED] * 2
+
+
+def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() -> None:
+    drive = quickstart()
+    rows = drive.rows
+    changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
+    belief = np.tile(np.eye(drive.n_lanes)[changes.from_lane[0] - 1], (len(drive), 1))
+    used = np.arange(len(drive)) < changes.until[0]
+    assert objective.belief_score(drive, belief, used, "share_missed") == 1
+    assert objective.belief_score(drive, belief, used, "delay") == objective.UNDEFINED
+
+
+def test_rejected_answers_are_none_in_a_search_too() -> None:
+    given = load_experiment("quickstart", {"unassigned_below": 0.8})
+    drive, model = drive_of(given), run(given).scores["model"]
+    posterior = objective.posterior_at(drive)(drive.model.parameters)
+    found = objective.scores_of([drive], [posterior], [everything()], ["accuracy", "coverage"])
+    assert found == pytest.approx([model["accuracy"], model["coverage"]])
+    assert found[1] < 0.99
+
+
+def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
+    given = load_experiment("quickstart", {"evidence_reading": "hard", "filter": "exact"})
+    drive = drive_of(given)
+    posterior = objective.posterior_at(drive)(drive.model.parameters)
+    np.testing.assert_allclose(posterior, run(given).node("Lane"), rtol=0, atol=1e-12)
+
+
+def test_settings_that_do_not_fit_are_refused() -> None:
+    assert settings_of(Tuning(objective="f1")).objectives == ("f1",)
+    for given, said in (
+        (["acuracy"], r"tuning.objective: unknown score 'acuracy' \(did you mean 'accuracy'\?\)"),
+        (["f1", "f1"], "tuning.objective: a score is named twice"),
+    ):
+        with pytest.raises(InputError, match=said):
+            settings_of(Tuning(objective=given))
+    ahead = load_experiment("quickstart", {"filter": "smoothed"})
+    with pytest.raises(InputError, match="a search takes assumed_density or exact, not smoothed"):
+        objective.check_filter(ahead)
+
+
+def test_each_fold_has_a_seed_of_its_own() -> None:
+    seeds = [settings_of(Tuning(seed=3), fold).seed for fold in (None, 0, 1, 2, 3)]
+    assert seeds[0] == 3
+    assert len(set(seeds)) == 5

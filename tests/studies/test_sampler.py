@@ -1,0 +1,136 @@
+"""The sampler of our own, as it is and in any study of Optuna's."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import optuna
+import pytest
+from optuna.distributions import (
+    BaseDistribution,
+    CategoricalDistribution,
+    FloatDistribution,
+    IntDistribution,
+)
+from optuna.trial import TrialState
+
+from egolane_pgm.studies import sampler as evolution
+from egolane_pgm.studies.sampler import Shade, from_unit, to_unit
+
+optuna.logging.set_verbosity(optuna.logging.ERROR)
+
+
+def test_children_stay_in_the_cube_and_a_child_as_good_takes_its_parents_place() -> None:
+    population = evolution.empty(3)
+    for _ in range(10):
+        children = evolution.propose(population, 1)
+        assert children.units.min() >= 0
+        assert children.units.max() <= 1
+        before = population
+        population = evolution.select(population, children, np.full(len(children.units), 0.5), 1)
+    np.testing.assert_array_equal(population.units, children.units)
+    assert not np.array_equal(before.units, population.units)
+
+
+def mixed(trial: optuna.Trial) -> float:
+    """An objective with every kind of parameter; best, 0, at one point."""
+    score = abs(trial.suggest_float("x", -2, 3) - 1)
+    score += abs(np.log10(trial.suggest_float("rate", 1e-5, 1, log=True)) + 3)
+    score += abs(trial.suggest_int("n", 1, 9) - 7)
+    score += abs(trial.suggest_int("size", 1, 1000, log=True) - 30) / 30
+    score += abs(trial.suggest_float("step", 0, 1, step=0.25) - 0.75)
+    return float(score + 2 * (trial.suggest_categorical("kind", ["a", "b", None]) != "b"))
+
+
+def best_of(sampler: Any, trials: int = 400) -> float:
+    study = optuna.create_study(sampler=sampler)
+    study.optimize(mixed, n_trials=trials)
+    return study.best_value
+
+
+def test_any_study_of_optuna_takes_it_whatever_is_searched() -> None:
+    ours = [best_of(Shade(seed=s)) for s in range(3)]
+    theirs = [best_of(optuna.samplers.RandomSampler(seed=s)) for s in range(3)]
+    assert max(ours) < min(theirs)
+
+
+def test_the_same_seed_draws_the_same_in_a_space_that_is_not_given() -> None:
+    assert best_of(Shade(seed=5), 70) == best_of(Shade(seed=5), 70)
+    assert best_of(Shade(seed=5), 70) != best_of(Shade(seed=6), 70)
+
+
+def test_a_sampler_made_anew_goes_on_where_another_one_stopped() -> None:
+    whole = optuna.create_study(sampler=Shade(seed=1))
+    whole.optimize(mixed, n_trials=200)
+    parts = optuna.create_study(sampler=Shade(seed=1))
+    for n_trials in (1, 28, 2, 69, 100):
+        parts.optimize(mixed, n_trials=n_trials)
+        parts.sampler = Shade(seed=1)
+    assert [t.params for t in parts.trials] == [t.params for t in whole.trials]
+
+
+def test_parameters_that_some_trials_lack_are_drawn_at_random() -> None:
+    def sometimes(trial: optuna.Trial) -> float:
+        x = trial.suggest_float("x", 0, 1)
+        return x + (trial.suggest_float("y", 0, 1) if trial.number % 2 else 0.5)
+
+    study = optuna.create_study(sampler=Shade(seed=0))
+    study.optimize(sometimes, n_trials=300)
+    drawn = [t.params["y"] for t in study.trials if "y" in t.params]
+    assert np.std(drawn) == pytest.approx(12**-0.5, rel=0.1)
+    assert study.best_params["x"] < 0.05
+
+
+def test_a_trial_that_fails_is_not_proposed_for_ever() -> None:
+    def fails(trial: optuna.Trial) -> float:
+        return float("nan") if trial.suggest_float("x", 0, 1) > 0.5 else trial.params["x"]
+
+    space: dict[str, BaseDistribution] = {"x": FloatDistribution(0, 1)}
+    study = optuna.create_study(sampler=Shade(seed=0, search_space=space))
+    study.optimize(fails, n_trials=200)
+    states = [t.state for t in study.trials]
+    assert TrialState.FAIL in states
+    assert study.best_value < 0.01
+    assert len({t.params["x"] for t in study.trials}) > 190
+
+
+def test_threads_of_one_study_do_not_disturb_each_other() -> None:
+    study = optuna.create_study(sampler=Shade(seed=0))
+    study.optimize(mixed, n_trials=150, n_jobs=4)
+    assert len(study.trials) == 150
+    assert study.best_value < best_of(optuna.samplers.RandomSampler(seed=0), 150)
+
+
+def test_several_objectives_are_refused() -> None:
+    study = optuna.create_study(directions=["minimize", "maximize"], sampler=Shade(0, SPACE))
+    with pytest.raises(ValueError, match="one objective"):
+        study.optimize(lambda t: (t.suggest_float("x", -2, 3), 0.0), n_trials=1)
+
+
+SPACE: dict[str, BaseDistribution] = {
+    "x": FloatDistribution(-2, 3),
+    "rate": FloatDistribution(1e-5, 1, log=True),
+    "step": FloatDistribution(0, 0.9, step=0.3),
+    "n": IntDistribution(1, 9),
+    "even": IntDistribution(0, 10, step=2),
+    "size": IntDistribution(1, 1000, log=True),
+    "kind": CategoricalDistribution(["a", "b", None]),
+}
+
+
+@pytest.mark.parametrize("name", SPACE)
+def test_values_and_the_unit_interval_agree(name: str) -> None:
+    distribution = SPACE[name]
+    found = [from_unit(distribution, u) for u in np.linspace(0, 1, 5001)]
+    assert all(distribution._contains(distribution.to_internal_repr(v)) for v in found)
+    again = [from_unit(distribution, to_unit(distribution, v)) for v in found]
+    assert [v is None for v in again] == [v is None for v in found]
+    if name == "kind":
+        assert again == found
+        assert {v: found.count(v) for v in ("a", "b", None)} == {"a": 1667, "b": 1667, None: 1667}
+    else:
+        np.testing.assert_allclose(again, found, rtol=1e-12)
+        assert found == sorted(found)
+        ends = [SPACE[name].low, SPACE[name].high]  # type: ignore[attr-defined]
+        assert [found[0], found[-1]] == pytest.approx(ends)

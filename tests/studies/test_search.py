@@ -1,0 +1,123 @@
+"""One study: seeds, starting points, samplers, resuming."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import optuna
+import pytest
+from optuna.trial import TrialState
+
+from egolane_pgm.studies.search import (
+    SAMPLERS,
+    Settings,
+    best_trial,
+    check_sampler,
+    new_study,
+    search,
+)
+from egolane_pgm.types import InputError
+from tests.kits.studies import bowl, plain_space, search_in_memory, tried
+
+SPACE = plain_space()
+
+
+def complete(study: optuna.Study) -> list[Any]:
+    """What was tried and what came out, in order, less the trials that were interrupted."""
+    return tried(study.get_trials(states=(TrialState.COMPLETE,)))
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_the_same_seed_gives_the_same_study_and_another_one_another(sampler: str) -> None:
+    settings = Settings(("accuracy",), sampler, 40, 3)
+    first = tried(search_in_memory(SPACE, bowl, settings).trials)
+    assert tried(search_in_memory(SPACE, bowl, settings).trials) == first
+    assert tried(search_in_memory(SPACE, bowl, replace(settings, seed=4)).trials) != first
+    assert len(first) == 40
+
+
+@pytest.mark.parametrize("stops", [(0,), (29,), (30,), (7, 77, 199)])
+def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> None:
+    settings = Settings(("accuracy",), "evolution", 200, 0)
+    whole = tried(search_in_memory(SPACE, bowl, settings).trials)
+    study = new_study(settings)
+    for stop in stops:
+
+        def interrupted(point: Any, stop: int = stop) -> list[float]:
+            if len(complete(study)) == stop:
+                raise KeyboardInterrupt
+            return bowl(point)
+
+        with pytest.raises(KeyboardInterrupt):
+            search(study, SPACE, interrupted, settings)
+    search(study, SPACE, bowl, settings)
+    assert len(complete(study)) == 200
+    assert complete(study)[: stops[0]] == whole[: stops[0]]
+    assert len(study.get_trials(states=(TrialState.FAIL,))) == len(stops)
+
+
+@pytest.mark.parametrize("sampler", ["tpe", "cma-es", "nsga2", "random"])
+def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str) -> None:
+    settings = Settings(("accuracy",), sampler, 15, 0)
+    study = new_study(settings)
+    search(study, SPACE, bowl, settings)
+    search(study, SPACE, bowl, replace(settings, trials=30))
+    points = [tuple(t.params.values()) for t in study.trials]
+    assert len(points) == len(set(points)) == 30
+
+
+@pytest.mark.parametrize("sampler", SAMPLERS)
+def test_known_points_are_tried_first_and_in_order(sampler: str) -> None:
+    starts = [{"x0": 0.1, "x1": 0.2, "x2": 0.3}, {"x0": 0.3, "x1": 0.3, "x2": 0.3}]
+    settings = Settings(("accuracy",), sampler, 12, 0)
+    study = new_study(settings)
+    for start in starts:
+        study.enqueue_trial(start)
+    search(study, SPACE, bowl, settings)
+    assert [t.params for t in study.trials[:2]] == starts
+    assert best_trial(study).number == 1
+    assert len(study.trials) == 12
+
+
+def test_a_finished_study_is_not_run_again() -> None:
+    settings = Settings(("accuracy",), "evolution", 50, 0)
+    study = new_study(settings)
+    search(study, SPACE, bowl, settings)
+
+    def never(point: Any) -> Any:
+        raise AssertionError("no trial was asked for")
+
+    search(study, SPACE, never, settings)
+    assert len(study.trials) == 50
+
+
+def test_evolution_beats_random_on_steps() -> None:
+    space = plain_space(7)
+
+    def best(sampler: str, seed: int) -> float:
+        settings = Settings(("accuracy",), sampler, 600, seed)
+        return float(best_trial(search_in_memory(space, bowl, settings)).values[0])
+
+    assert min(best("evolution", s) for s in range(3)) > max(best("random", s) for s in range(3))
+
+
+def test_evolution_minimises_what_is_better_small() -> None:
+    settings = Settings(("log_loss",), "evolution", 400, 0)
+    done = search_in_memory(SPACE, lambda point: [1 - bowl(point)[0]], settings)
+    assert best_trial(done).values[0] == min(t.values[0] for t in done.trials) < 0.02
+
+
+def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
+    settings = Settings(("accuracy", "log_loss"), "nsga2", 60, 0)
+    done = search_in_memory(SPACE, lambda p: [float(p["x0"]), float(p["x0"]) ** 2], settings)
+    assert best_trial(done).values[0] == max(t.values[0] for t in done.trials)
+
+
+def test_a_sampler_that_does_not_fit_is_refused() -> None:
+    assert check_sampler(None, ["accuracy"], "x") == "evolution"
+    assert check_sampler(None, ["accuracy", "log_loss"], "x") == "nsga2"
+    with pytest.raises(InputError, match=r"x: unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
+        check_sampler("tpee", ["accuracy"], "x")
+    with pytest.raises(InputError, match="x: evolution searches one objective; for accuracy, f1"):
+        check_sampler("evolution", ["accuracy", "f1"], "x")

@@ -1,0 +1,204 @@
+"""The search space: what is declared, narrowed, fixed; and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.evidence import counting
+from egolane_pgm.graphs import sensor_failure, wor_on_lane
+from egolane_pgm.parameters import Parameter, held_fixed, resolve_parameters
+from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
+from egolane_pgm.studies.space import (
+    SearchSpace,
+    describe,
+    described,
+    differences,
+    distributions,
+    make_space,
+    to_parameters,
+    to_point,
+)
+from egolane_pgm.types import InputError
+from tests.kits.studies import points_at
+
+SPECS = declared_parameters(counting, sensor_failure)
+CURRENT = resolve_parameters(SPECS, {}, 3)
+
+
+def space(**given: Any) -> SearchSpace:
+    return make_space(SPECS, CURRENT, given, 3, "x.yaml: tuning.parameters")
+
+
+PAPER = {"sigma1", "sigma2", "p1", "p2", "p3", "p4"}
+
+#: What a search of the package's plugins moves; studies and results were made with it.
+SEARCHED: dict[str, set[str]] = {
+    "biased_sensor": PAPER | {"p_biased", "shift"},
+    "lane_only": {"sigma1", "sigma2"},
+    "no_wor": PAPER - {"p3", "p4"},
+    "position_in_lane": {"motion_sigma", "motion_sigma_wide", "wide_share"} | {"p1", "p2"},
+    "sensor_dynamics": PAPER | {"sigma1_bad"},
+    "sensor_failure": PAPER,
+    "three_sensor_states": PAPER | {"sigma2_worn", "p_worn", "p3_worn"},
+    "wor_direct": {"sigma1", "sigma2", "p_wor"},
+    "wor_levels": PAPER,
+    "wor_on_lane": PAPER,
+    "counting": {"bonus_value"},
+    "counting_levels": {"bonus_value"},
+    "line_geometry": {"alpha", "beta"},
+    **{key: set() for key in ("ml", "mc", "sl", "sc")},
+}
+
+
+@pytest.mark.parametrize("name", SEARCHED)
+def test_what_is_searched_in_the_packages_plugins_stays_as_it_was(name: str) -> None:
+    folders = [f for f in ("graphs", "evidence", "detectors") if name in plugin_names(f)]
+    (module,) = [load_plugin(folder, name, "x") for folder in folders]
+    assert {spec.name for spec in module.PARAMETERS if spec.is_searched} == SEARCHED[name]
+
+
+@pytest.mark.parametrize(
+    ("kind", "default", "keys", "expected"),
+    [
+        ("probability", 0.95, {}, (0, 1)),
+        ("probability", 0.95, {"lowest": 0.5}, (0.5, 1)),
+        ("sigma", 0.35, {}, (0, 3)),
+        ("sigma", 20.0, {}, (0, 200)),
+        ("positive", 3.5, {}, (0.35, 35)),
+        ("positive", 3.5, {"highest": 10}, (0.35, 10)),
+        ("non_negative", 0, {}, (0, 1)),
+        ("positive", (1.0, 2.0, 4.0), {"per_lane": True}, (0.1, 40)),
+        ("integer", 3, {}, None),
+        ("integer", 3, {"search": (1, 5)}, (1, 5)),
+        ("choice", "a", {"choices": ("a", "b")}, None),
+        ("positive", "auto", {"choices": ("auto",)}, None),
+        ("probability", (0.5, 0.5), {"shape": lambda n: (2,)}, None),
+    ],
+)
+def test_without_declared_bounds_a_parameter_is_searched_within_those_of_its_kind(
+    kind: str, default: Any, keys: dict[str, Any], expected: tuple[float, float] | None
+) -> None:
+    spec = Parameter("x", kind, default, "a number", **keys)
+    assert spec.search_range == (expected and pytest.approx(expected))
+    assert spec.is_searched == (expected is not None)
+    (kept,) = held_fixed([spec])
+    assert not kept.is_searched
+    assert kept.search_range == spec.search_range or spec.search != "auto"
+
+
+def test_a_graph_of_ones_own_is_searched_without_saying_so() -> None:
+    specs = [
+        Parameter("stay", "probability", 0.95, "a probability"),
+        Parameter("width", "positive", 2, "a width"),
+        Parameter("p3", "probability", 0.6, "by lane", per_lane=True),
+        Parameter("kept", "positive", 2.0, "not searched", search=None),
+    ]
+    found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
+    assert found.keys == ("stay", "width", "p3[1]", "p3[2]", "p3[3]")
+    assert found.fixed == {"kept": 2.0}
+    width = distributions(found)["width"]
+    assert (width.low, width.high, width.log) == (0.2, 20, True)  # type: ignore[attr-defined]
+    middle = points_at(found, np.full((1, 5), 0.5))[0]
+    assert middle["width"] == pytest.approx(2)
+    given = make_space(specs, resolve_parameters(specs, {}, 3), {"width": [1, 3]}, 3, "x")
+    assert not distributions(given)["width"].log  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("search", ["log", True, (0,), [0, "a"], 3])
+def test_a_search_that_is_no_range_is_refused_where_it_is_declared(search: Any) -> None:
+    with pytest.raises(InputError, match=r"Parameter x: search: .* is not \(low, high\)"):
+        Parameter("x", "positive", 1.0, "a number", search=search)
+
+
+def test_a_reader_is_told_what_is_searched_and_what_is_held_fixed() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    current = resolve_parameters(specs, {"lane_widths": [1, 1.05, 0.95]}, 3)
+    given = {"p1": 0.25, "normal": ["density", "integral"], "sigma1": [0.1, 0.5]}
+    found = make_space(specs, current, given, 3, "x")
+    searched, fixed = map(", ".join, described(found))
+    assert (searched, fixed) == (
+        "bonus_value 0 to 9, sigma1 0.1 to 0.5, sigma2 0 to 3, p2 0 to 1, p3 of 3 lanes 0 to 1,"
+        " p4 of 3 lanes 0 to 1, normal density or integral",
+        "lane_width_m 3.5, tentative_noise 0.001, wor_noise 0.01, max_lri 10, no_valid_line"
+        " uniform, p1 0.25, lane_widths (1, 1.05, 0.95)",
+    )
+    assert (len(found), found.n_fixed) == (11, 9)
+
+
+def test_a_choice_is_searched_among_the_names_given() -> None:
+    found = space(normal=["density", "integral"])
+    points = points_at(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
+    assert [p["normal"] for p in points] == ["density", "integral"]
+
+
+def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
+    specs = declared_parameters(counting, wor_on_lane)
+    current = resolve_parameters(specs, {}, 3)
+    found = make_space(specs, current, {}, 3, "x")
+    mine = {**current, "p3": (0.2, 0.4, 0.6)}
+    point = to_point(found, mine)
+    assert point is not None
+    assert [point[f"p3[{lane}]"] for lane in (1, 2, 3)] == [0.2, 0.4, 0.6]
+    assert to_parameters(found, point)["p3"] == (0.2, 0.4, 0.6)
+    fixed = make_space(specs, current, {"p3": [0.2, 0.4, 0.6]}, 3, "x")
+    assert fixed.fixed["p3"] == (0.2, 0.4, 0.6)
+    assert not any(key.startswith("p3") for key in fixed.keys)
+    narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
+    assert [d.high for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
+
+
+def test_a_value_per_lane_that_nobody_declared_bounds_for_is_searched_as_one() -> None:
+    found = space(lane_widths=[0.9, 1.1])
+    assert [d.key for d in found.dimensions if d.parameter == "lane_widths"] == ["lane_widths"]
+
+
+def test_what_is_not_searched_keeps_the_value_of_the_experiment() -> None:
+    current = {**CURRENT, "wor_noise": 0.2}
+    assert make_space(SPECS, current, {}, 3, "x").fixed["wor_noise"] == 0.2
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"sigma_1": [0, 1]}, "unknown parameter 'sigma_1' \\(did you mean 'sigma1'\\?\\)"),
+        ({"sigma1": [1, 1]}, "sigma1: .* is empty"),
+        ({"sigma1": [2, 1]}, "sigma1: .* is inverted"),
+        ({"p1": [0.5, 1.5]}, "p1: 1.5 is not a probability"),
+        ({"sigma1": [-1, 1]}, "sigma1: -1 must be greater than 0"),
+        ({"p1": [0.1, 0.2, 0.3]}, "p1: .* must be \\[low, high\\]"),
+        ({"p1": ["a", "b"]}, "p1: 'a' is not a number"),
+        ({"bonus_value": [0.5, 3]}, "bonus_value: .* whole numbers"),
+        ({"normal": ["density"]}, "normal: .* leaves nothing to search"),
+        ({"normal": ["density", "densty"]}, "did you mean 'density'"),
+        (dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"), 0.5), "to"),
+    ],
+)
+def test_bounds_that_make_no_sense_are_refused_with_their_name(
+    given: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        space(**given)
+    assert str(caught.value).startswith("x.yaml: tuning.parameters")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_point_outside_of_the_bounds_is_none() -> None:
+    parameters = {**CURRENT, "sigma1": 2.0}
+    assert to_point(space(), parameters) is not None
+    assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
+    assert to_point(space(), {**CURRENT, "bonus_value": 2.5}) is None
+    names = space(no_valid_line=["uniform", "ignore"])
+    assert to_point(names, {**CURRENT, "no_valid_line": "ignore"}) is not None
+    assert to_point(names, {**CURRENT, "no_valid_line": "neither"}) is None
+
+
+def test_differences_name_each_key_with_both_values() -> None:
+    before, now = describe(space()), describe(space(p1=0.9, sigma1=[0.1, 1.0]))
+    text = "; ".join(differences(before, now))
+    assert "fixed.p1: nothing, now 0.9" in text
+    assert "searched.sigma1: [3e-06, 3.0], now [0.1, 1.0]" in text
+    assert "sigma2" not in text
+    assert differences({"a": {"b": 1}, "c": 2}, {"c": 2}) == ["a: {'b': 1}, now nothing"]

@@ -1,0 +1,74 @@
+"""Where studies are kept: what survives, what is refused, and that Optuna reads it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import optuna
+import pytest
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
+
+from egolane_pgm.studies.search import Settings, new_study, search
+from egolane_pgm.studies.storage import JOURNAL_NAME, open_storage, storage_errors
+from egolane_pgm.types import InputError
+from tests.kits.studies import bowl, plain_space, search_in_memory, tried
+
+SPACE = plain_space()
+
+
+def settings(trials: int) -> Settings:
+    return Settings(("accuracy",), "evolution", trials, 0)
+
+
+def study_in(storage: str, trials: int = 30) -> optuna.Study:
+    return new_study(settings(trials), storage=open_storage(storage), study_name="drive")
+
+
+@pytest.mark.parametrize("name", [JOURNAL_NAME, "study.db"])
+def test_a_study_goes_on_to_a_larger_total_as_if_it_had_not_stopped(
+    name: str, tmp_path: Path
+) -> None:
+    storage = f"sqlite:///{tmp_path}/{name}" if name.endswith("db") else str(tmp_path / name)
+    whole = tried(search_in_memory(SPACE, bowl, settings(40)).trials)
+    for trials in (20, 40):
+        search(study_in(storage), SPACE, bowl, settings(trials))
+    assert tried(study_in(storage).trials) == whole
+
+
+def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) -> None:
+    search(study_in(str(tmp_path / JOURNAL_NAME)), SPACE, bowl, settings(20))
+    journal = JournalStorage(JournalFileBackend(str(tmp_path / JOURNAL_NAME)))
+    study = optuna.load_study(study_name=None, storage=journal)
+    assert (study.study_name, study.metric_names) == ("drive", ["accuracy"])
+    base = f"sqlite:///{tmp_path}/study.db"
+    optuna.copy_study(from_study_name="drive", from_storage=journal, to_storage=base)
+    copy = optuna.load_study(study_name="drive", storage=base)
+    assert tried(copy.trials) == tried(study.trials)
+
+
+@pytest.mark.parametrize(
+    ("storage", "said"),
+    [
+        ("{folder}/damaged", "damaged: cannot be used"),
+        ("sqlite:///{folder}/damaged", "damaged: cannot be used: file is not a database"),
+        ("nosuch://h/d", "storage: nosuch://h/d: "),
+        ("sqlite:////no/such/place/x.db", "storage: sqlite:////no/such/place/x.db: "),
+        ("{folder}/damaged/x", "damaged: cannot be created: File exists"),
+        ("oracle+oracledb://h/d", "needs the package oracledb: pip install oracledb"),
+    ],
+)
+def test_a_storage_that_cannot_be_opened_is_one_line(
+    storage: str, said: str, tmp_path: Path
+) -> None:
+    (tmp_path / "damaged").write_text("this is no database\n" * 100)
+    with pytest.raises(InputError) as caught:
+        open_storage(storage.format(folder=tmp_path))
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_error_of_the_score_is_none_of_the_storage(tmp_path: Path) -> None:
+    study = study_in(str(tmp_path / JOURNAL_NAME))
+    with pytest.raises(ZeroDivisionError), storage_errors("here"):
+        search(study, SPACE, lambda _: [1 / 0], settings(9))

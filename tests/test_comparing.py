@@ -1,0 +1,195 @@
+"""Comparisons: differences are paired, recordings of one drive are resampled together."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.comparing import compare
+from egolane_pgm.drives import digests, drive_key
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.paper import paper_experiment
+from egolane_pgm.result import Result, load_result
+from egolane_pgm.runs import open_input, run_input
+from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
+from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.types import InputError
+from tests.conftest import needs_compiler
+from tests.kits.drives import geometry, run, simulated, write_drive
+
+SIDES = ("sensor_failure", "lane_only")
+
+
+def sides(seed: int = 0, **keys: Any) -> list[Result]:
+    recording = {"simulate": "quickstart", "seed": seed}
+    return [run(simulated(g, graph=g, recording=recording, **keys)) for g in SIDES]
+
+
+@pytest.fixture(scope="module")
+def results() -> list[Result]:
+    """Two graphs on two recordings."""
+    return [*sides(0), *sides(7)]
+
+
+def interval(row: Any, name: str) -> list[float]:
+    return [row[f"{name}{end}"] for end in ("", "_low", "_high")]
+
+
+def counts_of(result: Result, column: str = "assigned_lane") -> Any:
+    assert result.truth is not None
+    lane, crossing = result.truth["true_lane"], result.truth["is_crossing"]
+    return confusion_counts(result.frames[column], lane, crossing, result.n_lanes)
+
+
+def test_a_difference_is_paired_and_to_the_first_side(results: list[Result]) -> None:
+    first, second = results[:2]
+    found = compare([first, second])
+    assert (found.index.name, found.index.to_list()) == ("name", list(SIDES))
+    expected = bootstrap_interval([counts_of(second)], accuracy, minus=[counts_of(first)])
+    ours = interval(found.loc["lane_only"], "accuracy_difference")
+    assert ours == [expected.estimate, expected.low, expected.high]
+    alone = bootstrap_interval([counts_of(second)], accuracy)
+    ours = interval(found.loc["lane_only"], "accuracy")
+    assert ours == [alone.estimate, alone.low, alone.high]
+    assert found["accuracy_difference"].isna().to_list() == [True, False]
+    assert found["accuracy"].to_list() == [
+        pytest.approx(each.scores["model"]["accuracy"]) for each in (first, second)
+    ]
+    twin = run(simulated("twin", graph="lane_only"))
+    same = compare([second, twin]).loc["twin"]
+    assert interval(same, "f1_difference") == [0, 0, 0]
+
+
+def test_a_side_has_the_mean_over_its_recordings(results: list[Result]) -> None:
+    found = compare(results, of="graph")
+    assert found["recordings"].to_list() == [2, 2]
+    for side, graph in enumerate(SIDES):
+        for name in ("accuracy", "f1", "log_loss"):
+            each = [result.scores["model"][name] for result in results[side::2]]
+            assert found.loc[graph, name] == pytest.approx(np.mean(each))
+    difference = found.loc["lane_only", "accuracy_difference"]
+    assert difference == pytest.approx(found["accuracy"].diff().iloc[1])
+    by = compare(results, of="graph", by="recording.seed")
+    assert by.index.names == ["recording.seed", "graph"]
+    alone = compare(results[2:], of="graph").loc["lane_only"]
+    assert by.loc[(7, "lane_only")].to_dict() == alone.to_dict()
+
+
+def test_recordings_of_one_drive_do_not_count_as_two(tmp_path: Path) -> None:
+    """A copy of a recording adds nothing, so the interval stays."""
+    paths = [write_drive(tmp_path / name, 700) for name in ("a", "b")]
+    found = [run(path, {"name": graph, "graph": graph}) for path in paths for graph in SIDES]
+    once, twice = (compare(some, of="graph").loc["lane_only"] for some in (found[:2], found))
+    assert twice["recordings"] == 2
+    for name in ("accuracy", "accuracy_difference"):
+        assert interval(twice, name) == pytest.approx(interval(once, name))
+    assert once["accuracy_high"] > once["accuracy_low"]
+
+
+def test_a_copy_of_the_ground_truth_is_of_the_same_drive(tmp_path: Path) -> None:
+    own = load_experiment(write_drive(tmp_path))
+    truth = tmp_path / "ground_truth.txt"
+    shutil.copy(truth, tmp_path / "copy.txt")
+    (tmp_path / "changed.txt").write_text(truth.read_text() + "999999;1;0\n")
+
+    def key(name: str) -> str:
+        other = load_experiment(own, {"ground_truth.path": tmp_path / name})
+        return drive_key(other, digests(other))
+
+    assert key("copy.txt") == key("ground_truth.txt") != key("changed.txt")
+
+
+def test_the_detector_is_a_side_of_its_own(results: list[Result]) -> None:
+    found = compare(results, of="graph", detector=True)
+    assert found.index.to_list() == [*SIDES, "detector alone"]
+    detector = found.loc["detector alone"]
+    each = [result.scores["detector"]["accuracy"] for result in results[::2]]
+    assert detector["accuracy"] == pytest.approx(np.mean(each))
+    minus = [counts_of(result) for result in results[::2]]
+    mine = [counts_of(result, "detector_lane") for result in results[::2]]
+    expected = bootstrap_interval(mine, accuracy, minus=minus, seeds=[0, 1])
+    ours = interval(detector, "accuracy_difference")
+    assert ours == pytest.approx([expected.estimate, expected.low, expected.high])
+
+
+def test_untrusted_labels_are_not_compared(results: list[Result]) -> None:
+    first, second = sides(0, fit="learn", tuning={"never_fit": {"from_frame": 900}})
+    opened = [open_input(each.experiment) for each in (first, second)]
+    held_out = [run_input(each, n_blocks=3) for each in opened]
+    found = compare(held_out, of="graph")
+    for result in held_out:
+        assert result.scores["model"]["frames_scored"] < len(result)
+        right = result.scores["model"]["accuracy"]
+        assert found.loc[result.experiment.graph, "accuracy"] == pytest.approx(right)
+    assert found["tuned_on"].to_list() == ["other_frames"] * 2
+
+
+def test_scores_of_lane_changes_are_added(results: list[Result]) -> None:
+    both = [run(geometry("one")), run(simulated("two", filter="fixed_lag", lag=9))]
+    found = compare(both, events=True)
+    for result in both:
+        within = result.scores["events"]["within"]["1"]
+        row = found.loc[result.name]
+        assert row["event_precision"] == within["precision"]
+        assert row["event_recall"] == within["recall"]
+        assert row["event_delay_s"] == result.scores["events"]["delay_s"]["median"]
+    assert "event_recall" not in compare(both)
+
+
+def test_results_are_found_below_folders_and_named_by_them(
+    results: list[Result], tmp_path: Path
+) -> None:
+    for side, result in zip(("new", "old", "new", "old"), results, strict=True):
+        seed = result.experiment.recording.seed
+        renamed = load_experiment(result.experiment, {"name": f"d{seed}"})
+        run(renamed).save(tmp_path / side / f"d{seed}")
+    found = compare([tmp_path / "new", tmp_path / "old"])
+    assert (found.index.name, found.index.to_list()) == ("folder", ["new", "old"])
+    right = compare(results, of="graph")
+    np.testing.assert_array_equal(found["accuracy"], right["accuracy"])
+    one = load_result(tmp_path / "new" / "d0")
+    assert len(compare(one)) == len(compare(tmp_path / "new" / "d0")) == 1
+
+
+def test_what_cannot_be_compared_is_refused(results: list[Result], tmp_path: Path) -> None:
+    shorter = run(simulated("short"), {"recording.frames": [0, 300]})
+    without = run(simulated("none"), ground_truth="none")
+    for given, of, said in (
+        (results[:3], "graph", "graph lane_only: has other recordings, frames or labels"),
+        ([results[0], shorter], "name", "name short: has other recordings, frames or labels"),
+        (results[:2], "filter", "assumed_density: two results of one recording, sensor_failure"),
+        ([without], "name", "none: has no ground truth to compare with"),
+    ):
+        with pytest.raises(InputError, match=said):
+            compare(given, of=of)
+    with pytest.raises(InputError, match="is not a result directory"):
+        compare(tmp_path)
+
+
+@needs_compiler
+def test_the_causal_model_finds_the_lane_changes_of_the_papers_runs(recordings: Path) -> None:
+    """Two detectors on either road; Spain counts before frame 9577."""
+    scores = []
+    for number in (1, 3, 6, 9):
+        paper = load_experiment(paper_experiment(number))
+        model = load_experiment("zero_label").model_dump(exclude_unset=True)
+        keys = {"recording", "ground_truth", "n_lanes", "name"}
+        content = {**model, **paper.model_dump(include=keys, exclude_unset=True)}
+        if number >= 6:
+            content["recording"] = {**content["recording"], "frames": [0, 9577]}
+        scores.append(run(content).scores["events"])
+    right, false, missed = (
+        sum(each["within"]["2"][key] for each in scores) for key in ("right", "false", "missed")
+    )
+    assert right + missed == 2 * 109 + 2 * 34
+    assert right / (right + false) >= 0.98
+    assert right / (right + missed) >= 0.98
+    for k, each in enumerate(scores):
+        warning = each["crossing"]
+        assert warning["warned"] == warning["changes"]
+        assert warning["auc"] > (0.9 if k < 2 else 0.8)
+        assert warning["lead_s"]["median"] > 1.3

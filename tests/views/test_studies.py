@@ -1,0 +1,84 @@
+"""The text and the figures of a study show the trials that it keeps."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from egolane_pgm.runs import open_input
+from egolane_pgm.studies.study import Study, block_folds, run_study, tuning_of
+from egolane_pgm.types import InputError
+from egolane_pgm.views.studies import (
+    draw_study,
+    history_figure,
+    importances,
+    profile_figure,
+    read_trials,
+)
+from tests.kits.drives import simulated
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
+    experiment = simulated(recording={"simulate": "quickstart", "frames": [0, 400]})
+    drives = open_input(experiment).drives()
+    tuning = tuning_of(experiment, trials=24, sampler="random")
+    folder = tmp_path_factory.mktemp("study")
+    return run_study(drives, "tune", block_folds(drives, 2), tuning=tuning, directory=folder)
+
+
+def test_a_study_has_scores_in_sample_beside_held_out_and_the_best_parameters(
+    study: Study,
+) -> None:
+    in_sample, held_out = (
+        found.scores["model"]["accuracy"] for found in (study.in_sample, study.held_out) if found
+    )
+    title = f"'a': tune, 24 trials, accuracy {in_sample:.3f} in-sample, {held_out:.3f} held out"
+    assert repr(study) == f"Study({title})"
+    text = study.to_text()
+    assert text.startswith(title)
+    assert "| sigma1 " in text
+    assert "in-sample" in study.to_text(style="csv").splitlines()[0]
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> None:
+    assert study.directory is not None
+    files = draw_study(study.directory, tmp_path, "svg")
+    assert [file.name for file in files] == ["history.svg", "profile.svg", "importances.svg"]
+    assert all(file.stat().st_size > 1000 for file in files)
+    document, trials = read_trials(study.directory)
+    assert len(trials) == 24
+    lines = history_figure(trials, document, "").axes[0].lines
+    best = next(line for line in lines if str(line.get_label()).startswith("best"))
+    np.testing.assert_array_equal(best.get_ydata(), trials["score"].cummax())
+    assert study.held_out is not None
+    assert set(lines[-1].get_ydata()) == {study.held_out.scores["model"]["accuracy"]}
+    panels = profile_figure(trials, document, "").axes
+    assert [ax.get_title() for ax in panels] == list(document["settings"]["searched"])
+
+
+def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.random((2, 300))
+    trials = pd.DataFrame({"score": (1 - np.abs(x - 0.3)).round(2), "y": y, "x": x})
+    settings = {"objectives": ["accuracy"], "searched": {"y": [0.0, 1.0], "x": [0.0, 1.0]}}
+    found = importances(trials, settings)
+    assert next(iter(found)) == "x"
+    assert found["x"] > 0.8
+    assert importances(trials.assign(score=0.5), settings) == {}
+    assert importances(trials.head(2), settings) == {}
+
+
+def test_a_directory_without_a_search_is_refused(tmp_path: Path, study: Study) -> None:
+    with pytest.raises(InputError, match="is not the directory of a search"):
+        draw_study(tmp_path)
+    assert study.directory is not None
+    content = (study.directory / "study.json").read_text()
+    (tmp_path / "study.json").write_text(content)
+    study.trials.assign(state="FAIL").to_parquet(tmp_path / "trials.parquet")
+    with pytest.raises(InputError, match="has no complete trial"):
+        draw_study(tmp_path)
