@@ -162,11 +162,10 @@ def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, 
 
     space: dict[str, Any] = {}
     for name, ends in settings["searched"].items():
-        is_choice = isinstance(ends[0], str)
-        kind = optuna.distributions.FloatDistribution
-        space[name] = (
-            optuna.distributions.CategoricalDistribution(ends) if is_choice else kind(*ends)
-        )
+        if isinstance(ends[0], str):
+            space[name] = optuna.distributions.CategoricalDistribution(ends)
+        else:
+            space[name] = optuna.distributions.FloatDistribution(*ends)
     with quiet():
         is_up = is_maximised(settings["objectives"][0])
         study = optuna.create_study(direction="maximize" if is_up else "minimize")
