@@ -49,8 +49,8 @@ def study_title(study: Study) -> str:
     """A study in one line: method, trials, and accuracy in-sample and held out."""
     more = len(study.experiments) - 1
     parts = [f"{study.name!r}{f' and {more} more' if more else ''}: {study.method}"]
-    if len(study.trials):
-        parts.append(f"{len(study.trials)} trials")
+    if study.n_trials:
+        parts.append(f"{study.n_trials} trials")
     accuracy = [
         f"{found['model']['accuracy']:.3f} {name}"
         for name, found in _scores(study).items()
