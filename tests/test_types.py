@@ -13,8 +13,9 @@ from egolane_pgm.types import (
     Beliefs,
     Evidence,
     InputError,
-    LaneTruth,
     LineLog,
+    check_lanes,
+    lane_truth,
     not_one_of,
 )
 
@@ -48,7 +49,7 @@ def test_frame_ids_that_do_not_increase_are_refused(ids: list[int], message: str
         replace(a_log(), frame_id=np.array(ids))
     assert str(error.value) == message
     with pytest.raises(InputError, match=message.split(": ")[1]):
-        LaneTruth(np.array(ids), np.ones(3, dtype=int), np.zeros(3, dtype=bool))
+        lane_truth(ids, [1, 1, 1], [False] * 3)
 
 
 def test_arrays_of_another_shape_are_refused_naming_the_array() -> None:
@@ -67,8 +68,6 @@ def test_arrays_of_another_shape_are_refused_naming_the_array() -> None:
         replace(a_log(), offset_m=np.zeros((2, 2)))
     with pytest.raises(InputError, match=r"frame_id has shape \(3, 1\)"):
         replace(a_log(), frame_id=np.zeros((3, 1), dtype=int))
-    with pytest.raises(InputError, match=r"lane has shape \(2,\), needs \(3,\)"):
-        LaneTruth(np.arange(3), np.ones(2, dtype=int), np.zeros(3, dtype=bool))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
@@ -91,10 +90,6 @@ def test_taking_frames_keeps_every_array_in_step() -> None:
     assert some.frame_id.tolist() == [10, 14]
     assert some.lri.tolist() == [[0, 1], [4, 5]]
     assert some.source == "drive.bag"
-    truth = LaneTruth(np.arange(3), np.array([1, 2, 3]), np.array([False, True, False]), "gt.txt")
-    assert truth.take(slice(1, 3)).lane.tolist() == [2, 3]
-    assert truth.take(np.array([1])).is_crossing.tolist() == [True]
-    assert (len(truth), truth.take(slice(0, 1)).source) == (3, "gt.txt")
 
 
 def test_lines_given_one_after_the_other_are_padded_frame_by_frame() -> None:
@@ -172,11 +167,9 @@ def test_a_log_behind_another_is_as_wide_as_the_wider_one() -> None:
 
 @pytest.mark.parametrize("lane", [0, 4, -1])
 def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
-    truth = LaneTruth(
-        np.array([7, 8, 9]), np.array([1, lane, 3]), np.zeros(3, dtype=bool), "gt.txt"
-    )
+    truth = lane_truth([7, 8, 9], [1, lane, 3], [False] * 3, "gt.txt")
     with pytest.raises(InputError) as error:
-        truth.check_lanes(3)
+        check_lanes(truth, 3)
     assert str(error.value) == f"gt.txt: frame 8: lane {lane} is outside 1..3; is n_lanes right?"
 
 

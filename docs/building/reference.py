@@ -11,7 +11,6 @@ import inspect
 import json
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -20,15 +19,15 @@ import yaml
 from docstrings import as_markdown
 
 import egolane_pgm
-from egolane_pgm import results
+from egolane_pgm import result
 from egolane_pgm.command import COMMANDS, egolane
 from egolane_pgm.graphs import yaml_graph
+from egolane_pgm.inference import events
 from egolane_pgm.maps import positions, road_table
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS, ground_truth, reader_of
 from egolane_pgm.recordings.columns import COLUMNS
-from egolane_pgm.types import LaneEvents
 from egolane_pgm.verbs.schema import schema as json_schema
 from egolane_pgm.verbs.show import compile_defaults
 from egolane_pgm.views.description import describe_detector, describe_graph, describe_rule
@@ -276,8 +275,8 @@ def commands_page() -> str:
     """Every command with its arguments and options, as `--help` has them."""
     parts = [
         "# Commands",
-        "`egolane COMMAND --help` says the same. What a user can mend is said in a line, and the"
-        " exit code is 2.",
+        "`egolane COMMAND --help` prints the same. An error of the user is one line, and the exit"
+        " code is 2.",
         "The tab key completes commands, options and names of files: put `eval"
         ' "$(_EGOLANE_COMPLETE=bash_source egolane)"` into `~/.bashrc`; of other shells [Click]'
         "(https://click.palletsprojects.com/en/stable/shell-completion/) has the line.",
@@ -349,7 +348,7 @@ def plugins_page(folder: str) -> str:
     """What `egolane show` knows of each plugin of a folder."""
     parts = list(_INTRODUCTIONS[folder])
     for name in plugin_names(folder):
-        module = load_plugin(folder, name, Path.cwd(), folder)
+        module = load_plugin(folder, name, folder)
         parts.append(f"## {name}")
         if folder == "graphs":
             compiled = compile_defaults(name, module, 3)
@@ -431,9 +430,8 @@ def metrics_page() -> str:
     """Every score, from the docstrings of the functions that compute it."""
     parts = [
         "# Metrics",
-        "Scores read beliefs and ground truth, never the filter. Where n lanes and T frames are"
-        " meant, arrays have the shapes that are named. What a result says is under these names in"
-        " [scores.json](results.md#scoresjson).",
+        "Scores read beliefs and ground truth, never the filter. Shapes: n lanes, T frames."
+        " Results have them in [scores.json](results.md#scoresjson).",
     ]
     options = {
         "heading_level": 2,
@@ -456,8 +454,7 @@ def python_page() -> str:
     parts = [
         "# Python",
         "`import egolane_pgm as ego` loads nothing heavy; each name is imported when it is used"
-        " first. What is wrong with files and values that are given raises `InputError`, whose text"
-        " names the file and the key.",
+        " first. Wrong files and values raise `InputError`, whose text names the file and the key.",
     ]
     options = {"heading_level": 2, "members": False, "inherited_members": False}
     for name in egolane_pgm.__all__:
@@ -488,31 +485,33 @@ def identifier(path: str, options: Mapping[str, Any]) -> str:
 
 
 def results_page() -> str:
-    """The files of a result directory, from the code that writes and checks them."""
-    parts = ["# Result directories", as_markdown(about(results))]
-    parts += [
-        "## beliefs.parquet",
-        "One row for each frame.",
-        markdown(
-            ["column", "type", "there", "meaning"],
-            [[f"`{c.name}`", c.kind, escaped(c.needed), c.meaning] for c in results.COLUMNS],
-        ),
-    ]
-    parts += ["## events.csv", columns_of(LaneEvents, {})]
-    for file, model in (("run.json", results.Run), ("scores.json", results.RunScores)):
-        schema = model.model_json_schema()
-        parts += [f"## {file}", *schema_tables_of_file(schema)]
-    return "\n\n".join(parts)
+    """The files of a result directory, and the columns of its tables."""
+    return "\n\n".join(
+        [
+            "# Result directories",
+            as_markdown(about(result)),
+            "## beliefs.parquet",
+            "A row per frame, `Result.frames`; the index is `frame_id`. Columns with a `?` are not"
+            " always there.",
+            meanings(result.COLUMNS),
+            "## events.csv",
+            "A row per lane change, `Result.events`; with ground truth also `delay_s`, its delay,"
+            " and with several drives `drive`.",
+            meanings(events.COLUMNS),
+            "## scores.json",
+            "[The metrics](metrics.md) of `detector` and `model`, with intervals, and of the"
+            " lane changes (`events`).",
+            "## run.json",
+            "Provenance: the experiment with all defaults (`config`), files with checksums"
+            " (`data`), versions, git commit, warnings, and whether the result is causal.",
+        ]
+    )
 
 
-def schema_tables_of_file(schema: Mapping[str, Any]) -> Iterator[str]:
-    definitions = schema.get("$defs", {})
-    yield as_markdown(schema.get("description", ""))
-    yield keys_table({**schema, "required": ()}, definitions)
-    for name in order_of(schema, definitions):
-        yield f"### {section_title(name)}"
-        yield as_markdown(definitions[name].get("description", ""))
-        yield keys_table({**definitions[name], "required": ()}, definitions)
+def meanings(columns: Mapping[str, str]) -> str:
+    """The columns of a table and their meanings."""
+    rows = [[f"`{name}`", escaped(meaning)] for name, meaning in columns.items()]
+    return markdown(["column", "meaning"], rows)
 
 
 # --- text ----------------------------------------------------------------------------------------

@@ -278,6 +278,11 @@ class Study:
         return f"Study({study_title(self)})"
 
     @property
+    def n_trials(self) -> int:
+        """The number of complete trials."""
+        return int((self.trials["state"] == "COMPLETE").sum()) if len(self.trials) else 0
+
+    @property
     def notes(self) -> list[str]:
         """Warnings, a line each."""
         found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
@@ -297,9 +302,9 @@ class Study:
 
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
-        content = plain(resolved(self.model.experiment, self.model.parameters))
+        content: dict[str, Any] = plain(resolved(self.model.experiment, self.model.parameters))
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
-        how = f"{len(self.trials)} trials" if len(self.trials) else "labels and lines"
+        how = f"{self.n_trials} trials" if self.n_trials else "labels and lines"
         content["name"] = f"{self.name}_{suffix}"
         content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
         # A later run may use one of several training drives.

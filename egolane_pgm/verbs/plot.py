@@ -14,10 +14,12 @@ from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath, several_of
-from egolane_pgm.views.coverage import coverage_figure
-from egolane_pgm.views.dispersion import dispersion_figure
-from egolane_pgm.views.heatmaps import confusion_figure
-from egolane_pgm.views.reliability import reliability_figure
+from egolane_pgm.views.figures import (
+    confusion_figure,
+    coverage_figure,
+    dispersion_figure,
+    reliability_figure,
+)
 from egolane_pgm.views.strips import strips_figure
 from egolane_pgm.views.studies import draw_study
 from egolane_pgm.views.style import write_figures

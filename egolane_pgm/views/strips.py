@@ -126,7 +126,7 @@ def frame_range(frames: pd.DataFrame, first: int | None, last: int | None) -> tu
     high = int(ids[-1]) if last is None else min(last, int(ids[-1]))
     if not ((ids >= low) & (ids <= high)).any():
         raise InputError(
-            f"frames: {first} to {last} has no frames; the result has {ids[0]} to {ids[-1]}"
+            f"frames: no frame from {first} to {last}; the result has {ids[0]} to {ids[-1]}"
         )
     return low, high
 

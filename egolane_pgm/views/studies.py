@@ -43,8 +43,8 @@ def study_title(study: Study) -> str:
     """A study in one line: method, trials, and accuracy in-sample and held out."""
     more = len(study.experiments) - 1
     parts = [f"{study.name!r}{f' and {more} more' if more else ''}: {study.method}"]
-    if len(study.trials):
-        parts.append(f"{len(study.trials)} trials")
+    if study.n_trials:
+        parts.append(f"{study.n_trials} trials")
     names = {"in-sample": study.in_sample, "held out": study.held_out}
     scores = [
         f"{found.scores['model']['accuracy']:.3f} {name}"

@@ -3,12 +3,12 @@
     python3 lane_node.py --ros-args -p topic:=/lanes -p type:=my_msgs/msg/Lanes -p n_lanes:=3 \
         -p columns:="offset_m=c0,left_positive=true"
 
-`columns` is what `egolane run --columns` takes; `egolane show` on a bag says what is in it. It
-publishes
+`columns` is that of `egolane run --columns`; `egolane show` on a bag prints its topics and fields.
+It publishes
 
     ~/lane         std_msgs/Int32    1 is the leftmost lane, 0: unassigned
     ~/probability  std_msgs/Float32  of that lane
-    ~/events       std_msgs/String   a lane change as JSON, when it is told
+    ~/events       std_msgs/String   a lane change as JSON, when it is detected
 
 `experiment` is a name that `egolane show` prints, or a YAML file.
 """
@@ -27,8 +27,8 @@ from rosidl_runtime_py import message_to_ordereddict
 from rosidl_runtime_py.utilities import get_message
 from std_msgs.msg import Float32, Int32, String
 
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.online import filter_stream
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.online import online, read_messages
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.recordings.rosbag import time_of
 from egolane_pgm.types import InputError
@@ -61,14 +61,15 @@ class LaneNode(Node):
         threading.Thread(target=self.answer, daemon=True).start()
 
     def on_lines(self, message: Any) -> None:
-        """Takes a message of the detector; one without a stamp is of now."""
+        """Queue a message of the detector; one without a stamp gets the time of now."""
         fields = message_to_ordereddict(message)
         self.waiting.put(json.dumps({"time_s": time_of(fields, time.time_ns()), **fields}))
 
     def answer(self) -> None:
-        """Publishes the answers, one after the other."""
+        """Publish the answers, one after the other."""
         try:
-            for answer in filter_stream(self.experiment, iter(self.waiting.get, None)):
+            frames = read_messages(self.experiment, iter(self.waiting.get, None))
+            for answer in online(self.experiment, frames):
                 self.lane.publish(Int32(data=answer["lane"]))
                 self.probability.publish(Float32(data=answer["probability"]))
                 for event in answer["events"]:

@@ -45,11 +45,10 @@ NOT_RUN = {
 
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
-    (r"^egolane compare (.*)", r"egolane compare \1 --blocks 2"),
-    (r"(.*paper_tuned.*)--runs 1\b", r"\1--runs 2 --set tuning.trials=2"),
-    (r"--runs 1-10\b", "--runs 2"),
+    (r"^(egolane run .*)--held-out", r"\1--held-out --blocks 2"),
+    (r"experiments/paper/recordings.csv", "examples/two_runs.csv"),
+    (r"(egolane run paper_tuned .*)", r"\1 --set tuning.trials=2"),
     (r"--jobs \d+", "--jobs 1"),
-    (r"--workers \d+", "--workers 1"),
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),
     (r"tuning.trials=20\b", "tuning.trials=3"),
@@ -146,9 +145,9 @@ def write_world(folder: Path, boards: Path) -> None:
     rows = ['monday,1,"[0, 600]",sun', 'tuesday,2,"[0, 600]",rain']
     table = ["name,recording.seed,recording.frames,tag.weather", *rows]
     (folder / "drives.csv").write_text("\n".join(table) + "\n")
-    for name in ("A", "B", "C", "X", "other"):
-        kind = "quickstart" if name in ("X", "other") else "zero_label"
-        rewritten(ROOT / "experiments" / f"{kind}.yaml", folder / f"{name}.yaml", name=name)
+    rewritten(ROOT / "experiments/quickstart.yaml", folder / "X.yaml", name="X")
+    rows = (ROOT / "experiments/paper/recordings.csv").read_text().splitlines(keepends=True)
+    (folder / "examples/two_runs.csv").write_text("".join([rows[0], rows[1], rows[6]]))
     _write_bag(folder / "drive.bag")
     foreign_table(folder / "foreign.csv")
     polynomials_table(folder / "polynomials.csv")

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from egolane_pgm.tuning.objective import BELIEF_SCORES
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,6 +25,7 @@ from egolane_pgm.scoring.confusion import (
     recall,
     scores_from_confusion,
 )
+from egolane_pgm.studies.objective import BELIEF_SCORES
 from egolane_pgm.types import TIE_TOLERANCE
 
 PUBLISHED = Path(__file__).parents[2] / "experiments" / "paper" / "published.yaml"

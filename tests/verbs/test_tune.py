@@ -20,7 +20,7 @@ from egolane_pgm.tuning.recording_task import tuned_experiment
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
-from tests.kits.tuning_kit import BLOCKS, EXPERIMENTS, QUICKSTART
+from tests.kits.studies import BLOCKS, EXPERIMENTS, QUICKSTART
 
 from egolane_pgm.experiment import Tuning, load_experiment
 from egolane_pgm.model import prepare_model

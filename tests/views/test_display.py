@@ -16,9 +16,7 @@ from tests.kits.drives import simulated
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return run_input(
-        open_input(simulated(recording={"simulate": "quickstart", "frames": [0, 300]}))
-    )
+    return run_input(open_input("quickstart", overrides={"recording.frames": [0, 300]}))
 
 
 def test_a_result_is_named_in_one_line_and_shown_in_a_notebook(result: Result) -> None:
@@ -92,8 +90,7 @@ def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> N
     keys = {"simulate": "quickstart", "frames": [0, 400]}
     summary = run_table(table_inputs(simulated(recording=keys), rows), str(tmp_path))
     text = runs_text(summary, "markdown", True)
-    assert text.startswith("3 runs, 1 failed\n")
-    assert "| driver |" in text
+    assert text.startswith("| name | driver |")
     assert "sigma1" in text, "the reason of the failure"
     assert len(runs_text(summary, "csv", True).splitlines()) == 4
     compared = compare(f"{tmp_path}", of="tag.driver", detector=True, events=True)

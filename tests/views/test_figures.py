@@ -16,10 +16,16 @@ from hypothesis import strategies as st
 from egolane_pgm.scoring.confusion import accuracy
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
-from egolane_pgm.views.coverage import coverage_figure
-from egolane_pgm.views.dispersion import dispersion, dispersion_figure, dispersions
-from egolane_pgm.views.heatmaps import confusion_figure, confusions
-from egolane_pgm.views.reliability import reliabilities, reliability_figure
+from egolane_pgm.views.figures import (
+    confusion_figure,
+    confusions,
+    coverage_figure,
+    dispersion,
+    dispersion_figure,
+    dispersions,
+    reliabilities,
+    reliability_figure,
+)
 from egolane_pgm.views.strips import strips_figure
 from egolane_pgm.views.style import DETECTOR_COLOUR, MODEL_COLOUR, percent, write_figure
 from tests.kits.tiny_result import (
