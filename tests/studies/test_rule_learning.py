@@ -102,6 +102,14 @@ def test_the_expected_counts_add_up_to_the_lines() -> None:
     assert found.frames.tolist() == np.bincount(lane, minlength=3).tolist()
 
 
+def test_a_prior_worth_more_than_the_frames_is_kept() -> None:
+    offset, kind, lane = drawn_from(truth_model(), 100, seed=4)
+    first = line_model(3, resolved())
+    found, _ = fit_lines(offset, kind, lane, first, W, 16, strength=1e9)
+    np.testing.assert_allclose(found.rates, first.rates, atol=1e-5)
+    np.testing.assert_allclose(found.sigma_m, first.sigma_m, atol=1e-5)
+
+
 def test_a_lane_without_a_frame_keeps_the_first_guess() -> None:
     offset, kind, lane = drawn_from(truth_model(), 300, seed=5, lanes=(0, 1))
     first = line_model(3, resolved())
@@ -132,6 +140,18 @@ def test_only_the_labels_of_the_training_frames_are_used() -> None:
     others = np.union1d(np.arange(600, len(one)), np.flatnonzero(one.is_crossing[one.rows]))
     assert learned(scrambled(one, others), train) == learned(one, train)
     assert learned(scrambled(one, train), train) != learned(one, train) != learned(one)
+
+
+@needs_compiler
+def test_learning_on_frames_without_some_lane_warns_and_keeps_its_prior() -> None:
+    one = drive()
+    some = np.flatnonzero((one.true_lane[one.rows] != 4) & ~one.is_crossing[one.rows])
+    with pytest.warns(UserWarning, match="no frame to learn from has lane 4"):
+        found = fit_rule([one], [some])
+    rates = np.reshape(found["rates"], (4, 7))
+    generic = line_model(4, one.model.parameters).rates
+    np.testing.assert_allclose(rates[3], generic[3])
+    assert np.abs(rates[0] - generic[0]).max() > 1e-3
 
 
 @needs_compiler
@@ -172,13 +192,12 @@ def test_detectors_with_other_metres_are_pooled_in_lane_widths() -> None:
     np.testing.assert_allclose(np.asarray(pooled["sigmas_m"]), alone["sigmas_m"], atol=0.02)
 
 
-def test_nothing_is_learned_where_the_prior_is_infinite() -> None:
-    small = {"cells": 4, "motion_bins": 9}
-    one = drive(parameters={**small, "prior_frames": "infinite", "sigmas_m": [0.1] * 7})
-    found = learned(one)
-    # What the experiment has learned before may be from frames that are scored.
-    assert set(found) == set(line_geometry_rule.LEARNED)
-    assert found["rates"] == found["sigmas_m"] == "generic"
+def test_a_rule_that_learns_from_one_recording_cannot_be_pooled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(line_geometry_rule, "fit_pooled")
+    with pytest.raises(InputError, match="it has no fit_pooled"):
+        fit_rule([drive()] * 2, [np.arange(9)] * 2)
 
 
 def test_a_rule_that_learns_what_it_does_not_name_is_refused(tmp_path: Path) -> None:
