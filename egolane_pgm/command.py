@@ -298,7 +298,7 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
             click.echo(("\n" if printed else "") + said, err=style != "markdown")
     if json_file == "-":
         click.echo(json_text(document_of(done)), nl=False)
-    failed = getattr(module, "failed", lambda done: [])(done)
+    failed: list[tuple[str, str]] = getattr(module, "failed", lambda done: [])(done)
     for title, why in failed[:_MANY]:
         for line in why.splitlines():
             _say(f"failed: {title}: {line}")

@@ -110,7 +110,7 @@ def load_experiment(
     content, source = _read(experiment)
     if lines is not None:
         content = _on_lines(content, lines, changes, source)
-        source = f"{source} on {content['recording']['path']}"
+        source = f"{content['recording']['path']} (with {source})"
     content = merge(content, absolute(changes, Path.cwd()))
     return make_experiment(content, source)
 

@@ -142,8 +142,9 @@ def compile_graph(
         inputs = tuple(name for name in getattr(rule, "INPUTS", ()) if name in nodes)
         if not observed:
             raise InputError(
-                f"observes nothing: the evidence rule gives {', '.join(map(str, provides))}, the"
-                f" graph has {', '.join(sorted(nodes))}"
+                "observes nothing: the evidence rule gives"
+                f" {', '.join(map(str, provides)) or 'nothing (it has no PROVIDES)'}, the graph has"
+                f" {', '.join(sorted(nodes))}"
             )
     with warnings.catch_warnings():
         # Such a network has no virtual-evidence nodes either.

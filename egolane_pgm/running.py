@@ -202,7 +202,7 @@ def run_experiment(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         drives = read_drives(experiment, lines, truth, tags)
-        shown = bar(drives, progress if len(drives) > 1 else False, unit="drive")
+        shown = bar(drives, progress, unit="drive") if len(drives) > 1 else drives
         frames = concat_drives(drives, [frames_of(drive, chunk_frames) for drive in shown])
     return make_result(experiment, drives, frames, messages(caught), begin=begin)
 

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 import yaml
 from joblib import Parallel, delayed
@@ -66,15 +65,8 @@ def run_of_paper(number: int) -> dict[str, Any]:
 
 def run_again(result: ego.Result, experiment: Any, **options: Any) -> ego.Result:
     """Run an experiment on the lines and the ground truth of a result."""
-    assert result.truth is not None
-    truth = pd.DataFrame(
-        {
-            "frame_id": result.truth.frame_id,
-            "lane": result.truth.lane,
-            "crossing": result.truth.is_crossing,
-        }
-    )
-    return ego.run(experiment, recording=result.lines, ground_truth=truth, **options)
+    [lines] = result.lines.values()
+    return ego.run(lines, experiment=experiment, ground_truth=result.truth, **options)
 
 
 def scores_of(result: ego.Result) -> list[float]:
@@ -86,7 +78,7 @@ def scores_of(result: ego.Result) -> list[float]:
 
 def posteriors(result: ego.Result) -> Mapping[str, np.ndarray]:
     """The posterior of each hidden node, (T, number of its values)."""
-    return result.marginals
+    return {node: result.node(node) for node in result.run["values"]}
 
 
 def assert_frozen(ours: Any, frozen: Any) -> None:
@@ -141,10 +133,8 @@ def test_beliefs_of_quickstart() -> None:
 
 def assert_trials(experiment: Any, trials: int, sampler: str, frozen: list[float]) -> None:
     """Check the value of each trial of an in-sample search for accuracy."""
-    study = ego.tune(
-        experiment, trials=trials, sampler=sampler, in_sample_only=True, progress=False
-    )
-    assert_frozen(study.to_pandas()["accuracy_in_sample"], frozen)
+    study = ego.tune(experiment, trials=trials, sampler=sampler, blocks=0, progress=False)
+    assert_frozen(study.trials["accuracy"], frozen)
 
 
 @pytest.mark.parametrize("sampler", ["evolution", "tpe"])

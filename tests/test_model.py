@@ -1,17 +1,27 @@
-"""Experiments whose plugins do not go together."""
+"""Models: plugins that fit together, and new parameters that are as good as a new model."""
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from egolane_pgm.experiment import experiments_folder, load_experiment
-from egolane_pgm.model import prepare_model
-from egolane_pgm.parameters import Value
-from egolane_pgm.results import read_result
-from tests.kits.drives import done, refused, write_drive
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import (
+    compile_model,
+    make_evidence,
+    matching_evidence_rule,
+    whole_rule,
+    with_parameters,
+)
+from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.plugins import load_plugin, plugin_names
+from egolane_pgm.types import InputError
+from tests.kits.drives import run, short_drive, simulated, write_drive
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
 
 GRAPH = """
 import numpy as np
@@ -47,15 +57,12 @@ def build(n, parameters):
         ),
     ],
 )
-def test_a_graph_that_does_not_fit_is_refused_by_validate_and_run(
-    tmp_path: Path, more: str, said: str
-) -> None:
+def test_a_graph_that_does_not_fit_is_refused(tmp_path: Path, more: str, said: str) -> None:
     (tmp_path / "g.py").write_text(GRAPH.format(more=more, hidden='("Lane", "X")'))
-    path = write_drive(tmp_path, 20, graph="./g.py")
-    found = refused("run", "--dry-run", path)
-    assert refused("run", path, "--out", tmp_path / "out") == found
-    assert said in found
-    assert "experiment.yaml: graph" in found
+    with pytest.raises(InputError) as info:
+        compile_model(load_experiment(write_drive(tmp_path, 20, graph="./g.py")))
+    assert said in str(info.value)
+    assert "experiment.yaml: graph" in str(info.value)
 
 
 def test_hidden_nodes_that_pass_and_a_detector_whose_errors_persist_run(tmp_path: Path) -> None:
@@ -67,18 +74,62 @@ def test_hidden_nodes_that_pass_and_a_detector_whose_errors_persist_run(tmp_path
     (tmp_path / "g.py").write_text(
         text.replace('*within("DetectorOutput", ["Lane"], np.eye(n))', keeps)
     )
-    write_drive(tmp_path, 20, graph="./g.py", filter="exact")
-    done("run", tmp_path / "experiment.yaml", "--out", tmp_path / "out")
-    marginals = read_result(tmp_path / "out").marginals
-    assert set(marginals) == {"Lane", "X"}
-    np.testing.assert_allclose(marginals["X"], [[0.2, 0.8]] * len(marginals["X"]), atol=1e-12)
+    found = run(write_drive(tmp_path, 20, graph="./g.py", filter="exact"))
+    assert set(found.run["values"]) == {"Lane", "X"}
+    np.testing.assert_allclose(found.node("X"), [[0.2, 0.8]] * len(found), atol=1e-12)
 
 
 def test_a_default_of_its_own_holds_where_the_whole_drive_is_read() -> None:
     def alpha(**overrides: object) -> Value:
-        return prepare_model(
-            load_experiment(experiments_folder() / "zero_label.yaml", overrides)
-        ).parameters["alpha"]
+        return compile_model(load_experiment("zero_label", overrides)).parameters["alpha"]
 
     assert alpha(filter="smoothed") == 0.5 * alpha() > 0  # type: ignore[operator]
     assert alpha(filter="smoothed", **{"parameters.alpha": 0.035}) == alpha()
+
+
+@pytest.mark.parametrize("graph", ["sensor_failure", "no_wor", str(EXAMPLES / "my_graph.py")])
+def test_new_parameters_are_as_good_as_a_new_model(graph: str) -> None:
+    given = {"sigma1": 0.7, "sigma2": 0.2}
+    model, new = (
+        compile_model(load_experiment(simulated(), {"graph": graph, "parameters": parameters}))
+        for parameters in ({}, given)
+    )
+    specs = [*model.rule.PARAMETERS, *model.graph.PARAMETERS]
+    known = {spec.name for spec in specs}
+    given = {name: value for name, value in given.items() if name in known}
+    quick = with_parameters(model, resolve_parameters(specs, given, 4))
+    np.testing.assert_array_equal(quick.compiled.transition, new.compiled.transition)
+    assert (quick.compiled.transition != model.compiled.transition).any()
+    for mine, right in zip(quick.compiled.groups, new.compiled.groups, strict=True):
+        np.testing.assert_array_equal(mine.emission, right.emission)
+
+
+def test_a_model_is_pickled_with_its_plugins() -> None:
+    model = compile_model(load_experiment(EXAMPLES / "own_files.yaml"))
+    again = pickle.loads(pickle.dumps(model))
+    log = short_drive().log
+    for node, values in make_evidence(model, whole_rule(model), log)[0].likelihoods.items():
+        other = make_evidence(again, whole_rule(again), log)[0].likelihoods[node]
+        np.testing.assert_array_equal(other, values)
+
+
+def test_a_parameter_that_rule_and_graph_declare_differently_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "g.py").write_text(
+        "from egolane_pgm.graphs.sensor_failure import *\n"
+        "from egolane_pgm.parameters import Parameter\n"
+        "PARAMETERS = PARAMETERS + (Parameter('max_lri', 'integer', 1, 'x'),)\n"
+    )
+    with pytest.raises(InputError, match=r"parameters\.max_lri: graph and evidence rule declare"):
+        compile_model(load_experiment(write_drive(tmp_path, graph="./g.py")))
+
+
+def test_every_graph_gets_an_evidence_rule_that_fits_it() -> None:
+    found = {}
+    for name in plugin_names("graphs"):
+        graph = load_plugin("graphs", name, "x")
+        rule = matching_evidence_rule(graph, 3, "counting", "x")
+        compile_model(load_experiment(simulated(graph=name, evidence=rule), n_lanes=3))
+        found[name] = rule
+    assert found["sensor_failure"] == "counting"
+    assert found["wor_levels"] == "counting_levels"
+    assert found["position_in_lane"] == "line_geometry"

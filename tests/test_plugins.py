@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.graphs.from_pgmpy import read_file
-from egolane_pgm.model import prepare_model
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import compile_model
 from egolane_pgm.plugins import load_plugin, plugin_names
-from egolane_pgm.results import read_result
-from tests.kits.drives import done, refused, short_drive, write_drive
+from egolane_pgm.types import InputError
+from tests.kits.drives import done, refused, run, short_drive, write_drive
 
 with quiet():
     from pgmpy.readwrite import XMLBIFWriter
@@ -87,31 +88,15 @@ def test_files_of_ones_own_run_without_parameters_or_promises(tmp_path: Path) ->
     write(tmp_path / "g.py", GRAPH)
     write(tmp_path / "r.py", RULE)
     experiment = write_drive(tmp_path, graph="./g.py", evidence="r.py")
-    shown = done("run", "--dry-run", experiment).stdout
-    assert "ok (3 lanes, 3 joint states)" in shown
-    ran = done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    assert "graph ./g.py" in ran.stdout
-    result = read_result(tmp_path / "out")
-    assert result.tentative is None
+    result = run(experiment)
+    assert "detector_lane" not in result.frames
     assert set(result.scores) & {"detector", "model"} == {"model"}
     belief = np.full(3, 1 / 3)
     stay = 0.9 * np.eye(3) + 0.1 / 3
     for t, n_valid in enumerate(short_drive().log.is_valid.sum(axis=1)):
         belief = (belief @ stay if t else belief) * [1 + n_valid, 1, 1]
         belief /= belief.sum()
-        np.testing.assert_allclose(result.marginals["Lane"][t], belief, rtol=0, atol=1e-12)
-
-
-def test_a_result_of_files_of_ones_own_runs_again_where_they_are_gone(tmp_path: Path) -> None:
-    graph, rule = write(tmp_path / "g.py", GRAPH), write(tmp_path / "r.py", RULE)
-    experiment = write_drive(tmp_path, graph="./g.py", evidence="./r.py")
-    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    graph.unlink()
-    rule.unlink()
-    again = tmp_path / "out" / "experiment.yaml"
-    done("run", again, "--no-figures", "--out", tmp_path / "again")
-    one, other = read_result(tmp_path / "out"), read_result(tmp_path / "again")
-    np.testing.assert_array_equal(one.marginals["Lane"], other.marginals["Lane"])
+        np.testing.assert_allclose(result.node("Lane")[t], belief, rtol=0, atol=1e-12)
 
 
 def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path) -> None:
@@ -122,18 +107,18 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
     write(tmp_path / "g.py", GRAPH)
     write(tmp_path / "r.py", parameters + RULE.replace("+= log", "+= parameters['trust'] * log"))
     experiment = write_drive(tmp_path, graph="./g.py", evidence="./r.py")
-    assert "ok" in done("run", "--dry-run", experiment, "--set", "parameters.trust=1").stdout
-    said = refused("run", "--dry-run", experiment, "--set", "parameters.trust=2")
-    assert said.endswith("parameters.trust: 2 is not a probability (0 to 1)")
-    said = refused("run", "--dry-run", experiment, "--set", "parameters.trst=1")
-    assert said.endswith("unknown key 'trst' (did you mean 'trust'?)")
-    said = refused("run", "--dry-run", experiment, "--set", "parameters.sigma1=1")
-    assert said.endswith(
-        "unknown key 'sigma1' (known: trust); `parameters: {}` drops all of another graph"
-    )
+    trusting = compile_model(load_experiment(experiment, {"parameters.trust": 1}))
+    assert trusting.parameters["trust"] == 1
+    for name, value, said in (
+        ("trust", 2, "parameters.trust: 2 is not a probability (0 to 1)"),
+        ("trst", 1, "unknown key 'trst' (did you mean 'trust'?)"),
+        ("sigma1", 1, "unknown key 'sigma1' (known: trust); `parameters: {}` drops all of another"),
+    ):
+        with pytest.raises(InputError, match=re.escape(said)):
+            compile_model(load_experiment(experiment, {f"parameters.{name}": value}))
     empty = {"graph": "sensor_failure", "evidence": "counting", "parameters": {}}
     other = load_experiment(write_drive(tmp_path, parameters={"trust": 1}), empty)
-    assert prepare_model(other).parameters["sigma1"] == 0.4
+    assert compile_model(other).parameters["sigma1"] == 0.4
 
 
 @pytest.mark.parametrize(
@@ -142,8 +127,8 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
         ("x = (", "g.py cannot be imported: SyntaxError"),
         ("HIDDEN = OBSERVED = ()", "g.py does not define build, nor a pgmpy network at its top"),
         (PLAIN + "    b = network.copy()", "and has 2 pgmpy networks (network, b) at its top"),
-        (PLAIN, "the graph does not say what it observes (OBSERVED), nor the evidence rule what"),
-        (GRAPH.replace("return declare", "declare"), "build() gave NoneType, not a pgmpy network"),
+        (PLAIN, "the evidence rule gives nothing (it has no PROVIDES), the graph has"),
+        (GRAPH.replace("return declare", "declare"), "build() returned NoneType, not"),
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
         (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),
         (GRAPH.replace('"Lane"', '"Line"'), "needs a hidden node Lane with 3 values, has none"),
@@ -155,8 +140,9 @@ def test_a_graph_file_with_a_fault_is_refused_by_its_name_and_line(
 ) -> None:
     write(tmp_path / "g.py", graph)
     write(tmp_path / "r.py", RULE)
-    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
-    assert said in refused("run", "--dry-run", experiment)
+    experiment = load_experiment(write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py"))
+    with pytest.raises(InputError, match=re.escape(said)):
+        compile_model(experiment)
 
 
 def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_path: Path) -> None:
@@ -170,17 +156,15 @@ def test_plain_pgmpy_is_a_graph_whose_roles_follow_from_the_evidence_rule(tmp_pa
         XMLBIFWriter(read_file(tmp_path / "g.bif")).write(tmp_path / "g.xml")
     beliefs = []
     for graph in ("own.py", "plain.py", "silent.py", "g.bif", "g.xml"):
-        experiment = write_drive(tmp_path, graph=graph, evidence="./r.py")
-        done("run", experiment, "--no-figures", "--out", tmp_path / "out" / graph)
-        result = read_result(tmp_path / "out" / graph)
-        assert list(result.marginals) == ["Lane"]
-        beliefs.append(result.marginals["Lane"])
+        result = run(write_drive(tmp_path, graph=graph, evidence="./r.py"))
+        result.save(tmp_path / "out" / graph)
+        assert list(result.run["values"]) == ["Lane"]
+        beliefs.append(result.node("Lane"))
     for other in beliefs[1:]:
         np.testing.assert_allclose(other, beliefs[0], rtol=0, atol=1e-12)
     # A copy of the network is beside the result, which runs again from there.
-    again = tmp_path / "out" / "g.bif" / "experiment.yaml"
-    done("run", again, "--no-figures", "--out", tmp_path / "again")
-    np.testing.assert_array_equal(read_result(tmp_path / "again").marginals["Lane"], beliefs[3])
+    again = run(tmp_path / "out" / "g.bif" / "experiment.yaml")
+    np.testing.assert_array_equal(again.node("Lane"), beliefs[3])
 
 
 def test_a_bif_file_with_a_fault_is_refused_by_its_name(tmp_path: Path) -> None:
@@ -190,35 +174,26 @@ def test_a_bif_file_with_a_fault_is_refused_by_its_name(tmp_path: Path) -> None:
     assert said in refused("show", tmp_path / "g.bif", "--out", tmp_path / "g.dot")
 
 
-def test_a_file_that_an_override_names_is_found_from_where_one_stands(
+def test_a_folder_that_is_called_as_a_plugin_is_none(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (tmp_path / "here").mkdir()
-    write(tmp_path / "here" / "g.py", GRAPH)
-    write(tmp_path / "r.py", RULE)
-    experiment = write_drive(tmp_path, 20)
-    words = ["--set", "graph=./g.py", "--set", "evidence=r.py", "--set", "recording.path=lines.csv"]
-    monkeypatch.chdir(tmp_path / "here")
-    assert "ok" in done("run", "--dry-run", experiment, *words).stdout
-    # A folder that is called as a plugin of the package is none.
-    (tmp_path / "here" / "no_wor").mkdir()
-    assert "ok" in done("run", "--dry-run", experiment, "--set", "graph=no_wor").stdout
+    (tmp_path / "no_wor").mkdir()
     monkeypatch.chdir(tmp_path)
-    assert "graph: no file" in refused("run", "--dry-run", experiment, *words)
-    monkeypatch.chdir(tmp_path / "here")
-    said = refused("run", "--dry-run", experiment, "--set", "graph=nope.py")
-    assert said.endswith(f"graph: no file {tmp_path / 'nope.py'}, nor {tmp_path / 'here/nope.py'}")
+    experiment = load_experiment(write_drive(tmp_path / "e", 20), {"graph": "no_wor"})
+    assert compile_model(experiment).graph.__name__ == "egolane_pgm.graphs.no_wor"
+    with pytest.raises(InputError, match=f"graph: no file {tmp_path / 'nope.py'}"):
+        compile_model(load_experiment(experiment, {"graph": "nope.py"}))
 
 
 @pytest.mark.parametrize(
     ("rule", "said"),
     [
-        (RULE.replace("return Evidence(", "return dict("), "gave dict, not Evidence"),
-        (RULE.replace("return", "seen = seen[1:]; return"), "gave 19 frames for the 20 recorded"),
+        (RULE.replace("return Evidence(", "return dict("), "evidence() returned dict, not"),
+        (RULE.replace("return", "seen = seen[1:]; return"), "evidence() returned 19 frames for 20"),
         (RULE.replace("seen[:, 0]", "seen[:, 7]"), "r.py, line 6: IndexError"),
         (RULE.replace('"Seen"', '"Sen"'), "observed node Seen: the evidence has nothing for it"),
         (RULE.replace("return", "seen[3] = -1; return"), "frame 3 has a negative or NaN value"),
-        ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "the graph observes Seen, the evidence"),
+        ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "Seen, the evidence rule gives only Sen"),
     ],
 )  # fmt: skip
 def test_a_rule_file_with_a_fault_is_refused_by_its_name(
@@ -226,20 +201,18 @@ def test_a_rule_file_with_a_fault_is_refused_by_its_name(
 ) -> None:
     write(tmp_path / "g.py", GRAPH)
     write(tmp_path / "r.py", rule)
-    experiment = write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py")
-    assert said in refused("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    assert not (tmp_path / "out").exists()
+    with pytest.raises(InputError, match=re.escape(said)):
+        run(write_drive(tmp_path, 20, graph="./g.py", evidence="./r.py"))
 
 
 def test_a_rule_that_gives_more_than_the_graph_observes_is_refused(tmp_path: Path) -> None:
     write(tmp_path / "g.py", GRAPH.replace("Seen", "DetectorOutput"))
-    experiment = write_drive(tmp_path, 20, graph="./g.py")
-    said = refused("run", "--dry-run", experiment)
-    assert "the evidence rule gives WOR, which the graph does not observe" in said
-    assert "UNUSED" in said
+    experiment = load_experiment(write_drive(tmp_path, 20, graph="./g.py"))
+    with pytest.raises(InputError, match=r"WOR.*UNUSED"):
+        compile_model(experiment)
     text = GRAPH.replace("Seen", "DetectorOutput") + '    UNUSED = ("WOR",)\n'
     write(tmp_path / "g.py", text)
-    assert "ok" in done("run", "--dry-run", experiment).stdout
+    assert compile_model(experiment).unused == {"WOR"}
 
 
 def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
@@ -248,14 +221,12 @@ def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
         tmp_path, 20, recording={"path": "lines.dat", "format": "./f.py", "frame_rate": 20}
     )
     (tmp_path / "lines.csv").rename(tmp_path / "lines.dat")
-    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    result = read_result(tmp_path / "out")
-    np.testing.assert_array_equal(result.time_s, short_drive(20).log.frame_id / 20)
-    assert Path(result.config["recording"]["format"]) == tmp_path / "f.py"
+    result = run(experiment)
+    np.testing.assert_array_equal(result.frames["time_s"], short_drive(20).log.frame_id / 20)
+    assert result.value("recording.format") == str(tmp_path / "f.py")
     write(tmp_path / "f.py", "def read(path, **options):\n    return path.nothing\n")
-    said = refused("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    assert "recording.format: " in said
-    assert "f.py, line 2: AttributeError" in said
+    with pytest.raises(InputError, match=r"recording\.format: .*f\.py, line 2: AttributeError"):
+        run(experiment)
 
 
 def test_plugins_of_an_installed_package_are_found_by_their_names(
@@ -275,23 +246,23 @@ def test_plugins_of_an_installed_package_are_found_by_their_names(
         "[egolane_pgm.detectors]\nstrips = others.my_detector\nbroken = others.nothing\n"
     )
     own = {"graph": str(EXAMPLES / "my_graph.py"), "evidence": str(EXAMPLES / "my_evidence.py")}
-    done("run", write_drive(tmp_path / "own", 20, **own), "--no-figures", "--out", tmp_path / "a")
+    right = run(write_drive(tmp_path / "own", 20, **own))
     offered = {"graph": "by_lane", "evidence": "tempered"}
     recording = {"path": "lines.dat", "format": "dat"}
     experiment = write_drive(tmp_path / "offered", 20, **offered, recording=recording)
     (tmp_path / "offered" / "lines.csv").rename(tmp_path / "offered" / "lines.dat")
-    assert "unknown name 'tempered'" in refused("run", experiment, "--out", tmp_path / "b")
+    with pytest.raises(InputError, match="unknown name 'tempered'"):
+        run(experiment)
 
     monkeypatch.syspath_prepend(tmp_path / "site")
     listed = done("show").stdout
     assert all(name in listed for name in ("by_lane", "tempered", "dat", "strips"))
     assert "contrast" in done("show", "strips").stdout
-    done("run", experiment, "--no-figures", "--out", tmp_path / "b")
+    found = run(experiment)
     # What the result holds runs again, too.
-    done("run", tmp_path / "b" / "experiment.yaml", "--no-figures", "--out", tmp_path / "c")
-    one, *others_ = (read_result(tmp_path / name).marginals["Lane"] for name in "abc")
-    for other in others_:
-        np.testing.assert_array_equal(one, other)
+    again = run(found.save(tmp_path / "out") / "experiment.yaml")
+    for other in (found, again):
+        np.testing.assert_array_equal(other.node("Lane"), right.node("Lane"))
     said = refused("show", "broken")
     assert "others.nothing cannot be imported: ModuleNotFoundError" in said
 
@@ -300,12 +271,12 @@ def test_two_files_of_the_same_name_are_two_modules(tmp_path: Path) -> None:
     for folder, value in (("a", 1), ("b", 2)):
         (tmp_path / folder).mkdir()
         write(tmp_path / folder / "g.py", f"build = HIDDEN = OBSERVED = {value}")
-    one = load_plugin("graphs", "g.py", tmp_path / "a", "x")
-    other = load_plugin("graphs", "g.py", tmp_path / "b", "x")
+    one = load_plugin("graphs", str(tmp_path / "a" / "g.py"), "x")
+    other = load_plugin("graphs", str(tmp_path / "b" / "g.py"), "x")
     assert (one.build, other.build) == (1, 2)
-    assert load_plugin("graphs", "./g.py", tmp_path / "a", "x") is one
+    assert load_plugin("graphs", str(tmp_path / "b" / ".." / "a" / "g.py"), "x") is one
     write(tmp_path / "a" / "g.py", "build = HIDDEN = OBSERVED = 3")
-    assert load_plugin("graphs", "g.py", tmp_path / "a", "x").build == 3  # changed since
+    assert load_plugin("graphs", str(tmp_path / "a" / "g.py"), "x").build == 3  # changed since
     assert not (tmp_path / "a" / "__pycache__").exists()
 
 
@@ -315,4 +286,4 @@ def test_a_defect_of_the_package_is_not_taken_for_a_users_mistake(
     experiment = write_drive(tmp_path, 20)
     monkeypatch.setattr("egolane_pgm.evidence.counting.evidence", lambda *a, **k: 1 // 0)
     with pytest.raises(ZeroDivisionError):
-        done("run", experiment, "--no-figures", "--out", tmp_path / "out")
+        run(experiment)

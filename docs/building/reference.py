@@ -430,7 +430,7 @@ def metrics_page() -> str:
     """Every score, from the docstrings of the functions that compute it."""
     parts = [
         "# Metrics",
-        "Scores read beliefs and ground truth, never the filter. Shapes are for n lanes and T frames."
+        "Scores read beliefs and ground truth, never the filter. Shapes: n lanes, T frames."
         " Results have them in [scores.json](results.md#scoresjson).",
     ]
     options = {

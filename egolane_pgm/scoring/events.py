@@ -111,8 +111,8 @@ def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
 
-    Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of annotated
-    frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
+    Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
+    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
     `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
     changes = changes_of(truth)

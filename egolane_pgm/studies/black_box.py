@@ -14,7 +14,7 @@ from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies import fits
-from egolane_pgm.studies.objective import check_filter, check_objective, searched_of_detector
+from egolane_pgm.studies.objective import check_filter, check_objective
 from egolane_pgm.studies.space import Dimension, Point, SearchSpace, distributions
 from egolane_pgm.studies.study import check_labels, tuning_of
 from egolane_pgm.types import InputError, not_one_of, suggestion
@@ -129,9 +129,7 @@ def objective(
         if not (used[-1] & ~drive.is_crossing[drive.rows]).any():
             raise InputError(f"{chosen.source}: frames {frames}: there is nothing to score in them")
     spaces = fits.search_spaces(drives, tuning)
-    values = dict(drives[0].model.parameters)
-    if "detector" in tuning.search:
-        values |= searched_of_detector(chosen)[1]
+    values = fits.current_values(drives[0].model, tuning)
     start = {d.key: d.value_in(values) for d in spaces[0].dimensions}
     scored = fits.objective(drives, spaces, used, [name])
     return Objective(name, drives, spaces[0], start, scored)

@@ -398,8 +398,10 @@ def tune_study(
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, spaces[0], storage)
         if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
+            own = current_values(drives[0].model, tuning)
+            points = (to_point(spaces[0], {**own, **each}) for each in starts)
             with quiet():
-                for point in filter(None, (to_point(spaces[0], each) for each in starts)):
+                for point in filter(None, points):
                     study.enqueue_trial(dict(point), skip_if_exists=True)
         search(study, spaces[0], score, settings, report=report)
     return study
@@ -442,13 +444,17 @@ def search_space(model: Model, tuning: Tuning) -> SearchSpace:
         else replace(spec, search=None)
         for spec in declared_parameters(model.rule, model.graph)
     ]
-    current = dict(model.parameters)
     if "detector" in tuning.search:
-        of_detector, values = searched_of_detector(experiment)
-        specs += of_detector
-        current |= values
+        specs += searched_of_detector(experiment)[0]
+    current = current_values(model, tuning)
     where = f"{experiment.source}: tuning.parameters"
     return make_space(specs, current, tuning.parameters, model.n_lanes, where)
+
+
+def current_values(model: Model, tuning: Tuning) -> dict[str, Value]:
+    """The values of all parameters of a model; those of its detector too, if they are searched."""
+    of_detector = searched_of_detector(model.experiment)[1] if "detector" in tuning.search else {}
+    return {**model.parameters, **of_detector}
 
 
 def objective(

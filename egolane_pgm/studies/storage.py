@@ -16,7 +16,7 @@ from optuna.storages import (
 )
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.exc import IntegrityError, SQLAlchemyError
 
 from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import InputError
@@ -39,14 +39,11 @@ def open_storage(storage: str) -> BaseStorage:
             # A lock older than five seconds was left by a process that was killed.
             lock = JournalFileOpenLock(storage, grace_period=5)
             return JournalStorage(JournalFileBackend(storage, lock))
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return RDBStorage(
-                storage,
-                heartbeat_interval=HEARTBEAT_S,
-                grace_period=GRACE_S,
-                heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(),
-            )
+        try:
+            return _database(storage)
+        except IntegrityError:
+            # Another worker has just created the tables.
+            return _database(storage)
     except InputError:
         raise
     except ImportError as error:
@@ -57,6 +54,17 @@ def open_storage(storage: str) -> BaseStorage:
     # A database's driver raises errors of its own, and Optuna for a damaged journal.
     except Exception as error:
         raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
+
+
+def _database(url: str) -> RDBStorage:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return RDBStorage(
+            url,
+            heartbeat_interval=HEARTBEAT_S,
+            grace_period=GRACE_S,
+            heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(),
+        )
 
 
 @contextmanager

@@ -278,6 +278,11 @@ class Study:
         return f"Study({study_title(self)})"
 
     @property
+    def n_trials(self) -> int:
+        """The number of complete trials."""
+        return int((self.trials["state"] == "COMPLETE").sum()) if len(self.trials) else 0
+
+    @property
     def notes(self) -> list[str]:
         """Warnings, a line each."""
         found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
@@ -297,9 +302,9 @@ class Study:
 
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
-        content = plain(resolved(self.model.experiment, self.model.parameters))
+        content: dict[str, Any] = plain(resolved(self.model.experiment, self.model.parameters))
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
-        how = f"{len(self.trials)} trials" if len(self.trials) else "labels and lines"
+        how = f"{self.n_trials} trials" if self.n_trials else "labels and lines"
         content["name"] = f"{self.name}_{suffix}"
         content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
         # A later run may use one of several training drives.
@@ -349,8 +354,8 @@ class Study:
     @property
     def document(self) -> dict[str, Any]:
         """The content of study.json."""
-        held_out = None if self.held_out is None else self.held_out
-        found = {
+        held_out = self.held_out
+        found: dict[str, Any] = {
             "name": self.name,
             "method": self.method,
             "experiments": [each.name for each in self.experiments],
@@ -361,7 +366,8 @@ class Study:
             "held_out": None if held_out is None else held_out.scores,
             "folds": None if held_out is None else held_out.run["fitted"],
         }
-        return dict(plain(found))
+        content: dict[str, Any] = plain(found)
+        return content
 
 
 def is_study(directory: str | os.PathLike[str]) -> bool:

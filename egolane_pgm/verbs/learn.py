@@ -23,7 +23,7 @@ from egolane_pgm.verbs.given import (
 from egolane_pgm.verbs.studied import open_studied, study_place
 
 EXAMPLES = (
-    "egolane learn experiments/beyond/geometry_italy_ml.yaml",
+    "egolane learn drive/experiment.yaml",
     "egolane learn experiments/quickstart.yaml --set learning.labels=false",
 )
 

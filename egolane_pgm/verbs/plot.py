@@ -14,10 +14,12 @@ from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath, several_of
-from egolane_pgm.views.coverage import coverage_figure
-from egolane_pgm.views.dispersion import dispersion_figure
-from egolane_pgm.views.heatmaps import confusion_figure
-from egolane_pgm.views.reliability import reliability_figure
+from egolane_pgm.views.figures import (
+    confusion_figure,
+    coverage_figure,
+    dispersion_figure,
+    reliability_figure,
+)
 from egolane_pgm.views.strips import strips_figure
 from egolane_pgm.views.studies import draw_study
 from egolane_pgm.views.style import write_figures
@@ -101,16 +103,15 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
         return file
     if len(places) > 1:
         raise InputError(f"out: {file}: shows one result; {len(places)} are named")
-    from egolane_pgm.export.drive import open_drive
-
+    result = load_result(places[0])
     if ending == ".mcap":
         from egolane_pgm.export.mcap_file import write_mcap
 
-        write_mcap(file, open_drive(places[0], frames))
+        write_mcap(file, result, frames)
     else:
         from egolane_pgm.export.video_file import write_video
 
-        write_video(file, open_drive(places[0], frames))
+        write_video(file, result, frames)
     return file
 
 

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
+from matplotlib.ticker import NullLocator
 
-from egolane_pgm.types import FloatArray
 from egolane_pgm.views.style import FAINT, INK, MODEL_COLOUR, new_figure
 from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, page, table
 
@@ -56,7 +54,7 @@ def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
 
 
 def comparison_figure(found: pd.DataFrame) -> Figure:
-    """Draw the accuracy of each row with its interval, on an axis logarithmic in the errors.
+    """Draw the accuracy of each row with its interval, on a logit axis.
 
     Rows with several index levels are grouped by the first; hollow markers are in-sample.
     """
@@ -72,35 +70,22 @@ def comparison_figure(found: pd.DataFrame) -> Figure:
     figure = new_figure(7, 1.2 + 0.25 * (y[-1] + 1), "Accuracy, with 95 % intervals")
     ax = figure.subplots()
     ax.hlines(y, low, high, MODEL_COLOUR, lw=1.4)
-    shown = np.minimum(value, _ACCURACIES[-1])
+    shown, highest = np.minimum(value, _ACCURACIES[-1]), np.nanmax([value, high])
     for mask, face in ((~is_hollow, MODEL_COLOUR), (is_hollow, "w")):
         ax.plot(
             shown[mask], y[mask], "o", ms=5.5, color=MODEL_COLOUR, mfc=face, ls="", clip_on=False
         )
     for at in np.flatnonzero(np.diff(y) > 1):
         ax.axhline((y[at] + y[at + 1]) / 2, color=FAINT, lw=0.6)
-    ax.set(ylim=(y[-1] + 0.6, -0.6), xlabel="accuracy (errors on a log scale)")
+    ax.set(ylim=(y[-1] + 0.6, -0.6), xlabel="accuracy (logit scale)")
     ax.set_yticks(y, names)
     ax.tick_params(axis="y", length=0)
-    _error_scale(ax, float(np.nanmin([value, low])), float(np.nanmax([value, high])))
+    ax.set_xscale("logit")
+    ends = [np.nanmin([value, low]) - 0.03, _ACCURACIES[np.searchsorted(_ACCURACIES[:-1], highest)]]
+    ax.set_xlim(*np.clip(ends, 0.01, _ACCURACIES[-1]))
+    ax.set_xticks(_ACCURACIES, [f"{v:g}" for v in _ACCURACIES])
+    ax.xaxis.set_minor_locator(NullLocator())
     if is_hollow.any():
         ax.plot([], [], "o", color=INK, mfc="w", ls="", label="hollow: in-sample")
         figure.legend(loc="outside lower right")
     return figure
-
-
-def _error_scale(ax: Axes, lowest: float, highest: float) -> None:
-    """Make the x axis logarithmic in the share of errors, and label it with accuracies."""
-
-    def forward(value: ArrayLike) -> FloatArray:
-        return -np.log10(np.maximum(1 - np.asarray(value, float), 1 - _ACCURACIES[-1]))
-
-    def inverse(scaled: ArrayLike) -> FloatArray:
-        return 1 - 10.0 ** -np.asarray(scaled, float)
-
-    n_shown = np.searchsorted(_ACCURACIES, highest) + 1
-    ticks = [v for v in _ACCURACIES[:n_shown] if v >= lowest - 0.15]
-    names = [f"{'≥' * (v == _ACCURACIES[-1])}{v:g}" for v in ticks]
-    ax.set_xscale("function", functions=(forward, inverse))
-    ax.set_xticks(ticks, names)
-    ax.set_xlim(*inverse(forward([lowest, ticks[-1]]) - [0.05, 0]))

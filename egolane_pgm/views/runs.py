@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 
 from egolane_pgm.result import TAG
-from egolane_pgm.views.tables import Table, page, table
+from egolane_pgm.views.tables import page, table
 
 #: The columns of the summary that are printed, and their names.
 _COLUMNS = {
@@ -35,10 +35,4 @@ def runs_text(summary: pd.DataFrame, style: str, wide: bool) -> str:
     printed = table(shown.rename(columns=names | _COLUMNS), {"seconds": 1}, leaves_out=True)
     if style == "csv":
         printed = table(summary)
-    failed = int(summary["error"].notna().sum())
-    there = int(summary["was_there"].fillna(False).sum()) if "was_there" in summary else 0
-    words = [f"{len(summary)} runs"]
-    words += [f"{there} of them were there already"] if there else []
-    words += [f"{failed} failed"] if failed else []
-    parts: list[str | Table] = [", ".join(words), printed]
-    return page(parts, style, wide)
+    return page([printed], style, wide)

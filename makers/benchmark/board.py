@@ -18,6 +18,7 @@ import numpy as np
 import pandas as pd
 
 import egolane_pgm as ego
+from egolane_pgm.inference.events import SURE
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import RESAMPLES
 from egolane_pgm.scoring.confusion import confusion, recall
@@ -30,9 +31,6 @@ from makers.benchmark.tracks import HERE, Recording, make_tracks, read_tracks
 
 #: What follows in the page is made anew.
 MARK = "<!-- the board -->\n"
-
-#: A belief from here on is sure.
-SURE = 0.95
 
 #: Each score: the sum above and the sum below.
 SCORES = {
@@ -50,7 +48,7 @@ def score_entry(recordings: Sequence[Recording], entry: Path) -> tuple[str, pd.D
     else:
         experiment = ego.load_experiment(entry)
         title, results = experiment.description, [run_on(each, experiment) for each in recordings]
-        beliefs = [result.marginals["Lane"] for result in results]
+        beliefs = [result.node("Lane") for result in results]
     return title, pd.DataFrame(map(score_recording, recordings, beliefs))
 
 
@@ -59,7 +57,7 @@ def run_on(recording: Recording, experiment: ego.Experiment) -> ego.Result:
     lines, n_lanes = recording.log, recording.n_lanes
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return ego.run(experiment, recording=lines, ground_truth="none", n_lanes=n_lanes)
+        return ego.run(lines, experiment=experiment, n_lanes=n_lanes)
 
 
 def read_beliefs(folder: Path, recording: Recording) -> FloatArray:
@@ -81,17 +79,19 @@ def read_beliefs(folder: Path, recording: Recording) -> FloatArray:
 
 def score_recording(recording: Recording, belief: FloatArray) -> dict[str, float]:
     """The sums of SCORES, of beliefs (T, n). Ties and silence are wrong."""
-    truth, assigned = recording.truth, assigned_lane(belief)
-    matrix = confusion(assigned, truth.lane, truth.is_crossing, recording.n_lanes)
+    lane = recording.truth["true_lane"].to_numpy()
+    is_crossing = recording.truth["is_crossing"].to_numpy()
+    assigned = assigned_lane(belief)
+    matrix = confusion(assigned, lane, is_crossing, recording.n_lanes)
     is_driven = matrix.sum(axis=0) > 0
-    scored = ~truth.is_crossing
-    right = (assigned == truth.lane) & scored
-    sure = (belief.max(axis=1) > SURE) & scored
+    scored = ~is_crossing
+    right = (assigned == lane) & scored
+    sure = (belief.max(axis=1) >= SURE) & scored
     return {
         "recalls": recall(matrix)[is_driven].sum(),
         "lanes_driven": is_driven.sum(),
-        "losses": log_loss_per_frame(belief, truth.lane).sum(),
-        "frames": len(truth),
+        "losses": log_loss_per_frame(belief, lane).sum(),
+        "frames": len(lane),
         "right": right.sum(),
         "sure": sure.sum(),
         "sure_right": (sure & right).sum(),

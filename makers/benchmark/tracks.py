@@ -19,12 +19,12 @@ import numpy as np
 import pandas as pd
 from scipy.signal import lfilter
 
-from egolane_pgm.drive import open_drive
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.drives import read_drives
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.recordings.table import read_table, write_table
-from egolane_pgm.types import InputError, LaneTruth, LineLog
+from egolane_pgm.types import InputError, LineLog, lane_truth
 from makers.benchmark.transplanting import RATE, Donor, Path, donor_of, transplanted
 
 HERE = File(__file__).parent
@@ -66,7 +66,7 @@ class Recording:
     donor: str
     n_lanes: int
     log: LineLog
-    truth: LaneTruth
+    truth: pd.DataFrame
 
 
 def read_tracks(folders: Iterable[File]) -> list[Recording]:
@@ -90,15 +90,15 @@ def _read(file: File) -> Recording:
     )
 
 
-def paper_log(run: int) -> tuple[LineLog, LaneTruth, int]:
+def paper_log(run: int) -> tuple[LineLog, pd.DataFrame, int]:
     """The annotated frames of one of the paper's runs that can be trusted, renumbered from 0, and
     the number of lanes. Raises InputError if the recording is missing."""
-    drive = open_drive(load_experiment(paper_experiment(run)))
-    kept = np.flatnonzero(drive.may_fit)
-    log, truth = drive.recorded.log.take(drive.rows[kept]), drive.truth.take(kept)
-    frame = np.arange(len(log))
-    log = replace(log, frame_id=frame, time_s=frame / RATE)
-    return log, replace(truth, frame_id=frame), drive.n_lanes
+    [drive] = read_drives(load_experiment(paper_experiment(run)))
+    rows = drive.rows[drive.is_trusted]
+    frame = np.arange(len(rows))
+    log = replace(drive.log.take(rows), frame_id=frame, time_s=frame / RATE)
+    truth = lane_truth(frame, drive.true_lane[rows], drive.is_crossing[rows])
+    return log, truth, drive.n_lanes
 
 
 @lru_cache(maxsize=len(DONORS))
@@ -225,7 +225,7 @@ def rng_of(*words: str) -> np.random.Generator:
     return np.random.default_rng([zlib.crc32(word.encode()) for word in words])
 
 
-def write_recording(place: File, log: LineLog, truth: LaneTruth) -> None:
+def write_recording(place: File, log: LineLog, truth: pd.DataFrame) -> None:
     """Write PLACE.csv, its offsets in whole millimetres, and PLACE.txt."""
     rounded = replace(log, offset_m=np.round(log.offset_m, 3))
     write_table(place.with_name(f"{place.name}.csv"), rounded)

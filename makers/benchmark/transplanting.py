@@ -13,11 +13,12 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.types import FloatArray, IntArray, LaneTruth, LineLog, runs_of
+from egolane_pgm.types import FloatArray, IntArray, LineLog, lane_truth, runs_of
 
 #: Frames per second of every drive.
 RATE = 10.0
@@ -46,13 +47,13 @@ class Path:
         """(T,): 1 to n."""
         return np.clip(np.floor(self.across).astype(np.int64) + 1, 1, self.n_lanes)
 
-    def truth(self) -> LaneTruth:
+    def truth(self) -> pd.DataFrame:
         """Its lanes; crossing for 10 frames before and after the car's middle is on a line."""
         lane = self.lane()
         is_crossing = np.zeros(len(lane), dtype=bool)
         for k in np.flatnonzero(np.diff(lane)):
             is_crossing[max(0, k - 9) : k + 11] = True
-        return LaneTruth(np.arange(len(lane)), lane, is_crossing)
+        return lane_truth(np.arange(len(lane)), lane, is_crossing)
 
 
 @dataclass(frozen=True)
@@ -77,7 +78,7 @@ class Donor:
     continuous: FloatArray
 
 
-def donor_of(log: LineLog, truth: LaneTruth, n_lanes: int, width_m: float) -> Donor:
+def donor_of(log: LineLog, truth: pd.DataFrame, n_lanes: int, width_m: float) -> Donor:
     """A donor from a log and the lanes of its frames, all of them annotated."""
     path = Path(_across(log, truth, width_m), n_lanes)
     where = path.across[:, None] + log.offset_m / width_m
@@ -94,7 +95,7 @@ def donor_of(log: LineLog, truth: LaneTruth, n_lanes: int, width_m: float) -> Do
     return Donor(log, path, width_m, number, place, change_at, continuous)
 
 
-def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
+def _across(log: LineLog, truth: pd.DataFrame, width_m: float) -> FloatArray:
     """(T,): the car's place across the road: inside the lane the best path on a circle through what
     the lines say (Viterbi), in the lane that the truth has between two changes."""
     centre = (np.arange(_PLACES) + 0.5) / _PLACES
@@ -108,19 +109,20 @@ def _across(log: LineLog, truth: LaneTruth, width_m: float) -> FloatArray:
     index, places = np.zeros((2, len(score)), dtype=np.int64)
     best_path(np.zeros((1, _PLACES)), move[None], score, index, places)
     steady = np.unwrap(centre[places], period=1.0)
+    true_lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
     # Each stretch between two changes of the label gets the whole number that puts it in its lane;
     # a crossing goes with the stretch before it as far as the circle does.
-    changes = lane_changes(truth.lane, truth.is_crossing)
+    changes = lane_changes(true_lane, crossing)
     across = np.empty(len(steady))
     for start, stop in itertools.pairwise([0, *changes.end.tolist(), len(steady)]):
-        kept = np.flatnonzero(~truth.is_crossing[start:stop]) + start
-        lift = np.round(np.median(truth.lane[kept] - 0.5 - steady[kept])) if len(kept) else 0.0
+        kept = np.flatnonzero(~crossing[start:stop]) + start
+        lift = np.round(np.median(true_lane[kept] - 0.5 - steady[kept])) if len(kept) else 0.0
         across[start:stop] = steady[start:stop] + lift
     for start, end in zip(changes.start.tolist(), changes.end.tolist(), strict=True):
         # If the lines were lost in a change, the circle may have gone the wrong way round.
         if np.abs(np.diff(across[max(start - 1, 0) : end + 1])).max(initial=0.0) > _JUMP:
             across[start:end] = np.linspace(across[max(start - 1, 0)], across[end], end - start)
-    return np.clip(across, 0.0, truth.lane.max() - 1e-6)
+    return np.clip(across, 0.0, true_lane.max() - 1e-6)
 
 
 def transplanted(donor: Donor, path: Path, rng: np.random.Generator) -> LineLog:

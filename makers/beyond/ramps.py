@@ -1,4 +1,4 @@
-"""Lane changes on a simulated road of two lanes which a ramp joins, told n = 2.
+"""Lane changes on a simulated road of two lanes which a ramp joins, with n = 2.
 
 The ramp's outer line comes in from the side over a second and a half, is there for five to ten
 seconds and ends over two more. The car changes lane away from it meanwhile, or stays in one lane.
@@ -8,16 +8,17 @@ The rule of events was made with seeds 0 to 11 in sight.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.simulation import PRESETS, Road, detect_lines, sensor_failures
 from egolane_pgm.simulation.world import ease, slow_noise
-from egolane_pgm.types import LaneEvents, LineLog
+from egolane_pgm.types import LineLog
 from makers._running import run_of
 
 WIDTH_M = 3.6
@@ -38,8 +39,8 @@ GRAPHS: dict[str, dict[str, Any]] = {
 TEXT = """\
 # Lane changes where a ramp joins
 
-A simulated road of two lanes, told as two; a ramp joins from one side for 5 to 10 s
-(`makers/beyond/ramps.py`). Shares of drives with one change told, to the right side and within
+A simulated road of two lanes, with `n_lanes: 2`; a ramp joins from one side for 5 to 10 s
+(`makers/beyond/ramps.py`). Shares of drives with one change detected, to the right side and within
 2.5 s of the line, or none where the car makes none. The seeds are others than those that were
 in sight when the rule of events was made. No real drive with a ramp is among them.
 
@@ -101,21 +102,21 @@ def ramp_drive(
     return RampDrive(log, crossed_s, (-1 if mirrored else 1) if crosses else 0)
 
 
-def events_of(drive: RampDrive, rate: float, graph: str) -> LaneEvents:
-    """The lane changes that a run tells of a road of two lanes."""
+def events_of(drive: RampDrive, rate: float, graph: str) -> pd.DataFrame:
+    """The lane changes that a run detects on a road of two lanes."""
     return run_of(drive.log, 2, rate, **GRAPHS[graph]).events
 
 
-def is_right(drive: RampDrive, events: LaneEvents) -> bool:
-    """Whether one change is told, to the right side and within WITHIN_S; or none, if there is
+def is_right(drive: RampDrive, events: pd.DataFrame) -> bool:
+    """Whether one change is detected, to the right side and within WITHIN_S; or none, if there is
     none."""
-    near = np.abs(events.told_time_s - drive.crossed_s) <= WITHIN_S
-    told = events.direction[near] if drive.side else np.zeros(0)
-    return len(events) == len(told) and told.tolist() == [drive.side] * abs(drive.side)
+    near = (events["detected_time_s"] - drive.crossed_s).abs() <= WITHIN_S
+    sides = events.loc[near, "direction"].tolist() if drive.side else []
+    return len(events) == len(sides) and sides == [drive.side] * abs(drive.side)
 
 
-def measure(runs: Sequence[int], only: str, overrides: Sequence[str]) -> Iterator[str]:
-    """The shares of drives in which the right changes are told, as a table."""
+def measure() -> Iterator[str]:
+    """The shares of drives in which the right changes are detected, as a table."""
     yield TEXT
     yield f"| of {len(SEEDS) * 2 * len(PRESETS)} drives each | {' | '.join(GRAPHS)} |"
     yield "|---|--:|--:|"

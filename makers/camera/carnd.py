@@ -105,8 +105,8 @@ def ego_lane(log: LineLog) -> EgoLane:
         np.where(has_right, offset[rows, right], np.nan),
         log.is_continuous[rows, left] & has_left,
         log.is_continuous[rows, right] & has_right,
-        run_of(log, N_LANES, RATE).assigned_lane,
-        run_of(log, N_LANES, RATE, **ZERO_LABEL).assigned_lane,
+        run_of(log, N_LANES, RATE).frames["assigned_lane"].to_numpy(),
+        run_of(log, N_LANES, RATE, **ZERO_LABEL).frames["assigned_lane"].to_numpy(),
     )
 
 

@@ -175,7 +175,7 @@ def _present(lanes: Sequence[Sequence[float]]) -> FloatArray:
 def lane_at_the_end(clips: tuple[Clip, ...], **keys: Any) -> IntArray:
     """(T,): the assigned lane over the clip in the rightmost lane."""
     clip = next(c for c in clips if c.name == RIGHTMOST)
-    return run_of(clip.followed.log(RATE), N_LANES, RATE, **keys).assigned_lane
+    return run_of(clip.followed.log(RATE), N_LANES, RATE, **keys).frames["assigned_lane"].to_numpy()
 
 
 def measure() -> list[str]:

@@ -46,11 +46,11 @@ SETTINGS = {
     "continuous_cover": 0.65,
 }
 
-#: Lane changes that are told to the left and to the right, and the assigned lanes, of both graphs.
+#: Detected lane changes to the left and to the right, and the assigned lanes, of both graphs.
 CHANGES_AND_LANES = (
-    "changes told left, right, the paper's graph",
+    "changes detected left, right, the paper's graph",
     "its lanes",
-    "changes told left, right, zero labels",
+    "changes detected left, right, zero labels",
     "its lanes",
 )
 
@@ -107,13 +107,16 @@ def crossings(followed: Followed) -> Iterator[Crossing]:
 
 def changes_and_lanes(log: LineLog) -> list[str]:
     """The cells of `CHANGES_AND_LANES`: first of the paper's graph, then of the one without labels,
-    the lane changes that the run tells (`Result.events`) to the left and to the right, and its
-    assigned lanes. Where the assigned lane goes there and back, no change need be told."""
+    the detected lane changes (`Result.events`) to the left and to the right, and its
+    assigned lanes. Where the assigned lane goes there and back, no change need be detected."""
     cells = []
     for keys in ({}, ZERO_LABEL):
         run = run_of(log, N_LANES, RATE, **keys)
-        side = run.events.direction
-        cells += [f"{(side < 0).sum()}, {(side > 0).sum()}", runs(run.assigned_lane)]
+        side = run.events["direction"]
+        cells += [
+            f"{(side < 0).sum()}, {(side > 0).sum()}",
+            runs(run.frames["assigned_lane"].to_numpy()),
+        ]
     return cells
 
 

@@ -1,6 +1,6 @@
-"""Memory against the length of a drive: `egolane run` with and without `--stream`.
+"""Memory against the length of a drive: `egolane run` with and without `--chunk-frames`.
 
-`python -m tests.benchmarks.bench_memory [FRAMES ...] [--only-stream]` prints a table for drives of
+`python -m tests.benchmarks.bench_memory [FRAMES ...] [--only-chunks]` prints a table for drives of
 so many frames (10,000 and 100,000 by default; a day at 30 frames a second has 2,592,000). A drive
 is a simulated one over and over, with its ground truth, in a Parquet file that is itself written
 part after part. Each run is a process of its own, without figures; its peak is `VmHWM`, which
@@ -25,6 +25,7 @@ from egolane_pgm.tools.files import parquet_writer
 ROOT = Path(__file__).parents[2]
 N_LANES = 4
 LENGTHS = (10_000, 100_000)
+CHUNK = 10_000
 FRAME_RATE = 30
 #: A process says itself what its largest memory was, kB: to its parent it counts the parent's too.
 TOLD = """
@@ -36,10 +37,10 @@ atexit.register(tell)
 """
 EGOLANE = (sys.executable, "-c", f"{TOLD}\nfrom egolane_pgm.command import main\nmain()")
 RUNS = (("the paper's graph", "quickstart.yaml"), ("zero label", "zero_label.yaml"))
-HEADER = ("frames", "`egolane run`", "whole: memory", "time", "`--stream`: memory", "time")
+HEADER = ("frames", "`egolane run`", "whole: memory", "time", "chunks: memory", "time")
 
 
-def memory_lines(lengths: Sequence[int] = LENGTHS, only_stream: bool = False) -> Iterator[str]:
+def memory_lines(lengths: Sequence[int] = LENGTHS, only_chunks: bool = False) -> Iterator[str]:
     """The lines of a Markdown table."""
     yield f"| {' | '.join(HEADER)} |"
     yield "|---:|---|---:|---:|---:|---:|"
@@ -49,12 +50,13 @@ def memory_lines(lengths: Sequence[int] = LENGTHS, only_stream: bool = False) ->
             recording, truth = write_long_drive(Path(folder), n_frames)
             for what, experiment in RUNS:
                 cells = []
-                for option in ("--no-figures", "--stream"):
-                    if only_stream and option != "--stream":
+                for option in ((), ("--chunk-frames", CHUNK)):
+                    if only_chunks and not option:
                         cells += ["", ""]
                         continue
-                    words = (ROOT / "experiments" / experiment, "--recording", recording)
-                    words += ("--ground-truth", truth, "--n-lanes", N_LANES, option)
+                    words = (recording, "--experiment", ROOT / "experiments" / experiment)
+                    words += ("--ground-truth", truth, "--n-lanes", N_LANES, *option)
+                    words += ("--no-figures",)
                     words += (f"--set=recording.frame_rate={FRAME_RATE}", "--out", f"{folder}/out")
                     most, seconds = peak([*EGOLANE, "run", *map(str, words)])
                     cells += [f"{most - bare:,.0f} MB", f"{seconds:,.0f} s"]
@@ -72,8 +74,8 @@ def write_long_drive(folder: Path, n_frames: int) -> tuple[Path, Path]:
     with parquet_writer(recording) as write, truth.open("w", encoding="utf-8") as lines:
         for lap in laps(drive, n_frames):
             write(rows_of(lap.log).select(COLUMNS))
-            rows = zip(lap.truth.frame_id, lap.truth.lane, lap.truth.is_crossing, strict=True)
-            lines.writelines(f"{k};{lane};{int(crossing)}\n" for k, lane, crossing in rows)
+            rows = lap.truth.astype(int).itertuples()
+            lines.writelines(f"{k};{lane};{crossing}\n" for k, lane, crossing in rows)
     return recording, truth
 
 
@@ -81,9 +83,9 @@ def laps(drive: SimulatedDrive, n_frames: int) -> Iterator[SimulatedDrive]:
     """A drive again and again, so many frames in all, with ids that count them."""
     for first in range(0, n_frames, len(drive.log)):
         part = slice(0, n_frames - first)
-        log, truth = drive.log.take(part), drive.truth.take(part)
+        log, truth = drive.log.take(part), drive.truth.iloc[part]
         log = replace(log, frame_id=log.frame_id + first)
-        yield replace(drive, log=log, truth=replace(truth, frame_id=truth.frame_id + first))
+        yield replace(drive, log=log, truth=truth.set_axis(truth.index + first))
 
 
 def peak(command: Sequence[str]) -> tuple[float, float]:
@@ -99,7 +101,7 @@ def peak(command: Sequence[str]) -> tuple[float, float]:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("frames", nargs="*", type=int, default=LENGTHS)
-    parser.add_argument("--only-stream", action="store_true")
+    parser.add_argument("--only-chunks", action="store_true")
     options = parser.parse_args()
-    for line in memory_lines(options.frames, options.only_stream):
+    for line in memory_lines(options.frames, options.only_chunks):
         print(line, flush=True)

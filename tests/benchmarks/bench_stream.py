@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.experiment import Experiment, load_experiment
-from egolane_pgm.online import filter_logs, filter_stream
+from egolane_pgm.experiment import Experiment
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.online import online, read_messages
 from egolane_pgm.types import FloatArray, IntArray, LineLog
 from tests.benchmarks.data import BONUS_VALUE, N_LANES, PARAMETERS, load
 from tests.kits.streams import messages, over_and_over
@@ -52,8 +53,12 @@ def stream_lines(log: LineLog, n_frames: int = FRAMES) -> list[Line]:
         logs = list(over_and_over(log, n_frames + WARM_UP, rate))
         given = [*messages(log)][: n_frames + WARM_UP]
         runs: list[tuple[str, Callable[[Iterable], Iterator], list]] = [
-            ("lines to belief", lambda xs, e=experiment: filter_logs(e, xs), logs),
-            ("a JSON line to belief", lambda xs, e=experiment: filter_stream(e, xs), given),
+            ("lines to belief", lambda xs, e=experiment: online(e, xs), logs),
+            (
+                "a JSON line to belief",
+                lambda xs, e=experiment: online(e, read_messages(e, xs)),
+                given,
+            ),
         ]
         lines += [(f"{what}: {between}", *timed(run, frames)) for between, run, frames in runs]
     return lines
@@ -97,7 +102,7 @@ def memory_lines(log: LineLog, n_frames: int) -> Iterator[str]:
     begun = time.perf_counter()
     yield "| frames | resident memory | frames per second |\n|---:|---:|---:|"
     logs = over_and_over(log, n_frames, experiment.recording.frame_rate)
-    for count, _ in enumerate(filter_logs(experiment, logs), start=1):
+    for count, _ in enumerate(online(experiment, logs), start=1):
         if count >= 1000 and (count in (10**k for k in range(3, 10)) or count == n_frames):
             rate = count / (time.perf_counter() - begun)
             yield f"| {count:,} | {resident_mb():.1f} MB | {rate:,.0f} |"

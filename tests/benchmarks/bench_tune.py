@@ -15,11 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.tuning.objective import all_used
-from egolane_pgm.tuning.plan import Problem, load_plan, make_problem, scorer
-from egolane_pgm.tuning.search import Settings, search, search_in_memory
-from egolane_pgm.tuning.storage import open_storage, open_study
-from tests.kits.tuning_kit import points_at
+from egolane_pgm.studies.black_box import Objective, objective
+from egolane_pgm.studies.search import Settings, new_study, search
+from egolane_pgm.studies.storage import open_storage
+from tests.kits.studies import points_at, search_in_memory
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "paper" / "run01_italy_ml.yaml"
@@ -29,19 +28,19 @@ HEADER = ("parameter search", "per trial", "trials per second")
 Line = tuple[str, float]
 
 
-def load() -> Problem:
-    """Run 1 of the paper where EGOLANE_DATA has it, else the simulated drive."""
-    return make_problem(load_plan(EXPERIMENT if os.environ.get("EGOLANE_DATA") else SIMULATED))
+def load() -> Objective:
+    """Accuracy on run 1 of the paper if EGOLANE_DATA has it, otherwise on the simulated drive."""
+    return objective(EXPERIMENT if os.environ.get("EGOLANE_DATA") else SIMULATED)
 
 
 def tune_lines(rounds: int = 3) -> Iterator[Line]:
     """(what, seconds per trial) of everything that is measured."""
     problem = load()
-    score = scorer(problem, all_used(problem.drives))
-    points = points_at(problem.space, np.random.default_rng(0).random((256, len(problem.space))))
+    score, space = problem.score, problem.search_space
+    points = points_at(space, np.random.default_rng(0).random((256, len(space))))
     for point in points:
         score(point)
-    share = 10_000 / len(problem.drives[0].recorded.log)
+    share = 10_000 / len(problem.drives[0].log)
 
     def timed(run: Callable[[], object], trials: int, times: int = rounds) -> float:
         found = []
@@ -55,40 +54,37 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
     yield "our share, 10,000 frames", share * seconds
     for sampler in ("random", "evolution"):
         settings = Settings(("accuracy",), sampler, 2000, 0)
-        seconds = timed(lambda s=settings: search_in_memory(problem.space, score, s), 2000)
+        seconds = timed(lambda s=settings: search_in_memory(space, score, s), 2000)
         yield f"{sampler}, in memory, whole trial", seconds
         for kept in ("journal", "SQLite"):
             with tempfile.TemporaryDirectory() as folder:
-                url = f"sqlite:///{folder}/study.db" if kept == "SQLite" else None
-                trials = 100 if url else 1000
-                run = _kept(problem, Path(folder), url, Settings(("accuracy",), sampler, trials, 0))
+                is_journal = kept == "journal"
+                place = f"{folder}/study" if is_journal else f"sqlite:///{folder}/study.db"
+                trials = 1000 if is_journal else 100
+                run = _kept(problem, place, Settings(("accuracy",), sampler, trials, 0))
                 yield f"{sampler}, {kept}", timed(run, trials, 1)
     for sampler in ("tpe", "cma-es"):
         yield from _at(problem, sampler)
 
 
-def _kept(
-    problem: Problem, folder: Path, url: str | None, settings: Settings
-) -> Callable[[], object]:
-    score = scorer(problem, all_used(problem.drives))
-
+def _kept(problem: Objective, place: str, settings: Settings) -> Callable[[], object]:
     def run() -> None:
-        study = open_study(open_storage(url, folder), "bench", settings, {})
-        search(study, problem.space, score, settings)
+        study = new_study(settings, storage=open_storage(place), study_name="bench")
+        search(study, problem.search_space, problem.score, settings)
 
     return run
 
 
-def _at(problem: Problem, sampler: str) -> list[Line]:
+def _at(problem: Objective, sampler: str) -> list[Line]:
     """A sampler that slows down: its 100th and its 1,000th trial (mean of 20 around it)."""
-    score = scorer(problem, all_used(problem.drives))
     clock: list[float] = []
 
     def timed(point: Any) -> Any:
         clock.append(time.perf_counter())
-        return score(point)
+        return problem.score(point)
 
-    search_in_memory(problem.space, timed, Settings(("accuracy",), sampler, 1011, 0))
+    settings = Settings(("accuracy",), sampler, 1011, 0)
+    search_in_memory(problem.search_space, timed, settings)
     return [
         (f"{sampler}, in memory, at the {n}th trial", (clock[n + 10] - clock[n - 10]) / 20)
         for n in (100, 1000)

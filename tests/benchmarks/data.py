@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.types import Evidence, LaneTruth, LineLog
+from egolane_pgm.types import Evidence, LineLog
 
 BAG = "rle/special.issue.italy.mono.noClothoid.yesLines.bag"
 TRUTH = "rle/GT-A4FULL.txt"
@@ -29,7 +30,7 @@ class Data:
     """log, truth: T frames each. read: reads the recording from its file, None without one."""
 
     log: LineLog
-    truth: LaneTruth
+    truth: pd.DataFrame
     counting: Parameters
     evidence: Evidence
     compiled: Compiled
@@ -49,7 +50,7 @@ def load() -> Data:
         log = select_frames(read_lines(bag), *FRAMES)
         truth = read_ground_truth(folder / TRUTH)
         in_log, in_truth = join(log, truth)
-        log, truth = log.take(in_log), truth.take(in_truth)
+        log, truth = log.take(in_log), truth.iloc[in_truth]
         source = "run 1 of the paper"
         read = lambda: read_lines(bag)  # noqa: E731
     else:

@@ -26,8 +26,8 @@ from egolane_pgm.types import FloatArray, IntArray
 from tests.benchmarks import (
     bench_camera,
     bench_cold,
-    bench_fleet,
     bench_memory,
+    bench_table,
     peers,
 )
 from tests.benchmarks.bench_tune import markdown, tune_lines
@@ -66,7 +66,7 @@ def _all_lines(rounds: int) -> Iterator[str]:
     yield from markdown(tune_lines())
     yield f"\n{bench_camera.markdown(bench_camera.camera_lines())}"
     yield bench_cold.markdown(bench_cold.cold_lines())
-    yield bench_fleet.markdown(bench_fleet.fleet_lines())
+    yield bench_table.markdown(bench_table.table_lines())
     yield from bench_memory.memory_lines()
 
 
@@ -167,7 +167,7 @@ def many_rows(data: Data, rounds: int) -> list[Row]:
     """100 parameter sets. Ours ends with their confusions (as a search does), and once more with
     their beliefs over lanes, as the others do."""
     models = parameter_sets(data.compiled, N_SETS)
-    lane, is_crossing = data.truth.lane, data.truth.is_crossing
+    lane, is_crossing = data.truth["true_lane"], data.truth["is_crossing"]
 
     def to_confusions() -> IntArray:
         beliefs = (filter_beliefs(model, data.evidence, "exact").lane for model in models)
@@ -222,7 +222,7 @@ def scoring_rows(data: Data, rounds: int) -> list[Row]:
     belief = np.ascontiguousarray(
         filter_beliefs(data.compiled, data.evidence, "assumed_density").lane
     )
-    lane, is_crossing = data.truth.lane, data.truth.is_crossing
+    lane, is_crossing = data.truth["true_lane"], data.truth["is_crossing"]
 
     def ours() -> IntArray:
         return confusion(assigned_lane(belief), lane, is_crossing, N_LANES)
@@ -232,7 +232,7 @@ def scoring_rows(data: Data, rounds: int) -> list[Row]:
 
 
 def together_rows(data: Data, rounds: int) -> list[Row]:
-    lane, is_crossing = data.truth.lane, data.truth.is_crossing
+    lane, is_crossing = data.truth["true_lane"], data.truth["is_crossing"]
 
     def run() -> float:
         evidence = counting.evidence(data.log, N_LANES, data.counting)

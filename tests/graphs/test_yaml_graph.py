@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 import yaml
 
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.plugins import load_plugin
-from egolane_pgm.running import run_experiment
 from egolane_pgm.types import InputError
 from tests.conformance.networks import (
     METHODS,
@@ -24,7 +22,7 @@ from tests.conformance.networks import (
     draw_evidence,
     graph,
 )
-from tests.kits.drives import refused, with_changes, write_drive
+from tests.kits.drives import refused, run, with_changes, write_drive
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -52,7 +50,7 @@ SHIPPED = [
 
 def load(folder: Path, text: str) -> ModuleType:
     (folder / "g.yaml").write_text(textwrap.dedent(text))
-    return load_plugin("graphs", "./g.yaml", folder, "graph")
+    return load_plugin("graphs", str(folder / "g.yaml"), "graph")
 
 
 def changed(**changes: Any) -> str:
@@ -68,13 +66,13 @@ def refusal(folder: Path, text: str) -> str:
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
 def test_every_shipped_graph_in_yaml_compiles(path: Path) -> None:
-    module = load_plugin("graphs", f"./{path.name}", path.parent, "graph")
+    module = load_plugin("graphs", str(path), "graph")
     n_lanes = next(t for t in module.tables(0, {}) if t.node == ("Lane", 0)).values.size
     assert compiled_graph(module, n_lanes, {}).cardinality["Lane"] == n_lanes
 
 
 def test_the_papers_graph_in_yaml_compiles_to_the_same_arrays() -> None:
-    ours = load_plugin("graphs", "./sensor_failure.yaml", EXAMPLES, "graph")
+    ours = load_plugin("graphs", str(EXAMPLES / "sensor_failure.yaml"), "graph")
     paper = graph("sensor_failure")
     assert (ours.HIDDEN, ours.OBSERVED, ours.VALUES) == (paper.HIDDEN, paper.OBSERVED, paper.VALUES)
     found = compiled_graph(ours, 4, {})
@@ -88,10 +86,9 @@ def test_the_papers_graph_in_yaml_compiles_to_the_same_arrays() -> None:
 
 
 def test_the_example_gives_the_beliefs_of_the_papers_graph() -> None:
-    experiment = load_experiment(EXAMPLES / "yaml_graph.yaml")
-    ours = run_experiment(experiment)
-    right = run_experiment(experiment.model_copy(update={"graph": "sensor_failure"}))
-    np.testing.assert_allclose(ours.beliefs.lane, right.beliefs.lane, atol=1e-3)
+    ours = run(EXAMPLES / "yaml_graph.yaml")
+    right = run(EXAMPLES / "yaml_graph.yaml", graph="sensor_failure")
+    np.testing.assert_allclose(ours.node("Lane"), right.node("Lane"), atol=1e-3)
     assert ours.scores["model"]["accuracy"] > ours.scores["detector"]["accuracy"]
 
 
@@ -220,7 +217,7 @@ def test_what_is_wrong_is_said_by_validate_with_the_experiments_name(tmp_path: P
         (tmp_path / "g.yaml").write_text(text.replace(old, new))
         return refused("run", "--dry-run", experiment, "--set", "n_lanes=4")
 
-    assert "the graph observes SensorState, the evidence rule gives only" in said(
+    assert "g.yaml: observes SensorState, the evidence rule gives only" in said(
         "observed: [DetectorOutput, WOR]", "observed: [DetectorOutput, SensorState]"
     )
     where = "experiment.yaml: graph: g.yaml"

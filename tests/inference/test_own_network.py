@@ -17,7 +17,7 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, smooth_beliefs
 from egolane_pgm.inference.unrolling import unrolled
 from egolane_pgm.inference.viterbi import viterbi
-from egolane_pgm.learning.em import fit_tables, learned_network
+from egolane_pgm.studies.em import fit_tables, learned_network
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import template
 

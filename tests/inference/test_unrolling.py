@@ -12,7 +12,7 @@ from egolane_pgm.inference.compile import Compiled, starting_in, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
-from egolane_pgm.model import prepare_model
+from egolane_pgm.model import compile_model
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import draw_evidence, graph_names, random_network, template
 from tests.kits.drives import simulated
@@ -99,7 +99,7 @@ def test_what_an_impossible_frame_shows_is_not_given() -> None:
 
 def test_nodes_and_values_have_their_names_and_frames_their_ids() -> None:
     experiment = simulated()
-    model = prepare_model(experiment)
+    model = compile_model(experiment)
     rng = np.random.default_rng(0)
     evidence = Evidence({"DetectorOutput": rng.random((4, 4)), "WOR": rng.random((4, 2))})
     # Frame 18 is missing: a step is from one recorded frame to the next.

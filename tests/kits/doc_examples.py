@@ -46,7 +46,8 @@ NOT_RUN = {
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
     (r"^(egolane run .*)--held-out", r"\1--held-out --blocks 2"),
-    (r"examples/ten_runs.csv", "examples/two_runs.csv"),
+    (r"experiments/paper/recordings.csv", "examples/two_runs.csv"),
+    (r"(egolane run paper_tuned .*)", r"\1 --set tuning.trials=2"),
     (r"--jobs \d+", "--jobs 1"),
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),
@@ -145,7 +146,7 @@ def write_world(folder: Path, boards: Path) -> None:
     table = ["name,recording.seed,recording.frames,tag.weather", *rows]
     (folder / "drives.csv").write_text("\n".join(table) + "\n")
     rewritten(ROOT / "experiments/quickstart.yaml", folder / "X.yaml", name="X")
-    rows = (ROOT / "examples/ten_runs.csv").read_text().splitlines(keepends=True)
+    rows = (ROOT / "experiments/paper/recordings.csv").read_text().splitlines(keepends=True)
     (folder / "examples/two_runs.csv").write_text("".join([rows[0], rows[1], rows[6]]))
     _write_bag(folder / "drive.bag")
     foreign_table(folder / "foreign.csv")

@@ -14,23 +14,18 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from egolane_pgm.comparing.placing import on_recording
-from egolane_pgm.drive import load_recording
 from scipy.signal import lfilter
 from scipy.special import ndtri
 
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
-from egolane_pgm.experiment import experiments_folder, load_experiment
 from egolane_pgm.inference.smoothing import smooth_beliefs
-from egolane_pgm.model import make_evidence, prepare_model
-from egolane_pgm.paper import paper_experiment
+from egolane_pgm.loading import experiments_folder
+from egolane_pgm.model import make_evidence, whole_rule
+from egolane_pgm.runs import table_inputs
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 
 FRAME_RATE = 10.0
-
-#: Spain's labels are not trusted from this frame on.
-LAST_TRUSTED = 9577
 
 
 # Offsets ------------------------------------------------------------------------------------------
@@ -356,34 +351,29 @@ def paper_drive(run: int) -> Drive:
 
     The position is that of the smoother that is told the labels.
     """
-    zero = load_experiment(
-        experiments_folder() / "zero_label.yaml", {"parameters.lane_width_m": "auto"}
-    )
-    experiment = on_recording(zero, load_experiment(paper_experiment(run)))
-    recorded = load_recording(experiment)
-    log, truth = recorded.log, recorded.truth
-    assert truth is not None
-    lane, label = (np.zeros(len(log), dtype=np.int64) for _ in range(2))
-    is_scored = ~truth.is_crossing & ((truth.frame_id < LAST_TRUSTED) | (run <= 5))
-    lane[recorded.scored] = np.where(is_scored, truth.lane, 0)
-    label[recorded.scored] = np.where(truth.is_crossing, 0, truth.lane)
-    model = prepare_model(experiment)
-    evidence = make_evidence(model, log).filtered
+    table = experiments_folder() / "paper" / "recordings.csv"
+    given = table_inputs("zero_label", table, {"parameters.lane_width_m": "auto"})[run - 1]
+    [drive] = given.drives()
+    log, model, n_lanes = drive.log, drive.model, drive.n_lanes
+    label = np.where(drive.is_crossing, 0, drive.true_lane)
+    lane = label.copy()
+    lane[drive.rows[~drive.is_trusted]] = 0
+    evidence = make_evidence(model, whole_rule(model), log)[0]
     ((key, likelihood),) = evidence.likelihoods.items()
     n_places = likelihood.shape[1]
-    lane_of_place = np.arange(n_places) * experiment.n_lanes // n_places + 1
+    lane_of_place = np.arange(n_places) * n_lanes // n_places + 1
     may_be = (label[:, None] == 0) | (label[:, None] == lane_of_place)
     told = Evidence({key: likelihood * np.where(may_be, 1.0, 1e-6)[..., None]}, evidence.inputs)
     places = smooth_beliefs(model.compiled, told).marginals["RoadPosition"]
-    position = places @ ((np.arange(n_places) + 0.5) * experiment.n_lanes / n_places)
+    position = places @ ((np.arange(n_places) + 0.5) * n_lanes / n_places)
     width_m = lane_width(log, 3.5).width_m
-    return Drive(run, log, lane, position, experiment.n_lanes, width_m)
+    return Drive(run, log, lane, position, n_lanes, width_m)
 
 
 def simulated_drive(preset: str, seed: int, n_frames: int) -> Drive:
     """A drive that does not exist."""
     drive = simulate(preset, seed=seed, frames=n_frames)
-    lane = np.where(drive.truth.is_crossing, 0, drive.truth.lane)
+    lane = np.where(drive.truth["is_crossing"], 0, drive.truth["true_lane"])
     width_m = lane_width(drive.log, 3.5).width_m
     return Drive(seed, drive.log, lane, drive.position_m / width_m, drive.n_lanes, width_m)
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.types import LaneTruth, LineLog
+from egolane_pgm.types import LineLog, lane_truth
 from makers.benchmark.board import board, resamples, run_on, score_entry, score_recording
 from makers.benchmark.tracks import (
     HERE,
@@ -88,7 +88,7 @@ def test_lines_stand_in_the_new_road_byte_for_byte(tmp_path: Path) -> None:
         assert np.abs(where - np.round(where)).max() < 0.15
         # A road of two lanes has no line of the donor's third.
         assert np.round(where).max() <= n_lanes
-        assert path.truth().lane[[0, 300, 599]].tolist() == [1, 2, 1]
+        assert path.truth()["true_lane"].to_numpy()[[0, 300, 599]].tolist() == [1, 2, 1]
         write_recording(tmp_path / f"trip1-n{n_lanes}-tidy", log, path.truth())
     assert checksum(tmp_path) == TIDY
 
@@ -124,7 +124,7 @@ def test_the_tracks_are_made_byte_for_byte(tmp_path: Path, recordings: Path) -> 
 
 def recording(name: str = "d1-a", n_lanes: int = 3) -> Recording:
     frame = np.arange(200)
-    truth = LaneTruth(frame, LANE, CROSSING)
+    truth = lane_truth(frame, LANE, CROSSING)
     log = short_drive(200).log
     return Recording("track", name, name.split("-")[0], name, "", n_lanes, log, truth)
 
@@ -162,7 +162,7 @@ def test_a_folder_of_beliefs_is_scored_beside_experiments(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize("entry", sorted((HERE / "entries").glob("*.yaml")), ids=lambda p: p.stem)
 def test_every_entry_is_causal(entry: Path, recordings: Path) -> None:
-    assert run_on(recording(), ego.load_experiment(entry)).run["causal"]
+    assert run_on(recording(), ego.load_experiment(entry)).run["is_causal"]
 
 
 def test_resamples_draw_drivers_then_all_recordings_of_a_drive() -> None:

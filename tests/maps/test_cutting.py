@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from egolane_pgm.maps.cutting import cut, lanes_along, untold_lanes
+from egolane_pgm.maps.cutting import lanes_along, lanes_at, unknown_lanes
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.lane_maps import road_rows
 
@@ -38,14 +38,9 @@ def test_frames_have_the_lanes_known_last(
     assert lanes_along(road_rows(n_lanes, 10.0), log_of(time_s)).tolist() == expected
 
 
-def test_a_recording_is_cut_where_the_number_changes_only() -> None:
-    road = road_rows([3, 3, 0, 3, 4, 4, 3], 0.0)
-    log = log_of([0, 1, 2, 3, 4, 5, 6])
-    clips = cut(log, lanes_along(road, log), "a9")
-    assert clips.clip is not None
-    assert clips.clip.tolist() == ["a9_1"] * 4 + ["a9_2"] * 2 + ["a9_3"]
-    assert [piece.start for piece in clips.pieces()] == [0, 4, 6]
-    assert cut(log, np.full(7, 3), "a9").pieces() == [slice(0, 7)]
+def test_a_single_time_may_be_after_the_last_row() -> None:
+    road = road_rows([3, 4], 10.0)
+    assert lanes_at(road, np.array([9.0, 10.5, 11.0, 99.0])).tolist() == [3, 3, 4, 4]
 
 
 @pytest.mark.parametrize(
@@ -68,7 +63,7 @@ def test_a_table_that_does_not_fit_is_refused_in_one_line(
 
 def test_what_the_map_does_not_tell_is_said() -> None:
     road = road_rows([3, 0, 0, 4], 0.0, off=[2], untold={1: 7, 3: 9})
-    said = untold_lanes(road, log_of([0, 1, 2, 3, 3.5]))
+    said = unknown_lanes(road, log_of([0, 1, 2, 3, 3.5]))
     assert [line.partition(": ")[2] for line in said] == [
         "in 2 of 5 frames the road has no number of lanes in the map (way 9); the number is a"
         " guess",

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+import egolane_pgm as ego
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.select import fill_missing
-from egolane_pgm.results import read_result
+from egolane_pgm.result import Result
 from egolane_pgm.types import InputError, LineLog
-from tests.kits.drives import done, refused, write_experiment
 from tests.kits.image_line_files import (
     OFFSETS,
     ROWS,
@@ -97,49 +95,30 @@ def test_no_frame_is_put_in_between_clips(tmp_path: Path) -> None:
     assert clips_of(filled) == [(OFFICIAL[0], [0, 1, 2, 3]), (OFFICIAL[1], [4, 5])]
 
 
-MADE = {"evidence": "line_geometry", "graph": "position_in_lane", "filter": "exact"}
-
-
-def run(folder: Path, labels: Path, name: str) -> Path:
-    experiment = write_experiment(folder / "e.yaml", n_lanes=4, ground_truth=None, **MADE)
-    camera = saved_camera(folder)
-    words = ["--recording", labels, "--camera", camera, "--no-figures", "--out", folder / name]
-    (folder / f"{name}.txt").write_text(done("run", experiment, *words).output)
-    return folder / name
-
-
 def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:
-    """The second car stands half a lane to the left of the first, the third is the first's road
-    seen again: a belief that went on from clip to clip would show."""
+    """The second car is half a lane to the left of the first, the third on the first's road again:
+    a posterior that went on from clip to clip would show."""
+    camera = saved_camera(tmp_path)
+
+    def run(labels: Path) -> Result:
+        return ego.run(labels, n_lanes=4, camera=camera)
+
     drives = []
     for clip, shift in zip(OFFICIAL, (0.0, -1.7, 0.0), strict=True):
         moved = tuple(offset - shift * 0.9 for offset in OFFSETS)
         drives.append(
             [entry(0, moved, raw_file=f"{clip}/{n}.jpg", classes=[4, 1, 1]) for n in range(1, 16)]
         )
-    together = tusimple(tmp_path / "all.json", [row for drive in drives for row in drive])
-    result = read_result(run(tmp_path, together, "all"))
-    assert result.clip is not None
+    together = run(tusimple(tmp_path / "all.json", [row for drive in drives for row in drive]))
+    assert together.frames["drive"].unique().tolist() == OFFICIAL
+    lanes = [column for column in together.frames if column.startswith("Lane_")]
     for k, drive in enumerate(drives):
-        alone = read_result(run(tmp_path, tusimple(tmp_path / f"{k}.json", drive), f"alone{k}"))
-        mine = result.marginals["Lane"][15 * k : 15 * k + 15]
-        np.testing.assert_allclose(mine, alone.marginals["Lane"], atol=1e-12)
-        assert result.clip[15 * k] == OFFICIAL[k]
-    assert not np.allclose(result.marginals["Lane"][14], result.marginals["Lane"][15])
-    rows = list(csv.DictReader((tmp_path / "all" / "clips.csv").open()))
-    assert [row["clip"] for row in rows] == OFFICIAL
-    assert [row["first_frame_id"] for row in rows] == ["0", "15", "30"]
-    assert {row["frames"] for row in rows} == {"15"}
-    assert [int(row["assigned_lane"]) for row in rows] == result.assigned_lane[14::15].tolist()
-    said = (tmp_path / "all.txt").read_text()
-    assert "3 clips, each from the prior on" in said
-    least = min(rows, key=lambda row: float(row["probability"]))
-    assert f"least sure: {least['clip']} (" in said
-    assert "a row for each clip: clips.csv" in said
-    # No change is told from one clip to the next.
-    assert len(result.events) == 0
-    scores = json.loads((tmp_path / "all" / "scores.json").read_text())
-    assert (scores["clips"], scores["lanes"]) == (3, [])
+        alone = run(tusimple(tmp_path / f"{k}.json", drive)).frames
+        mine = together.frames.iloc[15 * k : 15 * k + 15]
+        np.testing.assert_allclose(mine[lanes], alone[lanes], atol=1e-12)
+    # No change is found from one clip to the next.
+    assert len(together.events) == 0
+    assert together.scores["events"]["detected"] == 0
 
 
 def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
@@ -151,14 +130,6 @@ def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
         f"{labels}: has 3 clips, the first {OFFICIAL[0]}; a file that is written holds one drive"
     )
     (tmp_path / "truth.txt").write_text("0;1;0\n")
-    recording = {"path": "a.json", "camera": "cam.yaml"}
-    path = write_experiment(
-        tmp_path / "e.yaml", recording=recording, ground_truth={"path": "truth.txt"}, n_lanes=4
-    )
-    said = refused("run", path, "--no-figures", "--out", tmp_path / "r")
-    assert said.endswith("clips are run without ground truth (ground_truth: none)")
-    path = write_experiment(tmp_path / "f.yaml", recording=recording, ground_truth=None)
-    said = refused("learn", path, "--set", "learning.labels=false", "--out", tmp_path / "l")
-    assert said.endswith("only `egolane run` takes clips; here name the lines of one")
-    words = ["--camera", camera, "--n-lanes", 4, "--out", tmp_path / "b"]
-    assert refused("label", labels, *words) == said
+    options = {"n_lanes": 4, "camera": camera, "ground_truth": tmp_path / "truth.txt"}
+    with pytest.raises(InputError, match="clips have no ground truth; leave out ground_truth"):
+        ego.run(labels, **options)

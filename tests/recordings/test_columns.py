@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,11 @@ import pandas as pd
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.online import filter_stream
+from egolane_pgm.online import online, read_messages
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.recordings.select import sign_warning
-from egolane_pgm.types import InputError, LaneTruth
+from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused
 from tests.kits.sensor_files import N_FRAMES, OFFSETS, foreign_table, per_line
 
@@ -69,17 +70,16 @@ def test_units_times_and_names_are_those_that_are_said(
     else:
         table.to_csv(file, index=False)
     run = ego.run(given, n_lanes=3, columns=keys)
-    assert run.lines is not None
-    np.testing.assert_allclose(run.lines.offset_m, OFFSETS, atol=1e-9)
+    [log] = run.lines.values()
+    np.testing.assert_allclose(log.offset_m, OFFSETS, atol=1e-9)
     assert run.run["frame_rate"] == 10.0
-    assert set(np.diff(run.lines.frame_id)) == {1}
+    assert set(np.diff(log.frame_id)) == {1}
 
 
 def test_a_list_of_columns_is_a_line_each() -> None:
     table = pd.DataFrame({"frame_id": [7, 8], "l": [-1.8, None], "r": [1.7, 1.8], "ok": [1, 0]})
     keys = column_keys("offset_m=[l, r],is_valid=[ok, ok]")
-    log = ego.run(table, n_lanes=3, columns=keys).lines
-    assert log is not None
+    [log] = ego.run(table, n_lanes=3, columns=keys).lines.values()
     np.testing.assert_array_equal(log.offset_m, [[-1.8, 1.7], [np.nan, 1.8]])
     assert log.is_valid.tolist() == [[True, True], [False, False]]
 
@@ -89,10 +89,10 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
     words = ("--n-lanes", 3, "--columns", FOREIGN, "--no-figures", "--out", tmp_path / "out")
     done("run", tmp_path / "a.csv", *words)
     result = ego.load_result(tmp_path / "out")
-    assert result.config["recording"]["columns"] == column_keys(FOREIGN)
-    assert np.mean(result.assigned_lane[20:] == 2) > 0.9
+    assert result.value("recording.columns") == column_keys(FOREIGN)
+    assert np.mean(result.frames["assigned_lane"][20:] == 2) > 0.9
     again = ego.run(tmp_path / "out" / "experiment.yaml")
-    np.testing.assert_array_equal(again.beliefs.lane, result.beliefs.lane)
+    np.testing.assert_array_equal(again.node("Lane"), result.node("Lane"))
 
 
 @pytest.mark.parametrize(
@@ -150,20 +150,19 @@ def test_a_sign_that_contradicts_itself_is_said(keys: dict[str, Any], cure: str)
     table = pd.DataFrame(OFFSETS, columns=[f"offset_{k}" for k in range(1, 5)])
     table["left_m"], table["right_m"] = -OFFSETS[:, 1], OFFSETS[:, 2]
     table["frame_id"] = np.arange(N_FRAMES)
-    with pytest.warns(UserWarning, match=cure):
-        ego.run(table, n_lanes=3, columns=keys)
+    assert re.search(cure, " ".join(ego.run(table, n_lanes=3, columns=keys).notes))
 
 
 def test_lines_that_move_against_the_annotated_changes_are_said() -> None:
     drive = ego.simulate("quickstart", frames=3000)
     assert drive.truth is not None
-    assert sign_warning(drive.log, drive.truth) == []
+    lane = drive.truth["true_lane"].to_numpy()
+    assert sign_warning(drive.log, lane) == []
     mirrored = replace(drive.log, offset_m=-drive.log.offset_m)
-    (said,) = sign_warning(mirrored, drive.truth)
+    (said,) = sign_warning(mirrored, lane)
     assert "`columns: {left_positive: true}`" in said
     assert "or do the lane numbers count from the right?" in said
-    still = LaneTruth(drive.truth.frame_id, drive.truth.lane * 0 + 1, drive.truth.is_crossing)
-    assert sign_warning(mirrored, still) == []
+    assert sign_warning(mirrored, np.ones_like(lane)) == []
 
 
 def test_messages_on_standard_input_are_read_alike() -> None:
@@ -172,13 +171,14 @@ def test_messages_on_standard_input_are_read_alike() -> None:
     lanes = [[{"c0": -y, "ok": True} for y in offsets] for offsets in OFFSETS[:3].tolist()]
     lanes.append([])
     given = [json.dumps({"t": t / 10, "lanes": each}) for t, each in enumerate(lanes)]
-    answers = [*filter_stream(experiment, given)]
+    answers = [*online(experiment, read_messages(experiment, given))]
     assert [(a["frame_id"], a["time_s"]) for a in answers] == [(k, k / 10) for k in range(4)]
     usual = [
         {"time_s": t / 10, "lines": [{"offset_m": -one["c0"]} for one in each]}
         for t, each in enumerate(lanes)
     ]
-    same = filter_stream(ego.load_experiment("quickstart"), map(json.dumps, usual))
+    plain = ego.load_experiment("quickstart")
+    same = online(plain, read_messages(plain, map(json.dumps, usual)))
     assert [a["probability"] for a in same] == [a["probability"] for a in answers]
     with pytest.raises(InputError, match="message 1: is no JSON object"):
-        next(filter_stream(experiment, ["[1]"]))
+        next(read_messages(experiment, ["[1]"]))

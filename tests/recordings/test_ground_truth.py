@@ -6,12 +6,13 @@ import os
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
-from egolane_pgm.types import InputError, LaneTruth
+from egolane_pgm.types import InputError, check_lanes, lane_truth
 
 
 def write(path: Path, text: str) -> Path:
@@ -40,10 +41,10 @@ def refused(path: Path, **options: object) -> str:
 def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text: str) -> None:
     (tmp_path / "gt.txt").write_bytes(text.encode())
     truth = read_ground_truth(tmp_path / "gt.txt")
-    np.testing.assert_array_equal(truth.frame_id, [238, 239, 245])
-    np.testing.assert_array_equal(truth.lane, [4, 4, 3])
-    np.testing.assert_array_equal(truth.is_crossing, [False, True, False])
-    assert truth.source == str(tmp_path / "gt.txt")
+    np.testing.assert_array_equal(truth.index, [238, 239, 245])
+    np.testing.assert_array_equal(truth["true_lane"], [4, 4, 3])
+    np.testing.assert_array_equal(truth["is_crossing"], [False, True, False])
+    assert truth.attrs["source"] == str(tmp_path / "gt.txt")
 
 
 @pytest.mark.parametrize(
@@ -69,9 +70,9 @@ def test_files_without_rows_or_text_are_refused(tmp_path: Path) -> None:
 def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:
     path = write(tmp_path / "gt.txt", "1;1;0\n2;1;0\n9;2;0\n")
     truth = read_ground_truth(path, extra_rows=[(5, 2, 1), (0, 1, 0)])
-    np.testing.assert_array_equal(truth.frame_id, [0, 1, 2, 5, 9])
-    np.testing.assert_array_equal(truth.lane, [1, 1, 1, 2, 2])
-    np.testing.assert_array_equal(truth.is_crossing, [False, False, False, True, False])
+    np.testing.assert_array_equal(truth.index, [0, 1, 2, 5, 9])
+    np.testing.assert_array_equal(truth["true_lane"], [1, 1, 1, 2, 2])
+    np.testing.assert_array_equal(truth["is_crossing"], [False, False, False, True, False])
 
 
 @pytest.mark.parametrize(
@@ -100,16 +101,9 @@ def test_what_is_written_is_read_back(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "truth.txt"
     frames = np.array(sorted(rows), dtype=np.int64)
-    truth = LaneTruth(
-        frames,
-        np.array([rows[f][0] for f in frames], dtype=np.int64),
-        np.array([rows[f][1] for f in frames]),
-    )
+    truth = lane_truth(frames, [rows[f][0] for f in frames], [rows[f][1] for f in frames])
     write_ground_truth(path, truth)
-    again = read_ground_truth(path)
-    for name in ("frame_id", "lane", "is_crossing"):
-        np.testing.assert_array_equal(getattr(again, name), getattr(truth, name))
-        assert getattr(again, name).dtype == getattr(truth, name).dtype
+    pd.testing.assert_frame_equal(read_ground_truth(path), truth)
 
 
 def test_the_published_ground_truths_are_read() -> None:
@@ -117,9 +111,9 @@ def test_the_published_ground_truths_are_read() -> None:
         pytest.skip("the paper's ground truths: needs EGOLANE_DATA")
     folder = Path(os.environ["EGOLANE_DATA"]) / "rle"
     italy = read_ground_truth(folder / "GT-A4FULL.txt")
-    italy.check_lanes(4)
-    assert (int(italy.frame_id[0]), int(italy.frame_id[-1])) == (238, 10189)
+    check_lanes(italy, 4)
+    assert (italy.index[0], italy.index[-1]) == (238, 10189)
     spain = read_ground_truth(folder / "ISIS_01.txt", extra_rows=[(0, 1, 0)])
-    spain.check_lanes(3)
-    assert int(spain.frame_id[0]) == 0
-    assert int(italy.is_crossing.sum() + spain.is_crossing.sum()) == 4088
+    check_lanes(spain, 3)
+    assert spain.index[0] == 0
+    assert italy["is_crossing"].sum() + spain["is_crossing"].sum() == 4088

@@ -57,12 +57,12 @@ def test_times_are_the_column_and_say_the_rate() -> None:
 def test_lanes_that_are_missing_are_not_annotated() -> None:
     frame = pd.DataFrame({"lane": [2, None, 1], "crossing": [0, 1, 1]}, index=[7, 8, 9])
     truth = truth_of(frame.rename_axis("frame_id"))
-    assert truth.frame_id.tolist() == [7, 9]
-    assert truth.lane.tolist() == [2, 1]
-    assert truth.is_crossing.tolist() == [False, True]
-    assert truth_of(truth) is truth
+    assert truth.index.tolist() == [7, 9]
+    assert truth["true_lane"].tolist() == [2, 1]
+    assert truth["is_crossing"].tolist() == [False, True]
+    pd.testing.assert_frame_equal(truth_of(truth), truth)
     result = {"frame_id": [1], "lane": [2], "is_crossing": [True], "lri": ["x"]}
-    assert truth_of(pd.DataFrame(result)).is_crossing.all()
+    assert truth_of(pd.DataFrame(result))["is_crossing"].all()
 
 
 @pytest.mark.parametrize(

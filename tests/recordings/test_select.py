@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -14,7 +15,7 @@ from egolane_pgm.recordings.select import (
     recording_warnings,
     select_frames,
 )
-from egolane_pgm.types import InputError, LaneTruth, LineLog
+from egolane_pgm.types import InputError, LineLog, lane_truth
 
 
 def make_log(frames: list[int], n_lines: int = 3, seed: int = 0) -> LineLog:
@@ -32,11 +33,9 @@ def make_log(frames: list[int], n_lines: int = 3, seed: int = 0) -> LineLog:
     )
 
 
-def make_truth(frames: list[int]) -> LaneTruth:
+def make_truth(frames: list[int]) -> pd.DataFrame:
     n = len(frames)
-    return LaneTruth(
-        np.array(frames, dtype=np.int64), np.ones(n, dtype=np.int64), np.zeros(n, bool), "gt.txt"
-    )
+    return lane_truth(frames, np.ones(n), np.zeros(n), "gt.txt")
 
 
 frame_lists = st.lists(st.integers(-20, 60), min_size=1, max_size=30, unique=True).map(sorted)

@@ -1,4 +1,4 @@
-"""The reject option: answers below a probability become Unassigned, in scores, runs and online."""
+"""The reject option: answers below a probability become Unassigned, in scores and runs."""
 
 from __future__ import annotations
 
@@ -10,17 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.online import filter_stream
-from egolane_pgm.results import read_result
-from egolane_pgm.running import run_experiment
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
-from egolane_pgm.views.coverage import MARKED, coverage_curves, coverage_figure
-from tests.kits.drives import done, short_drive, write_drive
-from tests.kits.streams import messages
+from egolane_pgm.views.figures import MARKED, coverage_curves, coverage_figure
+from tests.kits.drives import run
 from tests.kits.tiny_result import a_result, without_truth
 
 BELIEF = np.array([[0.6, 0.4], [0.95, 0.05], [0.5, 0.5], [0.2, 0.8], [0.9, 0.1]])
@@ -81,36 +76,20 @@ def test_every_point_of_the_curve_is_what_the_reject_option_gives(
         assert np.isnan(accuracy)
 
 
-def test_a_run_rejects_the_models_answers_only_and_leaves_the_belief_alone(tmp_path: Path) -> None:
-    plain = run_experiment(write_drive(tmp_path / "a"))
-    careful = run_experiment(write_drive(tmp_path / "b", unassigned_below=0.9))
+def test_a_run_rejects_the_models_answers_only(drive: Path) -> None:
+    plain, careful = run(drive), run(drive, {"unassigned_below": 0.9})
     assert careful.scores["detector"] == plain.scores["detector"]
     before, after = plain.scores["model"], careful.scores["model"]
     assert after["coverage"] < before["coverage"]
     for key in ("log_loss", "brier", "expected_calibration_error"):
         assert after[key] == before[key]
-    rejected = assigned_lane(careful.beliefs.lane[careful.scored], 0.9)
+    rejected = assigned_lane(careful.node("Lane"), 0.9)
+    assert careful.frames["assigned_lane"].tolist() == rejected.tolist()
+    assert 0 < (rejected == 0).sum() < len(rejected)
     truth = careful.truth
     assert truth is not None
-    expected = scores_from_confusion(confusion(rejected, truth.lane, truth.is_crossing, 3))
-    assert after["accuracy"] == expected.accuracy
-
-
-def test_result_and_online_filter_say_unassigned_where_the_run_does(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, unassigned_below=0.9)
-    done("run", path, "--out", tmp_path / "out")
-    result = read_result(tmp_path / "out")
-    lane = result.assigned_lane
-    assert lane.tolist() == assigned_lane(result.marginals["Lane"], 0.9).tolist()
-    assert (lane == 0).any()
-    assert (lane > 0).any()
-    done("plot", tmp_path / "out")
-    assert (tmp_path / "out" / "figures" / "coverage.png").stat().st_size > 1000
-    log = short_drive().log
-    online = [
-        a["lane"] for a in filter_stream(load_experiment(path), messages(log.take(slice(0, 40))))
-    ]
-    assert online == lane[:40].tolist()
+    matrix = confusion(rejected, truth["true_lane"], truth["is_crossing"], 3)
+    assert after["accuracy"] == scores_from_confusion(matrix).accuracy
 
 
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:

@@ -25,7 +25,7 @@ from egolane_pgm.scoring.confusion import (
     recall,
     scores_from_confusion,
 )
-from egolane_pgm.tuning.objective import BELIEF_SCORES
+from egolane_pgm.studies.objective import BELIEF_SCORES
 from egolane_pgm.types import TIE_TOLERANCE
 
 PUBLISHED = Path(__file__).parents[2] / "experiments" / "paper" / "published.yaml"

@@ -1,4 +1,4 @@
-"""How right lane changes are told: against every possible matching, and by hand."""
+"""How right lane changes are detected: against every possible matching, and by hand."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import json
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -20,29 +21,30 @@ from egolane_pgm.scoring.events import (
     score_events,
 )
 from egolane_pgm.scoring.stability import lane_changes
-from egolane_pgm.types import LaneEvents, LaneTruth
+from egolane_pgm.types import lane_truth
 
 
-def events_at(*told: tuple[int, int, int]) -> LaneEvents:
-    """Events (frame told, lane left, lane entered)."""
-    frame, left, entered = np.array(told, dtype=np.int64).reshape(-1, 3).T
-    return LaneEvents(
-        frame,
-        frame / 10,
-        frame,
-        frame / 10,
-        left,
-        entered,
-        np.sign(entered - left),
-        np.ones(len(frame)),
+def events_at(*detected: tuple[int, int, int]) -> pd.DataFrame:
+    """Events (frame in which it is reported, lane left, lane entered)."""
+    frame, left, entered = np.array(detected, dtype=np.int64).reshape(-1, 3).T
+    return pd.DataFrame(
+        {
+            "frame_id": frame,
+            "time_s": frame / 10,
+            "from_lane": left,
+            "to_lane": entered,
+            "direction": np.sign(entered - left),
+            "detected_frame_id": frame,
+            "detected_time_s": frame / 10,
+        }
     )
 
 
-def truth_of(lanes: str, crossing: str, first: int = 0) -> LaneTruth:
+def truth_of(lanes: str, crossing: str, first: int = 0) -> pd.DataFrame:
     """A character per frame: the lane, and x where it is crossing."""
     frame_id = np.arange(first, first + len(lanes))
     lane, flag = np.array([int(c) for c in lanes]), np.array([c == "x" for c in crossing])
-    return LaneTruth(frame_id, lane, flag)
+    return lane_truth(frame_id, lane, flag)
 
 
 #: Crossing in frames 100 to 119, the label changes in frame 110; lane 2 from frame 120 on.
@@ -73,7 +75,7 @@ def test_an_event_is_right_inside_the_crossing_and_a_tolerance_around_it(
     assert list(scores["within"]) == ["0.5", "1", "2"]
     for found in scores["within"].values():
         assert found["right"] + found["missed"] == scores["changes"] == 1
-        assert found["right"] + found["false"] == scores["told"] == 1
+        assert found["right"] + found["false"] == scores["detected"] == 1
 
 
 def test_the_delay_is_counted_from_the_end_of_the_crossing() -> None:
@@ -110,13 +112,13 @@ def test_nothing_is_false_where_the_truth_does_not_speak() -> None:
     # Frames before 1000 are not annotated; the truth begins and ends in a crossing.
     truth = truth_of("1" * 40, "x" * 10 + "." * 20 + "x" * 10, first=1000)
     told = events_at((5, 1, 2), (1004, 2, 1), (1035, 1, 2))
-    assert score_events(told, truth, 10.0)["told"] == 0
+    assert score_events(told, truth, 10.0)["detected"] == 0
     assert score_events(events_at((1015, 1, 2)), truth, 10.0)["within"]["2"]["false"] == 1
     # Nor between them, where rows are missing.
     holed = ONE.take(np.r_[0:20, 60:200])
-    assert score_events(events_at((40, 1, 2), (70, 1, 2)), holed, 10.0)["told"] == 1
+    assert score_events(events_at((40, 1, 2), (70, 1, 2)), holed, 10.0)["detected"] == 1
     nothing = truth_of("111", "xxx")
-    assert score_events(events_at((1, 1, 2)), nothing, 10.0)["told"] == 0
+    assert score_events(events_at((1, 1, 2)), nothing, 10.0)["detected"] == 0
 
 
 def test_of_two_events_for_one_change_one_is_false() -> None:
@@ -132,7 +134,7 @@ def test_an_event_takes_the_change_that_leaves_the_other_to_the_next_event() -> 
 
 
 @st.composite
-def drives(draw: st.DrawFn) -> tuple[LaneEvents, LaneTruth]:
+def drives(draw: st.DrawFn) -> tuple[pd.DataFrame, pd.DataFrame]:
     """A truth of a few changes, flagged or not, and a few events near them."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     n_lanes = draw(st.integers(1, 3))
@@ -143,7 +145,7 @@ def drives(draw: st.DrawFn) -> tuple[LaneEvents, LaneTruth]:
     frame_id = np.cumsum(rng.integers(1, 3, size))
     told = np.sort(rng.choice(130, draw(st.integers(0, 6)), replace=False))
     lanes = [(int(f), *map(int, rng.permutation(max(n_lanes, 2))[:2] + 1)) for f in told]
-    return events_at(*lanes), LaneTruth(frame_id, lane, crossing)
+    return events_at(*lanes), lane_truth(frame_id, lane, crossing)
 
 
 def most_pairs(fits: list[list[bool]]) -> int:
@@ -161,16 +163,17 @@ def most_pairs(fits: list[list[bool]]) -> int:
 @settings(deadline=None)
 @given(drives(), st.sampled_from([*TOLERANCES_S, 0.0]), st.sampled_from([5.0, 10.0]))
 def test_no_other_matching_has_more_pairs(
-    drive: tuple[LaneEvents, LaneTruth], tolerance: float, rate: float
+    drive: tuple[pd.DataFrame, pd.DataFrame], tolerance: float, rate: float
 ) -> None:
     events, truth = drive
-    changes = lane_changes(truth.lane, truth.is_crossing)
+    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
+    ids = truth.index.to_numpy()
     fits = [
         [
             bool(
-                truth.frame_id[changes.start[c]] - tolerance * rate
-                <= events.told_frame_id[e]
-                <= truth.frame_id[changes.end[c]] + tolerance * rate
+                ids[changes.start[c]] - tolerance * rate
+                <= events["detected_frame_id"][e]
+                <= ids[changes.end[c]] + tolerance * rate
                 and events.from_lane[e] == changes.from_lane[c]
                 and events.to_lane[e] == changes.to_lane[c]
             )
@@ -187,7 +190,7 @@ def test_no_other_matching_has_more_pairs(
 @settings(deadline=None)
 @given(drives())
 def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
-    drive: tuple[LaneEvents, LaneTruth],
+    drive: tuple[pd.DataFrame, pd.DataFrame],
 ) -> None:
     events, truth = drive
     scores = event_scores(events, np.linspace(0, 1, len(truth)), truth, 10.0)
@@ -202,7 +205,7 @@ def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
 # --- early warning -------------------------------------------------------------------------------
 
 
-def warned(truth: LaneTruth, *frames: int) -> dict[str, Any]:
+def warned(truth: pd.DataFrame, *frames: int) -> dict[str, Any]:
     crossing = np.zeros(len(truth))
     crossing[list(frames)] = 0.5
     return score_crossing(crossing, truth, 10.0)
@@ -244,7 +247,7 @@ def test_a_change_without_crossing_frames_is_warned_of_in_its_first_row() -> Non
 
 
 def test_a_probability_that_is_the_flag_has_no_error() -> None:
-    found = score_crossing(ONE.is_crossing.astype(float), ONE, 10.0)
+    found = score_crossing(ONE["is_crossing"].astype(float), ONE, 10.0)
     assert (found["auc"], found["precision"], found["recall"]) == (1.0, 1.0, 1.0)
     assert score_crossing(np.zeros(200), ONE, 10.0)["precision"] is None
     assert event_scores(events_at(), None, ONE, 10.0)["crossing"] is None

@@ -13,7 +13,7 @@ from egolane_pgm.inference.events import lane_events
 from egolane_pgm.scoring.events import score_crossing, score_events
 from egolane_pgm.scoring.probabilistic import SMALLEST_PROBABILITY
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.types import Beliefs, LaneTruth
+from egolane_pgm.types import Beliefs, lane_truth
 
 #: What a lane may have; the last one gets the rest.
 SHARES = (0.0, 5e-324, 1e-300, 1e-16, 1.0)
@@ -29,7 +29,7 @@ def test_sure_beliefs_have_plain_scores(n_lanes: int, n_frames: int, seed: int) 
     true = np.repeat(rng.integers(1, n_lanes + 1, -(-n_frames // 20)), 20)[:n_frames]
     is_crossing = rng.random(n_frames) < 0.2
     ids = np.arange(n_frames)
-    truth = LaneTruth(ids, true, is_crossing)
+    truth = lane_truth(ids, true, is_crossing)
     beliefs = Beliefs(ids, {"Lane": lane}, np.zeros(n_frames), np.zeros(n_frames, dtype=bool))
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -202,8 +202,8 @@ def test_the_counting_rule_is_right_as_often_as_on_the_road_and_less_in_failures
     values = resolve_parameters(counting.PARAMETERS, {"bonus_value": 7}, drive.n_lanes)
     tentative = counting.evidence(drive.log, drive.n_lanes, values)
     lane = assign.assigned_lane(tentative.likelihoods["DetectorOutput"])
-    scored = ~drive.truth.is_crossing
-    is_right = lane == drive.truth.lane
+    scored = ~drive.truth["is_crossing"].to_numpy()
+    is_right = lane == drive.truth["true_lane"].to_numpy()
     assert lowest < is_right[scored].mean() < highest
     ok, bad = (is_right[scored & f].mean() for f in (~drive.is_failing, drive.is_failing))
     assert bad < ok - 0.15
@@ -218,19 +218,21 @@ def test_presets_have_the_length_and_the_lane_changes_they_promise(
 ) -> None:
     drive = simulate(preset)
     assert (drive.n_lanes, len(drive)) == (n_lanes, frames)
-    assert np.count_nonzero(np.diff(drive.truth.lane)) == changes
-    assert np.median(stretches(drive.truth.is_crossing)) == pytest.approx(crossing, rel=0.06)
-    np.testing.assert_array_equal(drive.log.frame_id, drive.truth.frame_id)
+    assert np.count_nonzero(np.diff(drive.truth["true_lane"].to_numpy())) == changes
+    assert np.median(stretches(drive.truth["is_crossing"].to_numpy())) == pytest.approx(
+        crossing, rel=0.06
+    )
+    np.testing.assert_array_equal(drive.log.frame_id, drive.truth.index)
     np.testing.assert_allclose(drive.log.time_s, drive.log.frame_id / 10)
 
 
 def test_frames_and_lanes_and_any_field_can_be_overridden() -> None:
     drive = simulate("a4", 0, frames=600, n_lanes=2, label_flips_at=0.65)
     assert (len(drive), drive.n_lanes) == (600, 2)
-    assert set(drive.truth.lane) == {1, 2}
+    assert set(drive.truth["true_lane"].to_numpy()) == {1, 2}
     assert len(simulate("a4", 0, frames=1)) == 1
     assert len(simulate("a2", 0, n_frames=300.0)) == 300
-    assert set(simulate("quickstart", 0, n_lanes=1).truth.lane) == {1}
+    assert set(simulate("quickstart", 0, n_lanes=1).truth["true_lane"]) == {1}
 
 
 @pytest.mark.parametrize(

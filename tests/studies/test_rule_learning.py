@@ -1,36 +1,29 @@
-"""Learning from labelled frames: EM of the line geometry, and what is held out."""
+"""Parameters of evidence rules learned from labelled frames: EM of the line geometry."""
 
 from __future__ import annotations
 
-import functools
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from egolane_pgm.drive import Drive, Recorded, load_recording
-from egolane_pgm.held_out import held_out_result
-from egolane_pgm.learning import fit
 
+from egolane_pgm.drives import Drive
+from egolane_pgm.evidence import line_geometry as line_geometry_rule
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
-from egolane_pgm.experiment import load_experiment
-from egolane_pgm.model import Model, prepare_model
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.tools.files import plain
-from egolane_pgm.types import FloatArray, IntArray, LaneTruth
+from egolane_pgm.studies.fits import apply_fit, fit_learn, fit_rule
+from egolane_pgm.types import FloatArray, InputError, IntArray
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, refused, write_drive
+from tests.kits.drives import geometry, write_drive
+from tests.kits.studies import drive_of, scrambled
 
 W = 3.6
-GEOMETRY: dict[str, Any] = {
-    "evidence": "line_geometry",
-    "graph": "position_in_lane",
-    "filter": "exact",
-}
 
 
 def resolved(n_lanes: int = 3, **given: object) -> Parameters:
@@ -127,112 +120,94 @@ def test_a_lane_without_a_frame_keeps_the_first_guess() -> None:
         assert all(np.isfinite(getattr(found, f)).all() for f in ("rates", "sigma_m", "clutter"))
 
 
-# --- experiments ---------------------------------------------------------------------------------
+# --- fits ----------------------------------------------------------------------------------------
 
 
-@functools.cache
-def prepared(folder: Path, **changes: Any) -> tuple[Any, Model, Recorded]:
-    experiment = load_experiment(write_drive(folder, 600, **GEOMETRY, **changes))
-    return experiment, prepare_model(experiment), load_recording(experiment)
+def drive(**keys: Any) -> Drive:
+    return drive_of(geometry(**keys))
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return tmp_path_factory.mktemp("drive")
-
-
-@needs_compiler
-def test_only_the_labels_of_the_training_frames_are_looked_at(folder: Path) -> None:
-    experiment, model, recorded = prepared(folder)
-    truth = recorded.truth
-    assert truth is not None
-    train = np.flatnonzero(np.arange(len(truth)) < 300)
-    other_lane = np.where(np.arange(len(truth)) < 300, truth.lane, 4 - truth.lane)
-    lane = np.where(truth.is_crossing, 4 - other_lane, other_lane)
-    changed = Recorded(
-        recorded.log,
-        LaneTruth(truth.frame_id, lane, truth.is_crossing),
-        recorded.scored,
-        (),
-        (),
-    )
+def learned(one: Drive, train: Any = None) -> Any:
+    train = np.arange(len(one)) if train is None else np.asarray(train)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert fit(Drive(experiment, model, recorded), train) == fit(
-            Drive(experiment, model, changed), train
-        )
-        assert fit(Drive(experiment, model, recorded), train) != fit(
-            Drive(experiment, model, recorded), np.arange(len(truth))
-        )
+        return fit_learn([one.mask_labels(train)], [train], None)
 
 
 @needs_compiler
-def test_learning_on_frames_without_some_lane_warns_and_keeps_its_prior(folder: Path) -> None:
-    experiment, model, recorded = prepared(folder)
-    assert recorded.truth is not None
-    lane = recorded.truth.lane
-    some = np.flatnonzero((lane != 3) & ~recorded.truth.is_crossing)
-    with pytest.warns(UserWarning, match="no frame to learn from has lane 3"):
-        found = fit(Drive(experiment, model, recorded), some)
-    rates = np.reshape(found["rates"], (3, 6))
-    generic = line_model(3, model.parameters).rates
-    np.testing.assert_allclose(rates[2], generic[2])
+def test_only_the_labels_of_the_training_frames_are_used() -> None:
+    one, train = drive(), np.arange(600)
+    others = np.union1d(np.arange(600, len(one)), np.flatnonzero(one.is_crossing[one.rows]))
+    assert learned(scrambled(one, others), train) == learned(one, train)
+    assert learned(scrambled(one, train), train) != learned(one, train) != learned(one)
+
+
+@needs_compiler
+def test_learning_on_frames_without_some_lane_warns_and_keeps_its_prior() -> None:
+    one = drive()
+    some = np.flatnonzero((one.true_lane[one.rows] != 4) & ~one.is_crossing[one.rows])
+    with pytest.warns(UserWarning, match="no frame to learn from has lane 4"):
+        found = fit_rule([one], [some])
+    rates = np.reshape(found["rates"], (4, 7))
+    generic = line_model(4, one.model.parameters).rates
+    np.testing.assert_allclose(rates[3], generic[3])
     assert np.abs(rates[0] - generic[0]).max() > 1e-3
 
 
 @needs_compiler
-def test_what_is_held_out_is_believed_with_parameters_of_the_other_blocks(folder: Path) -> None:
-    experiment, model, recorded = prepared(folder)
-    assert recorded.truth is not None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        drive = Drive(experiment.model_copy(update={"fit": "learn"}), model, recorded)
-        result = held_out_result(drive, n_blocks=3)
-        found = fit(drive, np.flatnonzero(result.block != 0))
-        assert result.run["parameters_per_block"][0] == plain(found)
-    assert result.scores["model"]["accuracy"] > 0.9
+def test_learning_again_from_what_was_learned_gives_the_same() -> None:
+    """The start is generic whatever the experiment holds, else blocks would leak."""
+    one = drive()
+    found = learned(one)
+    assert learned(replace(one, model=apply_fit(one.model, found))) == found
 
 
 @needs_compiler
-def test_learning_again_from_what_was_learned_gives_the_same(folder: Path) -> None:
-    """The first guess is generic whatever the experiment holds, else blocks would leak."""
-    experiment, model, recorded = prepared(folder)
-    assert recorded.truth is not None
-    everything = np.arange(len(recorded.truth))
+def test_pooled_parts_of_a_recording_come_to_the_whole() -> None:
+    one = drive()
+    whole, parts = learned(one), np.array_split(np.arange(len(one)), 2)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = fit(Drive(experiment, model, recorded), everything)
-        again = experiment.model_copy(update={"parameters": found})
-        again._source, again._folder = experiment.source, experiment.folder
-        assert fit(Drive(again, prepare_model(again), recorded), everything) == found
+        pooled = fit_rule([one, one], parts)
+    for name, value in whole.items():
+        np.testing.assert_allclose(np.asarray(pooled[name]), np.asarray(value), rtol=1e-6)
 
 
 @needs_compiler
-def test_the_learned_experiment_can_be_run_and_says_what_it_has_seen(tmp_path: Path) -> None:
-    write_drive(tmp_path, 600, **GEOMETRY)
-    out = tmp_path / "learned_drive.yaml"
-    said = done("learn", tmp_path / "experiment.yaml", "--out", out, "--blocks", "3").output
-    assert "held out, 3 blocks:" in said
-    assert "accuracy" in said
-    content = yaml.safe_load(out.read_text())
-    assert content["name"] == "learned_drive"
-    assert content["tuned_on"] == "same_frames"
-    assert np.shape(content["parameters"]["rates"]) == (3, 6)
-    said = done("run", out, "--no-figures", "--out", tmp_path / "result").output
-    assert "in-sample" in said
-    # On another road the numbers of lanes must fit.
-    said = refused(
-        "run", out, "--recording", tmp_path / "lines.csv", "--n-lanes", "4", "--out", tmp_path / "r"
+@pytest.mark.filterwarnings("ignore:.*no frame to learn from:UserWarning")
+def test_detectors_with_other_metres_are_pooled_in_lane_widths() -> None:
+    """The same drive, of which another detector reports longer metres and lacks seven frames."""
+    first = drive()
+    kept = slice(7, None)
+    log = first.log.take(kept)
+    other = replace(
+        first,
+        log=replace(log, offset_m=log.offset_m * 1.1),
+        true_lane=first.true_lane[kept],
+        is_crossing=first.is_crossing[kept],
     )
-    assert "parameters.rates: " in said
+    train = [np.arange(len(each)) for each in (first, other)]
+    alone, pooled = fit_rule([first], train[:1]), fit_rule([first, other], train)
+    assert pooled["fallback_width_m"] == alone["fallback_width_m"]
+    np.testing.assert_allclose(np.asarray(pooled["sigmas_m"]), alone["sigmas_m"], atol=0.02)
 
 
-def test_learning_needs_ground_truth(tmp_path: Path) -> None:
-    said = refused("learn", write_drive(tmp_path, **GEOMETRY, ground_truth=None))
-    assert said.endswith("ground_truth: is missing, learning needs it")
+def test_a_rule_that_learns_from_one_recording_cannot_be_pooled(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delattr(line_geometry_rule, "fit_pooled")
+    with pytest.raises(InputError, match="it has no fit_pooled"):
+        fit_rule([drive()] * 2, [np.arange(9)] * 2)
 
 
-def test_settings_for_tables_are_refused_where_the_rule_learns(tmp_path: Path) -> None:
-    said = refused("learn", write_drive(tmp_path, **GEOMETRY), "--set", "learning.labels=false")
-    assert "learning: is about the tables of a graph" in said
-    assert "line_geometry learns its own parameters, from labels" in said
+def test_a_rule_that_learns_what_it_does_not_name_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "rule.py").write_text(
+        "from egolane_pgm.evidence import counting\n"
+        "PARAMETERS, PROVIDES = counting.PARAMETERS, counting.PROVIDES\n"
+        "evidence, LEARNED = counting.evidence, ('bonus_value',)\n"
+        "def fit(log, lane, is_used, n_lanes, parameters):\n"
+        "    return {'bonus_value': 2.0, 'max_lri': 7.0}\n"
+    )
+    one = drive_of(load_experiment(write_drive(tmp_path, 60, evidence="./rule.py")))
+    with pytest.raises(InputError, match=r"fit\(\) returned max_lri, not one of LEARNED"):
+        learned(one)

@@ -1,97 +1,308 @@
-"""Searches from end to end: what they say of themselves, and that they go on."""
+"""Studies from end to end: held-out labels change nothing, and an interrupted search goes on."""
 
 from __future__ import annotations
 
+import json
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import optuna
+import pandas as pd
 import pytest
-from egolane_pgm.tuning import study as studies
-from egolane_pgm.tuning.plan import Plan, with_options
-from egolane_pgm.tuning.study import Search, prepare
-from egolane_pgm.tuning.task import task_of
-from tests.kits.tuning_kit import plan
+import yaml
+from pandas.testing import assert_frame_equal
 
+from egolane_pgm.drives import Drive
+from egolane_pgm.experiment import Tuning
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import with_parameters
+from egolane_pgm.result import Result, is_result, load_result
+from egolane_pgm.runs import open_input, run_input
+from egolane_pgm.studies import fits
+from egolane_pgm.studies.study import (
+    Study,
+    block_folds,
+    group_folds,
+    is_study,
+    run_held_out,
+    run_study,
+)
 from egolane_pgm.types import InputError
+from tests.conftest import needs_compiler
+from tests.kits.drives import contents, geometry, run, simulated, write_drive, write_experiment
+from tests.kits.studies import drive_of, scrambled, two_drives, with_labels
+
+pytestmark = needs_compiler
+
+FEW = {"trials": 12}
+FITS = pytest.mark.parametrize(
+    "keys",
+    [{"fit": "learn"}, {"fit": "tune", "tuning": FEW}],
+    ids=["tables", "tune"],
+)
 
 
-@pytest.fixture
-def searched() -> Plan:
-    return plan(trials=35, never_fit=((1100, None),))
+@pytest.fixture(autouse=True)
+def _some_blocks_lack_a_lane() -> Iterator[None]:
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "(?s).*no frame to learn from has lane", UserWarning)
+        yield
 
 
-def tuned(made: Search, **options: Any) -> dict[str, Any]:
-    [document] = studies.tune([made], **options)
-    return document
+def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any) -> Study:
+    tuning = Tuning(trials=trials, **options.pop("tuning", {}))
+    return run_study(drives, "tune", list(folds), tuning=tuning, **options)
 
 
-def test_a_study_reports_in_sample_and_held_out_and_marks_them(
-    searched: Plan, tmp_path: Path
+# --- held out ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        simulated(fit="learn"),
+        simulated(fit="learn", learning={"labels": False}),
+        geometry(fit="learn"),
+        simulated(fit="tune", tuning=FEW),
+        simulated(fit="tune", tuning={**FEW, "objective": ["log_loss", "delay"]}),
+    ],
+    ids=["tables", "evidence", "rule", "tune", "front"],
+)
+def test_poisoned_labels_of_a_block_change_nothing_of_what_is_inferred_in_it(
+    experiment: Any,
 ) -> None:
-    document = tuned(prepare(searched, tmp_path))
-    assert document["in_sample"]["tuned_on"] == "same_frames"
-    assert document["held_out"]["tuned_on"] == "other_frames"
-    [(score, best)] = document["best"]["values"].items()
-    assert document["in_sample"]["all_frames"][score] == pytest.approx(best)
-    subsets = document["in_sample"].keys() - {"tuned_on"}
-    assert "without_never_fit" in subsets
-    for subset in subsets:
-        inside, outside = document["in_sample"][subset], document["held_out"][subset]
-        lost = document["difference"][subset][score]
-        assert lost == pytest.approx(inside[score] - outside[score])
-        low, high = inside["intervals"][score] or (0, 1)
-        assert low <= inside[score] <= high
-    scored = [document["held_out"][k]["frames_scored"] for k in sorted(subsets)]
-    assert scored == sorted(set(scored), reverse=True)
+    drive = drive_of(experiment)
+    folds = block_folds([drive])
+    block = folds[2].test[0]
+    before = run_held_out([drive])
+    for seed in (1, 2):
+        after = run_held_out([scrambled(drive, block, seed)])
+        ours, theirs = (each.frames[each.frames["block"] == 2] for each in (before, after))
+        truth = ["true_lane", "is_crossing"]
+        assert_frame_equal(ours.drop(columns=truth), theirs.drop(columns=truth))
+        assert before.run["fitted"][2] == after.run["fitted"][2]
+    if experiment.learning is None and experiment.tuning is None:
+        # The other folds see them.
+        assert before.run["fitted"] != after.run["fitted"]
+    assert (before.run["tuned_on"], before.run["blocks"]) == ("other_frames", 5)
+    for b, fold in enumerate(folds):
+        assert np.flatnonzero(before.frames["block"] == b).tolist() == fold.test[0].tolist()
 
 
-def test_processes_find_the_same_as_one(searched: Plan, tmp_path: Path) -> None:
-    one, two = (tuned(prepare(searched, tmp_path / str(jobs)), jobs=jobs) for jobs in (1, 2))
-    for key in ("in_sample", "held_out", "difference"):
-        assert one[key] == two[key]
-    assert one["best"]["point"] == two["best"]["point"]
+@FITS
+def test_untrusted_labels_are_never_fitted_and_scored_apart(keys: dict[str, Any]) -> None:
+    tuning = {**keys.get("tuning", {}), "never_fit": {"from_frame": 1000}}
+    drive = drive_of(simulated(**{**keys, "tuning": tuning}))
+    untrusted = np.flatnonzero(~drive.is_trusted)
+    before, after = (run_held_out([each]) for each in (drive, scrambled(drive, untrusted)))
+    np.testing.assert_array_equal(before.node("Lane"), after.node("Lane"))
+    crossing = drive.is_crossing[drive.rows]
+    scores, everywhere = before.scores["model"], before.scores["model_all_frames"]
+    assert scores["frames_scored"] == np.count_nonzero(~crossing[drive.is_trusted])
+    assert scores == after.scores["model"]
+    assert everywhere["frames_scored"] == np.count_nonzero(~crossing)
+    assert everywhere != after.scores["model_all_frames"]
 
 
-def test_workers_share_a_study_and_one_process_may_go_on_with_it(
-    searched: Plan, tmp_path: Path
+@pytest.mark.parametrize("method", ["learn", "tune"])
+def test_a_whole_drive_is_held_out_without_being_seen(method: str) -> None:
+    drives = two_drives()
+    folds = group_folds(drives, ["a", "b"])
+    poisoned = [drives[0], scrambled(drives[1], np.arange(len(drives[1])))]
+    found = []
+    for given in (drives, poisoned):
+        study = run_study(given, method, folds, tuning=Tuning(trials=8))
+        assert study.held_out is not None
+        found.append(study)
+    one, other = (study.held_out for study in found)
+    assert one is not None
+    assert other is not None
+    assert one.run["fitted"][1] == other.run["fitted"][1]
+    ours, theirs = (each.frames[each.frames["block"] == 1] for each in (one, other))
+    assert ours["drive"].unique().tolist() == ["d1"]
+    np.testing.assert_array_equal(ours["assigned_lane"], theirs["assigned_lane"])
+    assert one.run["fitted"][0] != other.run["fitted"][0]
+    each = found[0].scores_by_drive()
+    assert [*each] == ["d0", "d1"]
+    lone = one.frames[one.frames["drive"] == "d1"]
+    right = lone["assigned_lane"] == lone["true_lane"]
+    crossing = lone["is_crossing"].to_numpy(dtype=bool)
+    assert each["d1"]["model"]["accuracy"] == pytest.approx(right[~crossing].mean())
+
+
+def test_values_of_the_experiment_are_not_told_to_a_study_of_a_fold() -> None:
+    drive = drive_of(simulated())
+    other = {**drive.model.parameters, "sigma1": 0.123, "p1": 0.321}
+    changed = replace(drive, model=with_parameters(drive.model, other))
+    first, second = (tuned([each], block_folds([drive], 3)) for each in (drive, changed))
+    assert first.held_out is not None
+    assert second.held_out is not None
+    assert first.held_out.run["fitted"] == second.held_out.run["fitted"]
+    # The study on everything tries them first.
+    assert second.trials["sigma1"][0] == 0.123
+    assert first.trials["sigma1"][0] == drive.model.parameters["sigma1"]
+    scratch = tuned([drive], tuning={"from_scratch": True})
+    assert scratch.trials["sigma1"][0] != drive.model.parameters["sigma1"]
+
+
+def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, 600, fit="learn")
+    found = run_input(open_input(path), n_blocks=3)
+    again = load_result(found.save(tmp_path / "out"))
+    assert_frame_equal(again.frames, found.frames)
+    assert (again.run, again.scores) == (found.run, found.scores)
+    # Its experiment can be run and learned from again; the fit is that of the run.
+    assert run(again).scores["model"] == run(path).scores["model"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"fit": "learn"}, "ground_truth: is missing, learning needs it"),
+        ({"fit": "tune"}, "ground_truth: is missing, a search needs it"),
+        ({"filter": "smoothed", "decode": "viterbi"}, "decode: viterbi is for `egolane run`; fits"),
+    ],
+)
+def test_what_cannot_be_held_out_is_refused(
+    tmp_path: Path, changes: dict[str, Any], said: str
 ) -> None:
-    many = prepare(with_options(searched, {"trials": 20}), tmp_path, "none")
-    more = prepare(with_options(searched, {"trials": 24}), tmp_path, "none")
-    # Each worker finishes what it is at when the total is reached.
-    assert 20 <= tuned(many, workers=2)["best"]["trials"] <= 21
-    assert tuned(more)["best"]["trials"] == 24
+    path = write_drive(tmp_path, 60, ground_truth=None)
+    with pytest.raises(InputError, match=said):
+        run_input(open_input(path, overrides=changes), n_blocks=3)
 
 
-def test_nested_studies_that_are_done_are_not_run_again(
-    searched: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+# --- searches ------------------------------------------------------------------------------------
+
+
+def test_a_study_has_in_sample_and_held_out_scores_and_is_saved(tmp_path: Path) -> None:
+    drive = drive_of(simulated(tuning={"never_fit": {"from_frame": 1100}}))
+    out = tmp_path / "out"
+    study = tuned([drive], block_folds([drive], 3), trials=20, directory=out)
+    assert study.held_out is not None
+    assert study.in_sample.run["tuned_on"] == "same_frames"
+    assert study.held_out.run["tuned_on"] == "other_frames"
+    assert len(study.trials) == 20
+    best = study.trials["accuracy"].max()
+    assert study.in_sample.scores["model"]["accuracy"] >= 0.9 * best
+    # The best trial, run alone over the trusted frames, has its score.
+    frames = study.in_sample.frames[drive.is_trusted]
+    counted = ~frames["is_crossing"].to_numpy(dtype=bool)
+    right = (frames["assigned_lane"] == frames["true_lane"]).to_numpy(dtype=bool)
+    assert right[counted].mean() == pytest.approx(best)
+    # What is kept.
+    assert is_study(out)
+    assert not is_result(out)
+    document = json.loads((out / "study.json").read_text())
+    assert document["fitted"] == dict(study.fitted)
+    assert document["held_out"] == study.held_out.scores
+    assert document["folds"] == study.held_out.run["fitted"]
+    assert_frame_equal(pd.read_parquet(out / "trials.parquet"), study.trials)
+    assert_frame_equal(load_result(out / "held_out").frames, study.held_out.frames)
+    content = yaml.safe_load((out / "best.yaml").read_text())
+    assert (content["name"], content["tuned_on"]) == ("a_tuned", "same_frames")
+    again = run(out / "best.yaml")
+    np.testing.assert_array_equal(again.node("Lane"), study.in_sample.node("Lane"))
+    optuna.load_study(study_name="a", storage=_journal(out))
+    assert study.experiments == [drive.experiment]
+
+
+def _journal(out: Path) -> Any:
+    from egolane_pgm.studies.storage import open_storage
+
+    return open_storage(str(out / "study.journal"))
+
+
+def test_six_trials_and_six_more_are_the_twelve(tmp_path: Path) -> None:
+    drive = drive_of(simulated())
+    folds = block_folds([drive], 2)
+    whole = tuned([drive], folds, trials=12)
+    for trials in (6, 12):
+        parts = tuned([drive], folds, trials=trials, directory=tmp_path / "out")
+    assert_frame_equal(parts.trials, whole.trials)
+    assert parts.held_out is not None
+    assert whole.held_out is not None
+    assert parts.held_out.run["fitted"] == whole.held_out.run["fitted"]
+    assert parts.fitted == whole.fitted
+
+
+def test_trials_that_are_done_are_not_run_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ran = []
-    original, last = studies.search_without, searched.tuning.blocks - 1
+    drive = drive_of(simulated())
+    study = tuned([drive], trials=6, directory=tmp_path / "out")
 
-    def counted(space: Any, score: Any, settings: Any, part: int, **options: Any) -> Any:
-        ran.append(part)
-        if part == last and ran.count(last) == 1:
-            raise KeyboardInterrupt
-        return original(space, score, settings, part, **options)
+    def never(*_: Any, **__: Any) -> Any:
+        raise AssertionError("no trial was asked for")
 
-    monkeypatch.setattr(studies, "search_without", counted)
-    with pytest.raises(KeyboardInterrupt):
-        tuned(prepare(searched, tmp_path))
-    tuned(prepare(searched, tmp_path))
-    assert ran == [*range(last + 1), last]
+    monkeypatch.setattr(fits, "scores_of", never)
+    again = tuned([drive], trials=6, directory=tmp_path / "out")
+    assert again.fitted == study.fitted
 
 
-def test_another_search_in_the_same_place_is_refused_and_nothing_changed(
-    searched: Plan, tmp_path: Path
-) -> None:
-    tuned(prepare(searched, tmp_path, "none"))
-    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
-    key = task_of(searched, "none").space.keys[-1]
-    for options, said in (
-        ({"seed": 5}, "seed: 0, now 5"),
-        ({"parameters": {key: [0.1, 0.2]}}, key),
+def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:
+    drive, out = drive_of(simulated()), tmp_path / "out"
+    tuned([drive], directory=out)
+    before = contents(out)
+    all_other = with_labels(drive, np.arange(5), 1)
+    for given, tuning, said in (
+        (drive, {"seed": 5}, "seed: 0, now 5"),
+        (drive, {"objective": "f1"}, "objective"),
+        (drive, {"parameters": {"sigma1": [0.1, 0.2]}}, "sigma1"),
+        (scrambled(all_other, np.arange(500)), {}, "data"),
     ):
-        with pytest.raises(InputError, match="holds another study of this name") as caught:
-            prepare(with_options(searched, options), tmp_path, "none")
+        with pytest.raises(InputError, match="the storage holds another study of this") as caught:
+            tuned([given], tuning=tuning, directory=out)
         assert said in str(caught.value)
-    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    # Optuna's journal has a line for each time that it is opened.
+    assert tuned([drive], directory=out).trials["accuracy"].size == 6
+    assert contents(out).keys() == before.keys()
+    result = run(simulated()).save(tmp_path / "result")
+    with pytest.raises(InputError, match="is a result directory; name another one"):
+        tuned([drive], directory=result)
+
+
+def test_processes_find_the_same_as_one() -> None:
+    drive = drive_of(simulated())
+    one, two = (tuned([drive], block_folds([drive], 2), jobs=jobs) for jobs in (1, 2))
+    assert one.fitted == two.fitted
+    assert one.held_out is not None
+    assert two.held_out is not None
+    assert one.held_out.run["fitted"] == two.held_out.run["fitted"]
+    assert_frame_equal(one.trials, two.trials)
+
+
+# --- detectors -----------------------------------------------------------------------------------
+
+
+def test_each_trial_detects_with_its_own_parameters(tmp_path: Path) -> None:
+    from tests.kits.drives import done
+
+    bounds = {"detector.least_rise": [2, 60], "detector.least_score": [0.1, 0.99]}
+    done("simulate", "a4", "--images", "--frames", "12", "--out", tmp_path / "drive")
+    path = write_experiment(
+        tmp_path / "drive" / "pictures.yaml",
+        name="seen",
+        recording={"path": "images", "camera": "camera.yaml", "detector": "ml"},
+        n_lanes=4,
+        tuning={"search": ["detector"], "objective": "log_loss", "parameters": bounds},
+    )
+    drive = drive_of(load_experiment(path))
+    tuning = {"search": ("detector",), "objective": "log_loss", "parameters": bounds}
+    study = tuned([drive], trials=3, tuning=tuning)
+    names = ["least_rise", "least_score"]
+    assert study.trials["log_loss"].nunique() > 1
+    for _, row in study.trials.iterrows():
+        values = {f"recording.detector_parameters.{n}": row[f"detector.{n}"] for n in names}
+        found: Result = run(path, values)
+        assert found.scores["model"]["log_loss"] == pytest.approx(row["log_loss"])
+    best = study.trials.loc[study.trials["log_loss"].idxmin()]
+    kept = study.experiment()["recording"]["detector_parameters"]
+    assert [kept[n] for n in names] == [best[f"detector.{n}"] for n in names]
+    assert set(study.fitted) == set(bounds)
+    lines = drive_of(simulated())
+    with pytest.raises(InputError, match=r"tuning\.search: detector: the recording has none"):
+        tuned([lines], tuning={"search": ("detector",)})

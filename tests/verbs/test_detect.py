@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-
 from egolane_pgm.drive import check_sources, load_recording
+
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.running import run_experiment

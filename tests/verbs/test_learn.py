@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-
 from egolane_pgm.comparing.placing import on_recording
 from egolane_pgm.drive import load_drive, load_recording
+
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.types import LaneTruth

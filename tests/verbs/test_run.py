@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from egolane_pgm.results import read_result
 
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.results import read_result
 from egolane_pgm.running import run_experiment
 from egolane_pgm.views.events import clock
 from tests.kits.bags import GOOD, Line, line_bag, truth_file

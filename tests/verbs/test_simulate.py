@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import yaml
 from click.testing import Result
+from egolane_pgm.results import read_result
 
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.results import read_result
 from egolane_pgm.simulation import simulated_road
 from egolane_pgm.vision.camera.model import read_camera
 from egolane_pgm.vision.camera.pictures import open_source, read_pictures

@@ -6,19 +6,18 @@ import pandas as pd
 import pytest
 
 from egolane_pgm.comparing import compare
-from egolane_pgm.result import Result
+from egolane_pgm.result import Result, score
 from egolane_pgm.runs import open_input, run_input, run_table, table_inputs
 from egolane_pgm.views.comparisons import comparison_text
 from egolane_pgm.views.events import LISTED, clock, event_table, segments_text
 from egolane_pgm.views.runs import runs_text
 from tests.kits.drives import simulated
+from tests.kits.tiny_result import RUN, a_result, without_truth
 
 
 @pytest.fixture(scope="module")
 def result() -> Result:
-    return run_input(
-        open_input(simulated(recording={"simulate": "quickstart", "frames": [0, 300]}))
-    )
+    return run_input(open_input("quickstart", overrides={"recording.frames": [0, 300]}))
 
 
 def test_a_result_is_named_in_one_line_and_shown_in_a_notebook(result: Result) -> None:
@@ -92,8 +91,7 @@ def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> N
     keys = {"simulate": "quickstart", "frames": [0, 400]}
     summary = run_table(table_inputs(simulated(recording=keys), rows), str(tmp_path))
     text = runs_text(summary, "markdown", True)
-    assert text.startswith("3 runs, 1 failed\n")
-    assert "| driver |" in text
+    assert text.startswith("| name | driver |")
     assert "sigma1" in text, "the reason of the failure"
     assert len(runs_text(summary, "csv", True).splitlines()) == 4
     compared = compare(f"{tmp_path}", of="tag.driver", detector=True, events=True)
@@ -103,3 +101,13 @@ def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> N
     assert max(map(len, text.splitlines())) <= 80
     header = comparison_text(compared, "csv", False).splitlines()[0]
     assert header.startswith("tag.driver,recordings,accuracy,accuracy_low,accuracy_high,")
+
+
+def test_several_drives_have_a_row_each() -> None:
+    for tiny, column in ((a_result(), "accuracy"), (without_truth(), "lane at the end")):
+        frames = pd.concat([tiny.frames.assign(drive=name) for name in ("one", "two")])
+        run = {**RUN, "frames": len(frames), "is_causal": True, "why_not_causal": []}
+        text = a_result(frames=frames, run=run, scores=score(frames, 10.0)).to_text()
+        header = next(line for line in text.splitlines() if line.startswith("| drive | frames |"))
+        assert column in header
+        assert "| two   |      7 |" in text

@@ -17,7 +17,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.drive import Recorded, load_recording
+from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import (
@@ -32,13 +32,13 @@ from egolane_pgm.evidence.line_geometry.habits import (
 from egolane_pgm.evidence.line_geometry.model import line_classes
 from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.model import Model, make_evidence, prepare_model
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import SimulatedDrive, simulate
-from egolane_pgm.types import FloatArray, LineLog
+from egolane_pgm.types import FloatArray, LineLog, lane_truth
 from tests.conftest import needs_compiler
 from tests.reference import line_geometry as _line_geometry_numpy
 
@@ -341,14 +341,16 @@ def test_one_frame_after_the_other_finds_out_as_well() -> None:
 
 
 def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns() -> None:
-    log, truth = drive().log, drive().truth
+    log, lane = drive().log, drive().truth["true_lane"].to_numpy()
     everywhere = np.ones(len(log), dtype=bool)
     odd = replace(log, lri=log.lri / 10, offset_m=log.offset_m * 100)
     in_lanes = replace(log, offset_m=log.offset_m * (3.5 / 3.75))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = [
-            line_geometry.fit(each, truth.lane, everywhere, 3, resolved(lane_width_m=width))
+            line_geometry.fit(
+                each, truth["true_lane"].to_numpy(), everywhere, 3, resolved(lane_width_m=width)
+            )
             for each, width in ((in_lanes, 3.5), (odd, 375))
         ]
     for name in found[0]:
@@ -362,7 +364,7 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
 def zero_label(n_lanes: int, width: str = "auto") -> Model:
     file = ROOT / "experiments/zero_label.yaml"
     words = [f"n_lanes={n_lanes}", f"parameters.lane_width_m={width}"]
-    return prepare_model(load_experiment(file, words))
+    return compile_model(load_experiment(file, words))
 
 
 def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
@@ -370,12 +372,12 @@ def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
     from egolane_pgm.scoring.assign import assigned_lane
 
     truth = drive().truth if truth is None else truth
-    given = make_evidence(model, log).filtered
+    given, _ = make_evidence(model, whole_rule(model), log)
     beliefs = infer_beliefs(model.compiled, given, "exact", None, frame_id=log.frame_id)
-    _, here, there = np.intersect1d(log.frame_id, truth.frame_id, return_indices=True)
-    scored = ~truth.is_crossing[there]
+    _, here, there = np.intersect1d(log.frame_id, truth.index, return_indices=True)
+    scored = ~truth["is_crossing"].to_numpy()[there]
     lane = assigned_lane(beliefs.lane[here][scored])
-    return float((lane == truth.lane[there][scored]).mean())
+    return float((lane == truth["true_lane"].to_numpy()[there][scored]).mean())
 
 
 STRANGERS: dict[str, Callable[[LineLog], LineLog]] = {
@@ -391,8 +393,9 @@ STRANGERS: dict[str, Callable[[LineLog], LineLog]] = {
 
 
 @cache
-def paper_drive(run: int) -> Recorded:
-    return load_recording(load_experiment(paper_experiment(run)))
+def paper_drive(run: int) -> Drive:
+    [found] = read_drives(load_experiment(paper_experiment(run)))
+    return found
 
 
 @needs_compiler
@@ -405,10 +408,10 @@ def test_a_strangers_recording_of_the_papers_drives(
     """Without a label. Lines filled in another way cost under eight points, and thirteen if what
     is unusual has to be found out on the way; each of these once cost up to 65 on one of the
     drives."""
-    recorded, model = paper_drive(run), zero_label(4, width)
-    strange = STRANGERS[how](recorded.log)
-    usual = accuracy(recorded.log, model, recorded.truth)
-    assert accuracy(strange, model, recorded.truth) > usual - lost
+    found, model = paper_drive(run), zero_label(4, width)
+    truth = lane_truth(found.log.frame_id, found.true_lane, found.is_crossing).iloc[found.rows]
+    usual = accuracy(found.log, model, truth)
+    assert accuracy(STRANGERS[how](found.log), model, truth) > usual - lost
 
 
 def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
@@ -422,7 +425,6 @@ def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
     ]
     (tmp_path / "feet.csv").write_text("\n".join(["frame_id,line,offset_m", *rows]) + "\n")
     words = ("--n-lanes", 3, "--out", tmp_path / "result", "--no-figures")
-    zero_label = ROOT / "experiments/zero_label.yaml"
-    result = done("run", zero_label, "--recording", tmp_path / "feet.csv", *words)
+    result = done("run", tmp_path / "feet.csv", *words)
     assert re.search(r"lane width 12\.[23]\d m from", result.stderr)
     assert "offsets are taken to be in another unit" in result.stderr

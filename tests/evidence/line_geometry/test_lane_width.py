@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.drive import load_recording
+from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, lane_width, width_of_gaps
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.types import FloatArray, LineLog
 
@@ -166,7 +166,8 @@ def test_weak_lines_do_not_count_and_unknown_reliability_does() -> None:
     ("run", "width"), [(1, 3.9), (4, 3.9), (5, 2.02), (7, 3.4), (10, 4.06)], ids=str
 )
 def test_the_papers_recordings(recordings: object, run: int, width: float) -> None:
-    log = load_recording(load_experiment(paper_experiment(run))).log
+    [drive] = read_drives(load_experiment(paper_experiment(run)))
+    log = drive.log
     found = lane_width(log, FALLBACK)
     assert found.is_sure
     assert found.width_m == pytest.approx(width, abs=0.06)

@@ -102,9 +102,10 @@ def test_the_papers_graph_tells_lane_changes_by_the_lines(preset: str) -> None:
     drive = simulate(preset, seed=2, n_lanes=4)
     paper = {"graph": "sensor_failure", "evidence": "counting"}
     run = ego.run(drive.log, n_lanes=4, ground_truth=drive.truth, overrides=paper)
-    assert run.crossing is None
+    assert "line_crossing_probability" not in run.frames
     assert run.truth is not None
-    np.testing.assert_array_equal(run.place_in_lane, places_of(drive.log, lane_width_m=3.5))
+    right = places_of(drive.log, lane_width_m=3.5)
+    np.testing.assert_array_equal(run.frames["lateral_offset"], right)
     # The belief alone has a precision of .6 to .72 and a recall of .81 to .91.
     within = score_events(run.events, run.truth, 10.0)["within"]["2"]
     assert within["precision"] > 0.9

@@ -18,30 +18,32 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm import paper
-from egolane_pgm.drive import load_recording
+from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
+    GENERIC,
     LANE_M,
     TABLE_STEP_M,
+    generic_model,
     line_classes,
+    line_model,
     places,
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.sight import kinds_of, new_sight, sight_tables
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import make_evidence, prepare_model
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import compile_model, make_evidence, whole_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.results import read_result
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog
 from tests.conftest import needs_compiler
-from tests.kits.drives import done, short_drive
+from tests.kits.drives import run, short_drive
 from tests.kits.strangers import scale_changes, scaled
 from tests.reference import line_geometry as reference
 
@@ -215,7 +217,9 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
             is_missing=log.is_missing,
         )
     # A road of equal shoulders, and an odd number of bins about zero.
-    parameters = resolved(shoulder_left=0.1, shoulder_right=0.1, sight="generic")
+    rates = line_model(3, resolved()).rates.copy()
+    rates[:, -2:] = 0.1
+    parameters = resolved(rates=rates)
     here = line_geometry.evidence(log, 3, parameters)
     there = line_geometry.evidence(other, 3, parameters)
     # The tables' points are not the same on both sides of zero.
@@ -349,7 +353,8 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
-    parameters = resolved(edge_continuous=0.95, inner_continuous=0.05, alpha=1, sight="generic")
+    shares = generic_model(3, replace(GENERIC, edge_continuous=0.95), 0.0).class_shares
+    parameters = resolved(class_shares=shares, alpha=1)
     cannot_tell = line_log(lines * 2)
     can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
     shares = []
@@ -538,11 +543,13 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
 @pytest.mark.parametrize("run", [1, 8])
 def test_a_change_of_scale_in_the_paper_s_recordings_is_said(run: int, recordings: Path) -> None:
     there = load_experiment(paper.paper_experiment(run))
-    model = prepare_model(load_experiment(ZERO_LABEL, {"n_lanes": there.n_lanes}))
-    log = load_recording(there).log
-    for lines, n_warnings in ((log, 0), (scale_changes(log, 0.6), 1)):
-        notes = make_evidence(model, lines).notes
-        assert sum("first half" in note for note in notes) == n_warnings
+    model = compile_model(load_experiment("zero_label", {"n_lanes": there.n_lanes}))
+    [drive] = read_drives(there)
+    for lines, n_warnings in ((drive.log, 0), (scale_changes(drive.log, 0.6), 1)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            make_evidence(model, whole_rule(model), lines)
+        assert sum("first half" in str(each.message) for each in caught) == n_warnings
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -564,8 +571,8 @@ def test_without_labels_it_beats_the_votes_on_a_simulated_drive(seed: int) -> No
     lane = filter_beliefs(network, given, "exact").lane.argmax(axis=1) + 1
     votes = counting.evidence(drive.log, 3, resolve_parameters(counting.PARAMETERS, {}, 3))
     voted = votes.likelihoods["DetectorOutput"].argmax(axis=1) + 1
-    scored = ~drive.truth.is_crossing
-    right = drive.truth.lane[scored]
+    scored = ~drive.truth["is_crossing"].to_numpy()
+    right = drive.truth["true_lane"].to_numpy()[scored]
     assert (lane[scored] == right).mean() > 0.95
     assert (lane[scored] == right).mean() > (voted[scored] == right).mean()
 
@@ -596,9 +603,6 @@ def test_a_table_may_be_nested_or_in_one_row() -> None:
     assert isinstance(line_geometry.evidence(line_log([[1.8]]), 3, resolved(rates=flat)), Evidence)
 
 
-ZERO_LABEL = Path(__file__).parents[3] / "experiments" / "zero_label.yaml"
-
-
 def log_of(offset_m: FloatArray, is_valid: bool = True) -> LineLog:
     ids = np.arange(len(offset_m))
     known = np.isfinite(offset_m)
@@ -613,11 +617,10 @@ def log_of(offset_m: FloatArray, is_valid: bool = True) -> LineLog:
 
 
 def belief_of(folder: Path, log: LineLog) -> tuple[FloatArray, str]:
-    """P(lane) of the model without labels, and what is said on standard error."""
+    """P(lane) of the model without labels, and its warnings."""
     write_table(folder / "lines.csv", log)
-    words = ("--recording", folder / "lines.csv", "--n-lanes", "3", "--no-figures")
-    ran = done("run", ZERO_LABEL, *words, "--out", folder / "result")
-    return read_result(folder / "result").marginals["Lane"], ran.stderr
+    found = run(folder / "lines.csv", n_lanes=3)
+    return found.node("Lane"), " ".join(found.notes)
 
 
 @needs_compiler
@@ -662,15 +665,11 @@ def test_a_jump_of_frame_ids_diffuses_the_belief_by_the_frames_that_are_missing(
     kept = np.ones(200, dtype=bool)
     kept[100:105] = False
     write_table(tmp_path / "lines.csv", drive.take(kept))
-    words = ("--recording", tmp_path / "lines.csv", "--n-lanes", "3", "--no-figures")
     belief = {}
     for missing in ("skip", "predict"):
-        out = tmp_path / missing
-        done(
-            "run", ZERO_LABEL, *words, "--set", f"recording.missing_frames={missing}", "--out", out
-        )
-        result = read_result(out)
-        belief[missing] = dict(zip(result.frame_id.tolist(), result.marginals["Lane"], strict=True))
+        keys = {"recording.missing_frames": missing}
+        found = run(tmp_path / "lines.csv", keys, n_lanes=3)
+        belief[missing] = dict(zip(found.frames.index, found.node("Lane"), strict=True))
     ids = drive.frame_id
     assert len(belief["predict"]) == len(belief["skip"]) + 5
     for t in (99, 105, 106, 150):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.inference.smoothing import infer_beliefs
-from egolane_pgm.model import make_evidence, online_output
+from egolane_pgm.model import make_evidence, online_rule, whole_rule
 from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.types import Beliefs
 from makers.beyond.strangers import accuracies, zero_label
@@ -45,7 +45,7 @@ def beliefs_of(drive: Drive) -> Beliefs:
     model = zero_label(drive.n_lanes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        evidence = make_evidence(model, drive.log).filtered
+        evidence, _ = make_evidence(model, whole_rule(model), drive.log)
     return infer_beliefs(model.compiled, evidence, "exact")
 
 
@@ -69,9 +69,9 @@ def test_a_stranger_gets_the_same_evidence_frame_by_frame(name: str) -> None:
     model = zero_label(drive.n_lanes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        at_once = make_evidence(model, log).filtered
-        step = online_output(model)
-        parts = [step(log.take(slice(t, t + 1))).filtered for t in range(len(log))]
+        at_once, _ = make_evidence(model, whole_rule(model), log)
+        rule, frames = online_rule(model), [log.take(slice(t, t + 1)) for t in range(len(log))]
+        parts = [make_evidence(model, rule, frame)[0] for frame in frames]
     for node, values in at_once.likelihoods.items():
         one_by_one = np.concatenate([part.likelihoods[node] for part in parts])
         np.testing.assert_allclose(one_by_one, values, rtol=1e-12)
@@ -121,21 +121,3 @@ def test_half_mirrored_lines_leave_the_belief_unsure(recordings: Path) -> None:
         for name, d in (("mirrored", drive), ("as recorded", paper_drive(1)))
     }
     assert surest["mirrored"] < 0.8 < 0.95 < surest["as recorded"]
-
-
-@needs_compiler
-def test_lines_like_run_5_say_as_little_about_the_lane_as_those_of_run_5(
-    recordings: Path,
-) -> None:
-    from makers.beyond.failures import weights
-
-    share, sides = weights(paper_drive(5))
-    for run in (1, 3):
-        (drive,) = STRANGERS["like run 5"](paper_drive(run))
-        like_share, like_sides = weights(drive)
-        assert abs(like_share - share) < 0.1
-        for (mean, spread, _, _), (like_mean, like_spread, _, _) in zip(
-            sides, like_sides, strict=True
-        ):
-            assert abs(like_mean - mean) < 0.35
-            assert abs(like_spread - spread) < 0.35

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from egolane_pgm.results import read_result
 from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.recordings import read_lines, write_lines
 from egolane_pgm.recordings.table import read_table
-from egolane_pgm.results import read_result
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.formats.tusimple import (

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from itertools import permutations
 from pathlib import Path
@@ -59,11 +58,6 @@ def describe_onnx(onnx: Path) -> str:
         keys.pop("channels", None)
         if n_classes == 1:
             keys.pop("activation", None)
-    kinds = re.findall(r"(\d+): ['\"](.*?)['\"]", declared.notes.get("names", ""))
-    if kinds and keys["layout"] == "prototypes":
-        words = {"solid": "solid", "dashed": "dash"}
-        told = {key: [int(k) for k, kind in kinds if words[key] in kind.lower()] for key in words}
-        keys["classes"] = {key: found for key, found in told.items() if found}
     lines.append(
         f"# as {name}, which comes along: are size, mean, scale, colours, activation and classes"
         " yours?"

@@ -194,17 +194,14 @@ class NetworkFile(Parameter):
         """The value. Raises InputError for a name that is no YAML file's."""
         if value == NO_NETWORK and self.default == NO_NETWORK:
             return NO_NETWORK
-        if value == "":
-            raise InputError(
-                f"{where}: is missing; it names the YAML file of a network, e.g. {self.name}="
-                "lanes.yaml (docs/networks.md shows how to write one)"
-            )
-        if isinstance(value, str) and Path(value).name in ready_networks():
-            value += ".yaml"
-        if not isinstance(value, str) or not value.endswith(YAML):
-            hint = suggestion(str(value), ready_networks())
-            raise InputError(f"{where}: {value!r} is not the name of a network's .yaml file{hint}")
-        return value
+        name = Path(value).name if isinstance(value, str) else ""
+        if name in ready_networks():
+            return f"{value}.yaml"
+        if not name.endswith(YAML):
+            said = "is missing" if value == "" else f"{value!r} is not the name of a .yaml file"
+            hint = suggestion(name, ready_networks()) if name else ""
+            raise InputError(f"{where}: {said}; it describes a network (docs/networks.md){hint}")
+        return str(value)
 
 
 def network_files(parameters: Parameters) -> list[Path]:

@@ -16,11 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.types import BoolArray, FloatArray, InputError
-from egolane_pgm.vision.camera.model import Camera, road_seen, vanishing_point
+from egolane_pgm.vision.camera.model import Camera, road_seen
 from egolane_pgm.vision.camera.picture import Image, check_size
-
-#: The largest side of a view, pixels. A larger one has a wrong unit, and OpenCV cannot make it.
-_MOST_PIXELS = 8000
 
 #: The smallest share of a view that must be in the picture.
 _LEAST_SHARE = 0.1
@@ -65,7 +62,7 @@ def make_view(
     - y_min, y_max: from and to, metres to the right
     - along_m, across_m: size of a pixel, metres
 
-    Raises InputError if the region is empty, has too many pixels, or is not in the picture.
+    Raises InputError if the region is empty or not in the picture.
     """
     if not (0 < x_min < x_max and y_min < y_max and along_m > 0 and across_m > 0):
         raise InputError(
@@ -74,11 +71,6 @@ def make_view(
         )
     n_rows = max(round((x_max - x_min) / along_m), 1)
     n_columns = max(round((y_max - y_min) / across_m), 1)
-    if max(n_rows, n_columns) > _MOST_PIXELS:
-        raise InputError(
-            f"bird's-eye view: {n_columns} x {n_rows} pixels of {across_m:g} x {along_m:g} m are"
-            f" more than {_MOST_PIXELS} a side; look less far or choose larger pixels"
-        )
     x_m = x_max - (np.arange(n_rows, dtype=np.float64) + 0.5) * along_m
     y_m = y_min + (np.arange(n_columns, dtype=np.float64) + 0.5) * across_m
     u, v = road_seen(camera, x_m[:, None], y_m)
@@ -86,7 +78,12 @@ def make_view(
         valid = (u >= 0) & (u <= camera.width - 1) & (v >= 0) & (v <= camera.height - 1)
     for left, top, right, bottom in camera.ignore:
         valid &= ~((u >= left) & (u < right) & (v >= top) & (v < bottom))
-    _check_sees_road(camera, valid, x_min, x_max)
+    if valid.mean() < _LEAST_SHARE:
+        raise InputError(
+            f"camera: only {100 * valid.mean():.0f} % of the road from {x_min:g} to {x_max:g} m"
+            f" ahead is in the picture (pitch_deg {camera.pitch_deg:g}, height_m"
+            f" {camera.height_m:g}); calibrate it again or choose another region"
+        )
     outside = np.float32(-10)
     map_uv, fractions = cv2.convertMaps(
         np.where(valid, u, outside).astype(np.float32),
@@ -118,23 +115,6 @@ def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
         )
 
     return turned
-
-
-def _check_sees_road(camera: Camera, valid: BoolArray, x_min: float, x_max: float) -> None:
-    if valid.mean() >= _LEAST_SHARE:
-        return
-    _, horizon = vanishing_point(camera)
-    region = f"the road from {x_min:g} to {x_max:g} m ahead"
-    if horizon >= camera.height - 1:
-        raise InputError(
-            f"pitch_deg: {camera.pitch_deg:g}: the camera looks at the sky, its horizon is below"
-            f" the picture, so it does not see {region}; calibrate it again"
-        )
-    raise InputError(
-        f"camera: only {100 * valid.mean():.0f} % of {region} is in the picture (pitch_deg"
-        f" {camera.pitch_deg:g}, height_m {camera.height_m:g}); calibrate it again or choose"
-        " another region"
-    )
 
 
 def look(view: BirdsEye, image: Image) -> Image:

@@ -67,10 +67,10 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "given", "said"),
     [
-        ("network", {}, "here_parameters.network: is missing; it names the YAML file of a network"),
-        ("network", {"network": "none"}, "'none' is not the name of a network's .yaml file"),
-        ("network", {"network": "lsrt"}, ".yaml file (did you mean 'lstr'?)"),
-        ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a network's .yaml"),
+        ("network", {}, "here_parameters.network: is missing; it describes a network"),
+        ("network", {"network": "none"}, "'none' is not the name of a .yaml file"),
+        ("network", {"network": "lsrt"}, "(docs/networks.md) (did you mean 'lstr'?)"),
+        ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a .yaml"),
         ("ml", {"on_rode": "x.yaml"}, "unknown key 'on_rode' (did you mean 'on_road'?)"),
     ],
 )

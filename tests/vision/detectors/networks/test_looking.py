@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-
 from egolane_pgm.drive import data_entries, load_recording
+
 from egolane_pgm.experiment import load_experiment
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image

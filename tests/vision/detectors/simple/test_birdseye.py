@@ -63,11 +63,6 @@ def test_what_the_camera_is_to_ignore_is_not_seen():
     assert (look(less, np.full((540, 960), 200, np.uint8))[~less.valid] == 0).all()
 
 
-def test_a_camera_that_looks_at_the_sky_is_refused():
-    with pytest.raises(InputError, match=r"pitch_deg.*sky.*horizon is below.*calibrate"):
-        make_view(replace(CAMERA, pitch_deg=25.0), 5, 35, -9, 9)
-
-
 @pytest.mark.parametrize(("percent", "is_refused"), [(7, True), (13, False)])
 def test_a_tenth_of_the_road_must_be_in_the_picture(percent, is_refused):
     # A window of the picture in which the road from 10 to 20 m is so wide.

@@ -1,7 +1,7 @@
-"""A fleet of simulated drives on one process, two, and four workers of a Dask cluster: what a drive
+"""A table of simulated drives on one process, two, and four workers of a Dask cluster: what a drive
 takes, and what sharing out a piece of work costs beside.
 
-`python -m tests.benchmarks.bench_fleet` prints these rows alone. Wall time, which what else runs on
+`python -m tests.benchmarks.bench_table` prints these rows alone. Wall time, which what else runs on
 the machine lengthens, and processor time of all processes together, which it hardly does. Both are
 of many pieces less those of few, so that the start of processes does not count.
 """
@@ -14,12 +14,13 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import psutil
 from distributed import LocalCluster
 
 import egolane_pgm as ego
-from egolane_pgm.tools.jobs import Jobs, in_order
+from egolane_pgm.tools.jobs import parallel
 from tests.benchmarks.timing import machine
 
 QUICKSTART = ego.experiments_folder() / "quickstart.yaml"
@@ -37,7 +38,7 @@ Seconds = tuple[float, float]
 Line = tuple[str, Seconds, Seconds]
 
 
-def fleet_lines() -> list[Line]:
+def table_lines() -> list[Line]:
     """A line for each way to share out the drives."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place)
@@ -46,28 +47,28 @@ def fleet_lines() -> list[Line]:
             table = "\n".join(["recording.seed,recording.frames", *rows]) + "\n"
             (folder / f"{n}.csv").write_text(table)
         with LocalCluster(4, threads_per_worker=1, dashboard_address=None) as cluster:
-            ways: dict[str, Jobs] = {
-                "one process": 1,
-                "two processes": 2,
-                "four workers": cluster.scheduler_address,
+            ways: dict[str, dict[str, Any]] = {
+                "one process": {"jobs": 1},
+                "two processes": {"jobs": 2},
+                "four workers": {"cluster": cluster.scheduler_address},
             }
             return [
                 (
                     name,
-                    _for_one(partial(_run_fleet, folder, jobs), *_DRIVES),
-                    _for_one(partial(_do_nothing, jobs), *_PIECES),
+                    _for_one(partial(_run_table, folder, way), *_DRIVES),
+                    _for_one(partial(_do_nothing, way), *_PIECES),
                 )
-                for name, jobs in ways.items()
+                for name, way in ways.items()
             ]
 
 
-def _run_fleet(folder: Path, jobs: Jobs, n: int) -> None:
+def _run_table(folder: Path, way: dict[str, Any], n: int) -> None:
     with tempfile.TemporaryDirectory(dir=folder) as out:
-        ego.run(QUICKSTART, fleet=folder / f"{n}.csv", out=out, jobs=jobs)
+        ego.run(QUICKSTART, table=folder / f"{n}.csv", out=out, progress=False, **way)
 
 
-def _do_nothing(jobs: Jobs, n: int) -> None:
-    for _ in in_order(abs, range(n), jobs):
+def _do_nothing(way: dict[str, Any], n: int) -> None:
+    for _ in parallel(abs, range(n), **way):
         pass
 
 
@@ -104,4 +105,4 @@ def markdown(lines: list[Line]) -> str:
 
 
 if __name__ == "__main__":
-    print(f"{machine()}.\n\n{markdown(fleet_lines())}")
+    print(f"{machine()}.\n\n{markdown(table_lines())}")

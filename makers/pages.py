@@ -1,0 +1,152 @@
+"""`python -m makers.pages PAGE...`: pages of results/ that compare runs of the paper's recordings.
+
+`paper` is other graphs with the paper's parameters (a minute), `learned` graphs with tables learned
+by EM (ten minutes of two cores), `searched` graphs with searched parameters (a quarter of an hour),
+`tuned` the paper's parameters searched for each run (five minutes), and `beyond` position in lane
+and the paper's graph (five minutes). The results and studies are kept in results/runs: what is
+there is not run again. Needs EGOLANE_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import egolane_pgm as ego
+from egolane_pgm.paper import load_published, paper_experiment, parameters_for
+from egolane_pgm.tools.files import write_text
+from egolane_pgm.verbs import compare
+from egolane_pgm.views.tables import page, table
+
+RESULTS = Path("results")
+RUNS = RESULTS / "runs"
+
+#: The paper's ten recordings, a row each.
+RECORDINGS = ego.experiments_folder() / "paper" / "recordings.csv"
+
+#: Graphs whose parameters are searched; the first is the paper's.
+SEARCHED = (
+    "sensor_failure",
+    "wor_on_lane",
+    "wor_on_edge",
+    "autoregressive",
+    "failure_duration",
+    "no_wor",
+    "lane_only",
+    "sensor_dynamics",
+    "three_sensor_states",
+    "biased_sensor",
+    "wor_direct",
+)
+
+#: Graphs with the paper's parameters.
+WITH_PAPERS = ("sensor_failure", "wor_on_lane", "no_wor", "lane_only")
+
+#: Graphs whose tables are learned.
+LEARNED = ("sensor_failure", "autoregressive", "autoregressive_wor")
+
+#: Settings of EM as in the paper's own filter, and with the bonus value of the starting tables.
+AS_PAPER = {"filter": "assumed_density", "parameters.bonus_value": 1}
+
+
+def on_recordings(folder: str, experiment: str, overrides: Any = (), graph: Any = None) -> Path:
+    """Run an experiment on the ten recordings, each block held out; return the folder.
+
+    - folder: of the results, in results/runs.
+    """
+    place = RUNS / folder
+    given = {"overrides": overrides, "graph": graph, "held_out": True}
+    done = ego.run(experiment, table=RECORDINGS, out=place, jobs=2, **given)
+    for name, error in done["error"].dropna().items():
+        raise ego.InputError(f"{name}: {error}")
+    return place
+
+
+def compared(heading: str, folders: Sequence[Path], **options: Any) -> str:
+    """A comparison of folders of results: means over the recordings, then each recording."""
+    found = ego.compare(folders, of="folder", **options)
+    each = ego.compare(folders, of="folder", by="name", detector=options.get("detector", False))
+    order = each.index.get_level_values("folder").unique()
+    parts = [heading, compare.text(found, "markdown", True), "Accuracy on each recording:"]
+    return page([*parts, table(each["accuracy"].unstack()[order])], wide=True)
+
+
+def paper() -> None:
+    """Write results/paper/graphs.md: other graphs with the parameters of the paper."""
+    folders = [RUNS / "paper" / graph for graph in WITH_PAPERS]
+    for run, entry in load_published().items():
+        changes = {"parameters": parameters_for(entry, "recovered")}
+        given = {"overrides": changes, "held_out": True, "figures": False}
+        for graph, folder in zip(WITH_PAPERS, folders, strict=True):
+            ego.run(paper_experiment(run), graph=graph, out=folder / "*", **given)
+    heading = "# Other graphs with the paper's parameters\n\nMade by `make paper`; in-sample."
+    write_text(RESULTS / "paper/graphs.md", compared(heading, folders, detector=True) + "\n")
+
+
+def searched() -> None:
+    """Write results/graphs/graphs.md and graphs.png: graphs with searched parameters."""
+    changes = {"filter": "exact", "tuning.trials": 420}
+    folders = [on_recordings(f"searched/{g}", "paper_tuned", changes, g) for g in SEARCHED]
+    ego.compare(folders, of="folder", out=RESULTS / "graphs/graphs.png")
+    heading = (
+        "# Eleven graphs, searched and scored on unseen frames\n\nMade by `make graphs`: held out,"
+        " causal, one seed, 420 trials a search."
+    )
+    write_text(RESULTS / "graphs/graphs.md", compared(heading, folders) + "\n")
+
+
+def learned() -> None:
+    """Write results/graphs/learned.md: graphs with learned tables, and those of the start."""
+    name, not_learned = "learned_tables", {"fit": "none"}
+    folders = [on_recordings(f"learned/{graph}", name, (), graph) for graph in LEARNED]
+    folders.append(on_recordings("learned/start", name, not_learned))
+    own = [
+        on_recordings("tables/start", name, {**AS_PAPER, **not_learned}),
+        on_recordings("tables/labels", name, AS_PAPER),
+        on_recordings("tables/no_labels", name, {**AS_PAPER, "learning.labels": False}),
+    ]
+    heading = "# Tables learned by EM, held out\n\nMade by `make graphs`; filter `exact`, bonus 9."
+    second = "## The paper's graph and filter, bonus 1: from labels, and from lines alone"
+    text = "\n\n".join([compared(heading, folders), compared(second, own)])
+    write_text(RESULTS / "graphs/learned.md", text + "\n")
+
+
+def beyond() -> None:
+    """Write results/beyond/runs.md: position in lane and the paper's graph."""
+    folders = [on_recordings("beyond/zero_label", "zero_label")]
+    folders.append(on_recordings("beyond/learned", "zero_label", {"fit": "learn"}))
+    folders.append(on_recordings("beyond/paper_tuned", "paper_tuned"))
+    heading = "# Position in lane and the paper's graph, held out\n\nMade by `make beyond`; causal."
+    write_text(RESULTS / "beyond/runs.md", compared(heading, folders, events=True) + "\n")
+
+
+def tuned() -> None:
+    """Write results/tuning/tables.md: the paper's parameters searched for each run."""
+    folders = [RUNS / "tuned/held_out", RUNS / "tuned/in_sample"]
+    for run in range(1, 11):
+        place = RUNS / "tuned/studies" / str(run)
+        study = ego.tune(paper_experiment(run), out=place, jobs=2, figures=False)
+        assert study.held_out is not None
+        study.held_out.save(folders[0] / study.name)
+        best = {"overrides": {"name": study.name}, "held_out": True}
+        ego.run(place / "best.yaml", out=folders[1] / study.name, figures=False, **best)
+    heading = (
+        "# The paper's parameters searched for each run\n\nMade by `make tuned`: 3,000 trials a"
+        " search, the known values first; held out from scratch."
+    )
+    write_text(RESULTS / "tuning/tables.md", compared(heading, folders) + "\n")
+
+
+def main() -> None:
+    """Make the pages that are named on the command line."""
+    pages = {each.__name__: each for each in (paper, searched, learned, tuned, beyond)}
+    parser = argparse.ArgumentParser(prog="python -m makers.pages", description=__doc__)
+    parser.add_argument("pages", nargs="+", choices=pages)
+    for name in parser.parse_args().pages:
+        pages[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,166 @@
+"""Folds: what is trained on, what is held out, and which labels a fit sees."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pandas.testing import assert_frame_equal
+
+from egolane_pgm.drives import Drive
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.running import frames_of
+from egolane_pgm.studies.fits import Fitted, apply_fit
+from egolane_pgm.studies.study import (
+    block_folds,
+    cross_validate,
+    drive_folds,
+    everything,
+    fit_fold,
+    group_folds,
+    lacking_lanes,
+)
+from egolane_pgm.types import InputError
+from tests.kits.drives import simulated, write_drive
+from tests.kits.studies import drive_of, two_drives, with_labels
+
+
+def drive(**keys: Any) -> Drive:
+    return drive_of(simulated(**keys))
+
+
+def of_length(n: int) -> Drive:
+    """A drive with n annotated frames."""
+    whole = drive()
+    lane = np.where(np.arange(len(whole.log)) < n, whole.true_lane, 0)
+    return replace(whole, true_lane=lane)
+
+
+@given(st.integers(2, 12), st.lists(st.integers(0, 60), min_size=1, max_size=3))
+def test_blocks_are_contiguous_complete_and_of_nearly_equal_length(n: int, more: list[int]) -> None:
+    drives = [of_length(n + each) for each in more]
+    folds = block_folds(drives, n)
+    assert len(folds) == n
+    for k, each in enumerate(drives):
+        parts = [fold.test[k] for fold in folds]
+        assert np.concatenate(parts).tolist() == list(range(len(each)))
+        lengths = [len(part) for part in parts]
+        assert max(lengths) - min(lengths) <= 1
+        for fold in folds:
+            right = np.setdiff1d(np.arange(len(each)), fold.test[k])
+            np.testing.assert_array_equal(fold.train[k], right)
+
+
+def test_untrusted_frames_are_tested_but_never_trained_on() -> None:
+    one = drive(tuning={"never_fit": [[100, 150], [900, None]]})
+    untrusted = np.flatnonzero(~one.is_trusted)
+    folds = block_folds([one])
+    assert len(folds) == 5
+    for fold in [everything([one]), *folds]:
+        assert not np.isin(fold.train[0], untrusted).any()
+    assert np.isin(untrusted, np.concatenate([fold.test[0] for fold in folds])).all()
+
+
+def test_too_few_and_too_many_blocks_are_refused() -> None:
+    for n in (1, 1201):
+        with pytest.raises(InputError, match=f"blocks: {n} is not between 2 and the 1200 frames"):
+            block_folds([drive()], n)
+
+
+def test_groups_of_drives_are_held_out_in_turn() -> None:
+    drives = [*two_drives(), drive()]
+    first, second = group_folds(drives, ["a", "b", "a"])
+    whole = everything(drives)
+    assert [len(t) for t in first.train] == [0, len(whole.train[1]), 0]
+    assert [len(t) for t in first.test] == [len(whole.test[0]), 0, len(whole.test[2])]
+    assert [len(t) for t in second.train] == [len(whole.train[0]), 0, len(whole.train[2])]
+
+
+def test_recordings_of_one_drive_are_held_out_together(tmp_path: Path) -> None:
+    """Two detectors on each of three drives."""
+    drives = []
+    for k, n_frames in enumerate((60, 70, 80)):
+        for detector in "xy":
+            path = write_drive(tmp_path / f"{k}{detector}", n_frames, name=f"{detector}{k}")
+            drives.append(drive_of(load_experiment(path)))
+    tagged = [replace(each, tags={"who": f"w{k // 4}"}) for k, each in enumerate(drives)]
+
+    def out(folds: Any) -> list[list[int]]:
+        return [[k for k, t in enumerate(fold.test) if len(t)] for fold in folds]
+
+    assert out(drive_folds(drives, 5)) == [[0, 1], [2, 3], [4, 5]]
+    assert out(drive_folds(drives, 2)) == [[0, 1, 2, 3], [4, 5]]
+    assert out(drive_folds(tagged, 5, "who")) == [[0, 1, 2, 3], [4, 5]]
+    split = [replace(each, tags={"who": f"w{k % 2}"}) for k, each in enumerate(drives)]
+    for some, tag, said in (
+        (drives[:2], None, "folds: all rows are of one drive, or have one tag"),
+        (tagged, "woh", r"x0: has no tag\.woh \(did you mean 'who'\?\)"),
+        (split, "who", r"y0: is the same drive as x0, with another tag\.who"),
+    ):
+        with pytest.raises(InputError, match=said):
+            drive_folds(some, 5, tag)
+
+
+def test_a_fit_sees_no_label_but_those_of_its_training_frames() -> None:
+    drives = two_drives()
+    fold = block_folds(drives, 3)[1]
+    seen: list[Drive] = []
+
+    def fit(given: Any, train: Any, number: Any) -> Fitted:
+        seen.extend(given)
+        assert number == 1
+        np.testing.assert_array_equal(train[0], fold.train[0])
+        return Fitted()
+
+    fit_fold(drives, fit, fold, 1)
+    for one, train, masked in zip(drives, fold.train, seen, strict=True):
+        kept = one.rows[train]
+        others = np.setdiff1d(one.rows, kept)
+        np.testing.assert_array_equal(masked.true_lane[kept], one.true_lane[kept])
+        assert (masked.true_lane[others] == 1).all()
+        assert masked.is_crossing[others].all()
+    # Drives that are held out as a whole are not passed on at all.
+    seen.clear()
+    fold = group_folds(drives, ["a", "b"])[1]
+    fit_fold(drives, fit, fold, 1)
+    assert [each.name for each in seen] == ["d0"]
+
+
+def test_a_fold_without_a_training_frame_is_refused() -> None:
+    one = drive(tuning={"never_fit": {"from_frame": 0}})
+    with pytest.raises(InputError, match="block 1: no frame is left to fit to; exclude fewer"):
+        fit_fold([one], lambda *_: Fitted(), block_folds([one])[0], 0)
+
+
+def test_each_test_frame_has_the_posterior_of_its_own_fold() -> None:
+    """Each drive is filtered from its first frame on, with the fit of the fold."""
+    drives = two_drives()
+    folds = block_folds(drives, 4)
+
+    def fit(given: Any, train: Any, number: Any) -> Fitted:
+        return Fitted(sigma1=0.1 + 0.3 * number)
+
+    frames, fitted = cross_validate(drives, fit, folds)
+    assert [each["sigma1"] for each in fitted] == pytest.approx([0.1, 0.4, 0.7, 1.0])
+    assert frames.index.tolist() == [i for each in drives for i in each.log.frame_id]
+    for k, one in enumerate(drives):
+        mine = frames[frames["drive"] == one.name]
+        for b, fold in enumerate(folds):
+            alone = frames_of(replace(one, model=apply_fit(one.model, fitted[b])))
+            there = mine[mine["block"] == b]
+            assert_frame_equal(there[alone.columns], alone.iloc[fold.test[k]])
+
+
+def test_a_lane_that_one_block_alone_has_is_said() -> None:
+    one = drive()
+    lane = np.where(np.arange(len(one)) // 10 % 2, 1, 2)
+    lane[250:260] = 3
+    changed = replace(with_labels(one, np.arange(len(one)), lane), is_crossing=lane > 9)
+    assert lacking_lanes([changed], block_folds([changed])) == ["a: only block 2 has lane 3"]
+    everywhere = with_labels(changed, np.arange(1000, 1010), 3)
+    assert lacking_lanes([everywhere], block_folds([everywhere])) == []

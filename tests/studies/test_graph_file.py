@@ -1,0 +1,66 @@
+"""Graphs written as YAML with their tables in numbers are read as they were written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.model import Model
+from egolane_pgm.plugins import load_plugin
+from egolane_pgm.studies.fits import apply_fit, fit_learn
+from egolane_pgm.studies.graph_file import graph_yaml
+from tests.conformance.networks import draw_graph, graph_names
+from tests.conftest import needs_compiler
+from tests.kits.drives import simulated, write_drive
+from tests.kits.studies import drive_of
+
+DISCRETE = [name for name in graph_names() if not name.startswith("position_in")]
+
+
+def read_back(model: Model, file: Path) -> tuple[Compiled, object]:
+    """The network of the file that a model's graph is written to, and its module."""
+    file.write_text(yaml.safe_dump(graph_yaml(model, "written"), sort_keys=False))
+    module = load_plugin("graphs", str(file), "graph")
+    roles = {"hidden": module.HIDDEN, "observed": module.OBSERVED, "inputs": module.INPUTS}
+    return compile(module.build(model.n_lanes, {}), **roles), module
+
+
+def assert_same(ours: Compiled, theirs: Compiled) -> None:
+    np.testing.assert_allclose(ours.prior, theirs.prior, rtol=1e-9, atol=0)
+    np.testing.assert_allclose(ours.transition, theirs.transition, rtol=1e-9, atol=0)
+    for mine, right in zip(ours.groups, theirs.groups, strict=True):
+        assert mine.observed == right.observed
+        np.testing.assert_allclose(mine.emission, right.emission, rtol=1e-9, atol=0)
+
+
+@needs_compiler
+@pytest.mark.filterwarnings("ignore:.*no frame to learn from has lane:UserWarning")
+@pytest.mark.parametrize("name", DISCRETE)
+def test_every_discrete_graph_can_be_learned_and_written(name: str, tmp_path: Path) -> None:
+    rule = "counting_levels" if name == "wor_levels" else "counting"
+    drive = drive_of(load_experiment(write_drive(tmp_path, 200, graph=name, evidence=rule)))
+    fitted = fit_learn([drive], [np.arange(len(drive))], None)
+    assert fitted
+    learned = apply_fit(drive.model, fitted)
+    assert (learned.compiled.transition != drive.model.compiled.transition).any()
+    read, module = read_back(learned, tmp_path / "g.yaml")
+    assert_same(read, learned.compiled)
+    own = drive.model.graph
+    for name, default in (("HIDDEN", ()), ("OBSERVED", ()), ("VALUES", {}), ("UNUSED", ())):
+        assert getattr(module, name, default) == getattr(own, name, default)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_random_graphs_come_back_from_their_file(seed: int, tmp_path: Path) -> None:
+    """Inputs, functions and joint evidence too; a graph of one's own may have all of them."""
+    compiled = draw_graph(np.random.default_rng(seed)).compiled()
+    (tmp_path / "own.py").write_text("def build(n, p): ...\n")
+    module = load_plugin("graphs", str(tmp_path / "own.py"), "graph")
+    experiment = load_experiment(simulated(), n_lanes=3)
+    model = Model(experiment, module, module, {}, compiled, frozenset())
+    assert_same(read_back(model, tmp_path / "g.yaml")[0], compiled)
