@@ -20,7 +20,6 @@ from egolane_pgm.tuning.recording_task import tuned_experiment
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 from pyarrow import parquet
-from tests.kits.studies import BLOCKS, EXPERIMENTS, QUICKSTART
 
 from egolane_pgm.experiment import Tuning, load_experiment
 from egolane_pgm.model import prepare_model
@@ -29,6 +28,7 @@ from egolane_pgm.tools.files import write_yaml
 from tests.kits.drives import command, done, refused, rewritten, write_drive
 from tests.kits.labelled_drive import N_LABELLED
 from tests.kits.processes import started
+from tests.kits.studies import BLOCKS, EXPERIMENTS, QUICKSTART
 
 NEEDS_DATA = pytest.mark.skipif(
     not os.environ.get("EGOLANE_DATA"), reason="the paper's recordings: needs EGOLANE_DATA"
