@@ -31,11 +31,18 @@ needs_compiler = pytest.mark.skipif(
 
 #: What takes longest, begun first: processes that share the tests by files then end together.
 SLOWEST = (
-    *("docs/test_examples.py", "makers/test_benchmark.py", "comparing/test_compared.py"),
+    *("docs/test_examples.py", "makers/test_benchmark.py", "studies/test_study.py"),
     *("evidence/line_geometry/test_rule.py", "evidence/line_geometry/test_habits.py"),
-    *("tuning/test_storage.py", "test_frozen.py", "test_paper.py", "test_notebooks.py"),
-    *("test_online.py", "test_labelling.py", "evidence/line_geometry/", "test_dist.py", "makers/"),
-    *("docs/", "tools/test_jobs.py", "tuning/", "vision/detectors/", "verbs/test_tune.py"),
+    *("studies/test_search.py", "test_frozen.py", "test_paper.py", "test_notebooks.py"),
+    *(
+        "test_online.py",
+        "test_running.py",
+        "test_labelling.py",
+        "evidence/line_geometry/",
+        "test_dist.py",
+        "makers/",
+    ),
+    *("docs/", "tools/test_jobs.py", "studies/", "vision/detectors/", "verbs/test_tune.py"),
 )
 
 

@@ -20,6 +20,7 @@ from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog, lane_truth
 from tests.kits.drives import GAPS, run, short_drive, simulated, write_drive, write_experiment
 from tests.kits.lane_maps import road_rows
+from tests.kits.synthetic_road import images, write_pictures, write_place, write_video
 
 #: Lanes of the road, and the seconds that they last.
 ROAD = ((3, 20), (4, 20), (3, 20))
@@ -85,6 +86,54 @@ def test_a_rule_with_its_own_largest_lri_clips_at_that(tmp_path: Path) -> None:
     drive = one(write_drive(tmp_path, evidence="./r.py", recording__lri="clip"))
     assert np.nanmax(short_drive().log.lri) > 4
     assert np.nanmax(drive.log.lri) == 4
+
+
+# --- pictures ------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A folder with drive.avi, cam.yaml, run.yaml and the same pictures in pictures/."""
+    write_place(tmp_path, 6)
+    write_pictures(tmp_path / "pictures", images(6))
+    return tmp_path
+
+
+def test_a_folder_of_pictures_gives_what_the_video_of_them_gives(place: Path) -> None:
+    write_video(place / "exact.avi", images(6), four="PNG ")
+    keys = {"camera": str(place / "cam.yaml"), "detector": "ml"}
+    options = {"experiment": place / "run.yaml", "n_lanes": 3, "recording": keys}
+    folder, pattern, video = (
+        one(place / name, **options).log for name in ("pictures", "pictures/*.png", "exact.avi")
+    )
+    assert len(folder) == 6
+    for other in (pattern, video):
+        np.testing.assert_array_equal(folder.offset_m, other.offset_m)
+        np.testing.assert_array_equal(folder.is_valid, other.is_valid)
+
+
+def test_lines_are_read_where_the_experiment_detects_them_in_pictures(place: Path) -> None:
+    write_table(place / "lines.csv", short_drive().log)
+    drive = one(place / "lines.csv", experiment=place / "run.yaml", n_lanes=3)
+    assert (len(drive.log), drive.experiment.recording.detector) == (150, None)
+
+
+@pytest.mark.parametrize(
+    ("path", "changes", "said"),
+    [
+        ("drive.avi", {"detector": None}, "drive.avi is a video: name a detector"),
+        ("nowhere", {}, "nowhere"),
+        ("none", {}, "none: has no pictures"),
+    ],
+)
+def test_pictures_that_cannot_be_used_are_named(
+    place: Path, path: str, changes: dict[str, Any], said: str
+) -> None:
+    (place / "none").mkdir()
+    keys = {"recording.path": str(place / path)}
+    keys |= {f"recording.{key}": value for key, value in changes.items()}
+    with pytest.raises(InputError, match=said):
+        one(place / "run.yaml", keys)
 
 
 # --- ground truth --------------------------------------------------------------------------------

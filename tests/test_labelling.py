@@ -12,26 +12,30 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm import paper
-from egolane_pgm.experiment import load_experiment
+from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.labelling import (
     BESIDE_S,
     CHANGE_WEIGHT,
     Labels,
     crossed_lanes,
-    label_experiment,
+    label_input,
     lane_path,
 )
+from egolane_pgm.loading import experiments_folder
+from egolane_pgm.runs import open_input
 from egolane_pgm.types import FloatArray, InputError, runs_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
 
-ZERO_LABEL = paper.experiments_folder() / "zero_label.yaml"
-BEYOND = paper.experiments_folder() / "beyond"
+BEYOND = experiments_folder() / "beyond"
 
 
 def simulated(**keys: Any) -> Labels:
-    return label_experiment(load_experiment(ZERO_LABEL, {"recording.frames": [0, 300], **keys}))
+    return labelled("zero_label", {"recording.frames": [0, 300], **keys})
+
+
+def labelled(given: Any, overrides: Any = None, *more: float) -> Labels:
+    return label_input(open_input(given, overrides=overrides), *more)
 
 
 def belief_of(shape: tuple[int, int], seed: int) -> FloatArray:
@@ -78,26 +82,24 @@ def places(position: list[float], n_lanes: int, cells: int = 8) -> dict[str, Flo
 def test_the_car_crosses_while_it_is_on_the_line_that_it_changes_over() -> None:
     # It comes near the line between lanes 2 and 3 without a change, and crosses that of 1 and 2.
     position = [1.5, 1.9, 1.5, 1.3, 1.2, 1.05, 0.95, 0.8, 0.7, 0.5]
-    found = crossed_lanes(
-        lane_path(places(position, 3)["Lane"]), np.arange(10) / 10, places(position, 3)
-    )
-    lane = np.minimum(np.floor(np.array(position)), 2).astype(int)
-    expected = np.eye(3, dtype=bool)[lane]
+    marginals = places(position, 3)
+    lane, on_line = lane_path(marginals["Lane"]), across_lanes(marginals)[0]
+    found = crossed_lanes(lane, np.arange(10) / 10, 3, on_line)
+    expected = np.eye(3, dtype=bool)[np.minimum(np.floor(position), 2).astype(int)]
     expected[[4, 5, 6, 7]] = [True, True, False]
     np.testing.assert_array_equal(found, expected)
 
 
 def test_without_a_place_in_the_lane_a_second_around_the_change_is_crossing() -> None:
     lane = np.repeat([2, 1], [30, 30])
-    belief = np.eye(2)[lane - 1]
-    found = crossed_lanes(lane, np.arange(60) / 10, {"Lane": belief})
+    found = crossed_lanes(lane, np.arange(60) / 10, 2, None)
     assert runs_of(found.all(axis=1)) == [(20, 40)]
     assert BESIDE_S == 1.0
 
 
 def test_a_change_over_two_lanes_may_be_in_either_of_the_three() -> None:
     lane = np.array([1, 1, 3, 3])
-    found = crossed_lanes(lane, np.array([0.0, 5, 5.1, 10]), {"Lane": np.eye(4)[lane - 1]})
+    found = crossed_lanes(lane, np.array([0.0, 5, 5.1, 10]), 4, None)
     expected = np.eye(4, dtype=bool)[lane - 1]
     expected[1:3, :3] = True
     np.testing.assert_array_equal(found, expected)
@@ -107,7 +109,7 @@ def test_a_change_over_two_lanes_may_be_in_either_of_the_three() -> None:
 def test_a_change_while_nothing_was_recorded_has_no_crossing_frames(then: float) -> None:
     lane = np.array([1, 1, 2, 2])
     time_s = np.array([0.0, 0.1, then, then + 0.1])
-    found = crossed_lanes(lane, time_s, {"Lane": np.eye(2)[lane - 1]})
+    found = crossed_lanes(lane, time_s, 2, None)
     np.testing.assert_array_equal(found, np.eye(2, dtype=bool)[lane - 1])
 
 
@@ -125,7 +127,7 @@ def test_segments_join_frames_below_the_confidence() -> None:
 
 def test_while_a_line_is_crossed_both_lanes_are_right() -> None:
     labels = simulated()
-    belief, frames = labels.run.beliefs.lane, labels.frames
+    belief, frames = labels.run.node("Lane"), labels.frames
     own = belief[np.arange(300), frames["lane"] - 1]
     assert (frames["confidence"] >= own - 1e-12).all()
     aside = ~frames["is_crossing"]
@@ -139,14 +141,14 @@ def test_a_labeller_looks_back() -> None:
     labels = simulated(filter="exact")
     assert labels.run.experiment.filter == "smoothed"
     assert labels.run.model.parameters["lane_width_m"] == "auto"
-    np.testing.assert_array_equal(labels.run.assigned_lane, labels.frames["lane"])
+    np.testing.assert_array_equal(labels.run.frames["assigned_lane"], labels.frames["lane"])
     given = simulated(**{"parameters.lane_width_m": 3.4}).run.model
     assert given.parameters["lane_width_m"] == 3.4
 
 
 def test_a_graph_without_a_place_in_the_lane_labels_every_frame(tmp_path: Path) -> None:
-    labels = label_experiment(load_experiment(write_drive(tmp_path), {"unassigned_below": 0.5}))
-    assert "RoadPosition" not in labels.run.beliefs.marginals
+    labels = labelled(write_drive(tmp_path), {"unassigned_below": 0.5})
+    assert "RoadPosition" not in labels.run.run["values"]
     assert labels.frames["lane"].min() >= 1
     assert labels.frames["is_crossing"].any()
     assert labels.run.scores["model"]["accuracy"] > 0.5
@@ -161,7 +163,7 @@ def test_a_recording_of_one_frame_is_labelled() -> None:
 @pytest.mark.parametrize("below", [-0.1, 1.1, float("nan")])
 def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
     with pytest.raises(InputError, match=r"below: .* is not a probability"):
-        label_experiment(load_experiment(ZERO_LABEL), below)
+        labelled("zero_label", None, below)
 
 
 # --- the paper's recordings ----------------------------------------------------------------------
@@ -170,21 +172,19 @@ def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
 @pytest.fixture(scope="module")
 def real(recordings: Path) -> dict[str, Labels]:
     names = [f"{road}_{kind}" for road in ("italy", "spain") for kind in ("ml", "sl", "mc", "sc")]
-    return {
-        name: label_experiment(load_experiment(BEYOND / f"geometry_{name}.yaml")) for name in names
-    }
+    return {name: labelled(BEYOND / f"geometry_{name}.yaml") for name in names}
 
 
 @needs_compiler
 def test_labels_that_are_sure_are_right(real: dict[str, Labels]) -> None:
     for name, labels in real.items():
         run, unsure = labels.run, labels.segments()
-        assert run.truth is not None
+        frames = run.frames
         is_sure = ~labels.frames["is_crossing"].to_numpy()
         ids, lane = labels.frames.index, labels.frames["lane"].to_numpy()
         for first, last in zip(unsure["first_frame"], unsure["last_frame"], strict=True):
             is_sure &= (ids < first) | (ids > last)
-        is_right = lane[run.scored] == run.truth.lane
-        kept = is_sure[run.scored] & ~run.truth.is_crossing & (run.truth.frame_id < 9577)
-        assert is_right[kept].mean() >= 0.9999, name
+        is_clear = (~frames["is_crossing"]).fillna(False).to_numpy(dtype=bool)
+        kept = is_sure & is_clear & (ids < 9577)
+        assert (lane == frames["true_lane"].to_numpy())[kept].mean() >= 0.9999, name
         assert unsure["frames"].sum() <= 0.1 * len(ids), name

@@ -61,7 +61,11 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     time.end = max(track.end for track in tracks.values())
     lacking = [line for name, track in tracks.items() for line in _lacking(name, track)]
     notes = [f"{name}: {note}" for name, result in given for note in result.notes]
-    scored = {f"{name}, {who}": s for name, r in given for who, s in scores_by_side(r).items()}
+    scored = {
+        who if is_one else f"{name}, {who}": scores
+        for name, result in given
+        for who, scores in scores_by_side(result).items()
+    }
     words = {
         "results": [result_title(result) for result in results],
         "notes": [without_folders(note) for note in (*notes, *lacking)],

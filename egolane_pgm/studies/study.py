@@ -302,7 +302,7 @@ class Study:
 
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
-        content = plain(resolved(self.model.experiment, self.model.parameters))
+        content: dict[str, Any] = plain(resolved(self.model.experiment, self.model.parameters))
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
         how = f"{self.n_trials} trials" if self.n_trials else "labels and lines"
         content["name"] = f"{self.name}_{suffix}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.loading import load_experiment
+from egolane_pgm.loading import experiments_folder, load_experiment
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.runs import open_input
 from egolane_pgm.studies.sampler import from_unit
@@ -19,6 +19,12 @@ from egolane_pgm.studies.search import Settings, new_study, search
 from egolane_pgm.studies.space import Point, SearchSpace, distributions, make_space
 from egolane_pgm.types import FloatArray, IntArray
 from tests.kits.drives import simulated
+
+EXPERIMENTS = experiments_folder()
+QUICKSTART = EXPERIMENTS / "quickstart.yaml"
+
+#: Blocks of the simulated drive without any of which every lane is left.
+BLOCKS = 7
 
 
 @functools.cache

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from egolane_pgm.views.coverage import MARKED, coverage_curves, coverage_figure
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
@@ -15,6 +14,7 @@ from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
+from egolane_pgm.views.figures import MARKED, coverage_curves, coverage_figure
 from tests.kits.drives import run
 from tests.kits.tiny_result import a_result, without_truth
 

@@ -12,7 +12,7 @@ from egolane_pgm.maps.lane_graph import Plane
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.studies.search import check_sampler
-from egolane_pgm.tools.jobs import in_order
+from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
 from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
@@ -31,7 +31,7 @@ def sampler(_: Path) -> None:
 
 
 def cluster(_: Path) -> None:
-    list(in_order(abs, [1], "local:2"))
+    list(parallel(abs, [1], cluster="local:2"))
 
 
 def position(_: Path) -> None:

@@ -16,7 +16,6 @@ from egolane_pgm.tools.files import (
     plain,
     read_text,
     read_yaml,
-    staged_directory,
     write_json,
     write_yaml,
 )
@@ -61,26 +60,6 @@ def test_a_writer_that_fails_leaves_what_was_there(
         WRITERS[name](tmp_path / name)
     assert (tmp_path / name).read_text() == "before"
     assert [p.name for p in tmp_path.iterdir()] == [name]
-
-
-def test_the_files_of_a_directory_are_replaced_all_or_none(
-    tmp_path: Path,
-) -> None:
-    place = tmp_path / "result"
-    for text in ("one", "two"):
-        with staged_directory(place) as folder:
-            (folder / "a").write_text(text)
-
-    def fails() -> None:
-        with staged_directory(place) as folder:
-            (folder / "a").write_text("three")
-            raise InputError(f"{folder / 'a'}: is wrong")
-
-    with pytest.raises(InputError) as caught:
-        fails()
-    assert str(caught.value) == f"{place / 'a'}: is wrong"
-    assert (place / "a").read_text() == "two"
-    assert [p.name for p in tmp_path.iterdir()] == ["result"]
 
 
 # --- one way to read text and YAML -------------------------------------------------------------
