@@ -126,7 +126,10 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
         groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
-        raise InputError("folds: all rows are of one drive, or have one tag: none can be held out")
+        which = (
+            "blocks: all rows are of one drive" if tag is None else f"by_tag: one tag.{tag} only"
+        )
+        raise InputError(f"{which}; nothing can be held out (blocks 0 holds out nothing)")
     return group_folds(drives, groups)
 
 
@@ -456,18 +459,19 @@ def run_study(
     tuning = tuning or tuning_of(first.experiment)
     fit: Fit = fit_learn
     settings: dict[str, Any] = {}
-    if directory is not None:
-        make_directory(directory)
-        if is_result(directory):
-            raise InputError(f"{directory}: is a result directory; name another one")
-        storage = storage or str(directory / JOURNAL_NAME)
+    if directory is not None and is_result(directory):
+        raise InputError(f"{directory}: is a result directory; name another one")
     if method == "learn":
         check_learnable(first.model)
+        if directory is not None:
+            make_directory(directory)
     else:
         space = search_spaces(drives, tuning)[0]
         found = settings_of(tuning, None, first.experiment.source)
         settings = {**plain(found.__dict__), **describe(space)}
         current = [drive.model.parameters for drive in drives] if starts is None else starts
+        if directory is not None:
+            storage = storage or str(directory / JOURNAL_NAME)
         fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
@@ -477,7 +481,7 @@ def run_study(
                 drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
             )
         except KeyboardInterrupt:
-            if storage is None:
+            if method != "tune" or storage is None:
                 raise
             kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
             raise KeyboardInterrupt(kept) from None

@@ -100,7 +100,7 @@ def test_the_csv_is_the_one_the_documentation_shows(tmp_path: Path) -> None:
         "7,1,-1.75,true,false,10\n"
         "7,2,1.5,false,true,\n"
         "8,,,false,false,\n"
-        "9,1,nan,false,false,3\n"
+        "9,1,,false,false,3\n"
     )  # fmt: skip
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.csv"]
 

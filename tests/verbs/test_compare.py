@@ -67,7 +67,7 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
         ("{0}/sensor_failure_0 {0}/sensor_failure_1", "has other recordings, frames or labels"),
         ("{0} --of tuned_on", "two results of one recording"),
         ("{0} --of graph --out {0}/x.txt", "x.txt"),
-        ("{0}/../blind", "blind: has no ground truth to compare with"),
+        ("{0}/../blind", "lines: has no ground truth to compare with"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(
