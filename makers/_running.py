@@ -7,7 +7,6 @@ from typing import Any
 
 import egolane_pgm as ego
 
-
 #: The paper's evidence, graph and filter.
 PAPER = {"evidence": "counting", "graph": "sensor_failure", "filter": "assumed_density"}
 

@@ -69,8 +69,9 @@ def compared(heading: str, folders: Sequence[Path], **options: Any) -> str:
     found = ego.compare(folders, of="folder", **options)
     each = ego.compare(folders, of="folder", by="name", detector=options.get("detector", False))
     order = each.index.get_level_values("folder").unique()
+    table_of_each = page([table(each["accuracy"].unstack()[order])], wide=True)
     parts = [heading, compare.text(found, "markdown", True), "Accuracy on each recording:"]
-    return page([*parts, table(each["accuracy"].unstack()[order])], wide=True)
+    return "\n\n".join([*parts, table_of_each])
 
 
 def paper() -> None:

@@ -133,13 +133,6 @@ def test_the_model_of_an_experiment_is_put_on_other_lines(tmp_path: Path) -> Non
     assert (in_memory.recording.path, in_memory.name) == (IN_MEMORY, "in_memory")
 
 
-def test_none_takes_a_key_or_a_section_away(tmp_path: Path) -> None:
-    path = write(tmp_path / "e.yaml", **MINIMAL, parameters={"sigma1": 0.2, "p1": 0.9})
-    assert load_experiment(path, {"parameters.p1": None}).parameters == {"sigma1": 0.2}
-    for empty in (None, {}):
-        assert load_experiment(path, {"graph": "lane_only", "parameters": empty}).parameters == {}
-
-
 def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) -> None:
     write(tmp_path / "far" / "_base.yaml", n_lanes=3, recording={"simulate": "a4", "seed": 4})
     write(tmp_path / "_near.yaml", include="far/_base.yaml", n_lanes=4, parameters={"p1": 0.9})

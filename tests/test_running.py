@@ -154,12 +154,6 @@ def test_a_path_that_the_smoothed_posterior_doubts_for_long_is_noted(drive: Path
 # --- gaps ----------------------------------------------------------------------------------------
 
 
-def test_missing_frames_are_skipped_by_default(tmp_path: Path) -> None:
-    found = run(with_gaps(tmp_path))
-    assert len(found) == N_FRAMES - len(GAPS) == found.scores["frames"]
-    assert not set(GAPS) & set(found.frames.index)
-
-
 def test_missing_frames_are_held_as_if_the_frame_before_came_again(tmp_path: Path) -> None:
     found = run(with_gaps(tmp_path, recording__missing_frames="hold"))
     log = short_drive().log
@@ -288,16 +282,6 @@ def test_crossing_frames_are_filtered_but_not_scored(drive: Path) -> None:
     np.testing.assert_array_equal(frames["assigned_lane"], assigned)
     right = (assigned == frames["true_lane"].to_numpy())[~crossing].mean()
     assert found.scores["model"]["accuracy"] == pytest.approx(right)
-
-
-def test_the_frame_rate_sets_times_and_what_is_counted_per_minute(drive: Path) -> None:
-    one, other = run(drive), run(drive, {"recording.frame_rate": 20})
-    np.testing.assert_allclose(other.frames["time_s"], one.frames["time_s"] / 2)
-    for kind in ("detector", "model"):
-        a, b = one.scores[kind], other.scores[kind]
-        assert b["false_switches_per_minute"] == pytest.approx(2 * a["false_switches_per_minute"])
-        assert b["confusion"] == a["confusion"]
-    assert one.scores["detector"]["false_switches_per_minute"] > 0
 
 
 def test_a_lane_that_the_road_of_a_drive_does_not_have_has_probability_0(tmp_path: Path) -> None:

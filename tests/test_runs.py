@@ -7,10 +7,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import pytest
-import yaml
 
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.loading import load_experiment
@@ -203,33 +201,9 @@ def test_a_moved_file_is_the_same_data_and_a_changed_one_is_not(tmp_path: Path) 
     assert summary(path, out)["was_there"].to_list() == [False]
 
 
-def test_a_damaged_result_is_run_again(tmp_path: Path) -> None:
-    path, out = runs_of(tmp_path, 1), tmp_path / "out"
-    first = summary(path, out)
-    (out / "d0" / "run.json").unlink()
-    again = summary(path, out)
-    assert again["was_there"].to_list() == [False]
-    np.testing.assert_array_equal(again["model.accuracy"], first["model.accuracy"])
-
-
 def test_a_row_that_fails_stops_no_other(tmp_path: Path) -> None:
     text = 'name,recording.path,recording.frames\ngood,,"[0, 150]"\nabsent,nowhere.csv,\n'
     found = summary(table(tmp_path, text), tmp_path / "out")
     assert found["error"].isna().to_list() == [True, False]
     assert "nowhere.csv: no such file" in found.loc["absent", "error"]
     assert found.loc["good", "frames"] == 150
-
-
-def test_a_table_goes_with_an_experiment_of_ones_own(tmp_path: Path) -> None:
-    """Paths of the table are relative to it, those of the experiment to the experiment."""
-    path = write_drive(tmp_path / "e")
-    (tmp_path / "e" / "more.yaml").write_text(
-        yaml.safe_dump({"include": "experiment.yaml", "parameters": {"sigma1": 0.3}})
-    )
-    write_drive(tmp_path / "t")
-    rows = "name,recording.path,ground_truth.path\nown,,\nother,t/lines.csv,t/ground_truth.txt\n"
-    found = run_table(
-        table_inputs(path.parent / "more.yaml", table(tmp_path, rows)), tmp_path / "o"
-    )
-    assert found["error"].isna().all()
-    assert found.loc["own", "model.accuracy"] == found.loc["other", "model.accuracy"]

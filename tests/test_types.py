@@ -16,7 +16,6 @@ from egolane_pgm.types import (
     LineLog,
     check_lanes,
     lane_truth,
-    not_one_of,
 )
 
 
@@ -119,52 +118,6 @@ def test_lines_given_one_after_the_other_are_padded_frame_by_frame() -> None:
             at += count
 
 
-def test_one_frame_is_the_log_that_its_rows_are() -> None:
-    rng = np.random.default_rng(0)
-    for n_lines in range(4):
-        offset, lri = rng.normal(size=(2, n_lines))
-        valid, continuous = rng.random((2, n_lines)) < 0.5
-        rows = np.zeros(n_lines, dtype=np.int64)
-        several = LineLog.from_rows(np.array([7]), 3.0, rows, offset, valid, continuous, lri)
-        for given in (
-            (offset, valid, continuous, lri),
-            (list(offset), list(valid), list(continuous), list(lri)),
-        ):
-            one = LineLog.of_frame(7, 3.0, *given)
-            for name, array in vars(several).items():
-                np.testing.assert_array_equal(getattr(one, name), array, strict=name != "source")
-    with pytest.raises(InputError, match=r"here: frame 7: line 1 is valid but its offset is nan"):
-        LineLog.of_frame(7, 3.0, [math.nan], [True], [False], [1.0], source="here")
-
-
-def test_a_line_may_say_its_place_in_the_frame() -> None:
-    log = LineLog.from_rows(
-        np.array([3, 8]),
-        10.0,
-        np.array([0, 1, 1]),
-        np.array([1.0, 2.0, 3.0]),
-        np.array([True, False, True]),
-        np.array([False, False, True]),
-        np.array([1.0, 2.0, 3.0]),
-        row_line=np.array([1, 2, 0]),
-        is_missing=np.array([False, True]),
-    )
-    np.testing.assert_array_equal(log.offset_m, [[np.nan, 1, np.nan], [3, np.nan, 2]])
-    np.testing.assert_array_equal(log.is_valid, [[False, True, False], [True, False, False]])
-    assert log.is_missing.tolist() == [False, True]
-
-
-def test_a_log_behind_another_is_as_wide_as_the_wider_one() -> None:
-    first, later = a_log(2, 1), replace(a_log(2, 3), frame_id=np.array([20, 21]), source="b")
-    both = LineLog.joined([first, later])
-    assert both.frame_id.tolist() == [10, 12, 20, 21]
-    assert both.source == "b"
-    assert np.isnan(both.offset_m[:2, 1:]).all()
-    assert not both.is_valid[:2, 1:].any()
-    for name in ("offset_m", "is_valid", "is_continuous", "lri", "time_s", "is_missing"):
-        np.testing.assert_array_equal(getattr(both, name)[2:], getattr(later, name))
-
-
 @pytest.mark.parametrize("lane", [0, 4, -1])
 def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
     truth = lane_truth([7, 8, 9], [1, lane, 3], [False] * 3, "gt.txt")
@@ -191,18 +144,6 @@ def test_evidence_that_is_negative_or_no_number_is_refused_naming_node_and_frame
     values[2, 1] = value
     with pytest.raises(InputError, match="evidence for WOR: frame 2"):
         Evidence({"WOR": values})
-
-
-def test_evidence_may_be_given_in_lists() -> None:
-    found = Evidence({"DetectorOutput": [[1, 0], [0.5, 0.5]]})  # type: ignore[dict-item]
-    np.testing.assert_array_equal(found.likelihoods["DetectorOutput"], [[1, 0], [0.5, 0.5]])
-    found = Evidence({}, {"Hill": [0, 1]})  # type: ignore[dict-item]
-    np.testing.assert_array_equal(found.inputs["Hill"], [0, 1])
-    with pytest.raises(InputError, match="evidence for Hill: an input is given by indices"):
-        Evidence({}, {"Hill": ["up", "down"]})  # type: ignore[dict-item]
-    for wrong in ([[1, 0], [1]], [["a", "b"]], None):
-        with pytest.raises(InputError, match="evidence for DetectorOutput: "):
-            Evidence({"DetectorOutput": wrong})  # type: ignore[dict-item]
 
 
 def test_evidence_may_be_zero_and_need_not_sum_to_one() -> None:
@@ -281,12 +222,3 @@ def test_what_is_not_given_has_its_default_and_what_is_given_its_own_type() -> N
     assert (values["count"], type(values["count"])) == (3, int)
     assert values["p3"] == (0.1, 0.2, 1.0)
     assert resolve_parameters(SPECS, {"p1": np.float32(0.5)}, 3)["p1"] == 0.5
-
-
-def test_choices_are_listed_once_with_the_nearest() -> None:
-    assert not_one_of("x", ("b", "a")) == "'x' is not one of b, a"
-    assert not_one_of("bt", ("but", "a")) == "'bt' is not one of but, a (did you mean 'but'?)"
-    assert not_one_of(3, ("b", "a")) == "3 is not one of b, a"
-    choice = Parameter("c", "choice", "a", "which", choices=("a", "b"))
-    with pytest.raises(InputError, match=r"^c: 'x' is not one of a, b$"):
-        choice.check("x", 3, "c")

@@ -203,25 +203,16 @@ def _rule_lines(found: Mapping[str, Any]) -> list[str]:
 
 
 def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
-    if not parameters:
-        return ["parameters: none"]
-    rows = [["parameters", "kind", "default", "in a search"]]
+    lines = ["parameters" if parameters else "parameters: none"]
     for each in parameters:
-        kind = each["kind"] + (", or per lane" if each["per_lane"] else "")
-        search = _short(each["range"]) if each["is_searched"] else "held fixed"
-        rows.append([f"  {each['name']}", kind, _short(each["default"]), search])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    first, *others = (
-        "  ".join(f"{text:{w}}" for text, w in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    )
-    lines = [first]
-    for line, each in zip(others, parameters, strict=True):
+        facts = [each["kind"] + (" (or one per lane)" if each["per_lane"] else "")]
+        facts.append(f"default {_short(each['default'])}")
+        facts.append(f"searched {_short(each['range'])}" if each["is_searched"] else "not searched")
         text = "; ".join(filter(None, (each["meaning"], each["source"])))
         if each["choices"]:
             number = "" if each["kind"] == "choice" else "a number or "
             text = f"{number}{' or '.join(each['choices'])}: {text}"
-        lines += [line, wrapped(f"      {text}")]
+        lines += [wrapped(f"  {each['name']}  {', '.join(facts)}", 4), wrapped(f"      {text}")]
     return lines
 
 

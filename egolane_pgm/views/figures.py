@@ -6,6 +6,7 @@ All raise InputError for a result without ground truth.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -80,8 +81,8 @@ def confusion_figure(result: Result) -> Figure:
         for (row, column), count in np.ndenumerate(counts):
             is_used = total[column] > 0
             colour = text_colour(ramp(share[row, column])) if is_used else INK
-            place = {"ha": "center", "va": "center", "color": colour}
-            text = f"{percent(share[row, column])} %" if is_used else "-"
+            place: dict[str, Any] = {"ha": "center", "va": "center", "color": colour}
+            text = f"{percent(float(share[row, column]))} %" if is_used else "-"
             ax.text(column, row - 0.13, text, **place)
             ax.text(column, row + 0.23, f"{int(count):,}", fontsize=7, **place)
         ax.vlines(np.arange(1, n) - 0.5, -0.5, n + 0.5, FAINT, lw=0.5)
@@ -175,8 +176,8 @@ def coverage_figure(result: Result) -> Figure:
             if coverage < LEAST_COVERAGE:
                 continue
             ax.plot(coverage, accuracy, marker=marker, ms=5.5, color=colour, zorder=3)
-            place = {"textcoords": "offset points", "xytext": (4, 5), "fontsize": 8}
-            ax.annotate(f"{below:g}", (coverage, accuracy), **place)
+            at = coverage, accuracy
+            ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
     margin = 0.08 * (1 - lowest) + 0.002
     ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))
     ax.set_xlabel("coverage: share of frames with an answer")
@@ -227,16 +228,14 @@ def dispersion_figure(results: Sequence[Result]) -> Figure:
         ax.barh(y, values, 0.88, left, color=colour, ec="w", lw=0.5, label=name)
         for at, begin, value in zip(y, left, values, strict=True):
             if value >= LABELLED:
-                place = {"ha": "center", "va": "center", "fontsize": 7.5}
-                place["color"] = text_colour(colour)
-                ax.text(begin + value / 2, at, percent(value), **place)
+                x, ink = begin + value / 2, text_colour(colour)
+                ax.text(x, at, percent(value), ha="center", va="center", fontsize=7.5, color=ink)
         left += values
     ax.set_yticks(y, share.index.get_level_values(2))
-    place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points", "ha": "right"}
+    place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "center"}
     for k, title in dict(share.index.droplevel(2)).items():
-        at, (name, _, note) = y[group == k].mean(), title.partition("\n")
-        ax.annotate(name, (0, at), (-58, 0), va="bottom", **place)
-        ax.annotate(note, (0, at), (-58, -1), va="top", fontsize=7, **place)
+        at = y[group == k].mean()
+        ax.annotate(title, (0, at), (-58, 0), textcoords="offset points", fontsize=7.5, **place)
     ax.set(xlim=(0, 1), ylim=(y[-1] + 0.6, -0.6), xlabel="share of scored frames (%)")
     ax.set_xticks(np.linspace(0, 1, 6), [f"{v}" for v in range(0, 101, 20)])
     ax.tick_params(axis="y", length=0)

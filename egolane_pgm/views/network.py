@@ -142,18 +142,18 @@ def network_figure(structure: Structure) -> Figure:
     return figure
 
 
-def _legend(structure: Structure) -> dict[str, tuple[Line2D, ...]]:
+def _legend(structure: Structure) -> dict[str, Any]:
     """The marks of the legend by their labels; a function has two circles."""
-    entries: dict[str, tuple[Line2D, ...]] = {}
+    entries: dict[str, Any] = {}
     for kind, fill in _FILL.items():
         if kind in structure.kind.values():
             sizes = {"function": (10, 7), "virtual evidence": (5,)}.get(kind, (10,))
             label = "function of its parents" if kind == "function" else kind
             look: Any = {"ls": "", "marker": "os"[kind == "input"], "mfc": fill, "mec": INK}
             entries[label] = tuple(Line2D([], [], ms=size, **look) for size in sizes)
-    entries["within a frame"] = (Line2D([], [], color=INK, lw=1.1),)
+    entries["within a frame"] = Line2D([], [], color=INK, lw=1.1)
     if structure.across:
-        entries["to the next frame"] = (Line2D([], [], color=_TEMPORAL, lw=1.9),)
+        entries["to the next frame"] = Line2D([], [], color=_TEMPORAL, lw=1.9)
     return entries
 
 

@@ -69,16 +69,22 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     cells = strip_cells(frames, low, high, each)
     n_columns = len(cells["crossing"])
     per_row = -(-n_columns // n_rows)
-    heights = {
+    heights: dict[str, int] = {
         name: 1 if name == "Changes" else cells[name].shape[1]
         for name in ("Model", "Detector", "Changes", "Truth")
         if name in cells or name == "Changes"
     }
     total = sum(heights.values()) + _GAP * len(heights)
-    figure, axes = _rows(n_rows, total * _LANE)
+    # Constrained layout would take seconds.
+    row = total * _LANE
+    tall = _HEAD + n_rows * (row + _ROW_GAP) + _FOOT
+    figure = new_figure(_WIDTH, tall, layout="none")
+    edges = {"left": _LEFT / _WIDTH, "right": 1 - _RIGHT / _WIDTH, "top": 1 - _HEAD / tall}
+    edges |= {"bottom": (_FOOT + _ROW_GAP) / tall, "hspace": _ROW_GAP / row}
+    axes = figure.subplots(n_rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
     mean = f"; a column is the mean of {each} frames" if each > 1 else ""
     title = f"{title_of(result)}: frames {low} to {high}{mean}"
-    figure.text(0.01, 1 - 0.08 / figure.get_figheight(), title, va="top", fontsize=10)
+    figure.text(0.01, 1 - 0.08 / tall, title, va="top", fontsize=10)
     for ax, start in zip(axes, range(0, n_columns, per_row), strict=False):
         part = {name: values[start : start + per_row] for name, values in cells.items()}
         left = low + each * start - 0.5
@@ -120,8 +126,6 @@ def _on_one_axis(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
 def frame_range(frames: pd.DataFrame, first: int | None, last: int | None) -> tuple[int, int]:
     """The first and the last frame id to draw. Raises InputError for a range without frames."""
     ids = frames.index
-    if not len(ids):
-        raise InputError("the result has no frames to draw")
     low = int(ids[0]) if first is None else max(first, int(ids[0]))
     high = int(ids[-1]) if last is None else min(last, int(ids[-1]))
     if not ((ids >= low) & (ids <= high)).any():
@@ -160,18 +164,6 @@ def strip_cells(frames: pd.DataFrame, low: int, high: int, each: int = 1) -> dic
     return {str(name): table[name].to_numpy() for name in table.columns.unique(0)}
 
 
-def _rows(n_rows: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure with rows of strips, placed in inches: constrained layout takes seconds."""
-    tall = _HEAD + n_rows * (height + _ROW_GAP) + _FOOT
-    figure = new_figure(_WIDTH, tall, layout="none")
-    axes = []
-    for k in range(n_rows):
-        bottom = tall - _HEAD - k * (height + _ROW_GAP) - height
-        wide = _WIDTH - _LEFT - _RIGHT
-        axes.append(figure.add_axes((_LEFT / _WIDTH, bottom / tall, wide / _WIDTH, height / tall)))
-    return figure, axes
-
-
 def _draw_strips(
     ax: Axes,
     cells: Mapping[str, FloatArray],
@@ -181,7 +173,8 @@ def _draw_strips(
 ) -> None:
     """Draw one row of strips; y counts lanes from the top, x frames."""
     step = (right - left) / len(cells["crossing"])
-    top, ticks = 0.0, {}
+    top: float = 0
+    ticks: dict[float, str] = {}
     crossing = _spans(cells["crossing"], left, step)
     edges = [x for begin, length in crossing for x in (begin, begin + length)]
     for name, n in heights.items():
@@ -240,8 +233,8 @@ def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> No
     marks = [(x, 0.0) for x in _ticks(left, right)]
     ax.plot(*np.reshape(marks, (-1, 2)).T, "|", ms=5, color=INK, mew=0.8, clip_on=False)
     for x, y in marks:
-        place = {"textcoords": "offset points", "ha": "center", "fontsize": 8}
-        ax.annotate(f"{x:.12g}", (x, y), (0, 4), **place)
+        name = f"{x:.12g}"
+        ax.annotate(name, (x, y), (0, 4), textcoords="offset points", ha="center", fontsize=8)
 
 
 def _ticks(low: float, high: float) -> FloatArray:

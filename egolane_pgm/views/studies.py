@@ -39,42 +39,42 @@ _DOTS, _SHADE = "#8aa9c0", "#d5e6f3"
 # --- text ----------------------------------------------------------------------------------------
 
 
+def _scores(study: Study) -> dict[str, Mapping[str, Any]]:
+    """The scores in-sample and, if there are any, held out."""
+    results = {"in-sample": study.in_sample, "held out": study.held_out}
+    return {name: result.scores for name, result in results.items() if result is not None}
+
+
 def study_title(study: Study) -> str:
     """A study in one line: method, trials, and accuracy in-sample and held out."""
     more = len(study.experiments) - 1
     parts = [f"{study.name!r}{f' and {more} more' if more else ''}: {study.method}"]
     if study.n_trials:
         parts.append(f"{study.n_trials} trials")
-    names = {"in-sample": study.in_sample, "held out": study.held_out}
-    scores = [
-        f"{found.scores['model']['accuracy']:.3f} {name}"
-        for name, found in names.items()
-        if found is not None and "model" in found.scores
+    accuracy = [
+        f"{found['model']['accuracy']:.3f} {name}"
+        for name, found in _scores(study).items()
+        if "model" in found
     ]
-    parts.append(f"accuracy {', '.join(scores)}" if scores else "no ground truth")
+    parts.append(f"accuracy {', '.join(accuracy)}" if accuracy else "no ground truth")
     return ", ".join(parts)
 
 
 def study_text(study: Study, style: str, wide: bool) -> str:
     """The text of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
     parts: list[str | Table] = [study_title(study)]
-    in_sample, held_out = study.in_sample.scores, {}
+    found, folds = _scores(study), []
     if study.held_out is not None:
-        held_out = study.held_out.scores
-        parts.append(
-            f"held out: {study.held_out.run['blocks']} folds, each scored with its own fit"
-        )
-    both = {"in-sample": in_sample.get("model"), "held out": held_out.get("model")}
-    scores = {name: found for name, found in both.items() if found}
+        folds = study.held_out.run["fitted"]
+        parts.append(f"held out: {len(folds)} folds, each scored with a fit to the others")
+    scores = {name: each["model"] for name, each in found.items() if "model" in each}
     if scores:
         parts.append(score_table(scores))
     if study.held_out is not None and "drive" in study.held_out.frames:
         parts += drive_parts(study.held_out)
-    evidence = [f"{found['mean_log_evidence']:.4f}" for found in (in_sample, held_out) if found]
-    names = " in-sample, ".join(evidence) + (" held out" if held_out else " in-sample")
-    parts.append(f"mean log evidence per frame: {names}")
+    evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in found.items()]
+    parts.append(f"mean log evidence per frame: {', '.join(evidence)}")
     values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
-    folds = study.held_out.run["fitted"] if study.held_out is not None else []
     if values:
         parts.append(_best_table(study, values, folds))
     tables = [name for name in study.fitted if name not in values]
@@ -169,8 +169,6 @@ def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, 
     for name, ends in settings["searched"].items():
         if isinstance(ends[0], str):
             space[name] = optuna.distributions.CategoricalDistribution(ends)
-        elif trials[name].dtype.kind == "i":
-            space[name] = optuna.distributions.IntDistribution(*map(int, ends))
         else:
             space[name] = optuna.distributions.FloatDistribution(*ends)
     with quiet():

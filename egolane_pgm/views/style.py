@@ -94,11 +94,8 @@ def new_figure(width: float, height: float, title: str = "", layout: Any = "cons
 
 def text_colour(background: Any) -> str:
     """Return black or white, whichever has the higher contrast (WCAG 2) on the background."""
-    linear = [
-        c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in to_rgb(background)
-    ]
-    luminance = 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-    return "black" if luminance > 0.179 else "white"
+    red, green, blue = (c**2.2 for c in to_rgb(background))
+    return "black" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else "white"
 
 
 def percent(share: float) -> str:

@@ -78,36 +78,23 @@ def table(
     | A   | 0.850 [0.800, 0.900] |
     | B   | 0.880 [0.800, 0.900] |
     """
-    forms = digits or {}
-    names = [str(name) for name in frame.index.names]
-    labels = [frame.index.get_level_values(k) for k in range(len(names))]
+    forms, n_labels = digits or {}, frame.index.nlevels
     ends = {f"{name}_{end}" for name in frame for end in ("low", "high")}
     shown = [name for name in frame if name not in ends]
-    columns = [list(map(str, values)) for values in labels]
-    for name in shown:
-        has_ends = f"{name}_low" in frame
-        column = []
-        for k, (row, value) in enumerate(zip(labels[0], frame[name], strict=True)):
-            form = forms.get(row, forms.get(name, 3))
-            bounds = [frame[f"{name}_{end}"].iloc[k] for end in ("low", "high") if has_ends]
-            column.append(_with_bounds(value, bounds, form))
-        columns.append(column)
-    rows = [list(row) for row in zip(*columns, strict=True)]
-    header = [*names, *(str(name).replace("_", " ") for name in shown)]
-    return Table(header, rows, len(names), leaves_out, frame)
-
-
-def _with_bounds(value: Any, bounds: Sequence[Any], form: int | str) -> str:
-    text = cell(value, form)
-    if not bounds or pd.isna(bounds).any():
-        return text
-    return f"{text} [{', '.join(cell(bound, form) for bound in bounds)}]"
+    rows = []
+    for label, row in zip(frame.index, frame.to_dict("records"), strict=True):
+        labels = [str(each) for each in (label if n_labels > 1 else [label])]
+        cells = []
+        for name in shown:
+            bounds = [row[f"{name}_{end}"] for end in ("low", "high") if f"{name}_low" in row]
+            cells.append(with_interval(row[name], bounds, forms.get(label, forms.get(name, 3))))
+        rows.append([*labels, *cells])
+    header = [*map(str, frame.index.names), *(str(name).replace("_", " ") for name in shown)]
+    return Table(header, rows, n_labels, leaves_out, frame)
 
 
 def cell(value: Any, form: int | str = 3) -> str:
-    """A value as text: "yes" or "no", a number with `form` decimals, a dash if missing."""
-    if isinstance(value, (bool, np.bool_)):
-        return "yes" if value else "no"
+    """A value as text: a number with `form` decimals or in this format, a dash if missing."""
     if value is None or value is pd.NA or value != value:
         return "-"
     if isinstance(value, (float, np.floating)):
@@ -117,9 +104,11 @@ def cell(value: Any, form: int | str = 3) -> str:
     return str(value)
 
 
-def with_interval(value: float | None, interval: Sequence[float] | None, form: str = ".3f") -> str:
-    """A score and its interval, e.g. "0.912 [0.905, 0.919]"; a dash for an undefined score."""
-    return _with_bounds(value, interval or (), form)
+def with_interval(value: Any, interval: Sequence[Any] | None, form: int | str = 3) -> str:
+    """A value and its interval, if it has one, e.g. "0.912 [0.905, 0.919]"; see `cell`."""
+    if not interval or pd.isna(interval).any():
+        return cell(value, form)
+    return f"{cell(value, form)} [{', '.join(cell(end, form) for end in interval)}]"
 
 
 # --- printing ------------------------------------------------------------------------------------
@@ -142,10 +131,9 @@ def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = Fal
 
 
 def _csv(found: Table) -> str:
-    text = as_csv(found.header, found.rows)
-    if found.frame is not None:
-        text = found.frame.to_csv(index=found.labels > 0, lineterminator="\n")
-    return text.rstrip("\n")
+    if found.frame is None:
+        return as_csv(found.header, found.rows).rstrip("\n")
+    return str(found.frame.to_csv(lineterminator="\n")).rstrip("\n")
 
 
 def terminal_width() -> int:

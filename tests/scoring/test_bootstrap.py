@@ -93,7 +93,7 @@ def test_the_interval_is_the_percentiles_of_the_statistic_over_the_resamples() -
     counts = confusion_counts(assigned, lane, is_crossing, 3)
     for statistic in (accuracy, macro_f1):
         interval = bootstrap_interval(
-            [counts], statistic, block=20, resamples=200, seed=4, level=0.9
+            [counts], statistic, block=20, resamples=200, seeds=[4], level=0.9
         )
         slow = [
             statistic(confusion(assigned[f], lane[f], is_crossing[f], 3))
@@ -113,9 +113,9 @@ def test_about_95_of_100_intervals_hold_the_truth_and_single_frames_would_not_do
     for seed in range(100):
         tosses = np.repeat(np.random.default_rng(seed).random(100) < 0.5, 20)
         counts = mean_counts(tosses)
-        interval = bootstrap_interval([counts], ratio, block=100, resamples=150, seed=seed)
+        interval = bootstrap_interval([counts], ratio, block=100, resamples=150, seeds=[seed])
         held += interval.low <= 0.5 <= interval.high
-        narrow = bootstrap_interval([counts], ratio, block=1, resamples=150, seed=seed)
+        narrow = bootstrap_interval([counts], ratio, block=1, resamples=150, seeds=[seed])
         held_by_single_frames += narrow.low <= 0.5 <= narrow.high
     assert 85 <= held <= 99
     assert held_by_single_frames < 60
@@ -150,7 +150,7 @@ def test_a_difference_uses_the_same_resamples_for_both_sides() -> None:
     worse = assigned.copy()
     worse[::4] = 0
     b = confusion_counts(worse, lane, is_crossing, 3)
-    interval = bootstrap_interval([a], accuracy, minus=[b], block=20, resamples=100, seed=2)
+    interval = bootstrap_interval([a], accuracy, minus=[b], block=20, resamples=100, seeds=[2])
     slow = [
         accuracy(a[f].sum(axis=0)) - accuracy(b[f].sum(axis=0))
         for f in circular_block_bootstrap(400, 20, 100, 2)
@@ -160,14 +160,14 @@ def test_a_difference_uses_the_same_resamples_for_both_sides() -> None:
     assert interval.low > 0
     whole = accuracy(a.sum(axis=0)) - accuracy(b.sum(axis=0))
     assert interval.estimate == pytest.approx(float(whole), abs=1e-12)
-    turned = bootstrap_interval([b], accuracy, minus=[a], block=20, resamples=100, seed=2)
+    turned = bootstrap_interval([b], accuracy, minus=[a], block=20, resamples=100, seeds=[2])
     assert (turned.estimate, turned.low) == pytest.approx((-interval.estimate, -interval.high))
 
 
 def test_several_recordings_are_resampled_one_by_one_and_count_alike() -> None:
     drives = [a_drive(300, seed=1), a_drive(400, seed=2)]
     counts = [confusion_counts(*drive, 3) for drive in drives]
-    interval = bootstrap_interval(counts, accuracy, block=20, resamples=100, seed=5)
+    interval = bootstrap_interval(counts, accuracy, block=20, resamples=100, seeds=[5, 6])
     slow = [
         [accuracy(mine[f].sum(axis=0)) for f in circular_block_bootstrap(len(mine), 20, 100, 5 + k)]
         for k, mine in enumerate(counts)

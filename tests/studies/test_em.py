@@ -10,8 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
-from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import load_experiment
@@ -142,46 +141,6 @@ def test_em_finds_the_tables_that_the_drive_was_drawn_from(labelled: bool) -> No
     np.testing.assert_allclose(output[0], right["DetectorOutput", 1].values[0], atol=0.05)
 
 
-@needs_compiler
-def test_em_finds_how_long_the_errors_of_a_detector_last() -> None:
-    """Seen keeps its own value for a while, whatever the lane; the light changes every frame."""
-    rng = np.random.default_rng(5)
-
-    def compiled(stay: float, keeps: float, dark: float) -> Compiled:
-        fresh = np.array([[[0.9, 0.1], [0.1, 0.9]], [[0.5, 0.5], [0.5, 0.5]]])  # light, lane, seen
-        tables = [
-            *prior("Lane", [0.5, 0.5]),
-            *dynamics("Lane", [previous("Lane")], [[stay, 1 - stay], [1 - stay, stay]]),
-            *within("Light", [], [1 - dark, dark]),
-            *prior("Seen", fresh, ["Light", "Lane"]),
-            *dynamics(
-                "Seen",
-                ["Light", "Lane", previous("Seen")],
-                keeps * np.eye(2) + (1 - keeps) * fresh[:, :, None, :],
-            ),
-        ]
-        return compile(declare(tables, ["Seen"]), hidden=["Lane", "Light"], observed=["Seen"])
-
-    truth = compiled(stay=0.95, keeps=0.7, dark=0.3)
-    lane, seen, lanes, light_of, seen_of = 0, 0, [], [], []
-    for _ in range(6_000):
-        lane = int(rng.choice(2, p=truth.tables["Lane", 1].values[lane]))
-        light = int(rng.choice(2, p=truth.tables["Light", 1].values))
-        seen = int(rng.choice(2, p=truth.tables["Seen", 1].values[light, lane, seen]))
-        lanes.append(lane)
-        light_of.append(light)
-        seen_of.append(seen)
-    known = {"Lane": np.array(lanes), "Light": np.where(rng.random(6_000) < 0.5, FREE, light_of)}
-    evidence = Evidence({"Seen": np.eye(2)[seen_of]})
-    start = compiled(stay=0.8, keeps=0.2, dark=0.5)
-    fitted = fit_tables(start, evidence, known, strength=1.0, iterations=60)
-    for node in (("Lane", 1), ("Light", 1), ("Seen", 1)):
-        learned = fitted.tables[node].values
-        np.testing.assert_allclose(learned, truth.tables[node].values, atol=0.06)
-    assert fitted.compiled.has_one_table("Light")
-    assert ("Light", 0) not in fitted.tables
-
-
 def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:
     """Every label known: the counts are whole numbers, and a row is their mean with the prior."""
     compiled = paper_case()
@@ -213,18 +172,6 @@ def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_ha
     )
     assert fitted.log_posterior[0] == pytest.approx(before)
     assert fitted.log_posterior[-1] == pytest.approx(now + log_prior)
-
-
-def test_what_is_never_used_stays_possible_without_any_prior() -> None:
-    compiled = paper_case()
-    evidence = Evidence({"DetectorOutput": np.ones((8, 3)), "WOR": np.ones((8, 2))})
-    held = {"Lane": np.zeros(8, dtype=np.int64)}
-    fitted = fit_tables(compiled, evidence, held, strength=0.0)
-    lane = fitted.tables["Lane", 1].values
-    start = counted_tables(compiled)["Lane", 1].values
-    np.testing.assert_allclose(lane[0], [1, 0, 0], atol=1e-300)
-    np.testing.assert_array_equal(lane > 0, start > 0)
-    np.testing.assert_array_equal(lane[1:], start[1:])  # rows that were not used
 
 
 @needs_compiler

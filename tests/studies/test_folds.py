@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -16,7 +15,7 @@ from pandas.testing import assert_frame_equal
 from egolane_pgm.drives import Drive
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.running import frames_of
-from egolane_pgm.studies.fits import Fitted, apply_fit, fit_nothing
+from egolane_pgm.studies.fits import Fitted, apply_fit
 from egolane_pgm.studies.study import (
     block_folds,
     cross_validate,
@@ -27,7 +26,7 @@ from egolane_pgm.studies.study import (
     lacking_lanes,
 )
 from egolane_pgm.types import InputError
-from tests.kits.drives import run, simulated, write_drive
+from tests.kits.drives import simulated, write_drive
 from tests.kits.studies import drive_of, two_drives, with_labels
 
 
@@ -157,12 +156,6 @@ def test_each_test_frame_has_the_posterior_of_its_own_fold() -> None:
             assert_frame_equal(there[alone.columns], alone.iloc[fold.test[k]])
 
 
-def test_without_a_fit_the_frames_are_those_of_a_run() -> None:
-    one = drive()
-    frames, _ = cross_validate([one], fit_nothing, block_folds([one], 4))
-    assert_frame_equal(frames.drop(columns="block"), run(simulated()).frames)
-
-
 def test_a_lane_that_one_block_alone_has_is_said() -> None:
     one = drive()
     lane = np.where(np.arange(len(one)) // 10 % 2, 1, 2)
@@ -171,12 +164,3 @@ def test_a_lane_that_one_block_alone_has_is_said() -> None:
     assert lacking_lanes([changed], block_folds([changed])) == ["a: only block 2 has lane 3"]
     everywhere = with_labels(changed, np.arange(1000, 1010), 3)
     assert lacking_lanes([everywhere], block_folds([everywhere])) == []
-
-
-def test_folds_are_fitted_alike_by_several_processes() -> None:
-    drives, tables = two_drives(), []
-    for jobs in (1, 2):
-        frames, _ = cross_validate(drives, fit_nothing, block_folds(drives, 2), jobs=jobs)
-        tables.append(frames)
-    assert_frame_equal(*tables)
-    assert isinstance(tables[0], pd.DataFrame)

@@ -22,7 +22,6 @@ from egolane_pgm.studies.fits import (
     check_learnable,
     fit_learn,
     fit_tables,
-    learnable_tables,
     seen_before,
     start_of_learning,
     training_of,
@@ -162,27 +161,6 @@ def test_a_lane_without_a_label_keeps_its_start_and_is_named() -> None:
     assert np.abs(after["Lane", 1].values[:3] - before[:3]).max() > 0.01
 
 
-def test_the_prior_is_as_strong_as_the_experiment_sets() -> None:
-    away = {}
-    for strength in (1, 1_000_000):
-        one = drive(learning={"strength": strength})
-        start = start_of_learning(one.model).compiled.tables["Lane", 1].values
-        found = np.reshape(learned(one)["tables.Lane.next"], (4, 4))
-        away[strength] = np.abs(found - start).max()
-    assert away[1_000_000] < 1e-3 < 0.02 < away[1]
-
-
-def test_named_tables_alone_are_learned() -> None:
-    one = drive(learning={"tables": ["Lane"]})
-    assert {name for name, _ in learnable_tables(one.model)} == {"Lane"}
-    start = start_of_learning(one.model).compiled.tables
-    after = apply_fit(one.model, learned(one)).compiled.tables
-    for node, table in after.items():
-        if node[0] != "Lane":
-            np.testing.assert_array_equal(table.values, start[node].values)
-    assert (after["Lane", 1].values != start["Lane", 1].values).any()
-
-
 def test_mirrored_drives_give_mirrored_tables() -> None:
     drives = two_drives()
     train = [np.arange(len(each)) for each in drives]
@@ -272,28 +250,3 @@ def test_without_ground_truth_the_evidence_alone_is_learned_from(tmp_path: Path)
 def test_what_cannot_be_learned_is_refused(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(InputError, match=said):
         check_learnable(drive(**changes).model)
-
-
-def test_a_graph_without_a_table_to_learn_is_refused(tmp_path: Path) -> None:
-    same = np.eye(3).tolist()
-    tables = {
-        "Lane": {
-            "first": {"rows": {"values": [1, 0, 0]}},
-            "next": {"rows": {"of": ["Lane before"], "values": same}},
-        },
-        "DetectorOutput": {"rows": {"of": ["Lane"], "values": same}},
-    }
-    content = {"nodes": {"Lane": 3, "DetectorOutput": 3}, "tables": tables, "hidden": ["Lane"]}
-    content |= {"observed": ["DetectorOutput"], "unused": ["WOR"]}
-    (tmp_path / "g.yaml").write_text(yaml.safe_dump(content))
-    one = drive_of(load_experiment(write_drive(tmp_path, 30, graph="./g.yaml")))
-    with pytest.raises(InputError, match=r"nothing to learn: all tables of graph .* are certain"):
-        check_learnable(one.model)
-
-
-def test_a_graph_of_ones_own_is_learned() -> None:
-    one = drive_of(load_experiment(ROOT / "examples" / "own_files.yaml"))
-    study = run_study([one], "learn", block_folds([one], 2))
-    content = study.experiment()
-    assert content["evidence"] == str(ROOT / "examples" / "my_evidence.py")
-    assert content["parameters"]["tempering"] == 0.7

@@ -132,15 +132,6 @@ def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() ->
     assert objective.belief_score(drive, belief, used, "delay") == objective.UNDEFINED
 
 
-def test_rejected_answers_are_none_in_a_search_too() -> None:
-    given = load_experiment("quickstart", {"unassigned_below": 0.8})
-    drive, model = drive_of(given), run(given).scores["model"]
-    posterior = objective.posterior_at(drive)(drive.model.parameters)
-    found = objective.scores_of([drive], [posterior], [everything()], ["accuracy", "coverage"])
-    assert found == pytest.approx([model["accuracy"], model["coverage"]])
-    assert found[1] < 0.99
-
-
 def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
     given = load_experiment("quickstart", {"evidence_reading": "hard", "filter": "exact"})
     drive = drive_of(given)
@@ -159,9 +150,3 @@ def test_settings_that_do_not_fit_are_refused() -> None:
     ahead = load_experiment("quickstart", {"filter": "smoothed"})
     with pytest.raises(InputError, match="a search takes assumed_density or exact, not smoothed"):
         objective.check_filter(ahead)
-
-
-def test_each_fold_has_a_seed_of_its_own() -> None:
-    seeds = [settings_of(Tuning(seed=3), fold).seed for fold in (None, 0, 1, 2, 3)]
-    assert seeds[0] == 3
-    assert len(set(seeds)) == 5

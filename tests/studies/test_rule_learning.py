@@ -200,15 +200,6 @@ def test_a_rule_that_learns_from_one_recording_cannot_be_pooled(
         fit_rule([drive()] * 2, [np.arange(9)] * 2)
 
 
-def test_nothing_is_learned_where_the_prior_is_infinite() -> None:
-    small = {"cells": 4, "motion_bins": 9}
-    one = drive(parameters={**small, "prior_frames": "infinite", "sigmas_m": [0.1] * 7})
-    found = learned(one)
-    # What the experiment has learned before may be from frames that are scored.
-    assert set(found) == set(line_geometry_rule.LEARNED)
-    assert found["rates"] == found["sigmas_m"] == "generic"
-
-
 def test_a_rule_that_learns_what_it_does_not_name_is_refused(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"

@@ -15,22 +15,9 @@ from optuna.distributions import (
 )
 from optuna.trial import TrialState
 
-from egolane_pgm.studies import sampler as evolution
 from egolane_pgm.studies.sampler import Shade, from_unit, to_unit
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
-
-
-def test_children_stay_in_the_cube_and_a_child_as_good_takes_its_parents_place() -> None:
-    population = evolution.empty(3)
-    for _ in range(10):
-        children = evolution.propose(population, 1)
-        assert children.units.min() >= 0
-        assert children.units.max() <= 1
-        before = population
-        population = evolution.select(population, children, np.full(len(children.units), 0.5), 1)
-    np.testing.assert_array_equal(population.units, children.units)
-    assert not np.array_equal(before.units, population.units)
 
 
 def mixed(trial: optuna.Trial) -> float:
@@ -53,11 +40,6 @@ def test_any_study_of_optuna_takes_it_whatever_is_searched() -> None:
     ours = [best_of(Shade(seed=s)) for s in range(3)]
     theirs = [best_of(optuna.samplers.RandomSampler(seed=s)) for s in range(3)]
     assert max(ours) < min(theirs)
-
-
-def test_the_same_seed_draws_the_same_in_a_space_that_is_not_given() -> None:
-    assert best_of(Shade(seed=5), 70) == best_of(Shade(seed=5), 70)
-    assert best_of(Shade(seed=5), 70) != best_of(Shade(seed=6), 70)
 
 
 def test_a_sampler_made_anew_goes_on_where_another_one_stopped() -> None:
@@ -93,19 +75,6 @@ def test_a_trial_that_fails_is_not_proposed_for_ever() -> None:
     assert TrialState.FAIL in states
     assert study.best_value < 0.01
     assert len({t.params["x"] for t in study.trials}) > 190
-
-
-def test_threads_of_one_study_do_not_disturb_each_other() -> None:
-    study = optuna.create_study(sampler=Shade(seed=0))
-    study.optimize(mixed, n_trials=150, n_jobs=4)
-    assert len(study.trials) == 150
-    assert study.best_value < best_of(optuna.samplers.RandomSampler(seed=0), 150)
-
-
-def test_several_objectives_are_refused() -> None:
-    study = optuna.create_study(directions=["minimize", "maximize"], sampler=Shade(0, SPACE))
-    with pytest.raises(ValueError, match="one objective"):
-        study.optimize(lambda t: (t.suggest_float("x", -2, 3), 0.0), n_trials=1)
 
 
 SPACE: dict[str, BaseDistribution] = {

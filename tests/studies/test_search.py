@@ -67,31 +67,6 @@ def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str
     assert len(points) == len(set(points)) == 30
 
 
-@pytest.mark.parametrize("sampler", SAMPLERS)
-def test_known_points_are_tried_first_and_in_order(sampler: str) -> None:
-    starts = [{"x0": 0.1, "x1": 0.2, "x2": 0.3}, {"x0": 0.3, "x1": 0.3, "x2": 0.3}]
-    settings = Settings(("accuracy",), sampler, 12, 0)
-    study = new_study(settings)
-    for start in starts:
-        study.enqueue_trial(start)
-    search(study, SPACE, bowl, settings)
-    assert [t.params for t in study.trials[:2]] == starts
-    assert best_trial(study).number == 1
-    assert len(study.trials) == 12
-
-
-def test_a_finished_study_is_not_run_again() -> None:
-    settings = Settings(("accuracy",), "evolution", 50, 0)
-    study = new_study(settings)
-    search(study, SPACE, bowl, settings)
-
-    def never(point: Any) -> Any:
-        raise AssertionError("no trial was asked for")
-
-    search(study, SPACE, never, settings)
-    assert len(study.trials) == 50
-
-
 def test_evolution_beats_random_on_steps() -> None:
     space = plain_space(7)
 
@@ -100,12 +75,6 @@ def test_evolution_beats_random_on_steps() -> None:
         return float(best_trial(search_in_memory(space, bowl, settings)).values[0])
 
     assert min(best("evolution", s) for s in range(3)) > max(best("random", s) for s in range(3))
-
-
-def test_evolution_minimises_what_is_better_small() -> None:
-    settings = Settings(("log_loss",), "evolution", 400, 0)
-    done = search_in_memory(SPACE, lambda point: [1 - bowl(point)[0]], settings)
-    assert best_trial(done).values[0] == min(t.values[0] for t in done.trials) < 0.02
 
 
 def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:

@@ -14,7 +14,6 @@ from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
 from egolane_pgm.studies.space import (
     SearchSpace,
     describe,
-    described,
     differences,
     distributions,
     make_space,
@@ -107,33 +106,6 @@ def test_a_graph_of_ones_own_is_searched_without_saying_so() -> None:
     assert not distributions(given)["width"].log  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("search", ["log", True, (0,), [0, "a"], 3])
-def test_a_search_that_is_no_range_is_refused_where_it_is_declared(search: Any) -> None:
-    with pytest.raises(InputError, match=r"Parameter x: search: .* is not \(low, high\)"):
-        Parameter("x", "positive", 1.0, "a number", search=search)
-
-
-def test_a_reader_is_told_what_is_searched_and_what_is_held_fixed() -> None:
-    specs = declared_parameters(counting, wor_on_lane)
-    current = resolve_parameters(specs, {"lane_widths": [1, 1.05, 0.95]}, 3)
-    given = {"p1": 0.25, "normal": ["density", "integral"], "sigma1": [0.1, 0.5]}
-    found = make_space(specs, current, given, 3, "x")
-    searched, fixed = map(", ".join, described(found))
-    assert (searched, fixed) == (
-        "bonus_value 0 to 9, sigma1 0.1 to 0.5, sigma2 0 to 3, p2 0 to 1, p3 of 3 lanes 0 to 1,"
-        " p4 of 3 lanes 0 to 1, normal density or integral",
-        "lane_width_m 3.5, tentative_noise 0.001, wor_noise 0.01, max_lri 10, no_valid_line"
-        " uniform, p1 0.25, lane_widths (1, 1.05, 0.95)",
-    )
-    assert (len(found), found.n_fixed) == (11, 9)
-
-
-def test_a_choice_is_searched_among_the_names_given() -> None:
-    found = space(normal=["density", "integral"])
-    points = points_at(found, np.array([[0.01] * len(found), [0.99] * len(found)]))
-    assert [p["normal"] for p in points] == ["density", "integral"]
-
-
 def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
     specs = declared_parameters(counting, wor_on_lane)
     current = resolve_parameters(specs, {}, 3)
@@ -148,16 +120,6 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
     assert not any(key.startswith("p3") for key in fixed.keys)
     narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
     assert [d.high for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
-
-
-def test_a_value_per_lane_that_nobody_declared_bounds_for_is_searched_as_one() -> None:
-    found = space(lane_widths=[0.9, 1.1])
-    assert [d.key for d in found.dimensions if d.parameter == "lane_widths"] == ["lane_widths"]
-
-
-def test_what_is_not_searched_keeps_the_value_of_the_experiment() -> None:
-    current = {**CURRENT, "wor_noise": 0.2}
-    assert make_space(SPECS, current, {}, 3, "x").fixed["wor_noise"] == 0.2
 
 
 @pytest.mark.parametrize(

@@ -149,14 +149,6 @@ def test_values_of_the_experiment_are_not_told_to_a_study_of_a_fold() -> None:
     assert scratch.trials["sigma1"][0] != drive.model.parameters["sigma1"]
 
 
-@FITS
-def test_a_fit_of_the_same_frames_is_the_same(keys: dict[str, Any]) -> None:
-    experiment = simulated(**keys)
-    results = [run_input(open_input(experiment), n_blocks=2) for _ in range(2)]
-    assert results[0].run["fitted"] == results[1].run["fitted"]
-    assert_frame_equal(results[0].frames, results[1].frames)
-
-
 def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 600, fit="learn")
     found = run_input(open_input(path), n_blocks=3)
@@ -281,22 +273,6 @@ def test_processes_find_the_same_as_one() -> None:
     assert two.held_out is not None
     assert one.held_out.run["fitted"] == two.held_out.run["fitted"]
     assert_frame_equal(one.trials, two.trials)
-
-
-def test_drives_that_differ_in_what_is_searched_are_refused() -> None:
-    other = drive_of(simulated("other", graph="no_wor"))
-    with pytest.raises(InputError, match=r"other\.yaml: has other parameters or lanes than a\.ya"):
-        tuned([drive_of(simulated()), other])
-
-
-def test_kept_values_and_bounds_are_those_of_the_section() -> None:
-    drive = drive_of(simulated())
-    given = {"parameters": {"p1": 0.7, "sigma1": [0.2, 0.3]}}
-    study = tuned([drive], tuning=given)
-    assert study.fitted["p1"] == 0.7
-    assert study.trials["sigma1"].between(0.2, 0.3).iloc[1:].all()
-    assert "p1" not in study.trials
-    assert study.model.parameters["p1"] == 0.7
 
 
 # --- detectors -----------------------------------------------------------------------------------

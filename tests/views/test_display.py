@@ -6,12 +6,13 @@ import pandas as pd
 import pytest
 
 from egolane_pgm.comparing import compare
-from egolane_pgm.result import Result
+from egolane_pgm.result import Result, score
 from egolane_pgm.runs import open_input, run_input, run_table, table_inputs
 from egolane_pgm.views.comparisons import comparison_text
 from egolane_pgm.views.events import LISTED, clock, event_table, segments_text
 from egolane_pgm.views.runs import runs_text
 from tests.kits.drives import simulated
+from tests.kits.tiny_result import RUN, a_result, without_truth
 
 
 @pytest.fixture(scope="module")
@@ -100,3 +101,13 @@ def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> N
     assert max(map(len, text.splitlines())) <= 80
     header = comparison_text(compared, "csv", False).splitlines()[0]
     assert header.startswith("tag.driver,recordings,accuracy,accuracy_low,accuracy_high,")
+
+
+def test_several_drives_have_a_row_each() -> None:
+    for tiny, column in ((a_result(), "accuracy"), (without_truth(), "lane at the end")):
+        frames = pd.concat([tiny.frames.assign(drive=name) for name in ("one", "two")])
+        run = {**RUN, "frames": len(frames), "is_causal": True, "why_not_causal": []}
+        text = a_result(frames=frames, run=run, scores=score(frames, 10.0)).to_text()
+        header = next(line for line in text.splitlines() if line.startswith("| drive | frames |"))
+        assert column in header
+        assert "| two   |      7 |" in text

@@ -83,7 +83,9 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
     found = reliabilities(result)
     colours = {"Detector": DETECTOR_COLOUR, "Model": MODEL_COLOUR}
     for (name, (curve, _)), bars in zip(found.items(), lower.containers, strict=True):
-        lines = [x for x in upper.lines if x.get_color() == colours[name] and len(x.get_xdata())]
+        lines = [
+            x for x in upper.lines if x.get_color() == colours[name] and np.size(x.get_xdata())
+        ]
         filled = curve.count > 0
         np.testing.assert_array_equal(lines[0].get_xdata(), curve.confidence[filled])
         np.testing.assert_array_equal(lines[0].get_ydata(), curve.accuracy[filled])
@@ -109,7 +111,7 @@ def test_a_comparison_is_drawn_with_hollow_in_sample_rows() -> None:
     figure = comparison_figure(table)
     [ax] = figure.axes
     assert [t.get_text() for t in ax.get_yticklabels()] == ["a", "b", "detector"]
-    filled, hollow = ([*line.get_xdata()] for line in ax.lines[:2])
+    filled, hollow = (np.asarray(line.get_xdata()).tolist() for line in ax.lines[:2])
     assert (filled, hollow) == ([0.9, 0.5], [0.99])
     table = pd.concat({"x": table, "y": table}, names=["tag.driver"])
     assert "y, detector" in [

@@ -149,13 +149,13 @@ def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure)
     for patch in figure.axes[0].patches:
         if not isinstance(patch, FancyArrowPatch):
             continue
-        _, a, s, b, t = str(patch.get_gid()).split()
+        _, start, s, end, t = str(patch.get_gid()).split()
         path = patch.get_transform().transform_path(patch.get_path())
         parts = [Curve(part) for part in path.to_polygons(closed_only=False)]
         drawn_at = np.concatenate([part.interpolated(20).vertices for part in parts])
         points = to_data.transform(drawn_at)
         for node, circle in drawn.items():
-            if node not in ((a, int(s)), (b, int(t))):
+            if node not in ((start, int(s)), (end, int(t))):
                 distance = ((points - circle.center) ** 2).sum(axis=1) ** 0.5
                 assert distance.min() > circle.radius, (patch.get_gid(), node)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,6 +22,11 @@ from tests.kits.tiny_result import (
     without_detector,
     without_truth,
 )
+
+
+def cells_of(image: Any) -> np.ndarray:
+    """The probabilities of a strip as they are drawn, NaN where it is blank."""
+    return np.ma.filled(image.get_array(), np.nan)
 
 
 def test_strip_cells_are_the_posterior_and_blank_where_no_frame_was_recorded() -> None:
@@ -57,7 +64,7 @@ def test_the_figure_shows_model_detector_changes_and_truth_with_lane_1_as_the_to
     names = {"Model", "Detector", "Changes", "Truth", "frame\n"}
     assert names <= set(texts(figure))
     assert [t.get_text() for t in ax.get_yticklabels()] == ["1 (left)", "2", "3"] * 3
-    shown = [image.get_array().filled(np.nan) for image in ax.images]
+    shown = [cells_of(image) for image in ax.images]
     cells = strip_cells(a_result().frames, 100, 106)
     for image, name in zip(shown, ("Model", "Detector", "Truth"), strict=True):
         np.testing.assert_array_equal(image, cells[name].T)
@@ -90,10 +97,10 @@ def test_a_long_range_goes_on_in_further_rows_and_then_averages(
 ) -> None:
     result = long_drive(3000)
     figure = strips_figure(result)
-    assert [ax.images[0].get_array().shape for ax in figure.axes] == [(3, 1000)] * 3
+    assert [cells_of(ax.images[0]).shape for ax in figure.axes] == [(3, 1000)] * 3
     monkeypatch.setattr(strips, "MAX_ROWS", 1)
     figure = strips_figure(result)
-    assert [ax.images[0].get_array().shape for ax in figure.axes] == [(3, 1000)]
+    assert [cells_of(ax.images[0]).shape for ax in figure.axes] == [(3, 1000)]
     assert texts(figure)[0].endswith("; a column is the mean of 3 frames")
 
 
@@ -101,5 +108,5 @@ def test_drives_with_the_same_frame_ids_are_drawn_one_after_the_other() -> None:
     frames = pd.concat([a_result().frames.assign(drive=name) for name in "ab"])
     figure = strips_figure(a_result(frames=frames))
     assert "tiny (in-sample): frames 0 to 13" in texts(figure)
-    cells = figure.axes[0].images[0].get_array()
+    cells = cells_of(figure.axes[0].images[0])
     np.testing.assert_array_equal(cells, np.tile(np.array(MODEL).T, 2))

@@ -56,7 +56,7 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     best = next(line for line in lines if str(line.get_label()).startswith("best"))
     np.testing.assert_array_equal(best.get_ydata(), trials["score"].cummax())
     assert study.held_out is not None
-    assert set(lines[-1].get_ydata()) == {study.held_out.scores["model"]["accuracy"]}
+    assert set(np.asarray(lines[-1].get_ydata())) == {study.held_out.scores["model"]["accuracy"]}
     panels = profile_figure(trials, document, "").axes
     assert [ax.get_title() for ax in panels] == list(document["settings"]["searched"])
 

@@ -18,13 +18,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M
-from egolane_pgm.parameters import Value
+from egolane_pgm.parameters import Value, number
 from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI; 2 valid with a
@@ -42,10 +41,18 @@ REACH_M = 16.0
 #: Step of the tables over z, metres.
 TABLE_STEP_M = 0.02
 
-#: Generic shares of the four classes among clutter, and of classes 1 to 3 among lines that are not
-#: continuous.
-CLUTTER_SHARES = (0.05, 0.5, 0.2, 0.25)
+#: Generic shares of classes 1 to 3 among lines that are not continuous, and false lines per metre
+#: of each of the four classes.
 PLAIN_SHARES = (0.88, 0.06, 0.06)
+CLUTTER_PER_M = 0.05 * np.array([0.05, 0.5, 0.2, 0.25])
+
+#: Generic standard deviation of a line, metres, and what is added to it, as an independent error,
+#: for each metre between line and car. Nothing is added where lane widths that differ from that of
+#: the recording (`width_wanders`) explain why far lines are less exact.
+LINE_SIGMA_M, LINE_SIGMA_PER_M = 0.25, 0.03
+
+#: Generic distance of the lines beside the road, lane widths.
+SHOULDER_DISTANCE = 0.9
 
 #: The lowest intensity, so that no report of a detector is impossible.
 LEAST_INTENSITY = 1e-9
@@ -101,6 +108,30 @@ class LineModel:
         return np.asarray(self.rates.sum(axis=1) + self.clutter.sum() * 2 * REACH_M)
 
 
+@dataclass(frozen=True)
+class Kind:
+    """Generic constants of a detector on a road.
+
+    - seen_near: rate of the lines of the own lane
+    - fade: share of it that is lost with each lane further away
+    - seen_far: lowest rate of a line of the road
+    - shoulder_left, shoulder_right: rate of a line left and right of the road
+    - edge_continuous: share of continuous reports of the road's outer lines
+    - inner_continuous: the same for all other lines
+    """
+
+    seen_near: float = 0.9
+    fade: float = 0.2
+    seen_far: float = 0.15
+    shoulder_left: float = 0.08
+    shoulder_right: float = 0.13
+    edge_continuous: float = 0.25
+    inner_continuous: float = 0.05
+
+
+#: The kind that is taken for granted where none is learned.
+GENERIC = Kind()
+
 #: The parameters that a fit gives, and the fields of the model that they fill.
 FITTED = {
     "rates": "rates",
@@ -111,9 +142,10 @@ FITTED = {
 }
 
 
-def line_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
-    """The model that checked parameters describe."""
-    generic = generic_model(n_lanes, parameters)
+def line_model(n_lanes: int, parameters: Mapping[str, Value], kind: Kind = GENERIC) -> LineModel:
+    """The model that checked parameters describe, of a kind where they are `generic`."""
+    grows = 0.0 if number(parameters, "width_wanders") else LINE_SIGMA_PER_M
+    generic = generic_model(n_lanes, kind, grows)
     fields = {}
     for name, field in FITTED.items():
         default: FloatArray = getattr(generic, field)
@@ -121,32 +153,31 @@ def line_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
         fields[field] = (
             default if isinstance(value, str) else np.array(value).reshape(default.shape)
         )
-    grows = generic.sigma_per_m if isinstance(parameters["sigmas_m"], str) else 0.0
-    return LineModel(**fields, sigma_per_m=grows)
+    is_generic = isinstance(parameters["sigmas_m"], str)
+    return LineModel(**fields, sigma_per_m=grows if is_generic else 0.0)
 
 
-def generic_model(n_lanes: int, parameters: Mapping[str, Value]) -> LineModel:
+def generic_model(n_lanes: int, kind: Kind, sigma_per_m: float) -> LineModel:
     """A model for any detector, in which near lines are reported more often than far ones."""
-    p = {name: cast(float, v) for name, v in parameters.items() if not isinstance(v, (str, tuple))}
     n_lines = n_lanes + 3
     rates = np.empty((n_lanes, n_lines))
     for lane in range(n_lanes):
         lines_away = np.abs(np.arange(n_lanes + 1) - lane - 0.5) - 0.5
         rates[lane, : n_lanes + 1] = np.maximum(
-            p["seen_far"], p["seen_near"] * (1 - p["fade"] * lines_away)
+            kind.seen_far, kind.seen_near * (1 - kind.fade * lines_away)
         )
-    rates[:, -2:] = p["shoulder_left"], p["shoulder_right"]
+    rates[:, -2:] = kind.shoulder_left, kind.shoulder_right
     shares = np.empty((n_lines, N_CLASSES))
-    shares[:, 0] = p["inner_continuous"]
-    shares[[0, n_lanes], 0] = p["edge_continuous"]
+    shares[:, 0] = kind.inner_continuous
+    shares[[0, n_lanes], 0] = kind.edge_continuous
     shares[:, 1:] = (1 - shares[:, :1]) * np.array(PLAIN_SHARES)
     return LineModel(
         rates,
         shares,
-        np.full(n_lines, p["line_sigma_m"]),
-        np.full(2, p["shoulder_distance"]),
-        p["clutter_per_m"] * np.array(CLUTTER_SHARES),
-        p["line_sigma_per_m"],
+        np.full(n_lines, LINE_SIGMA_M),
+        np.full(2, SHOULDER_DISTANCE),
+        CLUTTER_PER_M.copy(),
+        sigma_per_m,
     )
 
 

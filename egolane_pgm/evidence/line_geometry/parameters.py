@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from egolane_pgm.evidence.line_geometry.fitting import STRENGTH
 from egolane_pgm.evidence.line_geometry.model import N_CLASSES
 from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
 from egolane_pgm.parameters import Parameter
@@ -39,7 +38,8 @@ PARAMETERS = (
         "non_negative",
         0.0,
         "share by which the lane width may differ now and then from that of the whole recording,"
-        " because pitch and hills change the scale; with `causal` the width follows the lines",
+        " because pitch and hills change the scale; far lines then count as no less exact than near"
+        " ones. With `causal` the width follows the lines",
         search=None,
         smoothed=0.07,
         highest=0.5,
@@ -65,7 +65,7 @@ PARAMETERS = (
         "choice",
         "learned",
         "how far the detector sees and what it marks: `learned` from the frames so far, among a few"
-        " kinds of detectors and roads; or `generic`, the constants below alone. Tables that are"
+        " kinds of detectors and roads; or `generic`, one kind alone. Tables that are"
         " given or learned with labels leave nothing to learn here",
         choices=("learned", "generic"),
         search=None,
@@ -110,68 +110,6 @@ PARAMETERS = (
         "false lines per metre, of each class" + _OR_FITTED,
         choices=("generic",),
         shape=lambda n: (N_CLASSES,),
-    ),
-    Parameter(
-        "seen_near", "non_negative", 0.9, "generic rate of the lines of the own lane", search=None
-    ),
-    Parameter(
-        "fade",
-        "non_negative",
-        0.2,
-        "share of it that is lost with each lane further away",
-        search=None,
-    ),
-    Parameter(
-        "seen_far", "non_negative", 0.15, "lowest generic rate of a line of the road", search=None
-    ),
-    Parameter(
-        "shoulder_left",
-        "non_negative",
-        0.08,
-        "generic rate of a line left of the road",
-        search=None,
-    ),
-    Parameter(
-        "shoulder_right",
-        "non_negative",
-        0.13,
-        "generic rate of a line right of the road",
-        search=None,
-    ),
-    Parameter(
-        "shoulder_distance", "positive", 0.9, "generic distance of those, lane widths", search=None
-    ),
-    Parameter(
-        "edge_continuous",
-        "probability",
-        0.25,
-        "generic share of continuous reports of the road's outer lines",
-        search=None,
-    ),
-    Parameter("inner_continuous", "probability", 0.05, "the same for all other lines", search=None),
-    Parameter(
-        "line_sigma_m", "sigma", 0.25, "generic standard deviation of a line, metres", search=None
-    ),
-    Parameter(
-        "line_sigma_per_m",
-        "non_negative",
-        0.03,
-        "what is added to it, as an independent error, for each metre between line and car. Nothing"
-        " where the filter is `smoothed`, which has `width_wanders`",
-        search=None,
-        smoothed=0.0,
-    ),
-    Parameter(
-        "clutter_per_m", "non_negative", 0.05, "generic clutter, lines per metre", search=None
-    ),
-    Parameter(
-        "prior_frames",
-        "non_negative",
-        STRENGTH,
-        "frames of each lane that the generic constants are worth when parameters are learned;"
-        " `infinite`: nothing is learned",
-        choices=("infinite",),
-        search=None,
     ),
     CELLS,
     MOTION_BINS,

@@ -50,7 +50,6 @@ from egolane_pgm.evidence.line_geometry.model import (
     line_classes,
     line_model,
 )
-from egolane_pgm.evidence.line_geometry.parameters import PARAMETERS
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
 from egolane_pgm.evidence.line_geometry.sight import (
     KIND_CHANGES,
@@ -248,7 +247,7 @@ def fit(
 
     - lane: (T,) 1 to n; only those of the used frames are read
     - is_used: (T,) the frames to learn from
-    - parameters: the first guess, which is worth `prior_frames` frames of each lane
+    - parameters: the first guess, which is worth `fitting.STRENGTH` frames of each lane
 
     A lane without a frame keeps the first guess, with a warning.
     """
@@ -260,8 +259,6 @@ def fit_pooled(
 ) -> dict[str, Value]:
     """As `fit`, from several recordings: log, lane and is_used of each. The expected lane width
     is that of the first recording."""
-    if parameters["prior_frames"] == "infinite":
-        return {p.name: p.default for p in PARAMETERS if p.name in LEARNED}
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
@@ -294,7 +291,6 @@ def fit_pooled(
         line_model(n_lanes, parameters),
         LANE_M,
         int(number(parameters, "cells")),
-        strength=number(parameters, "prior_frames"),
     )
     found: dict[str, Value] = {
         name: tuple(np.asarray(getattr(model, field)).ravel().tolist())

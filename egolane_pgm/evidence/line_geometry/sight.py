@@ -17,13 +17,16 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
+    GENERIC,
     LANE_M,
+    Kind,
     LineModel,
     line_model,
     line_tables,
@@ -53,15 +56,17 @@ _OWN = {
     "edge_continuous": 0.05,
 }
 
-#: The kinds, as changes of the generic constants. They are equally probable before the first frame.
-KINDS: tuple[Mapping[str, float], ...] = (
+_REACHES: tuple[dict[str, Any], ...] = ({}, _SHORT, _EVEN)
+
+#: The kinds, which are equally probable before the first frame.
+KINDS: tuple[Kind, ...] = (
     *(
-        reach | marks | beside
-        for reach in ({}, _SHORT, _EVEN)
+        replace(GENERIC, **reach, **marks, **beside)
+        for reach in _REACHES
         for marks in ({}, _MARKED)
         for beside in ({}, _ROADSIDE)
     ),
-    _OWN,
+    replace(GENERIC, **_OWN),
 )
 
 #: The probability from which a note says that only the own lines are seen.
@@ -94,7 +99,7 @@ def kinds_of(n_lanes: int, parameters: Mapping[str, Value]) -> list[LineModel]:
     is_known = any(not isinstance(parameters[name], str) for name in FITTED)
     if is_known or parameters["sight"] == "generic":
         return [line_model(n_lanes, parameters)]
-    return [line_model(n_lanes, {**parameters, **kind}) for kind in KINDS]
+    return [line_model(n_lanes, parameters, kind) for kind in KINDS]
 
 
 def sight_tables(models: Sequence[LineModel], *, has_flags: bool) -> SightTables:

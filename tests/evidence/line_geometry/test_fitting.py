@@ -33,7 +33,7 @@ def resolved(**given: object) -> Parameters:
 
 def guess() -> LineModel:
     """A first guess, and a model that is not it."""
-    return line_model(N, resolved(line_sigma_m=0.2))
+    return replace(line_model(N, resolved()), sigma_m=np.full(N_LINES, 0.2))
 
 
 def on_the_way() -> LineModel:

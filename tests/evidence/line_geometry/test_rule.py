@@ -22,9 +22,12 @@ from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
+    GENERIC,
     LANE_M,
     TABLE_STEP_M,
+    generic_model,
     line_classes,
+    line_model,
     places,
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
@@ -214,7 +217,9 @@ def test_the_mirrored_lines_give_the_mirrored_evidence(seed: int) -> None:
             is_missing=log.is_missing,
         )
     # A road of equal shoulders, and an odd number of bins about zero.
-    parameters = resolved(shoulder_left=0.1, shoulder_right=0.1, sight="generic")
+    rates = line_model(3, resolved()).rates.copy()
+    rates[:, -2:] = 0.1
+    parameters = resolved(rates=rates)
     here = line_geometry.evidence(log, 3, parameters)
     there = line_geometry.evidence(other, 3, parameters)
     # The tables' points are not the same on both sides of zero.
@@ -348,7 +353,8 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
-    parameters = resolved(edge_continuous=0.95, inner_continuous=0.05, alpha=1, sight="generic")
+    shares = generic_model(3, replace(GENERIC, edge_continuous=0.95), 0.0).class_shares
+    parameters = resolved(class_shares=shares, alpha=1)
     cannot_tell = line_log(lines * 2)
     can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
     shares = []
