@@ -127,9 +127,9 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
         which = (
-            "blocks: all rows are of one drive" if tag is None else f"by_tag: one tag.{tag} only"
+            "blocks: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
         )
-        raise InputError(f"{which}; nothing can be held out (blocks 0 holds out nothing)")
+        raise InputError(f"{which}, so none can be held out; with blocks 0 none is")
     return group_folds(drives, groups)
 
 
