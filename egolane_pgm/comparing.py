@@ -65,6 +65,9 @@ def compare(
     given = open_results(results)
     if not given:
         raise InputError("results: name at least one")
+    for option, name in (("of", of), ("by", by)):
+        if name is not None and all(_value(each, name) is None for each in given):
+            raise InputError(f"{option}: no result has a value of {name}")
     rows = []
     for group, members in _groups(given, by).items():
         key = of or _default_key(members)

@@ -39,7 +39,7 @@ from egolane_pgm.studies.fits import (
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
-from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
@@ -114,7 +114,7 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         groups = [drive.tags.get(tag) for drive in drives]
         for drive, key, group in zip(drives, keys, groups, strict=True):
             if group is None:
-                raise InputError(f"{drive.name}: has no tag.{tag}{suggestion(tag, known)}")
+                raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
             if group != groups[first[key]]:
                 raise InputError(
                     f"{drive.name}: is the same drive as {drives[first[key]].name}, with another"
@@ -459,12 +459,12 @@ def run_study(
     tuning = tuning or tuning_of(first.experiment)
     fit: Fit = fit_learn
     settings: dict[str, Any] = {}
-    if directory is not None and is_result(directory):
-        raise InputError(f"{directory}: is a result directory; name another one")
+    if directory is not None:
+        if is_result(directory):
+            raise InputError(f"{directory}: is a result directory; name another one")
+        check_place(directory / STUDY_FILE)
     if method == "learn":
         check_learnable(first.model)
-        if directory is not None:
-            make_directory(directory)
     else:
         space = search_spaces(drives, tuning)[0]
         found = settings_of(tuning, None, first.experiment.source)

@@ -151,6 +151,9 @@ def test_a_table_is_run_row_by_row_and_resumed(drive: Path, tmp_path: Path) -> N
     before = contents(out / "a")
     with table.open("a") as file:
         file.write("c,0.7,ann\n")
+    # A row whose result was interrupted while it was written.
+    (out / "c").mkdir()
+    (out / "c" / "beliefs.parquet").touch()
     rows = json.loads(done(*words, "--jobs", 2, "--json", "-").stdout)["rows"]
     assert [(row["name"], row["was_there"]) for row in rows] == [
         ("a", True), ("b", True), ("c", False),
