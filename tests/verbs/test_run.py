@@ -123,13 +123,6 @@ def test_lane_changes_are_printed_with_their_scores(tmp_path: Path) -> None:
     assert len((out / "events.csv").read_text().splitlines()) == len(events) + 1
 
 
-def test_a_graph_is_named_whatever_it_is(drive: Path, tmp_path: Path) -> None:
-    said = run_json(drive, tmp_path, "--graph", "lane_only")
-    assert said["run"]["config"]["graph"] == "lane_only"  # type: ignore[index]
-    own = ROOT / "examples" / "my_graph.py"
-    assert "ok" in done("run", drive, "--graph", own, "--dry-run").stdout
-
-
 def test_chunks_and_held_out_blocks_have_options(drive: Path, tmp_path: Path) -> None:
     whole, chunked = run_json(drive, tmp_path), run_json(drive, tmp_path, "--chunk-frames", 40)
     assert chunked["scores"] == whole["scores"]
