@@ -63,6 +63,11 @@ def compare(
     exact               0.831                  0.0
     """
     given = open_results(results)
+    if not given:
+        raise InputError("results: name at least one")
+    for option, name in (("of", of), ("by", by)):
+        if name is not None and all(_value(each, name) is None for each in given):
+            raise InputError(f"{option}: no result has a value of {name}")
     rows = []
     for group, members in _groups(given, by).items():
         key = of or _default_key(members)
@@ -152,8 +157,8 @@ def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
         key = f"{source} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
-                f"{side}: two results of one recording, {found[key].name} and {result.name}; choose"
-                " a key that tells them apart (of, --of)"
+                f"of: {side} has two results of one recording, {found[key].name} and {result.name};"
+                " name a key in which they differ, e.g. graph"
             )
         found[key] = result
     return found

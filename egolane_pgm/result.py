@@ -36,7 +36,14 @@ from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.tools.files import make_directory, plain, read_parquet, write_json, write_yaml
+from egolane_pgm.tools.files import (
+    check_place,
+    make_directory,
+    plain,
+    read_parquet,
+    write_json,
+    write_yaml,
+)
 from egolane_pgm.tools.provenance import git_state, versions
 from egolane_pgm.types import (
     MAX_LANES,
@@ -264,8 +271,8 @@ class Result:
         make_directory(place)
         (place / "run.json").unlink(missing_ok=True)
         try:
-            config = self._write_inputs(place)
             self.frames.to_parquet(place / "beliefs.parquet")
+            config = self._write_inputs(place)
         except OSError as error:
             raise InputError(f"{place}: cannot be written: {error.strerror or error}") from error
         write_yaml(place / "experiment.yaml", config)
@@ -312,10 +319,11 @@ def check_writable(directory: Path) -> None:
     """Raise InputError if a result cannot be put there: before anything is computed."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file, not a directory")
-    is_ours = (directory / "scores.json").exists() or not directory.exists()
+    # The first file of a result, which may have been interrupted.
+    is_ours = (directory / "beliefs.parquet").exists() or not directory.exists()
     if not is_ours and any(directory.iterdir()):
         raise InputError(f"{directory}: exists and is not a result directory; name another one")
-    make_directory(directory)
+    check_place(directory / "run.json")
 
 
 def load_result(directory: str | os.PathLike[str]) -> Result:

@@ -85,6 +85,8 @@ def open_input(
     Raises InputError for anything else.
     """
     lines, truth = None, ground_truth
+    if experiment is not None and not is_lines(given):
+        raise InputError(f"experiment: goes with a recording of lines, which {given} is not")
     if isinstance(given, Result):
         found = given.experiment
         if found.recording.path == IN_MEMORY:
@@ -163,7 +165,8 @@ def _read_csv(path: Path) -> pd.DataFrame:
     try:
         cells = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""])
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a table: {error}") from error
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read as a table: {why}") from error
     for column in cells.columns.difference(["name", *FILES]):
         if not column.startswith(TAG):
             read = partial(parse_yaml, source=f"{path}: {column}")

@@ -39,7 +39,7 @@ from egolane_pgm.studies.fits import (
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
-from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
@@ -114,7 +114,7 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         groups = [drive.tags.get(tag) for drive in drives]
         for drive, key, group in zip(drives, keys, groups, strict=True):
             if group is None:
-                raise InputError(f"{drive.name}: has no tag.{tag}{suggestion(tag, known)}")
+                raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
             if group != groups[first[key]]:
                 raise InputError(
                     f"{drive.name}: is the same drive as {drives[first[key]].name}, with another"
@@ -126,7 +126,10 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
         groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
-        raise InputError("folds: all rows are of one drive, or have one tag: none can be held out")
+        which = (
+            "blocks: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
+        )
+        raise InputError(f"{which}, so none can be held out; with blocks 0 none is")
     return group_folds(drives, groups)
 
 
@@ -457,10 +460,9 @@ def run_study(
     fit: Fit = fit_learn
     settings: dict[str, Any] = {}
     if directory is not None:
-        make_directory(directory)
         if is_result(directory):
             raise InputError(f"{directory}: is a result directory; name another one")
-        storage = storage or str(directory / JOURNAL_NAME)
+        check_place(directory / STUDY_FILE)
     if method == "learn":
         check_learnable(first.model)
     else:
@@ -468,6 +470,8 @@ def run_study(
         found = settings_of(tuning, None, first.experiment.source)
         settings = {**plain(found.__dict__), **describe(space)}
         current = [drive.model.parameters for drive in drives] if starts is None else starts
+        if directory is not None:
+            storage = storage or str(directory / JOURNAL_NAME)
         fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
@@ -477,7 +481,7 @@ def run_study(
                 drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
             )
         except KeyboardInterrupt:
-            if storage is None:
+            if method != "tune" or storage is None:
                 raise
             kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
             raise KeyboardInterrupt(kept) from None

@@ -39,8 +39,7 @@ def test_the_command_of_a_table_runs_and_has_its_lines(
 ) -> None:
     make(tmp_path / name)
     done(*command_of(tmp_path / name), "--no-figures", "--out", tmp_path / "out")
-    log = ego.load_result(tmp_path / "out").lines
-    assert log is not None
+    [log] = ego.load_result(tmp_path / "out").lines.values()
     np.testing.assert_allclose(log.offset_m, OFFSETS[log.frame_id][:, which], atol=1e-9)
 
 
@@ -86,8 +85,7 @@ def test_topics_are_listed_and_that_of_the_lines_has_a_command(tmp_path: Path) -
     for name in ("a.bag", "a.mcap"):
         write_lines(tmp_path / name, log)
         done(*command_of(tmp_path / name), "--no-figures", "--out", tmp_path / "out")
-        seen = ego.load_result(tmp_path / "out").lines
-        assert seen is not None
+        [seen] = ego.load_result(tmp_path / "out").lines.values()
         np.testing.assert_allclose(seen.offset_m, log.offset_m, atol=1e-5)
 
 

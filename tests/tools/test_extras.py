@@ -16,7 +16,6 @@ from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
 from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
-from tests.kits.drives import run, simulated
 from tests.kits.tiny_result import a_result
 
 #: The modules that import an extra's packages when they are imported themselves.
@@ -24,8 +23,7 @@ AT_ONCE = ("page.document", "page.timeline", "export.mcap_file")
 
 
 def exported(file: Path) -> None:
-    short = run(simulated(), {"recording.frames": [0, 20]})
-    plot(short.save(file.parent / "run"), out=file)
+    plot(a_result().save(file.parent / "result"), out=file)
 
 
 def sampler(_: Path) -> None:
