@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.recordings.select import sign_warning
 from egolane_pgm.types import InputError
 from tests.kits.drives import done, refused
-from tests.kits.sensor_files import N_FRAMES, OFFSETS, foreign_table, per_line
+from tests.kits.sensor_files import OFFSETS, foreign_table, per_line
 
 FOREIGN = "time_s=timestamp,line=track,offset_m=lateral_cm,unit=cm,left_positive=true"
 
@@ -135,20 +136,6 @@ def test_a_table_says_what_would_read_it(tmp_path: Path, text: str, said: str) -
     with pytest.raises(InputError) as info:
         read_lines(tmp_path / "a.csv")
     assert said in str(info.value)
-
-
-@pytest.mark.parametrize(
-    ("keys", "cure"),
-    [
-        ({"left_positive": True}, "from right to left"),
-        ({"offset_m": ["left_m", "right_m"]}, "on one side of the car"),
-    ],
-)
-def test_a_sign_that_contradicts_itself_is_said(keys: dict[str, Any], cure: str) -> None:
-    table = pd.DataFrame(OFFSETS, columns=[f"offset_{k}" for k in range(1, 5)])
-    table["left_m"], table["right_m"] = -OFFSETS[:, 1], OFFSETS[:, 2]
-    table["frame_id"] = np.arange(N_FRAMES)
-    assert re.search(cure, " ".join(ego.run(table, n_lanes=3, columns=keys).notes))
 
 
 def test_lines_that_move_against_the_annotated_changes_are_said() -> None:
