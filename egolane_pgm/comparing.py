@@ -11,8 +11,11 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import drive_key
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.runs import SUMMARY
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
+from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError, IntArray
 
 ResultLike = Result | str | os.PathLike[str]
@@ -106,8 +109,17 @@ def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
             found.append(each)
             continue
         place = Path(each)
-        below = [] if is_result(place) else sorted(p.parent for p in place.glob("**/run.json"))
+        below = [] if is_result(place) else results_in(place)
         found += [load_result(directory) for directory in below or [place]]
+    return found
+
+
+def results_in(folder: Path) -> list[Path]:
+    """The result directories below a folder; those of a table of runs in its order."""
+    found = sorted(file.parent for file in folder.glob("**/run.json"))
+    if (folder / SUMMARY).exists():
+        rows = list(read_parquet(folder / SUMMARY).index)
+        found.sort(key=lambda place: rows.index(place.name) if place.name in rows else len(rows))
     return found
 
 
@@ -122,6 +134,9 @@ def _value(result: Result, key: str | None) -> Any:
     if key == "folder":
         return result.name if result.directory is None else result.directory.parent.name
     value = result.value(key)
+    if isinstance(value, str) and value.endswith(OWN_FILES):
+        # A graph or a rule of one's own is called by its file.
+        return Path(value).stem
     return tuple(value) if isinstance(value, list) else value
 
 

@@ -31,6 +31,7 @@ from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.memory import lines_of
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
@@ -304,6 +305,9 @@ class Result:
             dropped = {"frames", "columns"}
             kept = {k: v for k, v in config["recording"].items() if k not in dropped}
             config["recording"] = {**kept, "path": "./lines.parquet"}
+            if self.truth is not None and len(self.lines) == 1:
+                write_ground_truth(place / "ground_truth.txt", self.truth)
+                config["ground_truth"] = {"path": "./ground_truth.txt"}
         return config
 
 

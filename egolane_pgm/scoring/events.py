@@ -112,8 +112,8 @@ def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     - frame_rate: frames per second.
 
     Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
-    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
-    `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
+    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
+    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
     changes = changes_of(truth)
     hours = len(truth) / frame_rate / 3600

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, digests, drive_key
+from egolane_pgm.drives import Drive, digests, drive_key, with_rate
 from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, by_drive, is_result, make_result, score
@@ -32,11 +32,13 @@ from egolane_pgm.studies.fits import (
     fit_learn,
     fit_nothing,
     fit_tune,
+    learning_of,
     needs_labels,
     search_spaces,
     settings_of,
 )
 from egolane_pgm.studies.graph_file import graph_yaml
+from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
 from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
@@ -305,9 +307,14 @@ class Study:
 
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
-        content: dict[str, Any] = plain(resolved(self.model.experiment, self.model.parameters))
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
-        how = f"{self.n_trials} trials" if self.n_trials else "labels and lines"
+        fitted = with_rate(first, self.in_sample.frame_rate)
+        detector = self.model.experiment.recording.detector_parameters
+        if detector:
+            fitted = with_detector(fitted, detector)
+        content: dict[str, Any] = plain(resolved(fitted, self.model.parameters))
+        how = "lines alone" if not learning_of(first).labels else "labels and lines"
+        how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
         content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
         # A later run may use one of several training drives.
@@ -433,6 +440,7 @@ def run_study(
     folds: Sequence[Fold],
     *,
     name: str | None = None,
+    experiments: Sequence[Experiment] | None = None,
     tuning: Tuning | None = None,
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
@@ -448,6 +456,7 @@ def run_study(
     - method: learn or tune.
     - folds: none for no held-out scores.
     - name: of the study; by default that of the first experiment.
+    - experiments: by default those of the drives.
     - tuning: the settings of a search.
     - starts: parameter sets that a search on everything tries first; by default the current ones.
     - storage: where Optuna keeps a study per fold; by default a journal in `directory`, or memory.
@@ -488,7 +497,8 @@ def run_study(
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [frames_of(drive) for drive in fitted_drives])
     notes = [*notes, *messages(caught)]
-    experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    if experiments is None:
+        experiments = list(dict.fromkeys(drive.experiment for drive in drives))
     in_sample = make_result(
         fitted_drives[0].experiment, drives, frames, notes, begin=begin, tuned_on="same_frames"
     )

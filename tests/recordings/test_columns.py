@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
