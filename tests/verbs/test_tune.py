@@ -45,7 +45,7 @@ def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path:
     drive, out = write_drive(tmp_path), tmp_path / "study"
     shown = done("tune", drive, "--trials", 30, "--blocks", 2, "--out", out).stdout
     assert shown.startswith("'drive': tune, 30 trials, accuracy ")
-    assert "held out: 2 folds, each scored with its own fit" in shown
+    assert "held out: 2 folds, each scored with a fit to the others" in shown
     assert shown.endswith(f"study: {out}; run its best.yaml, or `include:` it\n")
     document, trials = study_of(out), trials_of(out)
     assert (document["method"], len(document["folds"]), len(trials)) == ("tune", 2, 30)
