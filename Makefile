@@ -51,21 +51,14 @@ dist: .venv/.dev
 notebooks: .venv/.dev
 	$(BIN)/python -m tests.kits.notebooks
 
-# The figures of results/paper/ are made from the results of `reproduce`.
-RUNS := results/runs
-RUN03 := $(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures
-
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
+RUNS := results/runs
 paper: .venv/.run
 	$(BIN)/egolane reproduce --wide --out $(RUNS)/reproduced > results/paper/reproduction.md
 	$(BIN)/python -m makers.pages paper
-	$(RUN03) --out $(RUNS)/run03_bonus
-	$(RUN03) --out $(RUNS)/run03_no_bonus --set parameters.bonus_value=0 --set name=run03_no_bonus
-	$(BIN)/egolane plot $(RUNS)/reproduced/run01_italy_ml --frames 1880 2700 --out results/paper
+	$(BIN)/egolane plot $(RUNS)/reproduced/run01_italy_ml --frames 1880 2700 --out $(RUNS)/figures
 	$(BIN)/egolane plot $(RUNS)/reproduced/* --out $(RUNS)/figures
-	cp $(RUNS)/figures/dispersion.png results/paper/
-	$(BIN)/egolane plot $(RUNS)/run03_bonus $(RUNS)/run03_no_bonus --out $(RUNS)/ablation
-	cp $(RUNS)/ablation/bonus_ablation.png results/paper/
+	cp $(addprefix $(RUNS)/figures/,$(addsuffix .png,strips confusion reliability dispersion)) results/paper/
 	$(BIN)/egolane show sensor_failure --out results/paper/network.png
 
 # What results/graphs/ holds: other graphs and learned tables on frames that they have not seen
@@ -73,8 +66,8 @@ paper: .venv/.run
 graphs: .venv/.run
 	$(BIN)/python -m makers.pages searched learned
 
-# results/tuning/tables.md: the paper's parameters searched for each run (ten minutes of two cores;
-# repeated, it resumes).
+# results/tuning/runs.md: the paper's parameters searched for each run (a quarter of an hour of
+# two cores).
 tuned: .venv/.run
 	$(BIN)/python -m makers.pages tuned
 

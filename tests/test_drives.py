@@ -27,7 +27,7 @@ ROAD = ((3, 20), (4, 20), (3, 20))
 
 
 def lines(hertz: float = 10.0) -> pd.DataFrame:
-    frame = rows_of(short_drive().log).to_pandas()
+    frame = rows_of(short_drive().log)
     return frame.assign(time_s=frame["frame_id"] / hertz)
 
 

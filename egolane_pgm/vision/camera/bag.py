@@ -74,14 +74,10 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
         kind = np.dtype(name).newbyteorder(">" if value.get("is_bigendian") else "<")
         # A row may be longer than its pixels.
         rows = raw.reshape(height, -1)[:, : width * channels * kind.itemsize]
-        shape = (height, width) if channels == 1 else (height, width, channels)
-        pixels = np.ascontiguousarray(rows).view(kind).reshape(shape).astype(name)
-        image = convert_color(pixels, encoding, "bgr8")
-        if image.shape != (height, width, 3):
-            raise ValueError
+        pixels = np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
+        image = convert_color(pixels.squeeze(axis=2) if channels == 1 else pixels, encoding, "bgr8")
     except (ImageError, ValueError, cv2.error):
         raise InputError(
-            f"{where}: {len(raw)} bytes of encoding {encoding!r} are no picture of"
-            f" {width}x{height} pixels that can be read"
+            f"{where}: its encoding {encoding!r} of {width}x{height} pixels cannot be read"
         ) from None
     return image  # type: ignore[return-value]

@@ -13,8 +13,8 @@ import math
 import re
 import warnings
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
+from itertools import pairwise, zip_longest
 from pathlib import Path
 
 import cv2
@@ -31,9 +31,6 @@ from egolane_pgm.vision.camera.writing import silent
 
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
-
-#: What is wrong with a pair of sources of which one has more pictures.
-_EQUAL = "the pictures of the two cameras must be equally many"
 
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
@@ -60,11 +57,6 @@ class Source:
     topic: str | None = None
     time_s: FloatArray | None = None
 
-    @property
-    def is_video(self) -> bool:
-        """Whether it is one file of many frames."""
-        return self.frame_id is None
-
 
 def is_pattern(path: str) -> bool:
     """Whether a path is a glob pattern."""
@@ -79,8 +71,6 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     Raises InputError, naming the path, if there are none or the file is no video.
     """
     path = str(path)
-    if not path:
-        raise InputError("pictures: the path is empty; name a video, a folder or a 'glob*.jpg'")
     if is_pattern(path):
         return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
     place = Path(path)
@@ -89,10 +79,7 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     if topic is not None:
         raise InputError(f"{path}: topic: only a bag has topics")
     if place.is_dir():
-        try:
-            return _picture_files(path, list(place.iterdir()))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        return _picture_files(path, list(place.iterdir()))
     if not place.is_file():
         raise InputError(f"{path}: no such video, folder or pictures")
     if place.suffix.lower() in PICTURES:
@@ -115,16 +102,11 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
     time_s = stamps_of(place, chosen)
     files = files_of(place) if place.is_dir() else [place]
     ids = tuple(range(len(time_s)))
-    found = Source(str(place), tuple(files), ids, len(ids), None, chosen)
     if (np.diff(time_s) <= 0).any():
-        warnings.warn(
-            f"{place}: the stamps of the pictures on {chosen} do not increase; time is frame id"
-            " over frame rate",
-            UserWarning,
-            stacklevel=3,
-        )
-        return found
-    return replace(found, frame_rate=rate_of(np.array(ids), time_s), time_s=time_s)
+        # They are no times: as of picture files.
+        return Source(str(place), tuple(files), ids, len(ids), None, chosen)
+    rate = rate_of(np.array(ids), time_s)
+    return Source(str(place), tuple(files), ids, len(ids), rate, chosen, time_s)
 
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
@@ -141,10 +123,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
             UserWarning,
             stacklevel=2,
         )
-    try:
-        _, _, first = next(images_of(source, None))
-    except InputError:
-        return camera  # `read_pictures` says what is wrong, in its order
+    _, _, first = next(images_of(source, None))
     if size_of(first) == (camera.width, camera.height):
         return camera
     with problems_in(source.path):
@@ -186,44 +165,21 @@ def read_pictures(
     - right: the pictures of the second camera of a stereo pair
     - frames: the first frame id to read and the one after the last; None for all
 
-    Warns of a video that lacks pictures. Raises InputError, naming file and frame, for a picture
-    that cannot be read or has another size than the calibration, and for two cameras with
-    different numbers of pictures.
+    Raises InputError, naming file and frame, for a picture that cannot be read or has another size
+    than the calibration, and for two cameras with different numbers of pictures.
     """
-    counts = source.n_frames, source.n_frames if right is None else right.n_frames
-    if right is not None and None not in counts and counts[0] != counts[1]:
-        raise InputError(
-            f"{right.path}: has {counts[1]} pictures, {source.path} has {counts[0]}; {_EQUAL}"
-        )
-    seconds = None if right is None else images_of(right, _same_frames(source, right, frames))
-    for frame_id, file, image in images_of(source, frames):
-        _check_size(file, frame_id, image, camera)
-        if right is None or seconds is None:
+    if right is None:
+        for frame_id, file, image in images_of(source, frames):
+            _check_size(file, frame_id, image, camera)
             yield Picture(frame_id, image)
-            continue
-        second = next(seconds, None)
-        if second is None:
-            raise InputError(
-                f"{right.path}: ends before frame {frame_id} of {source.path}; {_EQUAL}"
-            )
+        return
+    for first, second in zip_longest(images_of(source, frames), images_of(right, frames)):
+        if first is None or second is None:
+            raise InputError(f"{source.path} and {right.path} have not equally many pictures")
+        frame_id, file, image = first
+        _check_size(file, frame_id, image, camera)
         _check_size(second[1], frame_id, second[2], camera)
         yield Picture(frame_id, image, second[2])
-    if right is not None and seconds is not None and next(seconds, None) is not None:
-        raise InputError(f"{source.path}: ends before {right.path}; {_EQUAL}")
-
-
-def _same_frames(
-    source: Source, right: Source, frames: tuple[int, int] | None
-) -> tuple[int, int] | None:
-    """The same range in the frame ids of the second camera; the pairs are matched by position."""
-    if frames is None or (source.frame_id is None and right.frame_id is None):
-        return frames
-    left_id = source.frame_id or tuple(range(len(right.files)))
-    right_id = right.frame_id or tuple(range(len(source.files)))
-    chosen = [k for k, frame_id in enumerate(left_id) if frames[0] <= frame_id < frames[1]]
-    if not chosen:
-        return frames
-    return right_id[chosen[0]], right_id[chosen[-1]] + 1
 
 
 def _check_size(file: str, frame_id: int, image: Image, camera: Camera) -> None:
@@ -248,7 +204,7 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     if source.topic is not None:
         found = bag_images(Path(source.path), source.topic, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
-    elif source.is_video:
+    elif source.frame_id is None:
         found = video_images(source.path, source.files[0], source.n_frames, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
     else:
@@ -304,24 +260,13 @@ def _file_images(
 def read_image(path: Path) -> Image:
     """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
 
-    Grey, palette and CMYK become colours, transparency is left out, 16 bits are scaled to 8, and a
-    picture that its camera marked as rotated (EXIF) is turned upright: all by OpenCV.
-
-    Raises InputError for a file that is missing, empty, cut off or no picture.
+    Raises InputError for a file that is missing, cut off or no picture.
     """
-    try:
-        content = np.fromfile(path, dtype=np.uint8)
-    except FileNotFoundError:
-        raise InputError(f"{path}: is missing") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    if not content.size:
-        raise InputError(f"{path}: the file is empty")
     with silent():
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(
-            f"{path}: is no picture that can be read (another kind of file, or cut off)"
+            f"{path}: is no picture that can be read (missing, another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
 

@@ -12,7 +12,7 @@ import pytest
 
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.chessboard import _solve, calibrate_lens
-from egolane_pgm.vision.calibration.straight_road import (
+from egolane_pgm.vision.calibration.road_lines import (
     FrameFit,
     RoadView,
     assumed_camera,
@@ -47,7 +47,7 @@ def view_of(
     camera: Camera = PLAIN,
 ) -> RoadView:
     fits = [FrameFit(np.array(ahead), np.array(s), 0.0) for s in slopes]
-    return view_from(camera, np.array(ahead), np.array(each, dtype=float), fits, 3.6, "here")
+    return view_from(camera, np.array(ahead), np.array(each, dtype=float), fits, 3.6)
 
 
 def test_the_height_is_the_lane_width_over_the_gap_of_slopes() -> None:
@@ -77,7 +77,7 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
     each = np.array([[k * spread[0], k * spread[1]] for k in (-1, 1)] * 8)
     if is_refused:
         with pytest.raises(
-            InputError, match=r"here: the lines of 16 frames meet at .* do not meet"
+            InputError, match=r"stills: the lines of 16 frames meet at .* do not meet"
         ):
             view_of([[-1.0, 1.5]], each)
     else:
