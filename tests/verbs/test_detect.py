@@ -98,7 +98,7 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
         (["--right", "x.avi"], "looks at one camera only"),
         (["-o", "l.txt"], "lines are written as .parquet, .csv"),
         (["--camera", "nix.yaml"], "nix.yaml: cannot be read"),
-        (["--camera", "{0}/sky.yaml"], "sky"),
+        (["--camera", "{0}/sky.yaml"], "--camera: only 0 % of the road from"),
     ],
 )
 def test_wrong_words_are_refused_in_one_line(
