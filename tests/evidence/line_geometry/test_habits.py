@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.drives import Drive, read_drives
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import (
     Habits,
     LineCounts,
@@ -367,7 +367,7 @@ def zero_label(n_lanes: int, width: str = "auto") -> Model:
 
 def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
     from egolane_pgm.inference.smoothing import infer_beliefs
-    from egolane_pgm.scoring.assign import assigned_lane
+    from egolane_pgm.scoring.confusion import assigned_lane
 
     truth = drive().truth if truth is None else truth
     given, _ = make_evidence(model, whole_rule(model), log)
