@@ -45,7 +45,7 @@ def stamps_of(path: Path, topic: str) -> FloatArray:
 def bag_images(
     path: Path, topic: str, frames: tuple[int, int] | None
 ) -> Iterator[tuple[int, Image]]:
-    """The positions and pictures of a topic, as `camera.video.video_images`. Raises InputError for
+    """The positions and pictures of a topic, as `pictures.video_images`. Raises InputError for
     a picture that cannot be read."""
     first, stop = frames or (0, None)
     for at, message in enumerate(messages(path, [topic])):

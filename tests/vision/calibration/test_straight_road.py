@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.calibration.chessboard import _solve, calibrate_lens
 from egolane_pgm.vision.calibration.road_lines import (
     FrameFit,
     RoadView,
@@ -83,18 +81,6 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
     else:
         found = view_of([[-1.0, 1.5]], each).spread_px
         np.testing.assert_allclose(found, np.array(spread) * (PLAIN.fx, PLAIN.fy))
-
-
-def test_boards_that_give_no_lens_are_refused_with_what_to_do() -> None:
-    boards = [(Path("a.png"), np.zeros((54, 2)))] * 5
-    with pytest.raises(InputError, match=r"the 5 chessboards give no lens .*turned in different"):
-        _solve(boards, (1280, 720), 9, 6, [])
-
-
-@pytest.mark.parametrize("board", [(2, 6), (9, 2)])
-def test_boards_that_there_are_not_are_refused(board: tuple[int, int]) -> None:
-    with pytest.raises(InputError, match=f"board {board[0]}x{board[1]}: needs at least 3x3"):
-        calibrate_lens([], *board)
 
 
 @pytest.mark.parametrize(

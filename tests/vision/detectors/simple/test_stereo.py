@@ -179,7 +179,6 @@ def test_a_camera_that_is_no_rectified_pair_on_a_road_is_named(
         ("no right one", "the picture of the second camera is missing"),
         ("right one smaller", "right: a picture of 1312x500 pixels"),
         ("left one smaller", "left: a picture of 656x540 pixels"),
-        ("swapped", "the pictures of left and right are swapped"),
     ],
 )
 def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str) -> None:
@@ -188,7 +187,6 @@ def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str
         "no right one": (image, None),
         "right one smaller": (image, right[:500]),
         "left one smaller": (image[:, ::2], right),
-        "swapped": (right, image),
     }[wrong]
     detector = find_detector(name, {}, Path.cwd(), "detector")
     with pytest.raises(InputError) as error:
