@@ -53,11 +53,3 @@ def test_among_pictures_of_one_size_another_is_named(tmp_path: Path, odd: Image,
         f"{folder / '2.png'}: frame 2: the picture has {size} pixels, the camera was calibrated for"
         " 480x270"
     )
-
-
-def test_a_second_picture_of_another_size_is_refused(tmp_path: Path) -> None:
-    left = write_pictures(tmp_path / "left", images(3))
-    right = write_pictures(tmp_path / "right", images(3))
-    write(right / "1.png", np.zeros((100, 200, 3), np.uint8))
-    with pytest.raises(InputError, match=r"right/1\.png: frame 1: the picture has 200x100"):
-        list(read_pictures(open_source(left), CAMERA, open_source(right)))
