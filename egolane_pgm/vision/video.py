@@ -1,6 +1,5 @@
-"""Draws a drive as a video. A frame shows the picture with its lines, their offsets below it, the
-bird's-eye view, and the belief as bars over the lanes from left to right, with the truth if it is
-known.
+"""Draws a drive as a video. A frame shows the picture with its lines, the bird's-eye view, and the
+belief as bars over the lanes from left to right, with the truth if it is known.
 
 A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also where
 the detector cannot tell (MLD); one that is not valid is light grey and thin. Only one frame is in
@@ -37,9 +36,8 @@ INK: Colour = (34, 34, 34)
 PAPER: Colour = (255, 255, 255)
 FRAME: Colour = (170, 170, 170)
 
-#: The height of the strip below the picture that has the labels of the lines, pixels, and the size
-#: of all text.
-STRIP, TEXT = 26, 0.45
+#: The size of all text.
+TEXT = 0.45
 
 #: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
 AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
@@ -76,7 +74,7 @@ class Layout:
     - camera: of the pictures, enlarged as they are drawn
     - picture: width and height of the picture
     - birdseye: width and height of the bird's-eye view, to the right of the picture
-    - panel: top and height of the panel below both and below the strip of labels
+    - panel: top and height of the panel below both
     - size: width and height of the whole
     - from_above: for each pixel of the bird's-eye view, the column and row of the picture
     """
@@ -97,14 +95,17 @@ def layout(camera: Camera) -> Layout:
     above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
     below = max(150, height // 4)
     # Video codecs need even sizes.
-    top, size_x = height + STRIP, width + above
-    size = (size_x + size_x % 2, top + below + (top + below) % 2)
+    size_x, size_y = width + above, height + below
+    size = (size_x + size_x % 2, size_y + size_y % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
     u, v = road_seen(camera, x[:, None], y[None, :])
     # Points behind the camera are far outside the picture.
     columns, rows = (np.clip(np.nan_to_num(at, nan=-1e6), -1e6, 1e6) for at in (u, v))
-    panel, from_above = (top, size[1] - top), (columns.astype(np.float32), rows.astype(np.float32))
+    panel, from_above = (
+        (height, size[1] - height),
+        (columns.astype(np.float32), rows.astype(np.float32)),
+    )
     return Layout(camera, (width, height), (above, height), panel, size, from_above)
 
 
@@ -121,7 +122,6 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     _lines_from_above(places, from_above, scene.lines)
     canvas[:height, :width] = shown
     canvas[:height, width : width + above] = from_above
-    _labels(places, canvas, scene.lines)
     _bars(places, canvas, scene)
     _legend(places, canvas, scene)
     return canvas
@@ -164,32 +164,6 @@ def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None
         for x in _pieces(is_dashed, DRAWN_M):
             u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
             _stroke(picture, u, v, colour, thickness)
-
-
-def feet(places: Layout, lines: FrameLines) -> dict[int, float]:
-    """The column where each line enters the picture from below or from the side; lines that are not
-    in the picture are left out."""
-    x = np.linspace(0.5, 30, 200)
-    width, height = places.picture
-    found = {}
-    for k in range(len(lines.lri)):
-        u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        if inside.any():
-            found[k] = float(u[int(np.argmax(inside))])
-    return found
-
-
-def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
-    """Write the offset of each line below its foot, under a bar in the line's colour."""
-    width, top = places.picture
-    for k, foot in feet(places, lines).items():
-        text = f"{lines.offset_m[k]:+.2f} m"
-        half = _text_width(text) // 2 + 2
-        middle = min(max(round(foot), half), width - half)
-        colour, thickness, _ = _style(lines, k)
-        cv2.rectangle(canvas, (middle - half, top), (middle + half, top + thickness), colour, -1)
-        _centred(canvas, text, middle, top + STRIP - 6, 2 * half, INK)
 
 
 def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:

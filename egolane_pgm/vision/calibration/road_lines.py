@@ -132,11 +132,6 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
-def from_level_to_image(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The pixels u, v of rays (..., 2) in the picture."""
-    return distorted(camera, *from_level(camera, rays))
-
-
 def check_lane_width(lane_width_m: float) -> None:
     """Raises InputError for a width that no lane has, for instance in other units."""
     low, high, _ = RANGES["lane_width_m"]
@@ -477,7 +472,7 @@ def fan(
     below = np.geomspace(farthest, nearest, _ROWS)
     side = np.arange(-_SIDE, _SIDE + _STEP / 2, _STEP)
     rays = _rays(point, bend, side[None, :], below[:, None])
-    u, v = from_level_to_image(camera, rays)
+    u, v = distorted(camera, *from_level(camera, rays))
     # Far outside the picture the distortion formula folds points back into it.
     free_u, free_v = from_level(camera, rays)
     inside = (np.abs(free_u - camera.cx) < 0.75 * camera.width) & (free_v < 1.25 * camera.height)
@@ -538,7 +533,7 @@ def find_lines(
     found = fan(camera, grey, mask, point, bend)
     lines = []
     for side, below in _streaks(found):
-        pixels = from_level_to_image(camera, _rays(point, bend, side, below))
+        pixels = distorted(camera, *from_level(camera, _rays(point, bend, side, below)))
         lines.append(np.stack(pixels, axis=-1))
     return lines
 

@@ -4,33 +4,43 @@ The frame id of a picture in a video or a bag is its position, from 0. Picture f
 natural order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last number of the names
 that increases from file to file; if there is none, their positions, from 0. Only one picture is in
 memory at a time.
+
+OpenCV gives all pictures of a video in the size of the first one. It also skips pictures that
+cannot be decoded or were never recorded, without a word: such a loss is noticed only by the number
+of pictures that the file states.
 """
 
 from __future__ import annotations
 
+import base64
 import glob
 import math
+import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from egolane_pgm.recordings import FORMATS, files_of
 from egolane_pgm.recordings.select import rate_of
+from egolane_pgm.recordings.topics import messages, topics_of
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import NOTE, FloatArray, InputError, problems_in
-from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
-from egolane_pgm.vision.camera.video import open_video, video_images
 from egolane_pgm.vision.camera.writing import silent
 
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
+
+#: The message types of pictures in a bag, whatever their package.
+_KINDS = ("Image", "CompressedImage", "RawImage")
 
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
@@ -219,6 +229,124 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
         if source.frame_id:
             there = f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
         raise InputError(f"{source.path}: no frame{asked}; {there}")
+
+
+# --- bags ------------------------------------------------------------------------------------
+
+
+def image_topic(path: Path, topic: str | None) -> str:
+    """The topic of the pictures, by default the only one that has some. Raises InputError where
+    there is none or nothing says which of several."""
+    there = {
+        name
+        for name, (kind, _) in topics_of(path).items()
+        if kind.partition(",")[0].replace(".", "/").split("/")[-1] in _KINDS
+    }
+    asked = {name for name in there if topic is None or name.strip("/") == topic.strip("/")}
+    if len(asked) != 1:
+        listed = ", ".join(sorted(there)) or "none"
+        wrong = "name one as topic" if asked else f"no pictures{f' on {topic}' if topic else ''}"
+        raise InputError(f"{path}: {wrong}; topics of pictures: {listed}")
+    return asked.pop()
+
+
+def stamps_of(path: Path, topic: str) -> FloatArray:
+    """When each picture of a topic was taken, (T,), seconds."""
+    return np.array([message.time_s for message in messages(path, [topic])])
+
+
+def bag_images(
+    path: Path, topic: str, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, Image]]:
+    """The positions and pictures of a topic, as `video_images`. Raises InputError for
+    a picture that cannot be read."""
+    first, stop = frames or (0, None)
+    for at, message in enumerate(messages(path, [topic])):
+        if stop is not None and at >= stop:
+            return
+        if at >= first:
+            yield at, _decoded(message.value, f"{path}: picture {at} on {topic}")
+
+
+def _decoded(value: Mapping[str, Any], where: str) -> Image:
+    """The picture of a message, (H, W, 3), blue green red."""
+    with needed("a picture in a bag", "vision"):
+        from rosbags.image.image import ImageError, convert_color, to_cvtype
+
+    data = value["data"]
+    raw = np.frombuffer(base64.b64decode(data) if isinstance(data, str) else data, dtype=np.uint8)
+    if "encoding" not in value:
+        with silent():
+            image = cv2.imdecode(raw, cv2.IMREAD_COLOR) if raw.size else None
+        if image is None:
+            raise InputError(f"{where}: its {value['format']!r} cannot be read")
+        return image  # type: ignore[return-value]
+    height, width, encoding = int(value["height"]), int(value["width"]), str(value["encoding"])
+    try:
+        _, _, name, channels = to_cvtype(encoding)
+        kind = np.dtype(name).newbyteorder(">" if value.get("is_bigendian") else "<")
+        # A row may be longer than its pixels.
+        rows = raw.reshape(height, -1)[:, : width * channels * kind.itemsize]
+        pixels = np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
+        image = convert_color(pixels.squeeze(axis=2) if channels == 1 else pixels, encoding, "bgr8")
+    except (ImageError, ValueError, cv2.error):
+        raise InputError(
+            f"{where}: its encoding {encoding!r} of {width}x{height} pixels cannot be read"
+        ) from None
+    return image  # type: ignore[return-value]
+
+
+# --- videos ----------------------------------------------------------------------------------
+
+
+def open_video(path: Path) -> cv2.VideoCapture:
+    """Opens a video before its first picture. Raises InputError for a file that is no video."""
+    # Without this, FFmpeg prints its own lines about files that our one-line error explains.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
+    absolute = os.path.abspath(path)
+    video = cv2.VideoCapture(absolute)
+    if not video.isOpened() or not video.grab():
+        video.release()
+        raise InputError(
+            f"{path}: is no video that can be read (another kind of file, or cut off before its"
+            " index was written)"
+        )
+    video.release()
+    return cv2.VideoCapture(absolute)
+
+
+def video_images(
+    name: str, path: Path, n_frames: int | None, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, Image]]:
+    """The positions and pictures of a video.
+
+    - name: how messages name the video
+    - n_frames: as the file says; None where it does not
+    - frames: the first position to read and the one after the last; None for all
+
+    Warns of a video that has fewer pictures than it says.
+    """
+    first, stop = frames or (0, None)
+    video = open_video(path)
+    at = 0
+    try:
+        while (stop is None or at < stop) and video.grab():
+            if at >= first:
+                is_there, image = video.retrieve()
+                if not is_there:
+                    break
+                yield at, image  # type: ignore[misc]
+            at += 1
+    finally:
+        video.release()
+    if n_frames is not None and first < at < min(n_frames, stop or n_frames):
+        warnings.warn(
+            f"{name}: has {at} of the {n_frames} frames that it should have (cut off, damaged, or"
+            " dropped when it was recorded): after such a place the frame ids are too low",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 # --- picture files -------------------------------------------------------------------------------

@@ -80,7 +80,7 @@ def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(st
     assert found.skipped == (
         f"{small}: 100x100, needs 1280x720",
         f"{low}: 1280x600, needs 1280x720",
-        f"{text}: is no picture that can be read (another kind of file, or cut off)",
+        f"{text}: is no picture that can be read (missing, another kind of file, or cut off)",
     )
     with pytest.raises(InputError, match=r"none of them can be used.*100x100"):
         find_in_stills(unturned(TRUE), [small])
