@@ -62,8 +62,8 @@ def compare(
     >>> ego.compare([one, other], of="filter")[["accuracy", "accuracy_difference"]].round(3)
                      accuracy  accuracy_difference
     filter
-    assumed_density     0.831                  NaN
-    exact               0.831                  0.0
+    assumed_density     0.836                  NaN
+    exact               0.832               -0.004
     """
     given = open_results(results)
     if not given:
