@@ -15,7 +15,7 @@ from egolane_pgm.parameters import LARGEST, Parameter
 PAIRS = [
     ("sensor_failure", "counting"),
     ("wor_levels", "counting_levels"),
-    ("position_in_lane", "line_geometry.rule"),
+    ("position_in_lane", "line_geometry"),
 ]
 
 

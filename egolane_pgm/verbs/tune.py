@@ -99,7 +99,7 @@ def tune(
     >>> only = {"sigma1": [0.2, 0.5], "bonus_value": 3}
     >>> study = ego.tune(experiment, trials=3, blocks=0, parameter=only)
     >>> study.fitted["bonus_value"], len(study.trials)
-    (3, 3)
+    (3.0, 3)
     """
     given = open_studied(
         experiments,
