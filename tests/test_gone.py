@@ -69,7 +69,13 @@ def test_each_pattern_finds_what_it_is_for() -> None:
         *("egolane validate x.yaml", "ego.report(run)", "--lags 0,1", "tune --test-on x.yaml"),
         *("mode: jeffrey", "lane_count.py", "labels of CULane", "rerun file", "recording.lines"),
         *("egolane-pgm[can]", "layout: beziers", "a watermark", "blur_limit", "rendered roads"),
-        *("--fleet drives.csv", "a fleet", "run x.yaml --recording l.csv", "--graphs a,b", "--workers 4"),
+        *(
+            "--fleet drives.csv",
+            "a fleet",
+            "run x.yaml --recording l.csv",
+            "--graphs a,b",
+            "--workers 4",
+        ),
         *("egolane tune X.yaml --runs 1-10", "LaneTruth", "clips.csv", "place_in_lane"),
         *("run.to_pandas()", "--together", "told_time_s"),
     )

@@ -58,9 +58,6 @@ _WIDE = re.compile(r"offset_(\d+)")
 _PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
 _PER_METRE = {"m": 1.0, "cm": 100.0, "mm": 1000.0}
 
-#: Signs contradict themselves if they do in this share of at least so many frames.
-_MOST, _ENOUGH = 0.9, 20
-
 
 def column_keys(given: ColumnsGiven) -> dict[str, Any]:
     """The keys of `recording.columns` that a caller gives. Raises InputError for what is none.
@@ -146,8 +143,6 @@ def lines_of_columns(
         if any(unused):
             ignored = f"{path}: ignored column(s) {', '.join(filter(None, unused))}"
             warnings.warn(ignored, UserWarning, stacklevel=4)
-    for problem in contradictions(log, table.said.left_positive).values():
-        warnings.warn(problem, UserWarning, stacklevel=4)
     return log
 
 
@@ -329,32 +324,6 @@ def _ids_of(table: _Table, time_s: FloatArray) -> FloatArray:
     usual = np.median(step[step > 0])
     frames = np.where(step > 0, np.maximum(1, np.rint(step / usual)), 0)
     return np.concatenate([[0.0], np.cumsum(frames)])
-
-
-def contradictions(log: LineLog, is_left_positive: bool = False) -> dict[str, str]:
-    """The ways in which the signs of the offsets contradict themselves, `one-sided` or
-    `backwards`, each with what may cure it; they are used all the same."""
-    several = log.is_valid.sum(axis=1) > 1
-    if several.sum() < _ENOUGH:
-        return {}
-    offset = np.where(log.is_valid, log.offset_m, np.nan)[several]
-    said = {}
-    one_sided = np.mean((np.nanmin(offset, axis=1) > 0) | (np.nanmax(offset, axis=1) < 0))
-    if one_sided > _MOST:
-        said["one-sided"] = (
-            f"{log.source}: in {one_sided:.0%} of the frames all lines are on one side of the car;"
-            " are the offsets distances without a sign? those of lines to the left need a minus"
-        )
-    order = np.argsort(np.isnan(offset), axis=1, kind="stable")
-    step = np.diff(np.take_along_axis(offset, order, axis=1), axis=1)
-    backwards = np.mean((step < 0).any(axis=1) & ~(step >= 0).any(axis=1))
-    if backwards > _MOST:
-        turned = str(not is_left_positive).lower()
-        said["backwards"] = (
-            f"{log.source}: in {backwards:.0%} of the frames the lines go from right to left; is"
-            f" their sign the other one? then `columns: {{left_positive: {turned}}}`"
-        )
-    return said
 
 
 # --- cells ---------------------------------------------------------------------------------------

@@ -10,7 +10,6 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.recordings import read_lines, write_lines
-from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.result import Result
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.image_line_files import (
@@ -86,13 +85,6 @@ def test_a_counted_folder_with_several_pictures_is_a_clip_too(tmp_path: Path) ->
     with pytest.warns(UserWarning, match="its 2 clips"):
         log = read(tusimple(tmp_path / "a.json", rows))
     assert clips_of(log) == [("clips/0313-1/60", [0, 1]), ("clips/0313-1", [2])]
-
-
-def test_no_frame_is_put_in_between_clips(tmp_path: Path) -> None:
-    rows = pictures(OFFICIAL[0], [1, 4]) + pictures(OFFICIAL[1], [7, 8])
-    log = read(tusimple(tmp_path / "a.json", rows), valid="always")
-    filled = fill_missing(log, "hold", 10.0)
-    assert clips_of(filled) == [(OFFICIAL[0], [0, 1, 2, 3]), (OFFICIAL[1], [4, 5])]
 
 
 def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:

@@ -86,7 +86,7 @@ def test_a_lower_threshold_leaves_fewer_frames_unsure(lines: Path, tmp_path: Pat
     [
         ("lines.csv", "", "--n-lanes: is missing: give the number of lanes"),
         ("no.csv", "--n-lanes 3", "no.csv: no such file"),
-        ("odd.csv", "--n-lanes 3", "odd.csv: no column"),
+        ("odd.csv", "--n-lanes 3", "odd.csv: the table has no rows"),
         ("lines.csv", "--n-lanes 3 --ground-truth {0}/some.txt", "lane 5 is outside 1..3"),
         ("lines.csv", "--n-lanes 3 --below 2", "'--below': 2.0 is not in the range"),
         ("lines.csv", "--n-lanes 3 --camera {0}/cam.yaml", "cam.yaml"),

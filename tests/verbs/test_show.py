@@ -109,7 +109,7 @@ def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> 
         ("lane_only --json {0}/both.py/x.json", "cannot be written"),
         ("{0}/both.py --json {0}/both.py", "is read here; name another file"),
         ("{0}/g.py --out {0}/g.svg", "g.py, line 3: AttributeError"),
-        ("no_wor --out {0}/g.txt", "g.txt: a network is written to a file that ends in .png, .svg"),
+        ("no_wor --out {0}/g.txt", "g.txt: unknown format; a network is written to .png, .svg, "),
         ("{0}/own.bif --out {0}/own.bif", "own.bif: is read here"),
         ("ml --out {0}/g.png", "only a graph"),
     ],
@@ -136,7 +136,7 @@ def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said
     )
 
 
-@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=[", "n_lanes.x=1"])
+@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=["])
 def test_an_override_that_is_none_is_refused(drive: Path, override: str) -> None:
     assert refused("run", "--dry-run", drive, "--set", override).startswith(f"--set: {override}: ")
 
