@@ -67,7 +67,7 @@ def test_results_as_the_benchmark_takes_them_have_its_rows(tmp_path: Path, first
         log = read(tusimple(tmp_path / "a.json", [said, nothing]))
     np.testing.assert_allclose(log.offset_m[0], OFFSETS, atol=0.02)
     assert np.isnan(log.offset_m[1]).all()
-    with pytest.raises(InputError, match="line 1: lane 4 has 47 values for .* h_samples"):
+    with pytest.raises(InputError, match=r"line 1: lane 4 has 47 values for .* h_samples"):
         read(tusimple(tmp_path / "b.json", [{**said, "lanes": [*lanes, [1.0] * 47]}]))
 
 
