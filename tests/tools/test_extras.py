@@ -15,7 +15,7 @@ from egolane_pgm.studies.search import check_sampler
 from egolane_pgm.tools.jobs import in_order
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
-from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
+from egolane_pgm.vision.detectors.networks.running import read_onnx
 from tests.kits.tiny_result import a_result
 
 #: The modules that import an extra's packages when they are imported themselves.
