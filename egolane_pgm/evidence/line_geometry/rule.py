@@ -55,6 +55,7 @@ from egolane_pgm.evidence.line_geometry.sight import (
     KIND_CHANGES,
     LANE_CHANGES,
     SightTables,
+    far_frames,
     kinds_of,
     new_sight,
     sight_tables,
@@ -114,7 +115,9 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
         seen = reading.count_once(seen, last.lines)
         widths = widths * (1 + number(parameters, "width_wanders") * np.array([-1, 0, 1]))
         given = _evidence(seen, widths, weights, log.is_missing, tables, sight, parameters)
-    warn_of_own_lines(sight, last.lines[0] / max(len(log), 1), log.source)
+    n_frames = max(len(log), 1)
+    far = far_frames(log.offset_m, np.full(len(log), width)) / n_frames
+    warn_of_own_lines(sight, last.lines[0] / n_frames, far, log.source)
     return given
 
 
@@ -143,12 +146,12 @@ def _online(
     seen_before: list[habits.LineCounts] = []
     recent: list[habits.Columns] = []
     has_flags = False
-    n_frames, last, last_s = 0, reading.NO_FRAME, -math.inf
+    n_frames, n_far, last, last_s = 0, 0, reading.NO_FRAME, -math.inf
     is_asked = False
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """The evidence of frames that are all read in the same way."""
-        nonlocal detector, has_flags, n_frames, last, last_s
+        nonlocal detector, has_flags, n_frames, n_far, last, last_s
         if n_frames and n_frames % reading.UPDATE_EVERY == 0:
             seen_before[:] = [habits.added([*seen_before, habits.count_lines(recent)])]
             recent.clear()
@@ -164,6 +167,7 @@ def _online(
         else:
             widths = np.full((len(log), 1), given)
         middle = np.ascontiguousarray(widths[:, widths.shape[1] // 2])
+        n_far += far_frames(log.offset_m, middle)
         held = detector.repeats_are_held
         seen, last = reading.read_lines(
             log, kind, middle, parameters, repeats_are_held=held, last=last
@@ -178,7 +182,8 @@ def _online(
         if len(recorded) == 1:
             if n_frames >= NOTED_AFTER and not is_asked:
                 is_asked = True
-                warn_of_own_lines(sight, last.lines[0] / n_frames, recorded.source)
+                lines_per_frame, far = last.lines[0] / n_frames, n_far / n_frames
+                warn_of_own_lines(sight, lines_per_frame, far, recorded.source)
             return evidence_of_part(recorded)
         updates = np.arange(-n_frames % reading.UPDATE_EVERY, len(recorded), reading.UPDATE_EVERY)
         starts = np.unique([0, *updates])

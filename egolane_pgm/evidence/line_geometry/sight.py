@@ -73,6 +73,10 @@ KINDS: tuple[Kind, ...] = (
 #: The probability from which a note says that only the own lines are seen.
 SURE = 0.8
 
+#: A line further away than this, in lane widths, is not of the own lane; a camera shows its own
+#: lane only if fewer than this share of the frames so far has such a line.
+FAR_WIDTHS, FAR_SHARE = 1.2, 0.1
+
 #: The probability in a tenth of a second that the car goes to the lane on either side, as far as
 #: the belief over kinds is concerned, and that the detector or the road becomes of another kind.
 LANE_CHANGES, KIND_CHANGES = 0.002, 0.003
@@ -122,15 +126,30 @@ def new_sight(n_lanes: int, n_kinds: int) -> FloatArray:
     return np.full((n_lanes, n_kinds), 1 / (n_lanes * n_kinds))
 
 
-def warn_of_own_lines(sight: FloatArray, lines_per_frame: float, source: str) -> None:
-    """Notes that only the lines of the own lane are seen, where that is sure after the frames so
-    far."""
+def far_frames(offset_m: FloatArray, width_m: FloatArray) -> int:
+    """The number of frames with a line beyond those of the own lane.
+
+    - offset_m: (T, L), NaN in padding. width_m: (T,) lane width.
+    """
+    with np.errstate(invalid="ignore"):
+        is_far = np.abs(offset_m) > FAR_WIDTHS * width_m[:, None]
+    return int(is_far.any(axis=1).sum())
+
+
+def warn_of_own_lines(
+    sight: FloatArray, lines_per_frame: float, far_share: float, source: str
+) -> None:
+    """Warn of a camera that shows the lines of its own lane only.
+
+    - sight: (n, K) the posterior over lanes and kinds after the frames so far.
+    - far_share: the share of these frames with a line beyond (`far_frames`).
+    """
     is_own = sight.shape[1] == len(KINDS) and sight[:, -1].sum() > SURE
-    if is_own and lines_per_frame > 1:
+    if is_own and lines_per_frame > 1 and far_share < FAR_SHARE:
         warnings.warn(
-            f"{NOTE}{source}: shows the lines of its own lane only: until a lane change leaves one"
-            " answer, the lane is known as far as that in which the drive begins is (`start_lane`);"
-            " lane changes are followed",
+            f"{NOTE}{source}: shows the lines of its own lane only: the absolute lane is ambiguous"
+            " until a lane change rules lanes out; set `start_lane` if you know it; lane changes"
+            " are tracked",
             UserWarning,
             stacklevel=2,
         )
