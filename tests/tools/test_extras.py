@@ -15,7 +15,7 @@ from egolane_pgm.studies.search import check_sampler
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
-from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
+from egolane_pgm.vision.detectors.networks.running import read_onnx
 from tests.kits.drives import run, write_drive
 from tests.kits.tiny_result import a_result
 
