@@ -61,6 +61,8 @@ class FrameLines:
                 raise InputError(f"lines: {name} needs a NumPy array of {kind}, {wanted}")
             if not np.isfinite(value).all():
                 raise InputError(f"lines: {name} is not finite")
+        if (self.lri < 0).any():
+            raise InputError("lines: a line's lri is not a count of detections")
         if (np.diff(self.offset_m) < 0).any():
             raise InputError("lines: the lines are not sorted left to right")
 
