@@ -99,16 +99,9 @@ def write_lines(path: str | Path, log: LineLog) -> None:
     """
     from egolane_pgm.recordings.table import write_table
 
-    check_one_drive(log, "a file that is written holds one drive")
-    write_table(path, log)
-
-
-def check_one_drive(log: LineLog, why: str) -> None:
-    """Raise InputError, which ends with `why`, for a log of several clips."""
     if log.clip is not None:
-        raise InputError(
-            f"{log.source}: has {len(log.pieces())} clips, the first {log.clip[0]}; {why}"
-        )
+        raise InputError(f"{log.source}: has several clips; a file that is written holds one drive")
+    write_table(path, log)
 
 
 def files_of(folder: Path) -> list[Path]:

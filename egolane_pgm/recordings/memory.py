@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.recordings.columns import FRAME_RATE, check_whole, typed
+from egolane_pgm.recordings.columns import FRAME_RATE, typed
 from egolane_pgm.recordings.table import lines_of_frame, with_index
 from egolane_pgm.types import InputError, LineLog, lane_truth, suggestion
 
@@ -70,8 +70,6 @@ def truth_of(given: pd.DataFrame) -> pd.DataFrame:
             cells[name] = typed(path, name, frame[name])
         elif name != "is_crossing":
             raise InputError(f"{path}: no column {name}{suggestion(name, frame.columns)}")
-    for name in ("frame_id", "lane"):
-        check_whole(path, cells, name, np.arange(len(frame)))
     known = ~np.isnan(cells["lane"]) & ~np.isnan(cells["frame_id"])
     kept = {name: values[known] for name, values in cells.items()}
     crossing = kept.get("is_crossing", np.zeros(known.sum())) == 1

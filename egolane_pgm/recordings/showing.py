@@ -60,7 +60,7 @@ def _pace(time_s: FloatArray) -> str:
     return f"{1 / usual:.4g} per second, gaps: {gap.sum()}{longest}"
 
 
-def _command(path: Path, **options: str) -> list[str]:
+def _command(path: Path, **options: Any) -> list[str]:
     """What runs a table or a topic whose columns have our names; or why nothing does."""
     try:
         log = read_lines(path, **options)
