@@ -51,46 +51,32 @@ dist: .venv/.dev
 notebooks: .venv/.dev
 	$(BIN)/python -m tests.kits.notebooks
 
-# A comparison without its table of every score of every run.
-SHORT := sed '/^| recording /,/^$$/d'
-
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
 RUNS := results/runs
-NO_BONUS := --set parameters.bonus_value=0 --set name=run03_no_bonus
 paper: .venv/.run
-	$(BIN)/egolane reproduce --wide --out $(RUNS) > results/paper/reproduction.md
-	$(BIN)/egolane compare --wide | $(SHORT) > results/paper/graphs.md
-	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures --out $(RUNS)/run03_bonus
-	$(BIN)/egolane run experiments/paper/run03_italy_mc.yaml --no-figures $(NO_BONUS) --out $(RUNS)/run03_no_bonus
-	$(BIN)/egolane plot $(RUNS)/run01_italy_ml --frames 1880 2700 --out results/paper
-	$(BIN)/egolane plot $(RUNS)/run*_italy_* $(RUNS)/run*_spain_* --out $(RUNS)/figures
-	cp $(RUNS)/figures/dispersion.png results/paper/
-	$(BIN)/egolane plot $(RUNS)/run03_bonus $(RUNS)/run03_no_bonus --out $(RUNS)/ablation
-	cp $(RUNS)/ablation/bonus_ablation.png results/paper/
+	$(BIN)/egolane reproduce --wide --out $(RUNS)/reproduced > results/paper/reproduction.md
+	$(BIN)/python -m makers.pages paper
+	$(BIN)/egolane plot $(RUNS)/reproduced/run01_italy_ml --frames 1880 2700 --out $(RUNS)/figures
+	$(BIN)/egolane plot $(RUNS)/reproduced/* --out $(RUNS)/figures
+	cp $(addprefix $(RUNS)/figures/,$(addsuffix .png,strips confusion reliability dispersion)) results/paper/
 	$(BIN)/egolane show sensor_failure --out results/paper/network.png
 
 # What results/graphs/ holds: other graphs and learned tables on frames that they have not seen
-# (a quarter of an hour of two cores).
-GRAPHS := sensor_failure,wor_on_lane,wor_on_edge,autoregressive,failure_duration,no_wor,lane_only
-GRAPHS := $(GRAPHS),sensor_dynamics,three_sensor_states,biased_sensor,wor_direct
-SEARCH := --set tuning.trials=420 --jobs 2
-EM := $(addprefix experiments/graphs/,em.yaml em_autoregressive.yaml em_autoregressive_wor.yaml)
+# (half an hour of two cores). A row whose result is in results/runs is not run again.
 graphs: .venv/.run
-	mkdir -p results/graphs
-	$(BIN)/egolane compare --graphs $(GRAPHS) --wide --set fit=tune --set filter=exact $(SEARCH) --figures $(RUNS)/graphs | $(SHORT) > results/graphs/graphs.md
-	cp $(RUNS)/graphs/differences.png results/graphs/graphs.png
-	$(BIN)/egolane compare $(EM) experiments/graphs/start.yaml --runs 1-10 --jobs 2 --wide | $(SHORT) > results/graphs/learned.md
+	$(BIN)/python -m makers.pages searched learned
 
-# results/tuning/tables.md and its figure: the paper's parameters searched for each run, detector and
-# road (a quarter of an hour of two cores; repeated, it goes on where it stopped).
-tuned: .venv/.dev
-	$(BIN)/python -m makers.tuned --out results/tuning
+# results/tuning/runs.md: the paper's parameters searched for each run (a quarter of an hour of
+# two cores).
+tuned: .venv/.run
+	$(BIN)/python -m makers.pages tuned
 
-# What results/beyond/ holds of recordings by other detectors (a quarter of an hour of one core).
+# What results/beyond/ holds of the ten recordings, of recordings by other detectors and of ramps
+# (half an hour of one core).
 beyond: .venv/.dev
+	$(BIN)/python -m makers.pages beyond
 	$(BIN)/python -m makers.beyond strangers > results/beyond/strangers.md
 	$(BIN)/python -m makers.beyond sensors > results/beyond/sensors.md
-	$(BIN)/python -m makers.beyond failures --out results/beyond > /dev/null
 	$(BIN)/python -m makers.beyond ramps > results/beyond/ramps.md
 
 # results/benchmark/: the public board (some minutes of two cores). Needs the paper's

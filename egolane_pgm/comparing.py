@@ -11,8 +11,11 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import drive_key
+from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.runs import SUMMARY
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
+from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError, IntArray
 
 ResultLike = Result | str | os.PathLike[str]
@@ -63,6 +66,11 @@ def compare(
     exact               0.831                  0.0
     """
     given = open_results(results)
+    if not given:
+        raise InputError("results: name at least one")
+    for option, name in (("of", of), ("by", by)):
+        if name is not None and all(_value(each, name) is None for each in given):
+            raise InputError(f"{option}: no result has a value of {name}")
     rows = []
     for group, members in _groups(given, by).items():
         key = of or _default_key(members)
@@ -101,8 +109,17 @@ def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
             found.append(each)
             continue
         place = Path(each)
-        below = [] if is_result(place) else sorted(p.parent for p in place.glob("**/run.json"))
+        below = [] if is_result(place) else results_in(place)
         found += [load_result(directory) for directory in below or [place]]
+    return found
+
+
+def results_in(folder: Path) -> list[Path]:
+    """The result directories below a folder; those of a table of runs in its order."""
+    found = sorted(file.parent for file in folder.glob("**/run.json"))
+    if (folder / SUMMARY).exists():
+        rows = list(read_parquet(folder / SUMMARY).index)
+        found.sort(key=lambda place: rows.index(place.name) if place.name in rows else len(rows))
     return found
 
 
@@ -117,6 +134,9 @@ def _value(result: Result, key: str | None) -> Any:
     if key == "folder":
         return result.name if result.directory is None else result.directory.parent.name
     value = result.value(key)
+    if isinstance(value, str) and value.endswith(OWN_FILES):
+        # A graph or a rule of one's own is called by its file.
+        return Path(value).stem
     return tuple(value) if isinstance(value, list) else value
 
 
@@ -152,8 +172,8 @@ def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
         key = f"{source} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
-                f"{side}: two results of one recording, {found[key].name} and {result.name}; choose"
-                " a key that tells them apart (of, --of)"
+                f"of: {side} has two results of one recording, {found[key].name} and {result.name};"
+                " name a key in which they differ, e.g. graph"
             )
         found[key] = result
     return found

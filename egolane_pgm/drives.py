@@ -205,7 +205,7 @@ def read_memory(
 
 def read_simulated(experiment: Experiment) -> Recording:
     """Simulate a drive."""
-    from egolane_pgm.simulation.presets import simulate
+    from egolane_pgm.simulation import simulate
 
     r = experiment.recording
     with problems_in(f"{experiment.source}: recording"):
@@ -215,7 +215,7 @@ def read_simulated(experiment: Experiment) -> Recording:
 
 def check_simulated(experiment: Experiment) -> None:
     """Raise InputError for an unknown preset."""
-    from egolane_pgm.simulation.presets import PRESETS
+    from egolane_pgm.simulation import PRESETS
 
     name = str(experiment.recording.simulate)
     if name not in PRESETS:

@@ -142,8 +142,8 @@ def _on_lines(
         name = safe_name(Path(path).stem)
     if "n_lanes" not in changes and (recording.get("simulate") or content.get("road")):
         raise InputError(
-            f"{path}: n_lanes is missing: give the number of lanes of this recording's road"
-            f" (--n-lanes; {source} is about another road)"
+            f"n_lanes: is missing: give the number of lanes of the road of {path}"
+            f" ({source} is about another road)"
         )
     kept = {key: value for key, value in content.items() if key not in RECORDING_KEYS}
     if kept.get("tuned_on") == "same_frames" and path != recording.get("path"):

@@ -113,10 +113,15 @@ def reproduce_run(number: int, which: str) -> Reproduced:
 
 @dataclass(frozen=True, repr=False)
 class Reproduction:
-    """Some runs of the paper; iterating gives their results."""
+    """Some runs of the paper; iterating gives their results.
+
+    - parameters: recovered or published.
+    - matrices: whether every confusion matrix is printed.
+    """
 
     runs: Sequence[Reproduced]
     parameters: str
+    matrices: bool = False
 
     def __len__(self) -> int:
         return len(self.runs)

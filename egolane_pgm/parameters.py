@@ -55,12 +55,6 @@ class Parameter:
     shape: Callable[[int], tuple[int, ...]] | None = None
     smoothed: Value | None = None
 
-    def __post_init__(self) -> None:
-        if self.search not in ("auto", None) and not _is_pair(self.search):
-            raise InputError(
-                f'Parameter {self.name}: search: {self.search!r} is not (low, high), "auto" or None'
-            )
-
     @property
     def search_range(self) -> tuple[float, float] | None:
         """The bounds (low, high) of a search: those that are declared, or what follows from kind,
@@ -153,14 +147,6 @@ class Parameter:
         if x > (highest := min(self.highest, LARGEST)):
             raise InputError(f"{where}: {value} must be at most {highest}")
         return int(x) if self.kind == "integer" else x
-
-
-def _is_pair(given: object) -> bool:
-    return (
-        isinstance(given, (tuple, list))
-        and len(given) == 2
-        and all(isinstance(value, (int, float)) for value in given)
-    )
 
 
 def held_fixed(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:

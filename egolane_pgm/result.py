@@ -31,12 +31,20 @@ from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.memory import lines_of
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
 from egolane_pgm.scoring.summary import score_with_intervals
-from egolane_pgm.tools.files import make_directory, plain, read_parquet, write_json, write_yaml
+from egolane_pgm.tools.files import (
+    check_place,
+    make_directory,
+    plain,
+    read_parquet,
+    write_json,
+    write_yaml,
+)
 from egolane_pgm.tools.provenance import git_state, versions
 from egolane_pgm.types import (
     MAX_LANES,
@@ -264,8 +272,8 @@ class Result:
         make_directory(place)
         (place / "run.json").unlink(missing_ok=True)
         try:
-            config = self._write_inputs(place)
             self.frames.to_parquet(place / "beliefs.parquet")
+            config = self._write_inputs(place)
         except OSError as error:
             raise InputError(f"{place}: cannot be written: {error.strerror or error}") from error
         write_yaml(place / "experiment.yaml", config)
@@ -297,6 +305,9 @@ class Result:
             dropped = {"frames", "columns"}
             kept = {k: v for k, v in config["recording"].items() if k not in dropped}
             config["recording"] = {**kept, "path": "./lines.parquet"}
+            if self.truth is not None and len(self.lines) == 1:
+                write_ground_truth(place / "ground_truth.txt", self.truth)
+                config["ground_truth"] = {"path": "./ground_truth.txt"}
         return config
 
 
@@ -312,10 +323,11 @@ def check_writable(directory: Path) -> None:
     """Raise InputError if a result cannot be put there: before anything is computed."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file, not a directory")
-    is_ours = (directory / "scores.json").exists() or not directory.exists()
+    # The first file of a result, which may have been interrupted.
+    is_ours = (directory / "beliefs.parquet").exists() or not directory.exists()
     if not is_ours and any(directory.iterdir()):
         raise InputError(f"{directory}: exists and is not a result directory; name another one")
-    make_directory(directory)
+    check_place(directory / "run.json")
 
 
 def load_result(directory: str | os.PathLike[str]) -> Result:

@@ -28,7 +28,7 @@ from egolane_pgm.model import (
 )
 from egolane_pgm.recordings.select import clip_lri, fill_after
 from egolane_pgm.result import Result, make_result
-from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOT_ANNOTATED, Beliefs, FloatArray, InputError, LineLog
 

@@ -7,6 +7,7 @@ experiment (`recording.path`, `n_lanes`, `parameters.sigma1`), or tags of one's 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -31,7 +32,7 @@ from egolane_pgm.loading import (
 )
 from egolane_pgm.model import with_graph
 from egolane_pgm.result import TAG, Result, stored
-from egolane_pgm.running import run_experiment
+from egolane_pgm.running import messages, run_experiment
 from egolane_pgm.tools.files import make_directory, read_parquet
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
@@ -85,6 +86,8 @@ def open_input(
     Raises InputError for anything else.
     """
     lines, truth = None, ground_truth
+    if experiment is not None and not is_lines(given):
+        raise InputError(f"experiment: goes with a recording of lines, which {given} is not")
     if isinstance(given, Result):
         found = given.experiment
         if found.recording.path == IN_MEMORY:
@@ -163,7 +166,8 @@ def _read_csv(path: Path) -> pd.DataFrame:
     try:
         cells = pd.read_csv(path, dtype=str, keep_default_na=False, na_values=[""])
     except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read as a table: {error}") from error
+        why = getattr(error, "strerror", None) or error
+        raise InputError(f"{path}: cannot be read as a table: {why}") from error
     for column in cells.columns.difference(["name", *FILES]):
         if not column.startswith(TAG):
             read = partial(parse_yaml, source=f"{path}: {column}")
@@ -286,7 +290,10 @@ def run_input(
     # It can search: other runs do without Optuna.
     from egolane_pgm.studies.study import run_held_out
 
-    return run_held_out(given.drives(), n_blocks, progress=progress)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        drives = given.drives()
+    return run_held_out(drives, n_blocks, notes=messages(caught), progress=progress)
 
 
 def numbers(scores: Mapping[str, Any]) -> dict[str, Any]:

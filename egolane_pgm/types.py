@@ -220,11 +220,6 @@ def check_frame_ids(frame_id: IntArray, what: str) -> None:
         )
 
 
-def _check_shape(name: str, array: NDArray[np.generic], shape: tuple[int, ...], what: str) -> None:
-    if array.shape != shape:
-        raise InputError(f"{what}: {name} has shape {array.shape}, needs {shape}")
-
-
 @dataclass(frozen=True)
 class LineLog:
     """The output of a line detector: T frames of at most L lines each, padded.
@@ -269,16 +264,16 @@ class LineLog:
         if self.is_missing.size == 0 and n_frames:
             object.__setattr__(self, "is_missing", np.zeros(n_frames, dtype=bool))
         check_frame_ids(self.frame_id, self.source)
-        _check_shape("time_s", self.time_s, (n_frames,), self.source)
-        _check_shape("is_missing", self.is_missing, (n_frames,), self.source)
-        if self.clip is not None:
-            _check_shape("clip", self.clip, (n_frames,), self.source)
         if self.offset_m.ndim != 2 or len(self.offset_m) != n_frames:
             raise InputError(
                 f"{self.source}: offset_m has shape {self.offset_m.shape}, needs ({n_frames}, L)"
             )
-        for name in ("is_valid", "is_continuous", "lri"):
-            _check_shape(name, getattr(self, name), self.offset_m.shape, self.source)
+        of_lines = dict.fromkeys(("is_valid", "is_continuous", "lri"), self.offset_m.shape)
+        of_frames = dict.fromkeys(("time_s", "is_missing", "clip"), (n_frames,))
+        for name, shape in {**of_frames, **of_lines}.items():
+            array = getattr(self, name)
+            if array is not None and array.shape != shape:
+                raise InputError(f"{self.source}: {name} has shape {array.shape}, needs {shape}")
         if not np.isfinite(self.offset_m[self.is_valid]).all():
             frame, line = np.argwhere(self.is_valid & ~np.isfinite(self.offset_m))[0]
             raise InputError(

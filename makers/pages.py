@@ -2,9 +2,9 @@
 
 `paper` is other graphs with the paper's parameters (a minute), `learned` graphs with tables learned
 by EM (ten minutes of two cores), `searched` graphs with searched parameters (a quarter of an hour),
-`tuned` the paper's parameters searched for each run (five minutes), and `beyond` position in lane
-and the paper's graph (five minutes). The results and studies are kept in results/runs: what is
-there is not run again. Needs EGOLANE_DATA.
+`tuned` the paper's parameters searched for each run (a quarter of an hour), and `beyond` position
+in lane and the paper's graph (five minutes). The results are kept in results/runs; those of tables
+of runs are not run again. Needs EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -69,8 +69,9 @@ def compared(heading: str, folders: Sequence[Path], **options: Any) -> str:
     found = ego.compare(folders, of="folder", **options)
     each = ego.compare(folders, of="folder", by="name", detector=options.get("detector", False))
     order = each.index.get_level_values("folder").unique()
+    table_of_each = page([table(each["accuracy"].unstack()[order])], wide=True)
     parts = [heading, compare.text(found, "markdown", True), "Accuracy on each recording:"]
-    return page([*parts, table(each["accuracy"].unstack()[order])], wide=True)
+    return "\n\n".join([*parts, table_of_each])
 
 
 def paper() -> None:
@@ -123,20 +124,20 @@ def beyond() -> None:
 
 
 def tuned() -> None:
-    """Write results/tuning/tables.md: the paper's parameters searched for each run."""
+    """Write results/tuning/runs.md: the paper's parameters searched for each run."""
     folders = [RUNS / "tuned/held_out", RUNS / "tuned/in_sample"]
     for run in range(1, 11):
-        place = RUNS / "tuned/studies" / str(run)
-        study = ego.tune(paper_experiment(run), out=place, jobs=2, figures=False)
+        study = ego.tune(paper_experiment(run), jobs=2)
         assert study.held_out is not None
         study.held_out.save(folders[0] / study.name)
-        best = {"overrides": {"name": study.name}, "held_out": True}
-        ego.run(place / "best.yaml", out=folders[1] / study.name, figures=False, **best)
+        best = {**study.experiment(), "name": study.name}
+        # Held out: it is scored on the same frames, those of untrusted labels left out.
+        ego.run(best, held_out=True, out=folders[1] / study.name, figures=False)
     heading = (
         "# The paper's parameters searched for each run\n\nMade by `make tuned`: 3,000 trials a"
         " search, the known values first; held out from scratch."
     )
-    write_text(RESULTS / "tuning/tables.md", compared(heading, folders) + "\n")
+    write_text(RESULTS / "tuning/runs.md", compared(heading, folders) + "\n")
 
 
 def main() -> None:

@@ -161,7 +161,7 @@ def test_what_cannot_be_compared_is_refused(results: list[Result], tmp_path: Pat
     for given, of, said in (
         (results[:3], "graph", "graph lane_only: has other recordings, frames or labels"),
         ([results[0], shorter], "name", "name short: has other recordings, frames or labels"),
-        (results[:2], "filter", "assumed_density: two results of one recording, sensor_failure"),
+        (results[:2], "filter", "assumed_density has two results of one recording, sensor_failure"),
         ([without], "name", "none: has no ground truth to compare with"),
     ):
         with pytest.raises(InputError, match=said):

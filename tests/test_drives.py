@@ -27,7 +27,7 @@ ROAD = ((3, 20), (4, 20), (3, 20))
 
 
 def lines(hertz: float = 10.0) -> pd.DataFrame:
-    frame = rows_of(short_drive().log).to_pandas()
+    frame = rows_of(short_drive().log)
     return frame.assign(time_s=frame["frame_id"] / hertz)
 
 
@@ -287,7 +287,7 @@ def test_a_lane_of_the_truth_that_ends_some_metres_later_is_no_error(tmp_path: P
 def test_what_a_road_needs_is_named(on_road: Path) -> None:
     with pytest.raises(InputError, match=r"road: .*nowhere\.parquet: no such file"):
         run(on_road, {"road": "nowhere.parquet"})
-    with pytest.raises(InputError, match="n_lanes is missing: give the number of lanes of this"):
+    with pytest.raises(InputError, match="n_lanes: is missing: give the number of lanes"):
         run(on_road.parent / "lines.csv", experiment=on_road)
     with pytest.raises(InputError, match=r"recording\.path: pass the lines that are in memory"):
         read_drives(load_experiment("zero_label", lines=short_drive().log, n_lanes=3))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import runpy
 from pathlib import Path
@@ -19,9 +18,6 @@ ROOT = Path(__file__).parents[1]
 TUTORIAL = ROOT / "examples" / "tutorial_network.py"
 MY_GRAPH = ROOT / "docs" / "howto" / "graph.md"
 QUICKSTART = ROOT / "experiments" / "quickstart.yaml"
-
-
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def blocks_of(language: str, page: Path) -> list[str]:
@@ -63,21 +59,21 @@ def test_a_network_in_pgmpys_own_style_is_compiled_filtered_and_learned() -> Non
 
 
 def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path) -> None:
-    words = [QUICKSTART, "--set", "recording.frames=[0, 600]", "--set", "tuning.blocks=2"]
-    own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}"]
-    done("learn", *words, *own, "--out", tmp_path / "learned.yaml")
-    learned = yaml.safe_load((tmp_path / "learned.graph.yaml").read_text())
+    words = [QUICKSTART, "--set", "recording.frames=[0, 600]"]
+    own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}", "--blocks", 2]
+    done("learn", *words, *own, "--out", tmp_path / "learned")
+    learned = yaml.safe_load((tmp_path / "learned/best.graph.yaml").read_text())
     assert learned["hidden"] == ["Lane", "Sensor"]
     done("show", TUTORIAL, "--out", tmp_path / "network.bif")
-    graphs = f"sensor_failure,{TUTORIAL},{tmp_path / 'network.bif'}"
-    options = ["--set", "fit=learn", "--blocks", 2, "--json", tmp_path / "compared.json"]
-    done("compare", *words, *options, "--graphs", graphs)
-    compared = json.loads((tmp_path / "compared.json").read_text())["recordings"][0]["experiments"]
-    names = [experiment["name"] for experiment in compared]
-    assert names == ["sensor_failure", "tutorial_network", "network"]
-    _, declared, from_file = compared
-    assert declared["free_parameters"] == from_file["free_parameters"] == 38
-    assert declared["scores"] == from_file["scores"]
+    table = tmp_path / "graphs.csv"
+    graphs = ["sensor_failure", TUTORIAL, "network.bif"]
+    rows = [f"{k},{graph},{{}}" for k, graph in enumerate(graphs)]
+    table.write_text("\n".join(["name,graph,parameters", *rows]) + "\n")
+    options = ["--held-out", "--set", "fit=learn", "--blocks", 2, "--out", tmp_path / "runs"]
+    done("run", *words, "--table", table, *options)
+    compared = ego.compare(tmp_path / "runs")
+    assert list(compared.index) == ["0", "1", "2"]
+    assert compared["accuracy"]["1"] == compared["accuracy"]["2"]
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])

@@ -22,8 +22,13 @@ VERBS = (
 GONE = {
     "commands": rf"egolane (?:{'|'.join(VERBS)})\b(?!\.|=)",
     "functions": r"\bego\.(?:convert|export|inspect|network|report|validate|video)\(",
-    "compare": r"--(?:lags|health|seeds|with-paper|trials-per-number)\b",
-    "tune": r"--(?:test-on|whole-recordings|from-scratch)\b|^pictures: ",
+    "compare": r"--(?:lags|health|seeds|with-paper|trials-per-number|graphs|together)\b",
+    "tune": r"--(?:test-on|whole-recordings|from-scratch|in-sample-only|workers)\b|^pictures: ",
+    "runs of compare and tune": r"egolane (?:compare|tune) [^`|#]*--runs\b",
+    "run": r"--(?:fleet|recording|stream)(?![\w.-])|(?i:\bfleets?\b)",
+    "containers": r"\b(?:LaneTruth|LaneEvents|DriveTable|Believed|prepare_model|with_recording)\b",
+    "results": r"\bclips\.csv\b|\b(?:told_time_s|place_in_lane)\b|`Lane=1`",
+    "to_pandas of a result": r"\b(?:run|result|tuned|compared|beliefs = run)\.to_pandas\(",
     "evidence": r"(?i)\bjeffrey\b",
     "number of lanes": r"\blane_count\b",
     "formats of labels": r"\bformat: (?:cu|open)lane\b|(?:labels|folders) of (?:CULane|OpenLane)\b",
@@ -64,6 +69,15 @@ def test_each_pattern_finds_what_it_is_for() -> None:
         *("egolane validate x.yaml", "ego.report(run)", "--lags 0,1", "tune --test-on x.yaml"),
         *("mode: jeffrey", "lane_count.py", "labels of CULane", "rerun file", "recording.lines"),
         *("egolane-pgm[can]", "layout: beziers", "a watermark", "blur_limit", "rendered roads"),
+        *(
+            "--fleet drives.csv",
+            "a fleet",
+            "run x.yaml --recording l.csv",
+            "--graphs a,b",
+            "--workers 4",
+        ),
+        *("egolane tune X.yaml --runs 1-10", "LaneTruth", "clips.csv", "place_in_lane"),
+        *("run.to_pandas()", "--together", "told_time_s"),
     )
     for example in examples:
         assert any(re.search(pattern, example) for pattern in GONE.values()), example

@@ -40,8 +40,8 @@ def modules_after(code: str) -> set[str]:
     [
         (["--help"], set()),
         (["data", "-h"], {"numpy"}),
-        # What this command always uses: numba and, for numba, scipy.
-        (["run", "--help"], {"numpy", "numba", "scipy"}),
+        # What this command always uses: tables of frames, and numba with scipy.
+        (["run", "--help"], {"numpy", "numba", "scipy", "pandas", "pyarrow"}),
     ],
 )
 def test_help_loads_nothing_heavy(words: list[str], allowed: set[str]) -> None:

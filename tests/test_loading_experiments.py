@@ -234,7 +234,7 @@ def test_what_is_no_experiment_is_refused(given: Any, said: str) -> None:
 
 
 def test_the_lanes_of_a_simulated_road_are_not_those_of_another() -> None:
-    with pytest.raises(InputError, match=r"lines\.csv: n_lanes is missing"):
+    with pytest.raises(InputError, match=r"n_lanes: is missing: .* road of .*lines\.csv"):
         load_experiment("quickstart", lines="lines.csv")
     assert load_experiment("quickstart", lines="lines.csv", n_lanes=3).n_lanes == 3
 

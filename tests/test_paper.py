@@ -290,7 +290,7 @@ def test_the_commands_print_and_compare(stand_in: dict[str, Any], tmp_path: Path
     total = 2 * document["runs"][0]["model"]["frames_scored"]
     assert total == 2 * int((~short_drive(N_FRAMES).truth["is_crossing"]).sum())
     assert f"\n0 of {total} classified frames off" in shown
-    assert "| run 2, model" in shown
+    assert "run 2, model" in shown
     assert (tmp_path / "kept" / "run02" / "run.json").is_file()
     latex = done("reproduce", "--runs", "2", "--format", "latex").stdout
     assert latex.startswith(r"\begin{tabular}")

@@ -329,9 +329,9 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
     ("change", "said"),
     [
         (lambda d: (d / "run.json").unlink(), "is not a result directory (no run.json and scor"),
-        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "is damaged (ArrowInvalid: "),
-        (lambda d: (d / "beliefs.parquet").unlink(), "is damaged (FileNotFoundError: "),
-        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "is damaged (ArrowInvalid: "),
+        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "is not a whole Parquet file"),
+        (lambda d: (d / "beliefs.parquet").unlink(), "beliefs.parquet: cannot be read"),
+        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: is not a whole"),
         (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
         (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
     ],
@@ -344,7 +344,8 @@ def test_a_damaged_result_is_refused_in_a_line_that_names_it(
     change(copy)
     with pytest.raises(InputError) as info:
         load_result(copy)
-    assert str(info.value).startswith(f"{copy}: {said}")
+    assert str(info.value).startswith(str(copy))
+    assert said in str(info.value)
     assert "\n" not in str(info.value)
 
 

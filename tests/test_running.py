@@ -25,8 +25,7 @@ from egolane_pgm.model import Model, compile_model
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.result import truth_of
 from egolane_pgm.running import concat_drives, frames_of, infer
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion
+from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import (
     GAPS,

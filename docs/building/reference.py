@@ -37,7 +37,6 @@ from egolane_pgm.vision.detectors.networks.description import Network
 #: The functions that compute scores, by module, in the order of the page.
 METRICS = (
     "confusion",
-    "assign",
     "probabilistic",
     "stability",
     "events",

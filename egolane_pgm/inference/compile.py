@@ -46,6 +46,9 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
+#: What makes an observed node a part of the joint state.
+_NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
+
 
 @dataclass(frozen=True)
 class Group:
@@ -198,8 +201,13 @@ def compile(
         nodes = dict.fromkeys(name for name, _ in declared.tables)
         hidden = [name for name in nodes if name == "Lane" or name not in others]
     tables, missing = _without_virtual_evidence(declared.tables, observed)
-    names = {**declared.values, **(values or {})}
-    compiled = _compile(tables, tuple(hidden), tuple(observed), tuple(inputs), names)
+    compiled = compile_tables(
+        list(tables.values()),
+        observed=tuple(observed),
+        hidden=tuple(hidden),
+        inputs=tuple(inputs),
+        values={**declared.values, **(values or {})},
+    )
     if missing:
         warnings.warn(
             f"{NOTE}the network has no {', '.join(missing)}: virtual-evidence nodes that are"
@@ -227,7 +235,54 @@ def compile_tables(
     Raises InputError, naming the node, for tables that do not fit each other.
     """
     check_tables(tables, observed)
-    return _compile({t.node: t for t in tables}, hidden, observed, inputs, values or {})
+    of_node = {table.node: table for table in tables}
+    _check_declared(of_node, hidden, observed, inputs)
+    aligned = {}
+    for (name, s), table in of_node.items():
+        aligned[name, s] = _in_order(table, tuple((p, s) for p, _ in of_node[name, 1].parents))
+    size = {name: t.values.shape[-1] for (name, s), t in of_node.items() if s == 0}
+    nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
+    functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
+    if not state:
+        raise InputError(
+            f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
+        )
+    n_states = math.prod(size[n] for n in state)
+    if n_states > MAX_STATES:
+        seen = [n for n in state if n not in hidden]
+        why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
+        sizes = " x ".join(f"{n} {size[n]}" for n in state)
+        raise InputError(
+            f"the joint state has {n_states} values ({sizes}), more than {MAX_STATES}{why}"
+        )
+    node_value = _value_of(state, size)
+    for name in functions:
+        table = aligned[name, 1]
+        value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
+        node_value[name] = np.broadcast_to(value, n_states)
+    groups = _groups(aligned, observed, emissions, size, node_value, n_states)
+    n_inputs = math.prod(size[n] for n in inputs)
+    names = {}
+    for node, n_values in size.items():
+        names[node] = tuple(map(str, (values or {}).get(node, default_values(node, n_values))))
+        if len(set(names[node])) != n_values or len(names[node]) != n_values:
+            raise InputError(
+                f"{node}: has {n_values} values, but their names are {', '.join(names[node])}"
+            )
+    blank = Compiled(
+        hidden,
+        tuple(state),
+        inputs,
+        {**size, **{ve_name(key): 2 for key in observed}},
+        node_value,
+        np.ones((n_inputs, n_states)),
+        np.ones((n_inputs, n_states, n_states)),
+        groups,
+        _places(aligned, state, groups, emissions, node_value, _value_of(inputs, size)),
+        aligned,
+        names,
+    )
+    return _filled(blank, aligned)
 
 
 def default_values(node: str, size: int) -> tuple[str, ...]:
@@ -265,8 +320,13 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     if keeps_layout:
         filled = _filled(compiled, now)
     else:
-        kept = (compiled.hidden, compiled.observed, compiled.inputs, compiled.values)
-        filled = _compile(now, *kept)
+        filled = compile_tables(
+            list(now.values()),
+            observed=compiled.observed,
+            hidden=compiled.hidden,
+            inputs=compiled.inputs,
+            values=compiled.values,
+        )
     return filled if compiled.start is None else starting_in(filled, compiled.start)
 
 
@@ -412,66 +472,6 @@ def _parts(
 
 
 # --- arrays ---------------------------------------------------------------------------------------
-
-
-#: What makes an observed node a part of the joint state.
-_NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
-
-
-def _compile(
-    tables: Mapping[SliceNode, Table],
-    hidden: tuple[str, ...],
-    observed: tuple[Observed, ...],
-    inputs: tuple[str, ...],
-    names: Mapping[str, Sequence[str]],
-) -> Compiled:
-    _check_declared(tables, hidden, observed, inputs)
-    aligned = {}
-    for (name, s), table in tables.items():
-        aligned[name, s] = _in_order(table, tuple((p, s) for p, _ in tables[name, 1].parents))
-    size = {name: t.values.shape[-1] for (name, s), t in tables.items() if s == 0}
-    nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
-    functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
-    if not state:
-        raise InputError(
-            f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
-        )
-    n_states = math.prod(size[n] for n in state)
-    if n_states > MAX_STATES:
-        seen = [n for n in state if n not in hidden]
-        why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
-        sizes = " x ".join(f"{n} {size[n]}" for n in state)
-        raise InputError(
-            f"the joint state has {n_states} values ({sizes}), more than {MAX_STATES}{why}"
-        )
-    node_value = _value_of(state, size)
-    for name in functions:
-        table = aligned[name, 1]
-        value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
-        node_value[name] = np.broadcast_to(value, n_states)
-    groups = _groups(aligned, observed, emissions, size, node_value, n_states)
-    n_inputs = math.prod(size[n] for n in inputs)
-    values = {}
-    for node, n_values in size.items():
-        values[node] = tuple(map(str, names.get(node, default_values(node, n_values))))
-        if len(set(values[node])) != n_values or len(values[node]) != n_values:
-            raise InputError(
-                f"{node}: has {n_values} values, but their names are {', '.join(values[node])}"
-            )
-    blank = Compiled(
-        hidden,
-        tuple(state),
-        inputs,
-        {**size, **{ve_name(key): 2 for key in observed}},
-        node_value,
-        np.ones((n_inputs, n_states)),
-        np.ones((n_inputs, n_states, n_states)),
-        groups,
-        _places(aligned, state, groups, emissions, node_value, _value_of(inputs, size)),
-        aligned,
-        values,
-    )
-    return _filled(blank, aligned)
 
 
 def _value_of(nodes: Sequence[str], cardinality: Mapping[str, int]) -> dict[str, IntArray]:

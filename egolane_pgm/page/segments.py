@@ -80,7 +80,8 @@ def _changes_of_drive(result: Result, frames: pd.DataFrame) -> Iterator[dict[str
         true, time_s = changes_of(truth), frames["time_s"].loc[truth.index].to_numpy()
         for k in set(range(len(true))) - set(matched):
             begin, end = time_s[true.start[k]], time_s[true.end[k]]
-            place = {"begin_s": begin + shift, "end_s": end + shift, "direction": 0, **name}
+            place = {"begin_s": begin + shift, "end_s": end + shift, "to_lane": 0}
+            place |= {"direction": 0, **name}
             lanes = f"{true.from_lane[k]} → {true.to_lane[k]}"
             yield {**place, "time (s)": f"{begin:.1f}", "lanes": lanes, "outcome": "missed"}
     for event, found in zip(events.to_dict("records"), outcome, strict=True):

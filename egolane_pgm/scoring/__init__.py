@@ -5,8 +5,12 @@ score says otherwise (log-loss).
 """
 
 # `confusion.confusion` is not exported: its name would hide the module's.
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import ConfusionScores, frames_off, scores_from_confusion
+from egolane_pgm.scoring.confusion import (
+    ConfusionScores,
+    assigned_lane,
+    frames_off,
+    scores_from_confusion,
+)
 from egolane_pgm.scoring.summary import score_all
 
 __all__ = ["ConfusionScores", "assigned_lane", "frames_off", "score_all", "scores_from_confusion"]

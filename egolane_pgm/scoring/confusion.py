@@ -1,4 +1,4 @@
-"""Confusion matrices with an Unassigned row, and the scores of the paper's tables.
+"""Assigned lanes, confusion matrices with an Unassigned row, and the scores of the paper's tables.
 
 Rows are the predicted lane 1..n, then Unassigned; columns are the actual lane 1..n; crossing frames
 are left out.
@@ -22,7 +22,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.types import UNASSIGNED, FloatArray, InputError, IntArray
+from egolane_pgm.tools.jit import kernel
+from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, FloatArray, InputError, IntArray
+
+
+def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
+    """The most probable lane of each frame, 1..n, or UNASSIGNED (0) where it is not unique.
+
+    belief (T, n): non-negative; need not be normalised (a tentative vector will do). The maximum
+        is not unique when the runner-up is within TIE_TOLERANCE of it, relative; so a row of zeros
+        is Unassigned. One lane (n = 1) is always lane 1.
+    unassigned_below: a row whose maximum is less than this is Unassigned too (the reject option,
+        for normalised beliefs; 0 for none).
+
+    Returns (T,).
+    """
+    values = np.ascontiguousarray(belief, dtype=np.float64)
+    lane = np.empty(len(values), dtype=np.int64)
+    _assign(values, unassigned_below, lane)
+    return lane
+
+
+@kernel()
+def _assign(values: FloatArray, below: float, lane: IntArray) -> None:
+    """Fills lane (T,); see `assigned_lane`."""
+    for t in range(len(values)):
+        top = values[t].max()
+        lane[t] = UNASSIGNED
+        n_near = 0
+        for k in range(values.shape[1]):
+            if top >= below and values[t, k] >= top - TIE_TOLERANCE * top:
+                lane[t] = k + 1 if n_near == 0 else UNASSIGNED
+                n_near += 1
 
 
 @dataclass(frozen=True)
@@ -93,6 +124,7 @@ def _ratio(numerator: IntArray | FloatArray, denominator: IntArray | FloatArray)
 
 
 def _right(matrix: IntArray) -> IntArray:
+    """Frames that are answered with the lane that they are in: (..., n + 1, n) -> (..., n)."""
     return np.diagonal(matrix[..., :-1, :], axis1=-2, axis2=-1)
 
 

@@ -112,8 +112,8 @@ def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     - frame_rate: frames per second.
 
     Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
-    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`, `missed`,
-    `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
+    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
+    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
     changes = changes_of(truth)
     hours = len(truth) / frame_rate / 3600
@@ -131,7 +131,6 @@ def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
             "false_per_hour": _ratio(false, hours),
         }
     delay = event_delays(events, truth, frame_rate)
-    delay = delay[~np.isnan(delay)]
     return {
         "changes": len(changes),
         "detected": right + false,
@@ -158,7 +157,6 @@ def score_crossing(crossing: ArrayLike, truth: pd.DataFrame, frame_rate: float) 
     end = end - 1
     changes = changes_of(truth)
     lead = _leads(begin, end, changes, truth) / frame_rate
-    found = lead[~np.isnan(lead)]
     crossing_id = ids[is_crossing]
     reach = max(TOLERANCES_S) * frame_rate
     # The nearest crossing frame at or after the warning's first row, and the last before it.
@@ -171,8 +169,8 @@ def score_crossing(crossing: ArrayLike, truth: pd.DataFrame, frame_rate: float) 
         "precision": _ratio(both, int(is_warned.sum())),
         "recall": _ratio(both, int(is_crossing.sum())),
         "changes": len(changes),
-        "warned": len(found),
-        "lead_s": {"median": _percentile(found, 50), "p10": _percentile(found, 10)},
+        "warned": int(np.count_nonzero(~np.isnan(lead))),
+        "lead_s": {"median": _percentile(lead, 50), "p10": _percentile(lead, 10)},
         "warnings": len(begin),
         "false_per_hour": _ratio(int(is_false.sum()), len(truth) / frame_rate / 3600),
     }
@@ -209,7 +207,9 @@ def _ratio(count: float, of: float) -> float | None:
 
 
 def _percentile(values: FloatArray, share: float) -> float | None:
-    return float(np.percentile(values, share)) if values.size else None
+    """A percentile of the values that are not NaN; None without any."""
+    known = values[~np.isnan(values)]
+    return float(np.percentile(known, share)) if known.size else None
 
 
 def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray
+from egolane_pgm.scoring.confusion import assigned_lane
+from egolane_pgm.types import UNASSIGNED, FloatArray, IntArray
 
 #: Smaller probabilities count as this in the log-loss: a certain error costs 34.5, not infinity.
 SMALLEST_PROBABILITY = 1e-15
@@ -56,7 +56,8 @@ def log_loss(belief: ArrayLike, lane: ArrayLike) -> float:
 
     NaN without frames.
     """
-    return _mean(log_loss_per_frame(belief, lane))
+    losses = log_loss_per_frame(belief, lane)
+    return float(losses.mean()) if losses.size else float("nan")
 
 
 def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
@@ -69,7 +70,8 @@ def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
     """
     values = np.asarray(belief)
     truth = np.asarray(lane)[:, None] == np.arange(1, values.shape[1] + 1)
-    return _mean(((values - truth) ** 2).sum(axis=1)[~np.asarray(is_crossing)])
+    scored = ((values - truth) ** 2).sum(axis=1)[~np.asarray(is_crossing)]
+    return float(scored.mean()) if scored.size else float("nan")
 
 
 def calibration_curve(
@@ -107,10 +109,6 @@ def expected_calibration_error(
         return float("nan")
     gap = np.abs(curve.confidence[filled] - curve.accuracy[filled])
     return float((gap * curve.count[filled]).sum() / curve.count.sum())
-
-
-def _mean(values: FloatArray) -> float:
-    return float(values.mean()) if values.size else float("nan")
 
 
 @dataclass(frozen=True)
@@ -154,24 +152,15 @@ def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -
     values, is_scored = np.asarray(belief), ~np.asarray(is_crossing)
     assigned = assigned_lane(values)
     is_answered = is_scored & (assigned != UNASSIGNED)
-    largest = values[is_answered].max(axis=1) if is_answered.any() else np.zeros(0)
-    return answers_curve(largest, (assigned == np.asarray(lane))[is_answered], int(is_scored.sum()))
-
-
-def answers_curve(
-    confidence: FloatArray, is_right: BoolArray, frames_scored: int | None = None
-) -> CoverageCurve:
-    """The curve of A answers: how sure each is (A,), and whether it is right (A,).
-
-    - frames_scored: number of frames that could have been answered, A by default.
-    """
+    confidence = values.max(axis=1)[is_answered]
     order = np.argsort(-confidence, kind="stable")
-    sorted_, right = confidence[order], np.cumsum(is_right[order])
+    sorted_ = confidence[order]
+    right = np.cumsum((assigned == np.asarray(lane))[is_answered][order])
     # The last of equal probabilities: they are answered together or not at all.
     last = np.flatnonzero(np.append(sorted_[1:] != sorted_[:-1], sorted_.size > 0))
     return CoverageCurve(
         threshold=sorted_[last],
         answered=(last + 1).astype(np.int64),
         right=right[last].astype(np.int64),
-        frames_scored=len(confidence) if frames_scored is None else frames_scored,
+        frames_scored=int(is_scored.sum()),
     )

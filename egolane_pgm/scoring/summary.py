@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
-from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
+from egolane_pgm.scoring.confusion import assigned_lane, confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switches_per_minute
+from egolane_pgm.tools.files import plain
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -45,47 +44,36 @@ def score_all(
     if assigned is None:
         assigned = assigned_lane(values, unassigned_below)
     scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
-    return {
+    delay = delay_after_lane_change(assigned, lane, crossing, frame_id)
+    found = {
         "precision": scores.mean_precision,
         "recall": scores.mean_recall,
         "f1": scores.mean_f1,
         "accuracy": scores.accuracy,
-        "log_loss": _or_none(log_loss(values, lane)),
-        "brier": _or_none(brier(values, lane, crossing)),
-        "expected_calibration_error": _or_none(expected_calibration_error(values, lane, crossing)),
+        "log_loss": log_loss(values, lane),
+        "brier": brier(values, lane, crossing),
+        "expected_calibration_error": expected_calibration_error(values, lane, crossing),
         "coverage": scores.coverage,
-        **stability_scores(assigned, lane, crossing, frame_id, frame_rate),
-        "per_lane": {
-            "precision": scores.precision.tolist(),
-            "recall": scores.recall.tolist(),
-            "f1": scores.f1.tolist(),
-        },
-        "confusion": scores.confusion.tolist(),
-        "frames": n_frames,
-        "frames_scored": int(np.count_nonzero(~crossing)),
-    }
-
-
-def stability_scores(
-    assigned: ArrayLike,
-    truth_lane: ArrayLike,
-    is_crossing: ArrayLike,
-    frame_id: ArrayLike,
-    frame_rate: float,
-) -> dict[str, Any]:
-    """The scores of `score_all` that look from frame to frame: `false_switches_per_minute` and
-    `delay`. Parameters as there."""
-    delay = delay_after_lane_change(assigned, truth_lane, is_crossing, frame_id)
-    switches = false_switches_per_minute(assigned, truth_lane, is_crossing, frame_rate)
-    return {
-        "false_switches_per_minute": _or_none(switches),
+        "false_switches_per_minute": false_switches_per_minute(
+            assigned, lane, crossing, frame_rate
+        ),
         "delay": {
-            "median_frames": _or_none(delay.median_frames),
-            "p90_frames": _or_none(delay.p90_frames),
-            "share_missed": _or_none(delay.share_missed),
+            "median_frames": delay.median_frames,
+            "p90_frames": delay.p90_frames,
+            "share_missed": delay.share_missed,
             "changes": delay.changes,
         },
+        "per_lane": {
+            "precision": scores.precision,
+            "recall": scores.recall,
+            "f1": scores.f1,
+        },
+        "confusion": scores.confusion,
+        "frames": n_frames,
+        "frames_scored": scores.frames_scored,
     }
+    result: dict[str, Any] = plain(found)
+    return result
 
 
 def score_with_intervals(
@@ -104,7 +92,3 @@ def score_with_intervals(
     intervals = {name: found[name] for name in ("accuracy", "f1")}
     bounds = {k: None if i.low is None else [i.low, i.high] for k, i in intervals.items()}
     return {**scores, "intervals": bounds}
-
-
-def _or_none(value: float) -> float | None:
-    return None if math.isnan(value) else value

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
-from egolane_pgm.simulation.detector import DetectorModel, detect_lines, sensor_failures
-from egolane_pgm.simulation.presets import (
+from egolane_pgm.simulation.detector import (
     PRESETS,
+    DetectorModel,
     Preset,
     SimulatedDrive,
+    detect_lines,
+    sensor_failures,
     simulate,
     simulated_road,
 )

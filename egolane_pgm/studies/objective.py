@@ -15,7 +15,7 @@ from egolane_pgm.model import make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring import confusion as confusions
 from egolane_pgm.scoring import probabilistic, stability
-from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.types import (
     BoolArray,
     Evidence,

@@ -8,7 +8,7 @@ while. Every draw depends on the seed and the generation alone, so the state of 
 from the seed and its finished trials.
 
     import optuna
-    from egolane_pgm.tuning import Shade
+    from egolane_pgm.studies.sampler import Shade
 
     study = optuna.create_study(direction="maximize", sampler=Shade(seed=0))
     study.optimize(objective, n_trials=600)

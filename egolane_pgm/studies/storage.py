@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -38,7 +39,9 @@ def open_storage(storage: str) -> BaseStorage:
             make_directory(Path(storage).parent)
             # A lock older than five seconds was left by a process that was killed.
             lock = JournalFileOpenLock(storage, grace_period=5)
-            return JournalStorage(JournalFileBackend(storage, lock))
+            backend = JournalFileBackend(storage, lock)
+            _drop_half_line(Path(storage), lock)
+            return JournalStorage(backend)
         try:
             return _database(storage)
         except IntegrityError:
@@ -54,6 +57,17 @@ def open_storage(storage: str) -> BaseStorage:
     # A database's driver raises errors of its own, and Optuna for a damaged journal.
     except Exception as error:
         raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
+
+
+def _drop_half_line(journal: Path, lock: JournalFileOpenLock) -> None:
+    """Cut off the half line of a process that was killed: the next line would follow it."""
+    lock.acquire()
+    try:
+        content = journal.read_bytes()
+        if not content.endswith(b"\n"):
+            os.truncate(journal, content.rfind(b"\n") + 1)
+    finally:
+        lock.release()
 
 
 def _database(url: str) -> RDBStorage:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, digests, drive_key
+from egolane_pgm.drives import Drive, digests, drive_key, with_rate
 from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, by_drive, is_result, make_result, score
@@ -32,14 +32,16 @@ from egolane_pgm.studies.fits import (
     fit_learn,
     fit_nothing,
     fit_tune,
+    learning_of,
     needs_labels,
     search_spaces,
     settings_of,
 )
 from egolane_pgm.studies.graph_file import graph_yaml
+from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
-from egolane_pgm.tools.files import make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
@@ -114,7 +116,7 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         groups = [drive.tags.get(tag) for drive in drives]
         for drive, key, group in zip(drives, keys, groups, strict=True):
             if group is None:
-                raise InputError(f"{drive.name}: has no tag.{tag}{suggestion(tag, known)}")
+                raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
             if group != groups[first[key]]:
                 raise InputError(
                     f"{drive.name}: is the same drive as {drives[first[key]].name}, with another"
@@ -126,7 +128,10 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
         groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
-        raise InputError("folds: all rows are of one drive, or have one tag: none can be held out")
+        which = (
+            "blocks: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
+        )
+        raise InputError(f"{which}, so none can be held out; with blocks 0 none is")
     return group_folds(drives, groups)
 
 
@@ -302,9 +307,14 @@ class Study:
 
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
-        content: dict[str, Any] = plain(resolved(self.model.experiment, self.model.parameters))
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
-        how = f"{self.n_trials} trials" if self.n_trials else "labels and lines"
+        fitted = with_rate(first, self.in_sample.frame_rate)
+        detector = self.model.experiment.recording.detector_parameters
+        if detector:
+            fitted = with_detector(fitted, detector)
+        content: dict[str, Any] = plain(resolved(fitted, self.model.parameters))
+        how = "lines alone" if not learning_of(first).labels else "labels and lines"
+        how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
         content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
         # A later run may use one of several training drives.
@@ -430,6 +440,7 @@ def run_study(
     folds: Sequence[Fold],
     *,
     name: str | None = None,
+    experiments: Sequence[Experiment] | None = None,
     tuning: Tuning | None = None,
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
@@ -445,6 +456,7 @@ def run_study(
     - method: learn or tune.
     - folds: none for no held-out scores.
     - name: of the study; by default that of the first experiment.
+    - experiments: by default those of the drives.
     - tuning: the settings of a search.
     - starts: parameter sets that a search on everything tries first; by default the current ones.
     - storage: where Optuna keeps a study per fold; by default a journal in `directory`, or memory.
@@ -457,10 +469,9 @@ def run_study(
     fit: Fit = fit_learn
     settings: dict[str, Any] = {}
     if directory is not None:
-        make_directory(directory)
         if is_result(directory):
             raise InputError(f"{directory}: is a result directory; name another one")
-        storage = storage or str(directory / JOURNAL_NAME)
+        check_place(directory / STUDY_FILE)
     if method == "learn":
         check_learnable(first.model)
     else:
@@ -468,6 +479,8 @@ def run_study(
         found = settings_of(tuning, None, first.experiment.source)
         settings = {**plain(found.__dict__), **describe(space)}
         current = [drive.model.parameters for drive in drives] if starts is None else starts
+        if directory is not None:
+            storage = storage or str(directory / JOURNAL_NAME)
         fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
     numbered = [(None, everything(drives)), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
@@ -477,14 +490,15 @@ def run_study(
                 drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
             )
         except KeyboardInterrupt:
-            if storage is None:
+            if method != "tune" or storage is None:
                 raise
             kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
             raise KeyboardInterrupt(kept) from None
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [frames_of(drive) for drive in fitted_drives])
     notes = [*notes, *messages(caught)]
-    experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    if experiments is None:
+        experiments = list(dict.fromkeys(drive.experiment for drive in drives))
     in_sample = make_result(
         fitted_drives[0].experiment, drives, frames, notes, begin=begin, tuned_on="same_frames"
     )

@@ -17,14 +17,15 @@ from egolane_pgm.vision.calibration.chessboard import (
     calibrate_lens,
     describe_lens,
 )
-from egolane_pgm.vision.calibration.road_lines import find_in_stills, view_from_stills
-from egolane_pgm.vision.calibration.straight_road import (
+from egolane_pgm.vision.calibration.road_lines import (
     ASSUMED_FIELD_OF_VIEW,
     assumed_camera,
     check_lane_width,
     describe_assumed_lens,
     describe_view,
     doubts_of,
+    find_in_stills,
+    view_from,
 )
 from egolane_pgm.vision.camera.model import Camera, write_camera
 from egolane_pgm.vision.camera.pictures import files_matching, read_images, size_of
@@ -99,7 +100,7 @@ def calibrate(
     camera = _masked(camera, masks)
     found = find_in_stills(camera, pictures, shown("stills"))
     _warn_of(found.skipped)
-    view = view_from_stills(camera, found, lane_width)
+    view = view_from(camera, found.ahead, found.each, found.fits, lane_width)
     n_lines = sum(len(lines) for lines in found.lines)
     said.append(describe_view(view, f"{n_lines} lines found in {len(found.paths)} stills"))
     if doubt := doubts_of(view):

@@ -90,6 +90,7 @@ def learn(
         "learn",
         given.folds,
         name=given.name,
+        experiments=given.experiments,
         directory=study_place(out, given),
         notes=given.notes,
         jobs=jobs,

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from egolane_pgm.comparing import open_results
-from egolane_pgm.result import Result, load_result
+from egolane_pgm.result import Result, is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
@@ -84,7 +84,8 @@ def plot(
         files += write_figures(_figures(result, frames), target(result.directory), style)
     if len(found) > 1:
         together = {"dispersion": lambda: dispersion_figure(found)}
-        files += write_figures(together, Path(out or places[0].parent), style)
+        folder = places[0].parent if is_result(places[0]) else places[0]
+        files += write_figures(together, Path(out or folder), style)
     return files
 
 

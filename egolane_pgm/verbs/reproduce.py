@@ -54,10 +54,10 @@ def reproduce(
         done.append(reproduce_run(number, parameters))
         if out is not None:
             done[-1].run.save(Path(path_of(out, "out")) / done[-1].run.name)
-    return Reproduction(done, parameters)
+    return Reproduction(done, parameters, matrices)
 
 
-def text(done: Reproduction | None, style: str, wide: bool, matrices: bool = False) -> str:
+def text(done: Reproduction | None, style: str, wide: bool) -> str:
     """The output of the command."""
     if done is None:
         return ""
@@ -65,7 +65,7 @@ def text(done: Reproduction | None, style: str, wide: bool, matrices: bool = Fal
     parts: list[str | Table] = [
         Table(*reproduction_rows(document, load_published()), labels=2, leaves_out=True)
     ]
-    if matrices:
+    if done.matrices:
         parts += [
             confusion_table(entry[kind]["confusion"], f"run {entry['run']}, {kind}")
             for entry in document["runs"]

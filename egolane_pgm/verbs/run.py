@@ -129,7 +129,10 @@ def run(  # type: ignore[misc]
         if out is None:
             raise InputError("table: needs out, the folder of its results")
         if any(each is not None for each in (experiment, ground_truth, chunk_frames)):
-            raise InputError("table: its columns name recordings, ground truth and experiments")
+            raise InputError(
+                "table: does not go with experiment, ground_truth and chunk_frames; name files in"
+                " its columns recording.path and ground_truth.path"
+            )
         base = open_input(
             given, overrides=overrides, n_lanes=n_lanes, graph=graph, recording=recording
         ).experiment

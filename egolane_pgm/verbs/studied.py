@@ -20,7 +20,7 @@ from typing import Any
 from pydantic import Field
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Section, Tuning, validated
+from egolane_pgm.experiment import Experiment, Section, Tuning, validated
 from egolane_pgm.loading import experiment_path, load_experiment, load_yaml
 from egolane_pgm.running import messages
 from egolane_pgm.runs import is_lines, open_input, table_inputs
@@ -48,9 +48,13 @@ class TuningFile(Section):
 
 @dataclass(frozen=True)
 class Studied:
-    """Drives to fit to, the folds that are held out, and warnings of reading the drives."""
+    """Drives to fit to, the folds that are held out, and warnings of reading the drives.
+
+    - experiments: as they were given: a recording with a road table is cut into several drives.
+    """
 
     name: str
+    experiments: Sequence[Experiment]
     drives: Sequence[Drive]
     folds: Sequence[Fold]
     notes: Sequence[str]
@@ -91,7 +95,8 @@ def open_studied(
         folds = drive_folds(drives, blocks, by_tag)
     elif blocks:
         folds = block_folds(drives, blocks)
-    return Studied(name, drives, folds, messages(caught))
+    experiments = [each.experiment for each in inputs]
+    return Studied(name, experiments, drives, folds, messages(caught))
 
 
 def _list_of(given: Any) -> tuple[TuningFile, Path] | None:

@@ -124,6 +124,7 @@ def tune(
         "tune",
         given.folds,
         name=given.name,
+        experiments=given.experiments,
         tuning=tuning_of(given.drives[0].experiment, **changes),
         starts=starting_points(given),
         storage=storage,

@@ -176,7 +176,7 @@ def _numbers_text(found: Mapping[str, Any], names: Mapping[str, Sequence[str]]) 
     """A table of probabilities: a row for each combination of the parents' values."""
     values = found["values"]
     if values.size > MAX_PRINTED:
-        return f"    {values.size} numbers, see --json"
+        return f"    {values.size} numbers, which JSON lists"
     *given, node = found["axes"]
     of_parents = (names[axis.removesuffix(_BEFORE)] for axis in given)
     rows = [", ".join(combination) for combination in itertools.product(*of_parents)]

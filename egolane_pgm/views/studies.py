@@ -132,6 +132,11 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
 
     The column `score` is the first objective; those of the parameters follow.
     """
+    if not (directory / "trials.parquet").is_file():
+        raise InputError(
+            f"{directory}: is not the directory of a search; draw the results of another study with"
+            f" `egolane plot {directory / 'held_out'}`"
+        )
     try:
         document = json.loads((directory / "study.json").read_text())
         trials = pd.read_parquet(directory / "trials.parquet")
@@ -142,7 +147,7 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     except (OSError, ValueError, KeyError) as error:
         raise InputError(
             f"{directory}: is not the directory of a search ({type(error).__name__}: {error}); make"
-            " one with `egolane tune --out`"
+            " one with `egolane tune`"
         ) from error
     if trials.empty:
         raise InputError(f"{directory}: has no complete trial to draw")

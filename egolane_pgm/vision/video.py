@@ -1,6 +1,5 @@
-"""Draws a drive as a video. A frame shows the picture with its lines, their offsets below it, the
-bird's-eye view, and the belief as bars over the lanes from left to right, with the truth if it is
-known.
+"""Draws a drive as a video. A frame shows the picture with its lines, the bird's-eye view, and the
+belief as bars over the lanes from left to right, with the truth if it is known.
 
 A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also where
 the detector cannot tell (MLD); one that is not valid is light grey and thin. Only one frame is in
@@ -9,9 +8,9 @@ memory at a time.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from itertools import tee
 from typing import Any
 
 import cv2
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from egolane_pgm.types import UNASSIGNED, FloatArray
-from egolane_pgm.vision.camera.model import Camera, road_seen
+from egolane_pgm.vision.camera.model import Camera, road_seen, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors import FrameLines, powers
 from egolane_pgm.vision.detectors.runner import Detector, detect
@@ -37,12 +36,8 @@ INK: Colour = (34, 34, 34)
 PAPER: Colour = (255, 255, 255)
 FRAME: Colour = (170, 170, 170)
 
-#: The height of the strip below the picture that has the labels of the lines, pixels, and the size
-#: of all text.
-STRIP, TEXT = 26, 0.45
-
-#: Width of the margin with distances, to the right of the bird's-eye view, pixels.
-MARGIN = 44
+#: The size of all text.
+TEXT = 0.45
 
 #: The bird's-eye view: from and to, metres ahead of the camera, and metres to either side.
 AHEAD_M, SIDE_M = (0.0, 40.0), 10.0
@@ -76,16 +71,15 @@ class Scene:
 class Layout:
     """The places of the parts of a drawn frame, in pixels.
 
-    - scale: by which the picture is enlarged
-    - picture: width and height of the enlarged picture
+    - camera: of the pictures, enlarged as they are drawn
+    - picture: width and height of the picture
     - birdseye: width and height of the bird's-eye view, to the right of the picture
-    - panel: top and height of the panel below both and below the strip of labels
+    - panel: top and height of the panel below both
     - size: width and height of the whole
     - from_above: for each pixel of the bird's-eye view, the column and row of the picture
     """
 
     camera: Camera
-    scale: float
     picture: tuple[int, int]
     birdseye: tuple[int, int]
     panel: tuple[int, int]
@@ -95,20 +89,24 @@ class Layout:
 
 def layout(camera: Camera) -> Layout:
     """The layout for the pictures of a camera."""
-    scale = max(1.0, LEAST_HEIGHT / camera.height)
-    width, height = round(camera.width * scale), round(camera.height * scale)
+    larger = max(1.0, LEAST_HEIGHT / camera.height)
+    width, height = round(camera.width * larger), round(camera.height * larger)
+    camera = scaled(camera, width, height)
     above = round(height * 2 * SIDE_M / (AHEAD_M[1] - AHEAD_M[0]))
     below = max(150, height // 4)
     # Video codecs need even sizes.
-    top, size_x = height + STRIP, width + above + MARGIN
-    size = (size_x + size_x % 2, top + below + (top + below) % 2)
+    size_x, size_y = width + above, height + below
+    size = (size_x + size_x % 2, size_y + size_y % 2)
     x = np.linspace(AHEAD_M[1], AHEAD_M[0], 2 * height + 1)[1::2]
     y = np.linspace(-SIDE_M, SIDE_M, 2 * above + 1)[1::2]
     u, v = road_seen(camera, x[:, None], y[None, :])
     # Points behind the camera are far outside the picture.
     columns, rows = (np.clip(np.nan_to_num(at, nan=-1e6), -1e6, 1e6) for at in (u, v))
-    panel, from_above = (top, size[1] - top), (columns.astype(np.float32), rows.astype(np.float32))
-    return Layout(camera, scale, (width, height), (above, height), panel, size, from_above)
+    panel, from_above = (
+        (height, size[1] - height),
+        (columns.astype(np.float32), rows.astype(np.float32)),
+    )
+    return Layout(camera, (width, height), (above, height), panel, size, from_above)
 
 
 def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
@@ -116,16 +114,14 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
     width, height = places.picture
     above = places.birdseye[0]
-    larger = cv2.resize(picture, (width, height)) if places.scale != 1 else picture.copy()
-    shown = np.asarray(larger, dtype=np.uint8)
+    # Where it has the size already, OpenCV copies it only.
+    shown = np.asarray(cv2.resize(picture, (width, height)), dtype=np.uint8)
     columns, rows = places.from_above
-    from_above = np.asarray(cv2.remap(picture, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
+    from_above = np.asarray(cv2.remap(shown, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
     _lines_on_picture(places, shown, scene.lines)
     _lines_from_above(places, from_above, scene.lines)
     canvas[:height, :width] = shown
     canvas[:height, width : width + above] = from_above
-    _distances(places, canvas)
-    _labels(places, canvas, scene.lines)
     _bars(places, canvas, scene)
     _legend(places, canvas, scene)
     return canvas
@@ -138,16 +134,10 @@ def with_detected_lines(
     pictures: Iterable[Picture], detector: Detector, camera: Camera
 ) -> Iterator[tuple[Picture, FrameLines]]:
     """Yields each picture with the lines that a detector sees in it."""
-    # The detector takes one picture at a time, so this is always the picture of its answer.
-    latest: deque[Picture] = deque(maxlen=1)
-
-    def remembered() -> Iterator[Picture]:
-        for picture in pictures:
-            latest.append(picture)
-            yield picture
-
-    for _, lines in detect(detector, camera, remembered()):
-        yield latest[0], lines
+    # The detector takes one picture at a time, so no more than one is kept.
+    seen, given = tee(pictures)
+    for picture, (_, lines) in zip(seen, detect(detector, camera, given), strict=True):
+        yield picture, lines
 
 
 # --- lines ---------------------------------------------------------------------------------------
@@ -159,11 +149,6 @@ def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
     if not lines.is_valid[k]:
         return NOT_VALID, 1, is_dashed
     return DASHED if is_dashed else CONTINUOUS, 3, is_dashed
-
-
-def _edge(thickness: int) -> Colour:
-    """The colour on both sides of a line."""
-    return PAPER if thickness > 1 else INK
 
 
 def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
@@ -178,39 +163,7 @@ def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None
         colour, thickness, is_dashed = _style(lines, k)
         for x in _pieces(is_dashed, DRAWN_M):
             u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
-            _stroke(picture, u * places.scale, v * places.scale, colour, thickness)
-
-
-def feet(places: Layout, lines: FrameLines) -> dict[int, float]:
-    """The column where each line enters the picture from below or from the side; lines that are not
-    in the picture are left out."""
-    x = np.linspace(0.5, 30, 200)
-    width, height = places.picture
-    found = {}
-    for k in range(len(lines.lri)):
-        u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
-        u, v = u * places.scale, v * places.scale
-        inside = (u >= 0) & (u < width) & (v >= 0) & (v < height)
-        if inside.any():
-            found[k] = float(u[int(np.argmax(inside))])
-    return found
-
-
-def _labels(places: Layout, canvas: Image, lines: FrameLines) -> None:
-    """Write the offset of each line below its foot, under a bar in the line's colour. Where there
-    is no room for two, that of the line farther to the side is left out."""
-    (width, top), taken = places.picture, [-1000]
-    by_distance = sorted(feet(places, lines).items(), key=lambda e: abs(lines.offset_m[e[0]]))
-    for k, foot in by_distance:
-        text = f"{lines.offset_m[k]:+.2f} m"
-        half = _text_width(text) // 2 + 2
-        middle = min(max(round(foot), half), width - half)
-        if np.abs(np.array(taken) - middle).min() < 2 * half:
-            continue
-        taken.append(middle)
-        colour, thickness, _ = _style(lines, k)
-        cv2.rectangle(canvas, (middle - half, top), (middle + half, top + thickness), colour, -1)
-        _centred(canvas, text, middle, top + STRIP - 6, 2 * half, INK)
+            _stroke(picture, u, v, colour, thickness)
 
 
 def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
@@ -221,21 +174,6 @@ def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
         for x in _pieces(is_dashed, AHEAD_M[1]):
             u = (powers(x) @ lines.shape[k] + SIDE_M) * width / (2 * SIDE_M)
             _stroke(view, u, (AHEAD_M[1] - x) * per_metre, colour, max(1, thickness - 1))
-    middle = width // 2
-    # The car is a small triangle whose tip is the camera.
-    corners = np.array([[middle, height - 12], [middle - 6, height - 1], [middle + 6, height - 1]])
-    cv2.fillPoly(view, [corners.astype(np.int32)], PAPER)
-    cv2.polylines(view, [corners.astype(np.int32)], True, INK, 1, cv2.LINE_AA)
-
-
-def _distances(places: Layout, canvas: Image) -> None:
-    """Writes how far ahead the rows of the bird's-eye view are, to the right of it."""
-    left = places.picture[0] + places.birdseye[0]
-    per_metre = places.birdseye[1] / (AHEAD_M[1] - AHEAD_M[0])
-    for ahead in (10, 20, 30):
-        row = round((AHEAD_M[1] - ahead) * per_metre)
-        cv2.line(canvas, (left, row), (left + 4, row), INK, 1)
-        _write(canvas, f"{ahead} m", (left + 7, row + 4), 0.4, INK)
 
 
 def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
@@ -248,7 +186,8 @@ def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thicknes
     # Points are in sixteenths of a pixel, for smooth curves.
     points = [np.round(16 * np.stack([u[there], v[there]], axis=1)).astype(np.int32)]
     # A pale edge makes a dark line visible on dark asphalt, a dark one a thin line on paint.
-    cv2.polylines(image, points, False, _edge(thickness), thickness + 2, cv2.LINE_AA, 4)
+    edge = PAPER if thickness > 1 else INK
+    cv2.polylines(image, points, False, edge, thickness + 2, cv2.LINE_AA, 4)
     cv2.polylines(image, points, False, colour, thickness, cv2.LINE_AA, 4)
 
 

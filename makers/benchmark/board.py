@@ -19,9 +19,8 @@ import pandas as pd
 
 import egolane_pgm as ego
 from egolane_pgm.inference.events import SURE
-from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.bootstrap import RESAMPLES
-from egolane_pgm.scoring.confusion import confusion, recall
+from egolane_pgm.scoring.confusion import assigned_lane, confusion, recall
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
 from egolane_pgm.tools.files import temporary_folder, write_text
 from egolane_pgm.tools.jobs import in_order

@@ -10,7 +10,7 @@ import numpy as np
 
 from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.scoring.events import score_events
 from egolane_pgm.types import LineLog, lane_truth
 from makers.beyond.strangers import RUNS, evidence_of, zero_label

@@ -11,7 +11,7 @@ import numpy as np
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule
-from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.types import Evidence
 from tests.kits.strangers import STRANGERS, Drive, paper_drive
 

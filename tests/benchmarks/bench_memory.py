@@ -18,9 +18,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import pyarrow as pa
+from pyarrow import parquet
+
 from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.simulation import SimulatedDrive, simulate
-from egolane_pgm.tools.files import parquet_writer
 
 ROOT = Path(__file__).parents[2]
 N_LANES = 4
@@ -71,9 +73,11 @@ def write_long_drive(folder: Path, n_frames: int) -> tuple[Path, Path]:
     """A recording of so many frames, and its ground truth."""
     drive = simulate("quickstart", seed=1, frames=12_000, n_lanes=N_LANES)
     recording, truth = folder / "lines.parquet", folder / "truth.txt"
-    with parquet_writer(recording) as write, truth.open("w", encoding="utf-8") as lines:
+    schema = pa.Table.from_pandas(rows_of(drive.log)[COLUMNS], preserve_index=False).schema
+    writer = parquet.ParquetWriter(recording, schema)
+    with writer, truth.open("w", encoding="utf-8") as lines:
         for lap in laps(drive, n_frames):
-            write(rows_of(lap.log).select(COLUMNS))
+            writer.write_table(pa.Table.from_pandas(rows_of(lap.log)[COLUMNS], schema))
             rows = lap.truth.astype(int).itertuples()
             lines.writelines(f"{k};{lane};{crossing}\n" for k, lane, crossing in rows)
     return recording, truth

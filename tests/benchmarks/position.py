@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import Compiled, compile
 from egolane_pgm.inference.filtering import filter_beliefs, step

@@ -20,8 +20,7 @@ from egolane_pgm.graphs.cpds import Table, quiet
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion
+from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import FloatArray, IntArray
 from tests.benchmarks import (
     bench_camera,

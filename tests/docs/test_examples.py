@@ -153,4 +153,4 @@ def test_commands_are_told_from_what_a_page_shows() -> None:
     assert lines("frame_id,line\n0,1\n") == []
     assert lines("egolane show\n", "text") == []
     assert not is_run("make run")
-    assert quicker("egolane reproduce --runs 1-10") == "egolane reproduce --runs 2"
+    assert quicker("egolane reproduce") == "egolane reproduce --runs 5"

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from hypothesis import strategies as st
 
-from egolane_pgm.vision.calibration.straight_road import fit_frame, to_level, view_from
+from egolane_pgm.vision.calibration.road_lines import fit_frame, to_level, view_from
 from egolane_pgm.vision.camera.model import (
     Camera,
     image_to_road,
@@ -70,7 +70,7 @@ def view_of_lines(true: Camera, camera: Camera, frames, lane_width_m=3.6):
         if (fit := fit_frame([to_level(camera, *line.T) for line in lines], about)) is not None
     ]
     each = np.stack([fit.vanishing_point for fit in fits])
-    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m, "lines")
+    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m)
 
 
 @cache

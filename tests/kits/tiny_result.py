@@ -11,7 +11,7 @@ import pandas as pd
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.result import Result
-from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import assigned_lane
 
 #: Ids 100 to 107 with 104 missing; 102 and 103 are crossing, 107 is not annotated.
 IDS = [100, 101, 102, 103, 105, 106, 107]

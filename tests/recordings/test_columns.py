@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,6 @@ import pandas as pd
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.online import online, read_messages
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.recordings.select import sign_warning
@@ -148,22 +146,3 @@ def test_lines_that_move_against_the_annotated_changes_are_said() -> None:
     assert "`columns: {left_positive: true}`" in said
     assert "or do the lane numbers count from the right?" in said
     assert sign_warning(mirrored, np.ones_like(lane)) == []
-
-
-def test_messages_on_standard_input_are_read_alike() -> None:
-    columns = column_keys("time_s=t,offset_m=c0,is_valid=ok,left_positive=true")
-    experiment = ego.load_experiment("quickstart", {"recording.columns": columns})
-    lanes = [[{"c0": -y, "ok": True} for y in offsets] for offsets in OFFSETS[:3].tolist()]
-    lanes.append([])
-    given = [json.dumps({"t": t / 10, "lanes": each}) for t, each in enumerate(lanes)]
-    answers = [*online(experiment, read_messages(experiment, given))]
-    assert [(a["frame_id"], a["time_s"]) for a in answers] == [(k, k / 10) for k in range(4)]
-    usual = [
-        {"time_s": t / 10, "lines": [{"offset_m": -one["c0"]} for one in each]}
-        for t, each in enumerate(lanes)
-    ]
-    plain = ego.load_experiment("quickstart")
-    same = online(plain, read_messages(plain, map(json.dumps, usual)))
-    assert [a["probability"] for a in same] == [a["probability"] for a in answers]
-    with pytest.raises(InputError, match="message 1: is no JSON object"):
-        next(read_messages(experiment, ["[1]"]))

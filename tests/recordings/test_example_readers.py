@@ -30,12 +30,12 @@ def run(file: Path, name: str, *options: object) -> LineLog:
     words = ("--n-lanes", 3, "--set", f"recording.format={reader}", *options)
     done("run", file, *words, "--no-figures", "--out", file.parent / "out")
     result = ego.load_result(file.parent / "out")
-    assert result.config["recording"]["frame_rate"] == 10
-    assert result.lines is not None
-    np.testing.assert_allclose(result.lines.offset_m[:, :2], OFFSETS, atol=1e-6)
-    np.testing.assert_array_equal(result.lines.frame_id, np.arange(N_FRAMES))
-    np.testing.assert_allclose(np.diff(result.lines.time_s), 0.1, atol=1e-5)
-    return result.lines
+    assert result.frame_rate == 10
+    [log] = result.lines.values()
+    np.testing.assert_allclose(log.offset_m[:, :2], OFFSETS, atol=1e-6)
+    np.testing.assert_array_equal(log.frame_id, np.arange(N_FRAMES))
+    np.testing.assert_allclose(np.diff(log.time_s), 0.1, atol=1e-5)
+    return log
 
 
 def test_every_example_has_a_test() -> None:

@@ -26,10 +26,9 @@ def test_each_kind_of_file_goes_from_the_file_to_the_lane(
     words = (*words, "--columns", "left_positive=true", "--no-figures", "--out", tmp_path / "out")
     done("run", tmp_path / name, "--n-lanes", 3, *words)
     result = ego.load_result(tmp_path / "out")
-    assert np.mean(result.assigned_lane[20:] == 2) > 0.9
-    assert result.config["recording"]["frame_rate"] == 10
-    log = result.lines
-    assert log is not None
+    assert np.mean(result.frames["assigned_lane"].iloc[20:] == 2) > 0.9
+    assert result.frame_rate == 10
+    [log] = result.lines.values()
     np.testing.assert_allclose(log.offset_m, OFFSETS, atol=1e-6)
     np.testing.assert_array_equal(log.frame_id, np.arange(N_FRAMES))
     # The stamps in the messages, and not half a second later.

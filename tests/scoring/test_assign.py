@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from egolane_pgm.scoring.assign import assigned_lane
-from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
+from egolane_pgm.scoring.confusion import assigned_lane, confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import coverage_curve
 from egolane_pgm.types import InputError
 from egolane_pgm.views.figures import MARKED, coverage_curves, coverage_figure

@@ -11,10 +11,10 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.scoring.assign import assigned_lane
 from egolane_pgm.scoring.confusion import (
     SCORES,
     accuracy,
+    assigned_lane,
     confusion,
     coverage,
     f1,

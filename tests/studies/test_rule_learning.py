@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from egolane_pgm.drives import Drive
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence import line_geometry as line_geometry_rule
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.loading import load_experiment

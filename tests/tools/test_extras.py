@@ -23,7 +23,7 @@ AT_ONCE = ("page.document", "page.timeline", "export.mcap_file")
 
 
 def exported(file: Path) -> None:
-    plot(file.parent, out=file)
+    plot(a_result().save(file.parent / "result"), out=file)
 
 
 def sampler(_: Path) -> None:

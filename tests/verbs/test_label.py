@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 import io
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import egolane_pgm as ego
@@ -44,32 +44,26 @@ def test_it_writes_the_labels_and_the_segments(lines: Path) -> None:
     folder = lines.parent / "labels"
     assert set(contents(folder)) == LABELS
     found = ego.label(lines, n_lanes=3)
-    truth = read_ground_truth(folder / "labels.txt")
-    for name in ("frame_id", "lane", "is_crossing"):
-        assert getattr(truth, name).tolist() == getattr(found.truth, name).tolist()
+    pd.testing.assert_frame_equal(read_ground_truth(folder / "labels.txt"), found.truth)
     rows = table(folder / "segments.csv")
     assert [int(row["frames"]) for row in rows] == found.segments()["frames"].to_list()
+    # The folder is a run's result too.
+    again = ego.load_result(folder).frames["assigned_lane"]
+    assert again.to_list() == found.truth["true_lane"].to_list()
 
 
 def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> None:
     truth = lines.parent / "labels" / "labels.txt"
-    yaml = ego.experiments_folder() / "zero_label.yaml"
-    words = ("--n-lanes", 3, "--out", tmp_path / "out")
-    said = done("run", yaml, "--recording", lines, "--ground-truth", truth, *words).stdout
-    is_crossing = read_ground_truth(truth).is_crossing
+    words = ("--experiment", "zero_label", "--n-lanes", 3, "--ground-truth", truth)
+    said = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
+    is_crossing = read_ground_truth(truth)["is_crossing"]
     assert f"{np.count_nonzero(~is_crossing)} frames scored" in said
 
 
-def test_its_folder_is_a_run_s_result_too(lines: Path) -> None:
-    again = ego.load_result(lines.parent / "labels")
-    truth = read_ground_truth(lines.parent / "labels" / "labels.txt")
-    assert again.assigned_lane.tolist() == truth.lane.tolist()
-
-
-def test_with_ground_truth_it_says_how_good_the_labels_are(lines: Path, tmp_path: Path) -> None:
+def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) -> None:
     mine = lines.parent / "labels" / "labels.txt"
     truth = read_ground_truth(mine)
-    write_ground_truth(tmp_path / "other.txt", replace(truth, lane=truth.lane % 3 + 1))
+    write_ground_truth(tmp_path / "other.txt", truth.assign(true_lane=truth["true_lane"] % 3 + 1))
     for file, accuracy in ((mine, 1), (tmp_path / "other.txt", 0)):
         words = ("--n-lanes", 3, "--ground-truth", file, "--json", tmp_path / "x.json")
         said = done("label", lines, *words, "--out", tmp_path / "x").stdout
@@ -87,23 +81,23 @@ def test_a_lower_threshold_leaves_fewer_frames_unsure(lines: Path, tmp_path: Pat
     assert count[0] <= count[0.5] < count[0.99999]
 
 
-def test_the_recording_of_an_experiment_is_labelled_where_none_is_named(tmp_path: Path) -> None:
-    place = ego.experiments_folder() / "zero_label.yaml"
-    words = ("--set", "recording.frames=[0, 200]", "--out", tmp_path / "x")
-    said = done("label", "--experiment", place, *words).stdout
-    assert said.startswith("'zero_label': 200 frames, 3 lanes")
-
-
-def test_what_cannot_be_labelled_is_refused_in_a_line(lines: Path, tmp_path: Path) -> None:
-    here = ("--out", tmp_path / "x")
-    assert "needs how many lanes its road has" in refused("label", lines, *here)
-    assert "needs a recording" in refused("label", *here)
-    assert "no such file" in refused("label", tmp_path / "no.csv", "--n-lanes", 3, *here)
-    (tmp_path / "odd.csv").write_text("these are no lines\n")
-    assert "odd.csv" in refused("label", tmp_path / "odd.csv", "--n-lanes", 3, *here)
-    (tmp_path / "some.txt").write_text("1;5;0\n")
-    words = ("--n-lanes", 3, "--ground-truth", tmp_path / "some.txt", *here)
-    assert "lane 5 is outside 1..3" in refused("label", lines, *words)
-    assert "recording: is empty" in refused("label", "", "--n-lanes", 3, *here)
-    assert "--below" in refused("label", lines, "--n-lanes", 3, "--below", 2, *here)
+@pytest.mark.parametrize(
+    ("given", "words", "said"),
+    [
+        ("lines.csv", "", "--n-lanes: is missing: give the number of lanes"),
+        ("no.csv", "--n-lanes 3", "no.csv: no such file"),
+        ("odd.csv", "--n-lanes 3", "odd.csv: the table has no rows"),
+        ("lines.csv", "--n-lanes 3 --ground-truth {0}/some.txt", "lane 5 is outside 1..3"),
+        ("lines.csv", "--n-lanes 3 --below 2", "'--below': 2.0 is not in the range"),
+        ("lines.csv", "--n-lanes 3 --camera {0}/cam.yaml", "cam.yaml"),
+    ],
+)
+def test_what_cannot_be_labelled_is_refused_in_a_line(
+    lines: Path, tmp_path: Path, given: str, words: str, said: str
+) -> None:
+    folder = lines.parent
+    (folder / "odd.csv").write_text("these are no lines\n")
+    (folder / "some.txt").write_text("1;5;0\n")
+    out = ("--out", tmp_path / "x")
+    assert said in refused("label", folder / given, *words.format(folder).split(), *out)
     assert not (tmp_path / "x").exists()

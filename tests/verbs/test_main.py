@@ -4,39 +4,71 @@ from __future__ import annotations
 
 import ast
 import re
+import signal
+import time
 from pathlib import Path
+
+import pytest
 
 import egolane_pgm
 from tests.kits.drives import refused, write_drive
-from tests.kits.synthetic_road import write_place
+from tests.kits.processes import started
 
 
-def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(labels: Path) -> None:
-    words = (write_drive(labels.parent / "x", 30), "--set", "n_lanes=1000000000")
-    for name in ("run", "learn", "compare", "tune"):
-        assert "n_lanes: input should be less than or equal to 50" in refused(name, *words)
-    said = refused("show", "lane_only", "--n-lanes", 51)
-    assert "'--n-lanes': 51 is not in the range" in said
+@pytest.mark.parametrize("verb", ["run", "learn", "tune", "label", "online"])
+def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_path: Path) -> None:
+    words = (write_drive(tmp_path, 30), "--set", "n_lanes=1000000000")
+    assert "n_lanes: input should be less than or equal to 50" in refused(verb, *words)
 
 
-def test_a_command_line_that_makes_no_sense_is_one_line() -> None:
-    assert "No such command 'rn'" in refused("rn")
-    assert "egolane run --help" in refused("run", "x.yaml", "--filter", "stamp")
-    assert "Missing argument" in refused("plot")
-    assert refused("run") == "run: name an experiment, or a recording of lines"
-    said = refused("run", "quickstart", "--stream", "--recording", "a", "--recording", "b")
-    assert said.startswith("--stream: goes with one experiment")
-    assert "--trials" in refused("tune", "x.yaml", "--trials", "0")
-
-
-def test_empty_names_are_not_taken_for_the_folder_one_is_in(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    write_place(tmp_path, 3)
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("rn", "No such command 'rn'"),
+        ("run", "Missing argument 'EXPERIMENT|LINES'."),
+        ("run x.yaml --filter stamp", "egolane run --help"),
+        ("run x.yaml", "x.yaml: cannot be read: No such file or directory"),
+        ("run quickstar", "quickstar: is no file, and no experiment that `egolane show` lists"),
+        ("run quickstart --table x.csv --out", "--out"),
+        ("run quickstart --table x.csv --chunk-frames 9", "--table: "),
+        ("run {0}/lines.csv", "give the number of lanes"),
+        ("run {0}/experiment.yaml --camera", "--camera"),
+        ("plot", "Missing argument 'RESULTS...'."),
+        ("plot {0} --out=", "--out: is empty"),
+        ("run {0}/experiment.yaml --out=", "--out: is empty"),
+        ("run {0}/experiment.yaml --ground-truth=", "--ground-truth: is empty"),
+        ("run {0}/experiment.yaml --camera=", "--camera: is empty"),
+        ("reproduce --runs 11", "run 11: the paper has runs 1 to 10"),
+    ],
+)
+def test_a_command_line_that_makes_no_sense_is_one_line(
+    words: str, said: str, tmp_path: Path
+) -> None:
+    write_drive(tmp_path)
     before = sorted(Path.cwd().iterdir())
-    for option in ("--recording", "--ground-truth", "--camera", "--out"):
-        assert "is empty" in refused("run", path, option, "")
-    assert "--out: is empty" in refused("plot", tmp_path, "--out", "")
+    assert said in refused(*words.format(tmp_path).split())
     assert sorted(Path.cwd().iterdir()) == before
+
+
+def test_ctrl_c_keeps_the_rows_that_are_done(tmp_path: Path) -> None:
+    rows = [f"d{k},{k}" for k in range(60)]
+    (tmp_path / "runs.csv").write_text("\n".join(["name,recording.seed", *rows]))
+    out = tmp_path / "out"
+    words = ("run", "quickstart", "--table", tmp_path / "runs.csv", "--jobs", 2, "--out", out)
+    with started(*words) as process:
+        deadline = time.monotonic() + 120
+        while time.monotonic() < deadline and len([*out.glob("*/run.json")]) < 3:
+            time.sleep(0.02)
+        begun = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate()
+    assert time.monotonic() - begun < 30
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    [line] = [line for line in said.splitlines() if line.startswith("egolane: ")]
+    assert re.fullmatch(
+        rf"egolane: interrupted; \d+ of 60 runs are in {out}; the same command goes on", line
+    )
 
 
 def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> None:

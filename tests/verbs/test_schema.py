@@ -12,7 +12,7 @@ import pytest
 import yaml
 from jsonschema import Draft202012Validator
 
-from egolane_pgm.experiment import experiments_folder
+from egolane_pgm.loading import experiments_folder
 from egolane_pgm.verbs.schema import KINDS, schema
 from tests.kits.drives import done
 

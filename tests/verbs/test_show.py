@@ -1,4 +1,4 @@
-"""The commands `show` and `plot`."""
+"""The commands `show`, `data list` and `run --dry-run`."""
 
 from __future__ import annotations
 
@@ -9,32 +9,21 @@ import numpy as np
 import pytest
 
 from egolane_pgm.loading import experiments_folder
-from egolane_pgm.runs import open_input, run_input
-from tests.kits.drives import done, refused
+from egolane_pgm.paper import paper_experiment
+from egolane_pgm.recordings import catalog
+from egolane_pgm.recordings.table import write_table
+from tests.kits.box import BOX, box_log
+from tests.kits.drives import done, refused, write_experiment
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
-def test_results_and_studies_are_drawn_and_several_results_share_a_sheet(tmp_path: Path) -> None:
-    experiment = open_input("quickstart", overrides={"recording.frames": [0, 200]})
-    for name in "ab":
-        run_input(experiment).save(tmp_path / name)
-    target = tmp_path / "figures"
-    shown = done("plot", tmp_path / "a", tmp_path / "b", "--out", target)
-    figures = {str(Path(line).relative_to(target)) for line in shown.stdout.split()}
-    of_one = {f"{name}.png" for name in ("strips", "confusion", "reliability", "coverage")}
-    assert figures == {"dispersion.png", *(f"{k}/{name}" for k in "ab" for name in of_one)}
-    assert all((target / name).is_file() for name in figures)
-    shown = done("plot", tmp_path / "a", "--frames", 50, 99, "--style", "svg")
-    assert str(tmp_path / "a" / "figures" / "strips.svg") in shown.stdout.split()
-    assert "the result has 0 to 199" in refused("plot", tmp_path / "a", "--frames", 900, 999)
-    assert "empty range" in refused("plot", tmp_path / "a", "--frames", 2, 1)
-    assert "shows one result" in refused("plot", tmp_path / "a", tmp_path / "b", "--out", "x.mp4")
-    assert "is not a result directory" in refused("plot", tmp_path / "c")
-    (tmp_path / "study").mkdir()
-    (tmp_path / "study" / "study.json").write_text("{}")
-    assert "is not the directory of a search" in refused("plot", tmp_path / "study")
-    assert "--frames: " in refused("plot", tmp_path / "study", "--frames", 1, 2)
+def test_a_dry_run_checks_every_experiment_of_the_paper(recordings: Path) -> None:
+    for number in range(1, 11):
+        path = paper_experiment(number)
+        n_lanes = 3 if number >= 6 else 4
+        expected = f"{path}: ok ({n_lanes} lanes, {2 * n_lanes} joint states)\n"
+        assert done("run", "--dry-run", path).stdout == expected
 
 
 def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -54,19 +43,6 @@ def test_a_graph_is_drawn_by_name_or_file(tmp_path: Path, graph: str) -> None:
     target = tmp_path / "graph.svg"
     assert done("show", graph, "--out", target, "--n-lanes", "2").stdout == f"{target}\n"
     assert "SensorState" in target.read_text()
-
-
-def test_a_graph_that_cannot_be_built_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
-    said = refused("show", tmp_path / "g.py", "--out", tmp_path / "g.svg")
-    assert "g.py, line 3: AttributeError" in said
-    said = refused("show", "no_wor", "--out", tmp_path / "g.txt")
-    assert said.endswith("g.txt: unknown format; a network is written to .png, .svg, .pdf, .bif")
-    assert "(did you mean 'no_wor'?)" in refused("show", "no_wro", "--out", tmp_path / "g.svg")
-    own = tmp_path / "g.bif"
-    own.write_text("")
-    assert "g.bif: is read here" in refused("show", own, "--out", own)
-    assert "only a graph" in refused("show", "ml", "--out", tmp_path / "g.png")
 
 
 @pytest.mark.parametrize(
@@ -96,7 +72,6 @@ def test_an_experiment_is_shown_with_what_it_includes(drive: Path, tmp_path: Pat
     assert keys["recording"]["path"].endswith("lines.csv")
     shown = done("show", experiments_folder() / "tuning" / "all_italy.yaml").stdout
     assert shown.startswith("tuning file all_italy\n")
-    assert "(known: " in refused("show", "schema:x")
 
 
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
@@ -110,18 +85,73 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
     assert content["parameters"][0]["range"] == [0.0, 3.0]
 
 
-def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path) -> None:
-    assert refused("show", "sensor_failur").endswith("(did you mean 'sensor_failure'?)")
-    assert "(known: aly, autoregressive, " in refused("show", "zzz")
-    assert refused("show", "evidence:sensor_failure").startswith("evidence: unknown name")
-    assert refused("show", "none.py").startswith("graph: no file ")
-    both = tmp_path / "both.py"
-    both.write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
-    said = refused("show", both)
-    assert said == f"{both} is of several kinds; write graph:{both} or evidence:{both}"
-    assert "does not define" in refused("show", f"detector:{both}")
-    (tmp_path / "none").write_text("")
-    target = tmp_path / "none" / "x.json"
-    assert "cannot be written" in refused("show", "lane_only", "--json", target)
-    said = refused("show", EXAMPLES / "my_graph.py", "--json", EXAMPLES / "my_graph.py")
-    assert said.endswith("is read here; name another file")
+def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> None:
+    write_table(tmp_path / "box.parquet", box_log())
+    recording = {"path": "box.parquet"}
+    experiment = write_experiment(tmp_path / "e.yaml", recording=recording, ground_truth=None)
+    assert done("show", experiment, "--frame", 1234).stdout == BOX + "\n"
+    said = refused("show", experiment, "--frame", 1235)
+    assert said.endswith("has no frame 1235; the nearest is 1234 (frames 1234 to 1237)")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("sensor_failur", "(did you mean 'sensor_failure'?)"),
+        ("zzz", "(known: aly, autoregressive, "),
+        ("evidence:sensor_failure", "evidence: unknown name"),
+        ("none.py", "graph: no file "),
+        ("{0}/both.py", "both.py is of several kinds; write graph:{0}/both.py or evidence:{0}"),
+        ("detector:{0}/both.py", "does not define"),
+        ("schema:x", "(known: "),
+        ("lane_only --frame 1", "--frame: goes with an experiment"),
+        ("lane_only --n-lanes 51", "'--n-lanes': 51 is not in the range"),
+        ("lane_only --json {0}/both.py/x.json", "cannot be written"),
+        ("{0}/both.py --json {0}/both.py", "is read here; name another file"),
+        ("{0}/g.py --out {0}/g.svg", "g.py, line 3: AttributeError"),
+        ("no_wor --out {0}/g.txt", "g.txt: unknown format; a network is written to .png, .svg, "),
+        ("{0}/own.bif --out {0}/own.bif", "own.bif: is read here"),
+        ("ml --out {0}/g.png", "only a graph"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path, words: str, said: str) -> None:
+    (tmp_path / "both.py").write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
+    (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
+    (tmp_path / "own.bif").touch()
+    assert said.format(tmp_path) in refused("show", *words.format(tmp_path).split())
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("a: b: c\n", "is not YAML"),
+        ("- 1\n", "needs keys and values"),
+        ("recording: {simulate: a4}\nn_lanes: 3\n", "name: is missing"),
+    ],
+)
+def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "e.yaml").write_text(text)
+    assert refused("run", "--dry-run", tmp_path / "e.yaml").startswith(
+        f"{tmp_path / 'e.yaml'}: {said}"
+    )
+
+
+@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=["])
+def test_an_override_that_is_none_is_refused(drive: Path, override: str) -> None:
+    assert refused("run", "--dry-run", drive, "--set", override).startswith(f"--set: {override}: ")
+
+
+def test_data_list_shows_the_files_where_a_run_would_find_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setenv("EGOLANE_DATA", str(tmp_path / "data"))
+    (tmp_path / "data" / "rle").mkdir(parents=True)
+    (tmp_path / "data" / "rle" / "ISIS_01.txt").write_text("1;1;0\n")
+    lines = done("data", "list").stdout.splitlines()
+    assert lines[0] == f"looked in: {tmp_path / 'data'}"
+    assert lines[1] == f"looked in: {catalog.download_folder()}"
+    assert len(lines) == 2 + 12
+    state = {line.rpartition("/")[2]: line.split()[0] for line in lines[2:]}
+    assert state.pop("ISIS_01.txt") == "bad"
+    assert set(state.values()) == {"missing"}

@@ -1,293 +1,303 @@
-"""`egolane tune` as a user runs it."""
+"""`egolane tune` and `egolane learn` as a user runs them."""
 
 from __future__ import annotations
 
-import csv
 import json
-import os
 import signal
 import time
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import optuna
+import pandas as pd
 import pytest
 import yaml
-from click.testing import Result
-from egolane_pgm.drive import load_recording
-from egolane_pgm.tuning.plan import load_plan, make_problem, paper_plans
-from egolane_pgm.tuning.recording_task import tuned_experiment
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
-from pyarrow import parquet
-from tests.kits.studies import BLOCKS, EXPERIMENTS, QUICKSTART
 
-from egolane_pgm.experiment import Tuning, load_experiment
-from egolane_pgm.model import prepare_model
-from egolane_pgm.running import run_experiment
-from egolane_pgm.tools.files import write_yaml
-from tests.kits.drives import command, done, refused, rewritten, write_drive
-from tests.kits.labelled_drive import N_LABELLED
+from egolane_pgm.loading import experiments_folder, load_experiment
+from egolane_pgm.recordings.ground_truth import write_ground_truth
+from egolane_pgm.result import load_result
+from egolane_pgm.studies.storage import open_storage
+from egolane_pgm.types import lane_truth
+from egolane_pgm.verbs.studied import open_studied
+from tests.kits.drives import contents, done, refused, rewritten, run, write_drive
 from tests.kits.processes import started
+from tests.kits.synthetic_road import write_place
 
-NEEDS_DATA = pytest.mark.skipif(
-    not os.environ.get("EGOLANE_DATA"), reason="the paper's recordings: needs EGOLANE_DATA"
-)
-
-
-def tune(*words: object) -> Result:
-    return command("tune", *words)
+QUICKSTART = experiments_folder() / "quickstart.yaml"
 
 
-def tune_refuses(*words: object) -> str:
-    result = tune(*words)
-    assert result.exit_code == 2, result.output
-    (line,) = (line for line in result.stderr.splitlines() if line.startswith("egolane: "))
-    return line
+def study_of(folder: Path) -> dict[str, Any]:
+    found = json.loads((folder / "study.json").read_text())
+    assert isinstance(found, dict)
+    return found
 
 
-def studies_of(base: str) -> list[optuna.Study]:
-    names = optuna.get_all_study_names(base)
-    return [optuna.load_study(study_name=name, storage=base) for name in names]
+def trials_of(folder: Path) -> pd.DataFrame:
+    return pd.read_parquet(folder / "trials.parquet")
 
 
-def states(journal: Path) -> Counter[str]:
-    """How many trials of a study are in each state."""
-    storage = JournalStorage(JournalFileBackend(str(journal)))
-    study = optuna.load_study(study_name="quickstart", storage=storage)
-    return Counter(t.state.name for t in study.trials)
-
-
-def write_own_graph(experiment: Path) -> Path:
-    """The experiment with a graph of its own, YAML, that has one parameter."""
-    (experiment.parent / "g.py").write_text(
-        "from egolane_pgm.graphs.lane_only import *\nfrom egolane_pgm.graphs.lane_only import"
-        " build, HIDDEN, OBSERVED, PARAMETERS\n"
-    )
-    return rewritten(experiment, experiment, graph="g.py")
+# --- tune ----------------------------------------------------------------------------------------
 
 
 def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path: Path) -> None:
-    result = tune(QUICKSTART, "--trials", 40, "--out", tmp_path, "--jobs", 1)
-    assert result.exit_code == 0, result.output
-    assert "7 numbers are searched: bonus_value 0 to 9, sigma1 0 to 3," in result.stderr
-    assert "7 are held fixed: lane_width_m 3.5," in result.stderr
-    assert "accuracy, held out" in result.output
-    assert "in-sample: on the frames that the parameters were tuned on" in result.output
-    folder = tmp_path / "quickstart"
-    document = json.loads((folder / "study.json").read_text())
-    assert document["schema_version"] == 1
-    assert document["versions"]["optuna"] != "not installed"
-    assert document["tuning"]["trials"] == 40
-    experiment = load_experiment(folder / "best.yaml")
-    assert experiment.tuned_on == "same_frames"
-    run = run_experiment(experiment)
-    assert run.scores["model"]["accuracy"] == pytest.approx(
-        document["in_sample"]["all_frames"]["accuracy"]
-    )
-    table = parquet.read_table(folder / "trials.parquet").to_pylist()
-    assert len(table) == 40
-    assert max(row["accuracy_in_sample"] for row in table) == run.scores["model"]["accuracy"]
-    with (folder / "trials.csv").open() as file:
-        assert len(list(csv.DictReader(file))) == 40
+    drive, out = write_drive(tmp_path), tmp_path / "study"
+    shown = done("tune", drive, "--trials", 30, "--blocks", 2, "--out", out).stdout
+    assert shown.startswith("'drive': tune, 30 trials, accuracy ")
+    assert "held out: 2 folds, each scored with a fit to the others" in shown
+    assert shown.endswith(f"study: {out}; run its best.yaml, or `include:` it\n")
+    document, trials = study_of(out), trials_of(out)
+    assert (document["method"], len(document["folds"]), len(trials)) == ("tune", 2, 30)
+    best = run(out / "best.yaml")
+    assert best.run["tuned_on"] == "same_frames"
+    assert best.scores["model"]["accuracy"] == document["in_sample"]["model"]["accuracy"]
+    assert best.scores["model"]["accuracy"] == trials["accuracy"].max()
+    assert load_result(out / "held_out").scores == document["held_out"]
+    figures = {path.name for path in (out / "figures").iterdir()}
+    assert figures == {"history.png", "profile.png", "importances.png"}
+    other = done("run", tmp_path / "lines.csv", "--experiment", out / "best.yaml", "--n-lanes", 3,
+                 "--out", tmp_path / "same", "--no-figures")  # fmt: skip
+    assert "no ground truth" in other.stdout
+    assert load_result(tmp_path / "same").run["tuned_on"] == "same_frames"
 
 
-def test_the_same_command_gives_the_same_study_and_a_repeated_one_does_nothing_more(
-    tmp_path: Path,
-) -> None:
-    words = (QUICKSTART, "--trials", 35, "--in-sample-only", "--seed", 5)
-    for out in ("a", "b", "b"):
-        assert tune(*words, "--out", tmp_path / out).exit_code == 0
-    rows = [(tmp_path / out / "quickstart" / "trials.csv").read_text() for out in ("a", "b")]
-    assert rows[0] == rows[1]
-    assert rows[0].count("\n") == 36
+def test_the_same_command_gives_the_same_study_and_a_longer_one_goes_on(tmp_path: Path) -> None:
+    words = ("tune", QUICKSTART, "--blocks", 0, "--seed", 5, "--no-figures")
+    for out, n in (("a", 6), ("b", 4), ("b", 4), ("b", 6)):
+        done(*words, "--trials", n, "--out", tmp_path / out)
+    timeless = [trials_of(tmp_path / out).filter(regex="^(?!.*(seconds|time|start|complete))")
+                for out in ("a", "b")]  # fmt: skip
+    pd.testing.assert_frame_equal(*timeless)
+    assert len(timeless[0]) == 6
+    assert "holds another study" in refused(*words, "--out", tmp_path / "a", "-p", "p1=0.9")
 
 
 def test_options_go_before_the_yaml(tmp_path: Path) -> None:
-    tuning = {"trials": 9, "seed": 3, "parameters": {"p1": [0.5, 0.9], "p2": 0.7}}
+    tuning = {"trials": 3, "seed": 3, "parameters": {"p1": [0.5, 0.9], "p2": 0.7}}
     path = rewritten(QUICKSTART, tmp_path / "x.yaml", tuning=tuning)
-    words = (path, "--in-sample-only", "--out", tmp_path, "-p", "p1=[0.6,0.7]", "--trials", 12)
-    assert tune(*words).exit_code == 0
-    document = json.loads((tmp_path / "quickstart" / "study.json").read_text())
-    assert document["best"]["trials"] == 12
-    assert document["space"]["searched"]["p1"] == [0.6, 0.7]
-    assert document["space"]["fixed"]["quickstart"]["p2"] == 0.7
-    assert document["tuning"]["seed"] == 3
+    words = (path, "--blocks", 0, "--out", tmp_path / "o", "-p", "p1=[0.6,0.7]", "--trials", 4)
+    done("tune", *words, "--no-figures")
+    document = study_of(tmp_path / "o")
+    assert len(trials_of(tmp_path / "o")) == 4
+    assert document["settings"]["searched"]["p1"][:2] == [0.6, 0.7]
+    assert document["settings"]["seed"] == 3
+    assert load_experiment(tmp_path / "o" / "best.yaml").parameters["p2"] == 0.7
 
 
 def test_several_objectives_give_a_front(tmp_path: Path) -> None:
-    words = ("--objective", "accuracy", "--objective", "log_loss", "--in-sample-only")
-    assert tune(QUICKSTART, *words, "--trials", 60, "--out", tmp_path).exit_code == 0
-    document = json.loads((tmp_path / "quickstart" / "study.json").read_text())
-    assert document["tuning"]["sampler"] == "nsga2"
-    assert len(document["best"]["pareto"]) >= 1
-    assert set(document["best"]["values"]) == {"accuracy", "log_loss"}
-
-
-def test_bad_input_is_one_line_and_leaves_nothing(tmp_path: Path) -> None:
-    def says(*words: object) -> str:
-        return tune_refuses(QUICKSTART, "--blocks", BLOCKS, "--out", tmp_path / "o", *words)
-
-    assert "did you mean 'accuracy'?" in says("--objective", "acuracy")
-    assert "write it as" in says("-p", "sigma1")
-    assert "did you mean 'tpe'?" in says("--sampler", "tpee")
-    assert "take one of the two" in says("--workers", 2, "--jobs", 2)
-    assert "blocks are more than the" in tune_refuses(
-        QUICKSTART, "--blocks", 5000, "--out", tmp_path / "o"
-    )
-    assert "name experiments" in tune_refuses("--out", tmp_path / "o")
-    assert "another experiment has the name" in tune_refuses(QUICKSTART, QUICKSTART)
-    assert not (tmp_path / "o").exists()
+    words = ("--objective", "accuracy", "--objective", "log_loss", "--blocks", 0, "--no-figures")
+    done("tune", QUICKSTART, *words, "--trials", 4, "--out", tmp_path)
+    assert study_of(tmp_path)["settings"]["sampler"] == "nsga2"
+    assert {"accuracy", "log_loss"} <= set(trials_of(tmp_path))
 
 
 def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) -> None:
     base = f"sqlite:///{tmp_path}/shared.db"
-    words = (QUICKSTART, "--trials", 6, "--blocks", BLOCKS, "--storage", base, "--no-figures")
+    words = ("tune", QUICKSTART, "--trials", 3, "--blocks", 2, "--storage", base, "--no-figures")
     for out in ("here", "there"):
-        assert tune(*words, "--out", tmp_path / out, "--jobs", 1).exit_code == 0
-    parts = [f"quickstart without block {k}" for k in range(1, BLOCKS + 1)]
-    assert optuna.get_all_study_names(base) == ["quickstart", *parts]
-    assert {len(s.trials) for s in studies_of(base)} == {6}
-    documents = [
-        json.loads((tmp_path / out / "quickstart" / "study.json").read_text())
-        for out in ("here", "there")
-    ]
-    for key in ("in_sample", "held_out"):
-        assert documents[0][key] == documents[1][key]
-    line = tune_refuses(*words, "--out", tmp_path / "there", "-p", "p1=0.9")
-    assert "holds another study" in line
-    assert tune(*words, "--out", tmp_path / "here", "--jobs", 1, "--trials", 8).exit_code == 0
-    assert {len(s.trials) for s in studies_of(base)} == {8}
+        done(*words, "--out", tmp_path / out)
+    names = optuna.get_all_study_names(base)
+    assert len(names) == 3
+    assert {len(optuna.load_study(study_name=n, storage=base).trials) for n in names} == {3}
+    here, there = (study_of(tmp_path / out) for out in ("here", "there"))
+    assert here["held_out"] == there["held_out"]
 
 
-def test_the_password_of_a_storage_is_not_shown(tmp_path: Path) -> None:
-    address = "nosuch://me:secret@host/base"
-    line = tune_refuses(QUICKSTART, "--in-sample-only", "--out", tmp_path, "--storage", address)
-    assert "nosuch://me:***@host/base" in line
-    assert "secret" not in line
-
-
-def test_a_group_has_one_parameter_set_and_an_experiment_per_recording(tmp_path: Path) -> None:
+def test_a_list_of_experiments_has_one_parameter_set(tmp_path: Path) -> None:
     for k in (1, 2):
         rewritten(QUICKSTART, tmp_path / f"{k}.yaml", name=f"drive{k}", recording__seed=k)
-    group = {"name": "both", "experiments": ["1.yaml", "2.yaml"], "tuning": {"trials": 35}}
+    group = {"name": "both", "experiments": ["1.yaml", "2.yaml"], "tuning": {"trials": 3}}
     (tmp_path / "group.yaml").write_text(yaml.safe_dump(group))
-    words = (tmp_path / "group.yaml", "--blocks", BLOCKS, "--out", tmp_path / "o", "--jobs", 1)
-    result = tune(*words)
-    assert result.exit_code == 0, result.output
-    folder = tmp_path / "o" / "both"
-    sets = [load_experiment(folder / f"best_drive{k}.yaml").parameters for k in (1, 2)]
-    assert sets[0] == sets[1]
-    document = json.loads((folder / "study.json").read_text())
-    each = [r["accuracy"] for r in document["held_out"]["all_frames"]["recordings"]]
-    assert document["held_out"]["all_frames"]["accuracy"] == pytest.approx(sum(each) / 2)
-    assert [s["left_out"] for s in document["held_out"]["studies"]] == [None] * BLOCKS
+    out = tmp_path / "o" / "*"
+    done("tune", tmp_path / "group.yaml", "--blocks", 2, "--out", out, "--no-figures")
+    document = study_of(tmp_path / "o" / "both")
+    assert document["experiments"] == ["drive1", "drive2"]
+    content = yaml.safe_load((tmp_path / "o" / "both" / "best.yaml").read_text())
+    assert content["tuned_on"] == "unknown"
+    held_out = load_result(tmp_path / "o" / "both" / "held_out")
+    assert held_out.frames["drive"].unique().tolist() == ["drive1", "drive2"]
 
 
-def test_a_typo_in_a_tuning_file_is_named(tmp_path: Path) -> None:
-    path = tmp_path / "g.yaml"
-    path.write_text("name: g\nexperiments: [x.yaml]\ntuning: {trails: 3}\n")
-    assert "unknown key 'trails' (did you mean 'trials'?)" in tune_refuses(path)
-    path.write_text("name: g\nexperiments: [x.yaml]\ntunning: {}\n")
-    assert "unknown key 'tunning' (did you mean 'tuning'?)" in tune_refuses(path)
-    path.write_text("name: g\nexperiments: [x.yaml]\n")
-    assert "x.yaml: cannot be read" in tune_refuses(path)
+def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
+    (tmp_path / "runs.csv").write_text(
+        "name,recording.seed,tag.weather\na,1,sun\nb,2,rain\nc,3,sun\n"
+    )
+    words = ("--table", tmp_path / "runs.csv", "--by-tag", "weather", "--trials", 2)
+    done("tune", QUICKSTART, *words, "--no-figures", "--out", tmp_path / "o")
+    frames = load_result(tmp_path / "o" / "held_out").frames
+    assert frames.groupby("drive")["block"].unique().map(list).to_dict() == {
+        "a": [0], "b": [1], "c": [0],
+    }  # fmt: skip
 
 
-@pytest.mark.parametrize(("jobs", "stop"), [(1, signal.SIGKILL), (2, signal.SIGINT)])
-def test_the_command_itself_is_stopped_and_repeated(
-    jobs: int, stop: signal.Signals, tmp_path: Path
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--objective acuracy", "tuning.objective: unknown score 'acuracy' (did you mean"),
+        ("-p sigma1", "--parameter: sigma1: write it as key=value, e.g. p1=[0.5,1] or p1=0.9"),
+        ("-p sigma=1", "unknown parameter 'sigma'"),
+        ("--sampler tpee", "tuning.sampler: unknown sampler 'tpee' (did you mean 'tpe'?)"),
+        ("--blocks 5000", "--blocks: 5000 is not between 2 and the 1"),
+        ("--blocks 1", "--blocks: 1 leaves nothing to fit to; 0 holds out nothing"),
+        ("--trials 0", "'--trials'"),
+        ("--by-tag weather", "--by-tag: goes with a table of runs"),
+        ("--table gone.csv", "gone.csv: cannot be read as a table"),
+        ("--storage nosuch://me:secret@host/base", "nosuch://me:***@host/base"),
+        ("--set filter=fixed_lag --set lag=3", "filter: a search takes assumed_density or exact"),
+        ("--ground-truth x.txt", "No such option"),
+    ],
+)
+def test_what_cannot_be_searched_is_one_line_and_leaves_nothing(
+    tmp_path: Path, words: str, said: str
 ) -> None:
-    words = ["tune", QUICKSTART, "--trials", 2500, "--blocks", BLOCKS, "--no-figures"]
-    words += ["--jobs", jobs, "--out", tmp_path]
-    with started(*words) as first:
-        journal = tmp_path / "quickstart" / "study.journal"
+    line = refused("tune", QUICKSTART, "--out", tmp_path / "o", *words.split())
+    assert said in line
+    assert "secret" not in line
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("experiments: [x.yaml]\ntuning: {trails: 3}\n", "unknown key 'trails' (did you mean"),
+        ("experiments: [x.yaml]\ntunning: {}\n", "unknown key 'tunning' (did you mean 'tuning'?)"),
+        ("experiments: [x.yaml]\n", "x.yaml: cannot be read"),
+    ],
+)
+def test_a_list_of_experiments_that_does_not_fit_is_refused(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    path = tmp_path / "g.yaml"
+    path.write_text(f"name: g\n{text}")
+    assert said in refused("tune", path)
+
+
+def states(journal: Path) -> Counter[str]:
+    """How many trials of a study are in each state."""
+    storage = open_storage(str(journal))
+    trials = [t for s in storage.get_all_studies() for t in storage.get_all_trials(s._study_id)]
+    return Counter(t.state.name for t in trials)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_search_that_is_stopped_keeps_its_trials_and_goes_on(jobs: int, tmp_path: Path) -> None:
+    words = ["tune", QUICKSTART, "--trials", 2500, "--blocks", 2, "--no-figures"]
+    journal = tmp_path / "study.journal"
+    with started(*words, "--jobs", jobs, "--out", tmp_path) as first:
         deadline = time.monotonic() + 60
         while time.monotonic() < deadline:
             if journal.exists() and journal.stat().st_size > 100_000:
                 break
             time.sleep(0.01)
         begun = time.monotonic()
-        first.send_signal(stop)
+        first.send_signal(signal.SIGINT)
         _, said = first.communicate()
-        assert time.monotonic() - begun < 30
-    if stop == signal.SIGINT:
-        assert first.returncode == 130
-        lines = [x for x in said.splitlines() if x.startswith("egolane: ")]
-        assert lines == [
-            f"egolane: interrupted; complete trials are kept in {tmp_path / 'quickstart'};"
-            " repeat the command to go on"
-        ]
-    before = states(journal)
-    assert before["COMPLETE"] > 10
-    total = before["COMPLETE"] + 10
-    words = [QUICKSTART, "--in-sample-only", "--no-figures", "--jobs", 1]
-    assert tune(*words, "--trials", total, "--out", tmp_path).exit_code == 0
-    assert states(journal)["COMPLETE"] == total
+    assert time.monotonic() - begun < 30
+    assert first.returncode == 130
+    assert [line for line in said.splitlines() if line.startswith("egolane: ")] == [
+        f"egolane: interrupted; complete trials are kept in {journal}; repeat the command to go on"
+    ]
+    assert "Traceback" not in said
+    assert states(journal)["COMPLETE"] > 10
 
 
 @pytest.mark.parametrize(
-    "path", sorted((EXPERIMENTS / "tuning").glob("*.yaml")), ids=lambda p: p.stem
+    "path", sorted((experiments_folder() / "tuning").glob("*.yaml")), ids=lambda p: p.stem
 )
-def test_every_tuning_file_that_comes_along_is_sound(path: Path) -> None:
-    found = load_plan(path)
+def test_every_shipped_list_of_experiments_is_sound(path: Path, recordings: Path) -> None:
+    found = open_studied(
+        path, table=None, by_tag=None, blocks=0, overrides={"recording.frames": [3000, 3200]}
+    )
     assert found.name == path.stem
-    assert found.settings.objectives == ("accuracy",)
+    assert {drive.experiment.tuning.objective for drive in found.drives if drive.experiment.tuning}
 
 
-def test_the_runs_of_the_paper_can_be_searched_by_number() -> None:
-    found = paper_plans(range(1, 11))
-    assert [plan.run for plan in found] == list(range(1, 11))
-    assert {plan.settings.objectives for plan in found} == {("accuracy",)}
-    assert all(plan.tuning == Tuning() for plan in found)
-
-
-@NEEDS_DATA
-def test_the_published_parameters_are_tried_first_and_frames_never_fitted(tmp_path: Path) -> None:
-    result = tune("--runs", "6", "--trials", 30, "--blocks", 2, "--out", tmp_path, "--jobs", 1)
-    assert result.exit_code == 0, result.output
-    folder = tmp_path / "run06_spain_ml"
-    first, second = parquet.read_table(folder / "trials.parquet").to_pylist()[:2]
+def test_the_published_parameters_are_tried_first(recordings: Path, tmp_path: Path) -> None:
+    words = ("run06_spain_ml", "--trials", 2, "--blocks", 2, "--out", tmp_path, "--no-figures")
+    done("tune", *words)
+    first, second = trials_of(tmp_path).iloc[:2].to_dict("records")
     assert second["sigma1"] == 0.407
     assert first["sigma1"] == pytest.approx(0.407, abs=1e-3)
-    assert first["accuracy_in_sample"] == pytest.approx(0.8963, abs=1e-4)
-    document = json.loads((folder / "study.json").read_text())
-    sizes = [document["held_out"][k]["frames_scored"] for k in ("all_frames", "without_never_fit")]
-    assert sizes[0] - sizes[1] == 200
-    assert "| run06_spain_ml | paper |  0.407" in result.output
-
-
-def test_a_tuned_experiment_runs_from_its_own_folder(labelled: Path, tmp_path: Path) -> None:
-    problem = make_problem(load_plan(write_own_graph(labelled)))
-    target = tmp_path / "study" / "best.yaml"
-    target.parent.mkdir()
-    (drive,) = problem.drives
-    write_yaml(target, tuned_experiment(drive.experiment, drive.model.parameters, problem))
-    tuned = load_experiment(target)
-    assert tuned.recording.path == str(labelled.parent / "labels.json")
-    assert tuned.recording.camera == str(labelled.parent / "cam.yaml")
-    assert len(load_recording(tuned).log) == N_LABELLED
-    assert prepare_model(tuned).compiled.n_states == 3
+    own = run("run06_spain_ml").scores
+    assert own["model_all_frames"]["accuracy"] == pytest.approx(0.8963, abs=1e-4)
+    assert first["accuracy"] == pytest.approx(own["model"]["accuracy"], abs=1e-3)
+    held_out = study_of(tmp_path)["held_out"]
+    scored = [held_out[key]["frames_scored"] for key in ("model_all_frames", "model")]
+    assert scored[0] - scored[1] == 200
 
 
 def test_a_study_scores_the_reject_option_as_a_run_does(tmp_path: Path) -> None:
     path = write_drive(tmp_path, unassigned_below=0.9)
-    out = ("--trials", 12, "--in-sample-only", "--jobs", 1, "--no-figures")
-    for name in ("accuracy", "false_switches_per_minute"):
-        done("tune", path, "--objective", name, *out, "--out", tmp_path / name)
-        study = json.loads((tmp_path / name / "drive" / "study.json").read_text())
-        run = run_experiment(tmp_path / name / "drive" / "best.yaml")
-        scores = run.scores["model"]
-        assert scores["coverage"] < 1
-        assert study["best"]["values"][name] == pytest.approx(scores[name])
-        assert study["in_sample"]["all_frames"]["accuracy"] == pytest.approx(scores["accuracy"])
-    said = refused("tune", path, "--set", "unassigned_below=0.5", *out, "--out", tmp_path / name)
-    assert "unassigned_below" in said
+    out = tmp_path / "o"
+    name = "false_switches_per_minute"
+    words = ("--objective", name, "--trials", 5, "--blocks", 0, "--no-figures", "--out", out)
+    done("tune", path, *words)
+    scores = run(out / "best.yaml").scores["model"]
+    assert scores["coverage"] < 1
+    assert trials_of(out)[name].min() == pytest.approx(scores[name])
 
 
-def test_a_search_refuses_a_filter_that_looks_ahead(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 60, filter="fixed_lag", lag=3)
-    said = refused("tune", path, "--out", tmp_path / "out")
-    assert said.startswith(
-        f"{path}: filter: a search takes assumed_density or exact, not fixed_lag"
+# --- learn ---------------------------------------------------------------------------------------
+
+
+def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
+    labelled: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "new" / "folder"
+    shown = done("learn", labelled, "--blocks", 2, "--out", out).stdout
+    assert shown.startswith("'drive': learn, accuracy ")
+    assert shown.endswith(f"study: {out}; run its best.yaml, or `include:` it\n")
+    found, before = load_experiment(out / "best.yaml"), load_experiment(labelled)
+    for key in ("path", "camera"):
+        assert getattr(found.recording, key) == getattr(before.recording, key)
+    assert (found.ground_truth, found.tuned_on) == (before.ground_truth, "same_frames")
+    assert (found.graph, study_of(out)["method"]) == (str(out / "best.graph.yaml"), "learn")
+    assert run(found).run["tuned_on"] == "same_frames"
+    # The learned graph by itself, on the frames that it was learned from, is in-sample too.
+    assert run(before, graph=out / "best.graph.yaml").run["tuned_on"] == "same_frames"
+
+
+def test_learning_again_leaves_the_first_study_as_it_was(tmp_path: Path) -> None:
+    path, one = write_drive(tmp_path, graph="lane_only"), tmp_path / "one"
+    done("learn", path, "--blocks", 0, "--out", one)
+    before = contents(one)
+    done("learn", one / "best.yaml", "--blocks", 0, "--out", tmp_path / "two")
+    assert contents(one) == before
+
+
+@pytest.mark.parametrize(
+    ("keys", "words", "said"),
+    [
+        (
+            {"graph": "lane_only", "evidence": "never.py"},
+            "",
+            "allows none of the 150 frames to",
+        ),
+        ({"ground_truth": None}, "", "ground_truth: is missing"),
+        ({}, "--set learning.tables=[Lan]", "learning.tables: 'Lan' has no table to learn"),
+        ({}, "--set learning.strength=0", "learning.strength: input should be greater than 0"),
+        ({}, "--table gone.csv", "gone.csv: cannot be read as a table"),
+        ({}, "--n-lanes 51", "n_lanes: input should be less than or equal to 50"),
+    ],
+)
+def test_what_cannot_be_learned_is_one_line(
+    tmp_path: Path, keys: dict[str, Any], words: str, said: str
+) -> None:
+    path = write_drive(tmp_path, **keys)
+    (tmp_path / "never.py").write_text(
+        "import numpy as np\nfrom egolane_pgm.types import Evidence\n"
+        "def evidence(log, n_lanes, parameters):\n"
+        "    return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})\n"
     )
+    assert said in refused("learn", path, "--out", tmp_path / "o", *words.split())
+    assert not (tmp_path / "o").exists()
+
+
+def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) -> None:
+    folder = write_place(tmp_path, 12)
+    write_ground_truth(folder / "t.txt", lane_truth(np.arange(12), np.full(12, 2), np.zeros(12)))
+    path = folder / "run.yaml"
+    rewritten(path, path, ground_truth__path="t.txt", graph="lane_only")
+    done("learn", path, "--blocks", 2, "--out", folder / "new")
+    assert load_experiment(folder / "new" / "best.yaml").recording.frame_rate == 12.5

@@ -3,7 +3,6 @@ belief."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import cv2
@@ -11,12 +10,11 @@ import numpy as np
 import pytest
 
 from egolane_pgm.vision import video
-from egolane_pgm.vision.camera.model import image_to_road, road_to_image
+from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.detectors import FrameLines
-from egolane_pgm.vision.video import bar_boxes, draw_frame, feet, layout
+from egolane_pgm.vision.video import bar_boxes, draw_frame, layout
 from tests.kits.drawn_frames import (
     CAMERA,
-    LINES,
     OFFSETS,
     around,
     drawn,
@@ -76,18 +74,6 @@ def test_the_birds_eye_view_shows_lines_and_road_to_scale() -> None:
     view = drawn(scene([1, 0], 1))[:400, 640:840]
     column = round((OFFSETS[0] + 10) * 200 / 20)
     assert any(is_colour(p, video.CONTINUOUS, 40) for p in around(view, column, 250))
-
-
-def test_a_label_is_at_the_foot_of_its_line_in_its_colour() -> None:
-    """-1.9 m and 1.6 m leave the picture below, 5.2 m at the side; 200 m is not in it."""
-    image, found = drawn(scene([1, 0], 1)), feet(layout(CAMERA), LINES)
-    for k, colour in enumerate((video.CONTINUOUS, video.DASHED)):
-        assert is_colour(image[401, round(found[k])], colour, 3)
-        _, y = image_to_road(CAMERA, found[k], 399.0)
-        assert float(y) == pytest.approx(OFFSETS[k], abs=0.15)
-    assert found[2] > 630
-    away = replace(LINES, shape=LINES.shape + np.array([200.0, 0, 0, 0]))
-    assert feet(layout(CAMERA), away) == {}
 
 
 def test_bars_show_the_belief_over_the_lanes_from_left_to_right() -> None:

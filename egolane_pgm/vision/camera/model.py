@@ -8,7 +8,6 @@ to the right, v down. Detectors read real pictures with this model, the simulati
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
@@ -90,37 +89,32 @@ class Camera:
             value = getattr(self, name)
             if value is None and name in ("baseline_m", "lane_width_m"):
                 continue
-            _check_numbers(name, [value])
+            _check_numbers(name, (value,), 1)
             if not low <= value <= high:
                 raise InputError(f"{name}: {value} is not between {low} and {high} ({unit})")
-            if name in ("width", "height") and value != int(value):
-                raise InputError(f"{name}: {value} is not a whole number of pixels")
-        if not isinstance(self.distortion, tuple) or len(self.distortion) != 5:
-            raise InputError("distortion: needs the five numbers k1, k2, p1, p2, k3")
-        _check_numbers("distortion", self.distortion)
-        for box in self.ignore if isinstance(self.ignore, tuple) else (None,):
-            if not isinstance(box, tuple) or len(box) != 4:
-                raise InputError(
-                    f"ignore: {self.ignore!r} is not a list of rectangles, each left, top, right,"
-                    " bottom"
-                )
-            _check_numbers("ignore", box)
-            if any(value != int(value) for value in box) or box[0] >= box[2] or box[1] >= box[3]:
-                raise InputError(
-                    f"ignore: {list(box)} needs whole numbers of pixels left, top, right, bottom,"
-                    " with left < right and top < bottom"
-                )
+        _check_numbers("distortion", self.distortion, 5)
+        for box in self.ignore:
+            _check_numbers("ignore", box, 4)
+        if any(box[0] >= box[2] or box[1] >= box[3] for box in self.ignore):
+            raise InputError("ignore: needs rectangles left, top, right, bottom, in pixels")
 
 
 #: The keys of a camera's YAML file.
 _KEYS = [f.name for f in fields(Camera) if f.name != "name"]
 
 
-def _check_numbers(name: str, values: Iterable[object]) -> None:
-    for value in values:
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value):  # type: ignore[arg-type]
-            raise InputError(f"{name}: {value!r} is not a finite number")
+def _check_numbers(name: str, values: object, n: int) -> None:
+    """Raise InputError for what is not n finite numbers, whole ones where pixels are counted."""
+    is_whole = name in ("width", "height", "ignore")
+    if not (
+        isinstance(values, tuple)
+        and len(values) == n
+        and all(type(v) in (int, float) and math.isfinite(v) for v in values)
+        and (not is_whole or all(v == int(v) for v in values))
+    ):
+        given = values[0] if n == 1 and isinstance(values, tuple) else values
+        needed = f"{n} {'whole' if is_whole else 'finite'} number{'s' * (n > 1)}"
+        raise InputError(f"{name}: {given!r} is not {needed}")
 
 
 def said_height(camera: Camera) -> str:

@@ -4,36 +4,43 @@ The frame id of a picture in a video or a bag is its position, from 0. Picture f
 natural order (`img_9.jpg` before `img_10.jpg`). Their frame ids are the last number of the names
 that increases from file to file; if there is none, their positions, from 0. Only one picture is in
 memory at a time.
+
+OpenCV gives all pictures of a video in the size of the first one. It also skips pictures that
+cannot be decoded or were never recorded, without a word: such a loss is noticed only by the number
+of pictures that the file states.
 """
 
 from __future__ import annotations
 
+import base64
 import glob
 import math
+import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise, zip_longest
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 
 from egolane_pgm.recordings import FORMATS, files_of
 from egolane_pgm.recordings.select import rate_of
+from egolane_pgm.recordings.topics import messages, topics_of
+from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import NOTE, FloatArray, InputError, problems_in
-from egolane_pgm.vision.camera.bag import bag_images, image_topic, stamps_of
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture
-from egolane_pgm.vision.camera.video import open_video, video_images
 from egolane_pgm.vision.camera.writing import silent
 
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
 
-#: What is wrong with a pair of sources of which one has more pictures.
-_EQUAL = "the pictures of the two cameras must be equally many"
+#: The message types of pictures in a bag, whatever their package.
+_KINDS = ("Image", "CompressedImage", "RawImage")
 
 #: The range in which the frame rate that a video states is trusted, Hz.
 _RATES = (0.5, 500.0)
@@ -60,11 +67,6 @@ class Source:
     topic: str | None = None
     time_s: FloatArray | None = None
 
-    @property
-    def is_video(self) -> bool:
-        """Whether it is one file of many frames."""
-        return self.frame_id is None
-
 
 def is_pattern(path: str) -> bool:
     """Whether a path is a glob pattern."""
@@ -79,8 +81,6 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     Raises InputError, naming the path, if there are none or the file is no video.
     """
     path = str(path)
-    if not path:
-        raise InputError("pictures: the path is empty; name a video, a folder or a 'glob*.jpg'")
     if is_pattern(path):
         return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
     place = Path(path)
@@ -89,10 +89,7 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     if topic is not None:
         raise InputError(f"{path}: topic: only a bag has topics")
     if place.is_dir():
-        try:
-            return _picture_files(path, list(place.iterdir()))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror}") from None
+        return _picture_files(path, list(place.iterdir()))
     if not place.is_file():
         raise InputError(f"{path}: no such video, folder or pictures")
     if place.suffix.lower() in PICTURES:
@@ -115,16 +112,11 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
     time_s = stamps_of(place, chosen)
     files = files_of(place) if place.is_dir() else [place]
     ids = tuple(range(len(time_s)))
-    found = Source(str(place), tuple(files), ids, len(ids), None, chosen)
     if (np.diff(time_s) <= 0).any():
-        warnings.warn(
-            f"{place}: the stamps of the pictures on {chosen} do not increase; time is frame id"
-            " over frame rate",
-            UserWarning,
-            stacklevel=3,
-        )
-        return found
-    return replace(found, frame_rate=rate_of(np.array(ids), time_s), time_s=time_s)
+        # They are no times: as of picture files.
+        return Source(str(place), tuple(files), ids, len(ids), None, chosen)
+    rate = rate_of(np.array(ids), time_s)
+    return Source(str(place), tuple(files), ids, len(ids), rate, chosen, time_s)
 
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
@@ -141,10 +133,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
             UserWarning,
             stacklevel=2,
         )
-    try:
-        _, _, first = next(images_of(source, None))
-    except InputError:
-        return camera  # `read_pictures` says what is wrong, in its order
+    _, _, first = next(images_of(source, None))
     if size_of(first) == (camera.width, camera.height):
         return camera
     with problems_in(source.path):
@@ -186,44 +175,21 @@ def read_pictures(
     - right: the pictures of the second camera of a stereo pair
     - frames: the first frame id to read and the one after the last; None for all
 
-    Warns of a video that lacks pictures. Raises InputError, naming file and frame, for a picture
-    that cannot be read or has another size than the calibration, and for two cameras with
-    different numbers of pictures.
+    Raises InputError, naming file and frame, for a picture that cannot be read or has another size
+    than the calibration, and for two cameras with different numbers of pictures.
     """
-    counts = source.n_frames, source.n_frames if right is None else right.n_frames
-    if right is not None and None not in counts and counts[0] != counts[1]:
-        raise InputError(
-            f"{right.path}: has {counts[1]} pictures, {source.path} has {counts[0]}; {_EQUAL}"
-        )
-    seconds = None if right is None else images_of(right, _same_frames(source, right, frames))
-    for frame_id, file, image in images_of(source, frames):
-        _check_size(file, frame_id, image, camera)
-        if right is None or seconds is None:
+    if right is None:
+        for frame_id, file, image in images_of(source, frames):
+            _check_size(file, frame_id, image, camera)
             yield Picture(frame_id, image)
-            continue
-        second = next(seconds, None)
-        if second is None:
-            raise InputError(
-                f"{right.path}: ends before frame {frame_id} of {source.path}; {_EQUAL}"
-            )
+        return
+    for first, second in zip_longest(images_of(source, frames), images_of(right, frames)):
+        if first is None or second is None:
+            raise InputError(f"{source.path} and {right.path} have not equally many pictures")
+        frame_id, file, image = first
+        _check_size(file, frame_id, image, camera)
         _check_size(second[1], frame_id, second[2], camera)
         yield Picture(frame_id, image, second[2])
-    if right is not None and seconds is not None and next(seconds, None) is not None:
-        raise InputError(f"{source.path}: ends before {right.path}; {_EQUAL}")
-
-
-def _same_frames(
-    source: Source, right: Source, frames: tuple[int, int] | None
-) -> tuple[int, int] | None:
-    """The same range in the frame ids of the second camera; the pairs are matched by position."""
-    if frames is None or (source.frame_id is None and right.frame_id is None):
-        return frames
-    left_id = source.frame_id or tuple(range(len(right.files)))
-    right_id = right.frame_id or tuple(range(len(source.files)))
-    chosen = [k for k, frame_id in enumerate(left_id) if frames[0] <= frame_id < frames[1]]
-    if not chosen:
-        return frames
-    return right_id[chosen[0]], right_id[chosen[-1]] + 1
 
 
 def _check_size(file: str, frame_id: int, image: Image, camera: Camera) -> None:
@@ -248,7 +214,7 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     if source.topic is not None:
         found = bag_images(Path(source.path), source.topic, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
-    elif source.is_video:
+    elif source.frame_id is None:
         found = video_images(source.path, source.files[0], source.n_frames, frames)
         images = ((frame_id, source.path, image) for frame_id, image in found)
     else:
@@ -263,6 +229,124 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
         if source.frame_id:
             there = f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
         raise InputError(f"{source.path}: no frame{asked}; {there}")
+
+
+# --- bags ------------------------------------------------------------------------------------
+
+
+def image_topic(path: Path, topic: str | None) -> str:
+    """The topic of the pictures, by default the only one that has some. Raises InputError where
+    there is none or nothing says which of several."""
+    there = {
+        name
+        for name, (kind, _) in topics_of(path).items()
+        if kind.partition(",")[0].replace(".", "/").split("/")[-1] in _KINDS
+    }
+    asked = {name for name in there if topic is None or name.strip("/") == topic.strip("/")}
+    if len(asked) != 1:
+        listed = ", ".join(sorted(there)) or "none"
+        wrong = "name one as topic" if asked else f"no pictures{f' on {topic}' if topic else ''}"
+        raise InputError(f"{path}: {wrong}; topics of pictures: {listed}")
+    return asked.pop()
+
+
+def stamps_of(path: Path, topic: str) -> FloatArray:
+    """When each picture of a topic was taken, (T,), seconds."""
+    return np.array([message.time_s for message in messages(path, [topic])])
+
+
+def bag_images(
+    path: Path, topic: str, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, Image]]:
+    """The positions and pictures of a topic, as `video_images`. Raises InputError for
+    a picture that cannot be read."""
+    first, stop = frames or (0, None)
+    for at, message in enumerate(messages(path, [topic])):
+        if stop is not None and at >= stop:
+            return
+        if at >= first:
+            yield at, _decoded(message.value, f"{path}: picture {at} on {topic}")
+
+
+def _decoded(value: Mapping[str, Any], where: str) -> Image:
+    """The picture of a message, (H, W, 3), blue green red."""
+    with needed("a picture in a bag", "vision"):
+        from rosbags.image.image import ImageError, convert_color, to_cvtype
+
+    data = value["data"]
+    raw = np.frombuffer(base64.b64decode(data) if isinstance(data, str) else data, dtype=np.uint8)
+    if "encoding" not in value:
+        with silent():
+            image = cv2.imdecode(raw, cv2.IMREAD_COLOR) if raw.size else None
+        if image is None:
+            raise InputError(f"{where}: its {value['format']!r} cannot be read")
+        return image  # type: ignore[return-value]
+    height, width, encoding = int(value["height"]), int(value["width"]), str(value["encoding"])
+    try:
+        _, _, name, channels = to_cvtype(encoding)
+        kind = np.dtype(name).newbyteorder(">" if value.get("is_bigendian") else "<")
+        # A row may be longer than its pixels.
+        rows = raw.reshape(height, -1)[:, : width * channels * kind.itemsize]
+        pixels = np.ascontiguousarray(rows).view(kind).reshape(height, width, channels)
+        image = convert_color(pixels.squeeze(axis=2) if channels == 1 else pixels, encoding, "bgr8")
+    except (ImageError, ValueError, cv2.error):
+        raise InputError(
+            f"{where}: its encoding {encoding!r} of {width}x{height} pixels cannot be read"
+        ) from None
+    return image  # type: ignore[return-value]
+
+
+# --- videos ----------------------------------------------------------------------------------
+
+
+def open_video(path: Path) -> cv2.VideoCapture:
+    """Opens a video before its first picture. Raises InputError for a file that is no video."""
+    # Without this, FFmpeg prints its own lines about files that our one-line error explains.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
+    absolute = os.path.abspath(path)
+    video = cv2.VideoCapture(absolute)
+    if not video.isOpened() or not video.grab():
+        video.release()
+        raise InputError(
+            f"{path}: is no video that can be read (another kind of file, or cut off before its"
+            " index was written)"
+        )
+    video.release()
+    return cv2.VideoCapture(absolute)
+
+
+def video_images(
+    name: str, path: Path, n_frames: int | None, frames: tuple[int, int] | None
+) -> Iterator[tuple[int, Image]]:
+    """The positions and pictures of a video.
+
+    - name: how messages name the video
+    - n_frames: as the file says; None where it does not
+    - frames: the first position to read and the one after the last; None for all
+
+    Warns of a video that has fewer pictures than it says.
+    """
+    first, stop = frames or (0, None)
+    video = open_video(path)
+    at = 0
+    try:
+        while (stop is None or at < stop) and video.grab():
+            if at >= first:
+                is_there, image = video.retrieve()
+                if not is_there:
+                    break
+                yield at, image  # type: ignore[misc]
+            at += 1
+    finally:
+        video.release()
+    if n_frames is not None and first < at < min(n_frames, stop or n_frames):
+        warnings.warn(
+            f"{name}: has {at} of the {n_frames} frames that it should have (cut off, damaged, or"
+            " dropped when it was recorded): after such a place the frame ids are too low",
+            UserWarning,
+            stacklevel=2,
+        )
 
 
 # --- picture files -------------------------------------------------------------------------------
@@ -304,24 +388,13 @@ def _file_images(
 def read_image(path: Path) -> Image:
     """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
 
-    Grey, palette and CMYK become colours, transparency is left out, 16 bits are scaled to 8, and a
-    picture that its camera marked as rotated (EXIF) is turned upright: all by OpenCV.
-
-    Raises InputError for a file that is missing, empty, cut off or no picture.
+    Raises InputError for a file that is missing, cut off or no picture.
     """
-    try:
-        content = np.fromfile(path, dtype=np.uint8)
-    except FileNotFoundError:
-        raise InputError(f"{path}: is missing") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from None
-    if not content.size:
-        raise InputError(f"{path}: the file is empty")
     with silent():
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR)
+        image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(
-            f"{path}: is no picture that can be read (another kind of file, or cut off)"
+            f"{path}: is no picture that can be read (missing, another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
 

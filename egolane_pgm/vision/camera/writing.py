@@ -46,8 +46,6 @@ def video_writer(
     Raises InputError where the video cannot be written.
     """
     check_place(target)
-    if not target.parent.is_dir():
-        raise InputError(f"{target}: cannot be written: no such folder")
     with temporary_folder(target.parent) as folder:
         # FFmpeg takes what is before a colon for a protocol, unless the path is absolute, as that
         # of a temporary folder is.

@@ -32,15 +32,6 @@ def powers(x: FloatArray | float) -> FloatArray:
     return np.stack([np.ones_like(x), x, x**2 / 2, x**3 / 6], axis=-1)
 
 
-#: The arrays of `FrameLines`: kinds of their types, and how a message names them.
-_ARRAYS = (
-    ("shape", "iuf", "numbers"),
-    ("is_valid", "b", "True or False"),
-    ("is_continuous", "b", "True or False"),
-    ("lri", "iuf", "numbers"),
-)
-
-
 @dataclass(frozen=True)
 class FrameLines:
     """The L lines of one frame, sorted left to right.
@@ -60,18 +51,16 @@ class FrameLines:
     lri: FloatArray
 
     def __post_init__(self) -> None:
-        for name, kinds, needed in _ARRAYS:
+        n_lines = len(self.shape)
+        needed = {"shape": "iuf", "is_valid": "b", "is_continuous": "b", "lri": "iuf"}
+        for name, kinds in needed.items():
             value = getattr(self, name)
-            if not isinstance(value, np.ndarray) or value.dtype.kind not in kinds:
-                raise InputError(f"lines: {name} needs a NumPy array of {needed}")
-            wanted = (value.shape[:1] or (0,)) + (4,) if name == "shape" else self.shape.shape[:1]
-            if value.shape != wanted:
-                size = "(L, 4)" if name == "shape" else f"{self.shape.shape[:1]}"
-                raise InputError(f"lines: {name} is {value.shape}, needs {size}")
-        if not np.isfinite(self.shape).all():
-            raise InputError("lines: a line's shape is not finite")
-        if not (np.isfinite(self.lri) & (self.lri >= 0)).all():
-            raise InputError("lines: a line's lri is not a count of detections")
+            wanted = (n_lines, 4) if name == "shape" else (n_lines,)
+            if value.dtype.kind not in kinds or value.shape != wanted:
+                kind = "numbers" if "f" in kinds else "True or False"
+                raise InputError(f"lines: {name} needs a NumPy array of {kind}, {wanted}")
+            if not np.isfinite(value).all():
+                raise InputError(f"lines: {name} is not finite")
         if (np.diff(self.offset_m) < 0).any():
             raise InputError("lines: the lines are not sorted left to right")
 

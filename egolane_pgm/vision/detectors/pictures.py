@@ -77,8 +77,6 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
     )
     lines = detect(detector, camera, pictures)
     done = collect(lines, frame_rate, left.path, left.time_s)
-    if isinstance(done.stopped, InputError) and done.log is not None:
-        raise InputError(f"{done.stopped}; `egolane detect` writes the lines of the frames before")
     if done.stopped is not None:
         raise done.stopped
     if left.frame_rate is not None and left.frame_rate != frame_rate:

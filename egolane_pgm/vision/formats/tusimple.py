@@ -42,7 +42,6 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     LineLog,
-    not_one_of,
     pieces_of,
 )
 from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
@@ -69,9 +68,6 @@ GATE_M, GATE_M_PER_S = 0.3, 1.5
 #: After a gap of more seconds than this no line is followed any further.
 LONGEST_GAP_S = 1.0
 
-#: How a line becomes valid: by the paper's hysteresis, or always, if the source is trusted.
-VALID = ("hysteresis", "always")
-
 #: A number in a name with more digits is a time stamp, which counts nothing.
 _COUNT_DIGITS = 12
 
@@ -94,22 +90,16 @@ def read_tusimple(
     *,
     frame_rate: float = 10.0,
     camera: Camera | str | Path | None = None,
-    valid: str | None = None,
-    frame_step: int = 1,
 ) -> LineLog:
     """Read the lines of a TuSimple label or result file, T frames of at most L lines.
 
     - frame_rate: frames per second, counted in frame ids.
     - camera: the camera of the pictures, or its YAML file.
-    - valid: "hysteresis" (a line becomes valid once it is seen in ten pictures, as in the paper) or
-      "always", for a source that is trusted, such as labels. By default it is hysteresis, and
-      always for clips of which none has ten pictures.
-    - frame_step: the difference between the numbers of neighbouring frames; frame id is number over
-      frame_step.
 
-    Warns of clips that are too short, and of pictures too far apart, to follow a line. Raises
-    InputError, with the line of the file, for broken JSON, missing keys, rows and columns that do
-    not match, frames given twice, no camera, no frame.
+    A line becomes valid once it is seen in ten pictures, as in the paper; of clips of which none
+    has ten pictures, every line is valid, and a warning says so. Another warns of pictures too far
+    apart to follow a line. Raises InputError, with the line of the file, for what is no such file,
+    for frames given twice, and without a camera or a frame.
     """
     path = Path(path)
     entries = list(read_entries(path))
@@ -118,22 +108,15 @@ def read_tusimple(
             f"{path}: its lines are in pixels: name the camera's YAML file (recording.camera, or"
             " camera; `egolane calibrate` makes one)"
         )
-    if not isinstance(camera, (Camera, str, Path)):
-        raise InputError(f"{path}: camera: {camera!r} is not the name of a camera's YAML file")
     seen_by = camera if isinstance(camera, Camera) else read_camera(camera)
-    if valid is not None and valid not in VALID:
-        raise InputError(f"{path}: valid: {not_one_of(valid, VALID)}")
-    if isinstance(frame_step, bool) or not isinstance(frame_step, int) or frame_step < 1:
-        raise InputError(f"{path}: frame_step: {frame_step!r} is not a whole number from 1 up")
     if not entries:
         raise InputError(f"{path}: no frame in it")
-    return _log(_clips(entries, frame_step), seen_by, frame_rate, valid, str(path))
+    return _log(_clips(entries), seen_by, frame_rate, str(path))
 
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """The place in the file, for messages, and the entry of each picture. Raises InputError, naming
     the place, for a line that is no entry."""
-    others = f" (formats: {known_formats()})"
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
@@ -142,38 +125,27 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             entry = json.loads(line)
         except ValueError as error:
             raise InputError(
-                f"{where}: is not JSON, which TuSimple's format needs in each line: {error}{others}"
+                f"{where}: is not JSON, which TuSimple's format needs in each line: {error}"
+                f" (formats: {known_formats()})"
             ) from None
         for key in ("raw_file", "lanes"):
             if not isinstance(entry, dict) or key not in entry:
-                raise InputError(f"{where}: has no {key}, which TuSimple's format needs{others}")
-        if not isinstance(entry["raw_file"], str) or not isinstance(entry["lanes"], list):
-            raise InputError(f"{where}: raw_file must be a text and lanes a list of lists")
+                raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
         if "h_samples" not in entry:
-            entry["h_samples"] = _rows_of(entry["lanes"], where)
-        others = ""  # The file is TuSimple's, with a line that is not.
+            # Results as the benchmark takes them: its own rows, by how many there are.
+            entry["h_samples"] = _ROWS.get(max(map(len, entry["lanes"]), default=0), [])
         yield where, entry
-
-
-def _rows_of(lanes: list[Any], where: str) -> list[int]:
-    """The rows of a result that does not say them: the benchmark's, by how many there are."""
-    counts = {len(lane) if isinstance(lane, list) else -1 for lane in lanes}
-    if not counts <= set(_ROWS) or len(counts) > 1:
-        raise InputError(
-            f"{where}: has no h_samples, which TuSimple's format needs unless each lane has"
-            f" {' or '.join(map(str, _ROWS))} values"
-        )
-    return _ROWS[counts.pop()] if counts else []
 
 
 def entry_lines(entry: dict[str, Any], where: str) -> list[ImageLine]:
     """The lines of a picture's entry that have at least one point. Raises InputError as
     `read_tusimple` does."""
     rows = _numbers(entry["h_samples"], where, "h_samples")
-    n_lanes = len(entry["lanes"])
-    classes = entry.get("classes", [0] * n_lanes)
-    if not isinstance(classes, list) or len(classes) != n_lanes:
-        raise InputError(f"{where}: classes needs one class for each of {n_lanes} lanes")
+    classes = entry.get("classes", [0] * len(entry["lanes"]))
+    if len(classes) != len(entry["lanes"]):
+        raise InputError(
+            f"{where}: classes needs one class for each of {len(entry['lanes'])} lanes"
+        )
     lines = []
     for k, lane in enumerate(entry["lanes"]):
         columns = _numbers(lane, where, f"lane {k + 1}")
@@ -192,21 +164,17 @@ def _numbers(values: object, where: str, what: str) -> FloatArray:
     try:
         array = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        array = np.zeros((0, 0))
-    if array.ndim != 1 or not isinstance(values, list):
+        array = np.full((1, 1), np.nan)
+    if array.ndim != 1 or not np.isfinite(array).all():
         raise InputError(f"{where}: {what} is not a list of numbers")
-    if not np.isfinite(array).all():
-        raise InputError(f"{where}: {what} has a number that is not finite")
     return array
 
 
 # --- frames and clips ----------------------------------------------------------------------------
 
 
-def _clips(
-    entries: Sequence[tuple[str, dict[str, Any]]], frame_step: int
-) -> dict[str, dict[int, _Frame]]:
-    """The frames of each clip by their numbers over frame_step, ascending."""
+def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int, _Frame]]:
+    """The frames of each clip by their numbers, ascending."""
     pictures = [PurePosixPath(entry["raw_file"]) for _, entry in entries]
     held = Counter(picture.parent for picture in set(pictures))
     clips: dict[str, dict[int, _Frame]] = {}
@@ -218,27 +186,20 @@ def _clips(
         else:
             clip, name = str(folder), picture.stem
         number = frame_number(name, where)
-        if number % frame_step:
-            raise InputError(f"{where}: frame {number} is no multiple of frame_step {frame_step}")
         members = clips.setdefault(clip, {})
-        if (k := number // frame_step) in members:
+        if number in members:
             raise InputError(
-                f"{where}: frame {number} is there twice (also {members[k][0]}); keep one"
+                f"{where}: frame {number} is there twice (also {members[number][0]}); keep one"
             )
-        members[k] = (where, entry_lines(entry, where))
+        members[number] = (where, entry_lines(entry, where))
     return {clip: dict(sorted(members.items())) for clip, members in clips.items()}
 
 
 def frame_number(name: str, where: str) -> int:
-    """The frame number in a name: the last run of digits in it. Raises InputError for a name
-    without a number, or with a time stamp."""
+    """The last number in a name. Raises InputError for a name without one."""
     digits = re.findall(r"\d+", name)
     if not digits:
         raise InputError(f"{where}: '{name}' has no frame number in it")
-    if len(digits[-1]) > _COUNT_DIGITS:
-        raise InputError(
-            f"{where}: '{name}' is named by a time stamp; name the pictures by frame numbers"
-        )
     return int(digits[-1])
 
 
@@ -246,7 +207,6 @@ def _log(
     clips: dict[str, dict[int, _Frame]],
     camera: Camera,
     frame_rate: float,
-    valid: str | None,
     source: str,
 ) -> LineLog:
     """Make one log of the clips, the lines of a frame left to right."""
@@ -276,21 +236,17 @@ def _log(
         lri += counts
         is_valid += flag
     all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
-    if valid is None and len(clips) > 1 and max(map(len, clips.values())) < LRI_FRAMES:
-        valid = "always"
+    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
+    if len(clips) > 1 and max(map(len, clips.values())) < LRI_FRAMES:
+        all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
         _warn(
             f"{source}: its {len(clips)} clips have fewer than {LRI_FRAMES} pictures, too few to"
-            " follow a line: every line counts as valid (recording.options.valid: hysteresis says"
-            " otherwise)"
+            " follow a line: every line counts as valid"
         )
-    if valid == "always":
-        all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
-    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
-    if valid != "always" and apart > LONGEST_GAP_S:
+    elif apart > LONGEST_GAP_S:
         _warn(
             f"{source}: the pictures are {apart:.1f} s apart, too far to follow a line: none"
-            " becomes valid (are recording.frame_rate and recording.options.frame_step right?"
-            " options.valid: always trusts every line)"
+            " becomes valid (is recording.frame_rate right?)"
         )
     log = LineLog.from_rows(
         ids,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry.fitting import (
     LARGEST_SIGMA_M,
     SMALLEST_SIGMA_M,

@@ -18,8 +18,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.drives import Drive, read_drives
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.habits import (
     Habits,
     LineCounts,
@@ -348,9 +348,7 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = [
-            line_geometry.fit(
-                each, truth["true_lane"].to_numpy(), everywhere, 3, resolved(lane_width_m=width)
-            )
+            line_geometry.fit(each, lane, everywhere, 3, resolved(lane_width_m=width))
             for each, width in ((in_lanes, 3.5), (odd, 375))
         ]
     for name in found[0]:
@@ -369,7 +367,7 @@ def zero_label(n_lanes: int, width: str = "auto") -> Model:
 
 def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
     from egolane_pgm.inference.smoothing import infer_beliefs
-    from egolane_pgm.scoring.assign import assigned_lane
+    from egolane_pgm.scoring.confusion import assigned_lane
 
     truth = drive().truth if truth is None else truth
     given, _ = make_evidence(model, whole_rule(model), log)

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from egolane_pgm import paper
 from egolane_pgm.drives import read_drives
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import (
     GENERIC,
     LANE_M,

@@ -7,8 +7,8 @@ import warnings
 import numpy as np
 import pytest
 
+from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry import rule as line_geometry
 from egolane_pgm.evidence.line_geometry.model import LANE_M, TABLE_STEP_M
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.sight import KINDS, kinds_of, new_sight, sight_tables

@@ -13,7 +13,7 @@ import pytest
 
 from egolane_pgm.inference.smoothing import infer_beliefs
 from egolane_pgm.model import make_evidence, online_rule, whole_rule
-from egolane_pgm.scoring.assign import assigned_lane
+from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.types import Beliefs
 from makers.beyond.strangers import accuracies, zero_label
 from tests.conftest import needs_compiler

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.chessboard import calibrate_lens, find_board
-from egolane_pgm.vision.calibration.straight_road import assumed_camera
+from egolane_pgm.vision.calibration.road_lines import assumed_camera
 from egolane_pgm.vision.camera.model import (
     image_to_road,
     undistorted,

@@ -12,9 +12,9 @@ import pytest
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.calibration import road_lines
 from egolane_pgm.vision.calibration.chessboard import calibrate_lens
-from egolane_pgm.vision.calibration.road_lines import find_in_stills
-from egolane_pgm.vision.calibration.straight_road import (
+from egolane_pgm.vision.calibration.road_lines import (
     assumed_camera,
+    find_in_stills,
     to_level,
     view_from,
 )
@@ -62,7 +62,7 @@ def test_the_lines_of_a_still_are_where_they_were_painted() -> None:
 
 def test_a_camera_is_recovered_from_lines_found_in_stills(stills):
     found = find_in_stills(unturned(TRUE), sorted(stills.iterdir()))
-    view = view_from(unturned(TRUE), found.ahead, found.each, found.fits, 3.7, "stills")
+    view = view_from(unturned(TRUE), found.ahead, found.each, found.fits, 3.7)
     assert view.vanishing_point == pytest.approx(vanishing_point(TRUE), abs=4)
     assert view.camera.height_m == pytest.approx(TRUE.height_m, rel=0.02)
     assert min(len(lines) for lines in found.lines) >= 3
@@ -80,7 +80,7 @@ def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(st
     assert found.skipped == (
         f"{small}: 100x100, needs 1280x720",
         f"{low}: 1280x600, needs 1280x720",
-        f"{text}: is no picture that can be read (another kind of file, or cut off)",
+        f"{text}: is no picture that can be read (missing, another kind of file, or cut off)",
     )
     with pytest.raises(InputError, match=r"none of them can be used.*100x100"):
         find_in_stills(unturned(TRUE), [small])
@@ -98,7 +98,7 @@ def test_the_camera_of_the_real_chessboards_and_straight_stills(real_pictures, t
     camera = replace(lens.camera, ignore=((0, 670, 1280, 720),))
     stills = files_matching(str(folder / "test_images" / "straight_lines*.jpg"))
     found = find_in_stills(camera, stills)
-    view = view_from(camera, found.ahead, found.each, found.fits, 3.7, "stills")
+    view = view_from(camera, found.ahead, found.each, found.fits, 3.7)
     assert view.vanishing_point == pytest.approx((639.5, 419.6), abs=3)
     assert view.camera.height_m == pytest.approx(1.25, abs=0.03)
     for lines in found.lines:
@@ -114,7 +114,7 @@ def test_the_camera_of_the_real_lane_change_from_found_lines_only(real_pictures)
     masks = ((0, 0, 692, 130), (120, 300, 400, 480), (0, 360, 692, 480))
     camera = replace(assumed_camera(692, 480), ignore=masks)
     found = find_in_stills(camera, files_matching(str(folder))[::5])
-    view = view_from(camera, found.ahead, found.each, found.fits, 3.5, "stills")
+    view = view_from(camera, found.ahead, found.each, found.fits, 3.5)
     assert view.vanishing_point == pytest.approx((470, 214), abs=5)
     assert view.camera.height_m == pytest.approx(1.2, abs=0.08)
 
@@ -127,5 +127,5 @@ def test_the_road_between_two_tar_seams_is_no_line(tmp_path) -> None:
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
     lens = unturned(CAMERA)
     found = find_in_stills(lens, files_matching(str(tmp_path)))
-    view = road_lines.view_from_stills(lens, found, 3.6)
+    view = road_lines.view_from(lens, found.ahead, found.each, found.fits, 3.6)
     assert view.camera.height_m == pytest.approx(CAMERA.height_m, rel=0.05)

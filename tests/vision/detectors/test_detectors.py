@@ -141,7 +141,6 @@ def test_lines_that_are_not_what_the_contract_says_are_refused(tmp_path: Path) -
         "return FrameLines(np.zeros((1, 4)) * np.nan, yes, yes, one)": "shape is not finite",
         "return FrameLines(np.array([[1., 0, 0, 0], [-1, 0, 0, 0]]), *[np.ones(2, bool)] * 2,"
         " np.ones(2))": "not sorted left to right",
-        "return FrameLines(np.zeros((1, 3)), yes, yes, one)": r"shape is (1, 3)",
         "return 1 / 0": "ZeroDivisionError",
     }
     for k, (body, message) in enumerate(cases.items()):

@@ -17,7 +17,7 @@ from egolane_pgm.vision.detectors.networks.description import (
     ready_networks,
 )
 from egolane_pgm.vision.detectors.networks.onnx_file import Shape, read_onnx
-from egolane_pgm.vision.detectors.networks.running import lengths, misfit, said
+from egolane_pgm.vision.detectors.networks.running import lengths, said
 
 #: How many x the polylines of CLRNet and LaneATT have; row anchors have no more lines than the
 #: second number, and masks are wider.
@@ -37,7 +37,6 @@ def describe_onnx(onnx: Path) -> str:
     lines = [
         *(f"# {name}: takes {said(shape)}" for name, shape in declared.inputs.items()),
         *(f"# {name}: gives {said(shape)}" for name, shape in declared.outputs.items()),
-        *(f"# {key}: {note}" for key, note in declared.notes.items() if key == "names"),
         f"# layouts that fit: {layouts or 'none (docs/networks.md shows what each reads)'}",
     ]
     if not fits:
@@ -73,28 +72,30 @@ def _fitting(declared: Mapping[str, Shape]) -> Iterator[_Fit]:
     """The networks that come along whose layout fits the outputs of a file. Best are those with
     the same names, then those of the same numbers, then layouts that read more outputs, then those
     that ask for more."""
-    short = [s for s in declared.values() if s and len(s) == 4 and (s[3] or 99) <= _MOST_LINES]
     for name in ready_networks():
         network = Network(**_ready(name))
-        layout, own = network.layout, network.named_outputs
-        # Several such outputs are anchors in rows and columns, of another number of lines.
-        if layout == "row_anchors" and len(short) > 1:
-            continue
-        n_read = sum(role[0] != "(" for role in OUTPUTS[layout])
+        own = network.named_outputs
         for names in ((*own.values(),), *permutations(declared, len(own))):
             output = dict(zip(own, names, strict=True))
-            sizes: dict[str, int] | str = "absent"
-            if set(names) <= set(declared):
-                sizes = lengths(OUTPUTS[layout], {role: declared[n] for role, n in output.items()})
-            if isinstance(sizes, str) or sizes.get("w", 99) <= _MOST_LINES:
+            if not set(names) <= set(declared):
                 continue
-            problem = misfit(network, sizes)
-            is_wrong = layout == "prototypes" and problem
-            if layout == "polylines":
-                is_wrong = sizes.get("k") != (network.first_x or 0) + _POINTS
-            if layout == "row_anchors":
-                is_wrong = sizes.get("n", 0) > _MOST_LINES
-            if not is_wrong:
-                fit = (output != own, problem is not None, -n_read, -list(OUTPUTS).index(layout))
-                yield fit, name, output, sizes.get("k")
-                break
+            shapes = {role: declared[each] for role, each in output.items()}
+            sizes = lengths(network, shapes, None)
+            if sizes is None or _is_another(network, sizes, declared):
+                continue
+            differs = lengths(network, shapes, network.numbers) is None
+            n_read = sum(role[0] != "(" for role in OUTPUTS[network.layout])
+            order = -list(OUTPUTS).index(network.layout)
+            yield (output != own, differs, -n_read, order), name, output, sizes.get("k")
+            break
+
+
+def _is_another(network: Network, sizes: dict[str, int], declared: Mapping[str, Shape]) -> bool:
+    """Whether outputs are of another layout of the same number of axes."""
+    if network.layout == "row_anchors":
+        # Several such outputs are anchors in rows and columns, of another number of lines.
+        short = [s for s in declared.values() if s and len(s) == 4 and (s[3] or 99) <= _MOST_LINES]
+        return len(short) > 1 or sizes.get("n", 0) > _MOST_LINES
+    if network.layout == "polylines":
+        return sizes.get("k") != (network.first_x or 0) + _POINTS
+    return sizes.get("w", 99) <= _MOST_LINES

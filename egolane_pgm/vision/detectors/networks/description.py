@@ -117,11 +117,6 @@ class Network(Section):
                 raise ValueError(f"layout {self.layout} needs {key}")
             if self.layout not in layouts and key in self.model_fields_set:
                 raise ValueError(f"{key}: goes with layout {' or '.join(layouts)} only")
-        if isinstance(self.classes, int) and max(self.looked_at, default=0) >= self.classes:
-            raise ValueError(
-                f"channels: {max(self.looked_at)} is not one of {self.classes} classes,"
-                " which are counted from 0"
-            )
         if self.classes == 1 and self.activation == "softmax":
             raise ValueError("activation: softmax needs several classes; for one take sigmoid")
         if self.layout in ("drivable", "lanes", "row_anchors") and self.continuous:
@@ -146,6 +141,22 @@ class Network(Section):
         if self.classes is None or isinstance(self.classes, int):
             return {}
         return {k: name == "solid" for name, kinds in self.classes.items() for k in kinds}
+
+    @property
+    def numbers(self) -> dict[str, int]:
+        """The lengths that the YAML says, by their letters in OUTPUTS."""
+        found = {"k": self.classes} if isinstance(self.classes, int) else {}
+        if self.layout == "row_anchors" and self.rows is not None:
+            found["r"] = len(ROWS[self.rows] if isinstance(self.rows, str) else self.rows)
+        elif not isinstance(self.rows, str | None):
+            found["r"] = len(self.rows)
+        return found
+
+    @property
+    def last(self) -> int:
+        """The last place along k that is read."""
+        x = self.first_x and self.first_x + 1
+        return max(*self.looked_at, x or 0, self.start or 0, self.length or 0, 0)
 
     @property
     def looked_at(self) -> tuple[int, ...]:
@@ -194,13 +205,15 @@ class NetworkFile(Parameter):
         """The value. Raises InputError for a name that is no YAML file's."""
         if value == NO_NETWORK and self.default == NO_NETWORK:
             return NO_NETWORK
-        name = Path(value).name if isinstance(value, str) else ""
+        name = Path(str(value)).name
         if name in ready_networks():
             return f"{value}.yaml"
         if not name.endswith(YAML):
-            said = "is missing" if value == "" else f"{value!r} is not the name of a .yaml file"
             hint = suggestion(name, ready_networks()) if name else ""
-            raise InputError(f"{where}: {said}; it describes a network (docs/networks.md){hint}")
+            raise InputError(
+                f"{where}: {value!r} is not the name of a .yaml file; it describes a network"
+                f" (docs/networks.md){hint}"
+            )
         return str(value)
 
 

@@ -29,14 +29,12 @@ class Declared:
     - inputs, outputs: their names and shapes, in their order
     - types: the types of the inputs
     - content: the file, with the weights that it keeps in others
-    - notes: what its author wrote into it, such as the `names` of classes
     """
 
     inputs: dict[str, Shape]
     outputs: dict[str, Shape]
     types: dict[str, np.dtype[Any]]
     content: bytes
-    notes: dict[str, str]
 
 
 def read_onnx(path: Path, where: str) -> Declared:
@@ -64,7 +62,6 @@ def read_onnx(path: Path, where: str) -> Declared:
         {port.name: _shape(port) for port in model.graph.output},
         {name: onnx.helper.tensor_dtype_to_np_dtype(kind) for name, kind in kinds.items()},
         model.SerializeToString(),
-        {note.key: note.value for note in model.metadata_props},
     )
 
 

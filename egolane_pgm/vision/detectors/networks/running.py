@@ -7,7 +7,6 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 from egolane_pgm.types import FloatArray, InputError, suggestion
 from egolane_pgm.vision.camera.picture import Image, check_size
 from egolane_pgm.vision.camera.writing import silent
-from egolane_pgm.vision.detectors.networks.description import OUTPUTS, ROWS, Network
+from egolane_pgm.vision.detectors.networks.description import OUTPUTS, Network
 from egolane_pgm.vision.detectors.networks.onnx_file import Declared, Shape, read_onnx
 
 #: What a network gives for one picture, without the first axis, by what it is.
@@ -83,11 +82,11 @@ def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
     that differ from what the YAML says, and, while it runs, for an output that is not finite.
     """
     file, onnx = network.files
-    where = f"{file}: model: {onnx.name}"
     declared = read_onnx(onnx, f"{file}: model")
     names = _output_names(network, declared)
-    picture = _picture_input(network, declared, where)
-    with _opencv_errors(f"{where}: OpenCV {cv2.__version__} cannot load it"):
+    picture = _picture_input(network, declared)
+    where = f"{file}: model: {onnx.name}: OpenCV {cv2.__version__} cannot"
+    with _opencv_errors(f"{where} load it"):
         net = cv2.dnn.readNetFromONNX(np.frombuffer(declared.content, dtype=np.uint8))
     given = {
         name: np.full([size or 1 for size in declared.inputs[name] or ()], value, dtype=np.float32)
@@ -98,18 +97,29 @@ def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
         values = as_input(network, fit, image)
         if declared.types[picture].kind in "iu":
             values = values.round().astype(declared.types[picture])
-        with _opencv_errors(f"{where}: OpenCV {cv2.__version__} cannot run it"):
+        with _opencv_errors(f"{where} run it"):
             for port, value in (*given.items(), (picture, values)):
                 net.setInput(value, port)
             # OpenCV 5 gives all outputs or one.
             answers = net.forward(list(declared.outputs))
         found = dict(zip(declared.outputs, map(np.asarray, answers), strict=True))
-        outputs = {role: found[name] for role, name in names.items()}
-        _check(network, names, outputs)
-        return {role: value[0].astype(np.float64) for role, value in outputs.items()}
+        for name in names.values():
+            if not np.isfinite(found[name]).all():
+                raise InputError(f"{file}: output {name}: has numbers that are not finite (NaN)")
+        return {role: found[name].astype(np.float64) for role, name in names.items()}
 
-    run(np.full((fit.height, fit.width, 3), 114, dtype=np.uint8))
-    return run
+    outputs = run(np.full((fit.height, fit.width, 3), 114, dtype=np.uint8))
+    shapes = {role: value.shape for role, value in outputs.items()}
+    if lengths(network, shapes, network.numbers) is None:
+        given_as = ", ".join(f"{names[role]} {said(shape)}" for role, shape in shapes.items())
+        patterns = OUTPUTS[network.layout].items()
+        needs = ", ".join(f"{role} {' x '.join(one.split())}" for role, one in patterns)
+        known = "".join(f", {letter} = {n}" for letter, n in network.numbers.items())
+        raise InputError(
+            f"{file}: output: {given_as}; layout {network.layout} needs {needs}{known}"
+            " (docs/networks.md)"
+        )
+    return lambda image: {role: value[0] for role, value in run(image).items()}
 
 
 @contextmanager
@@ -120,29 +130,26 @@ def _opencv_errors(message: str) -> Iterator[None]:
             yield
     except cv2.error as error:
         # What it says last is the cause: OpenCV(5.0.0) FILE: error: (-2:Unspecified error) CAUSE >
-        said = re.split(r"error: \(-\d+:[^)]*\) ", " ".join(str(error).split()))[-1]
-        raise InputError(f"{message}: {said.removesuffix(' >')[:240]}") from None
+        cause = re.split(r"error: \(-\d+:[^)]*\) ", " ".join(str(error).split()))[-1]
+        raise InputError(f"{message}: {cause.removesuffix(' >')[:240]}") from None
 
 
-def _picture_input(network: Network, declared: Declared, where: str) -> str:
+def _picture_input(network: Network, declared: Declared) -> str:
     """The name of the input that gets the picture. Raises InputError for other inputs than the YAML
     says."""
-    for name in network.inputs:
-        if name not in declared.inputs:
-            hint = suggestion(name, declared.inputs)
-            raise InputError(f"{network.files[0]}: inputs: unknown name '{name}'{hint}")
     left = [name for name in declared.inputs if name not in network.inputs]
-    if len(left) != 1:
-        listed = ", ".join(declared.inputs) or "none"
+    if len(left) != 1 or len(declared.inputs) != len(network.inputs) + 1:
         raise InputError(
-            f"{where} takes {len(declared.inputs)} inputs ({listed}), not one picture; say in"
-            f" inputs what the others get, e.g. inputs: {{{left[-1] if left else 'state'}: 0}}"
+            f"{network.files[0]}: inputs: {network.model} takes {', '.join(declared.inputs)}; say"
+            f" what each gets but the picture, e.g. inputs: {{{(left or ['state'])[-1]}: 0}}"
         )
     shape, needed = declared.inputs[left[0]], (1, 3, network.size[1], network.size[0])
-    if isinstance(lengths({"picture": " ".join(map(str, needed))}, {"picture": shape}), str):
+    if shape is not None and not (
+        len(shape) == 4 and all(a in (None, b) for a, b in zip(shape, needed, strict=True))
+    ):
         raise InputError(
-            f"{where} takes {said(shape)} ({left[0]}), but size {list(network.size)} makes"
-            f" {said(needed)} (pictures, colours, height, width)"
+            f"{network.files[0]}: size: {network.model} takes {said(shape)} ({left[0]}), but size"
+            f" {list(network.size)} makes {said(needed)} (pictures, colours, height, width)"
         )
     return left[0]
 
@@ -154,13 +161,9 @@ def _output_names(network: Network, declared: Declared) -> dict[str, str]:
         return dict.fromkeys(given, names[0])
     for name in given.values():
         if name not in names:
-            what = (
-                f"unknown name '{name}'{suggestion(name, names)}"
-                if network.output
-                else ("is missing")
-            )
             raise InputError(
-                f"{network.files[0]}: output: {what}; {network.model} gives {', '.join(names)}"
+                f"{network.files[0]}: output: no output '{name}'{suggestion(name, names)};"
+                f" {network.model} gives {', '.join(names)}"
             )
     return given
 
@@ -170,60 +173,28 @@ def said(shape: Shape) -> str:
     return " x ".join("?" if size is None else str(size) for size in shape or (None,))
 
 
-def lengths(patterns: dict[str, str], shapes: Mapping[str, Shape]) -> dict[str, int] | str:
-    """The length of each letter of some patterns (`description.OUTPUTS`), or the name of the first
-    shape that does not fit. A size that is not known fits."""
-    found: dict[str, int] = {}
-    for name, shape in shapes.items():
-        pattern = patterns.get(name, patterns.get(f"({name})", "")).split()
-        if shape is not None and len(pattern) != len(shape):
-            return name
+def lengths(
+    network: Network, shapes: Mapping[str, Shape], numbers: Mapping[str, int] | None
+) -> dict[str, int] | None:
+    """The length of each letter of the layout's outputs, None for shapes that do not fit it. A size
+    that is not known fits.
+
+    numbers: the lengths that the YAML says; None where these do not count.
+    """
+    found = dict(numbers or {})
+    for role, shape in shapes.items():
+        patterns = OUTPUTS[network.layout]
+        pattern = patterns.get(role, patterns.get(f"({role})", "")).split()
+        if shape is not None and (len(pattern) != len(shape) or 0 in shape):
+            return None
         for letter, size in zip(pattern, shape or (), strict=False):
-            if size is not None and size != found.setdefault(
-                letter, int(letter) if letter.isdecimal() else size
-            ):
-                return name
-    return found
-
-
-def _check(network: Network, names: dict[str, str], outputs: dict[str, NDArray[Any]]) -> None:
-    """Raise InputError for outputs of other shapes than the YAML says, or with NaN."""
-    patterns = OUTPUTS[network.layout]
-    sizes = lengths(patterns, {role: value.shape for role, value in outputs.items()})
-    for role, output in outputs.items():
-        where = f"{network.files[0]}: output {names[role]}"
-        if sizes == role or 0 in output.shape:
-            raise InputError(
-                f"{where} is {said(output.shape)}; layout {network.layout} needs"
-                f" {patterns[role].replace(' ', ' x ')} (docs/networks.md)"
-            )
-        if not np.isfinite(output).all():
-            bad = np.count_nonzero(~np.isfinite(output))
-            raise InputError(f"{where}: {bad} of {output.size} numbers are not finite (NaN)")
-    assert isinstance(sizes, dict)
-    if problem := misfit(network, sizes):
-        raise InputError(f"{network.files[0]}: output: {problem}")
-
-
-def misfit(network: Network, sizes: dict[str, int]) -> str | None:
-    """What differs from the numbers that the YAML says, None if nothing does."""
-    n_classes, a, b, m = (sizes.get(letter, 0) for letter in "kabm")
-    if isinstance(network.classes, int) and n_classes not in (0, network.classes):
-        return f"has {n_classes} classes, but the YAML says classes: {network.classes}"
-    if network.looked_at and max(network.looked_at) >= (n_classes or math.inf):
-        return f"has {n_classes} classes, counted from 0, but the YAML names others"
-    rows = network.rows
-    if isinstance(rows, str):
-        rows = tuple(ROWS[rows]) if network.layout == "row_anchors" else None
-    if rows is not None and sizes.get("r", len(rows)) != len(rows):
-        return f"has {sizes['r']} rows, but the YAML has {len(rows)}"
-    last = max(network.first_x or 0, network.start or 0, network.length or 0)
-    if network.layout == "polylines" and n_classes and n_classes <= last + 1:
-        return f"has {n_classes} numbers per line; first_x, start and length must be among them"
+            needed = int(letter) if letter.isdecimal() else size
+            if size is not None and size != found.setdefault(letter, needed or size):
+                return None
+    if numbers is not None and network.last >= found.get("k", math.inf):
+        return None
+    a, b, m = (found.get(letter, 0) for letter in "abm")
     # Boxes that are not suppressed yet are more than the numbers of each.
     if network.layout == "prototypes" and a and b and m and b != 6 + m and not 5 + m <= a < b:
-        return (
-            f"has boxes {a} x {b}; with {m} prototypes these are 4 + classes + {m} numbers x"
-            f" boxes, or boxes x {6 + m} (docs/networks.md)"
-        )
-    return None
+        return None
+    return found

@@ -45,20 +45,23 @@ PARAMETERS = (
 #: and which of its pixels (R, C) lie on the plane of the road.
 OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
 
+#: Makes, for a camera, a function that makes it for a view.
+MakeOnRoad = Callable[[Camera, Parameters], Callable[[BirdsEye], OnRoad]]
+
 
 def start(
     camera: Camera,
     parameters: Parameters,
     *,
     curve: str,
-    on_road: Callable[[BirdsEye], OnRoad] | None = None,
+    on_road: MakeOnRoad | None = None,
     finder: Finder | None = None,
 ) -> Step:
     """The `start` of a detector.
 
     - curve: "line", "parabola" or "clothoid"
-    - on_road: makes, for a view, the function that separates the road from the objects on it; None
-      if all pixels count as road
+    - on_road: makes what separates the road from the objects on it; None if all pixels count as
+      road
     - finder: what finds the lines of a frame; None for the search in its markings
 
     Raises InputError if the camera does not see the region that the parameters ask for.
@@ -79,14 +82,15 @@ def follower(
     parameters: Parameters,
     *,
     curve: str,
-    on_road: Callable[[BirdsEye], OnRoad] | None = None,
+    on_road: MakeOnRoad | None = None,
     finder: Finder | None = None,
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
     """As `start`, but the step takes the tracks and gives the new ones. Also gives its rules."""
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curve=curve)
+    for_view = None if on_road is None else on_road(camera, parameters)
     view = view_for(camera, parameters)
-    road = None if on_road is None else on_road(view)
+    road = None if for_view is None else for_view(view)
     keep = keep_on_road(camera, parameters)
     if road is not None and parameters["camera_drift"] == "correct":
         # The plane of the road corrects the pitch.

@@ -83,9 +83,6 @@ _PLANE_PX, _OFF_PLANE_PX, _GROW_PX, _EDGE_PX = 0.5, 1.0, 2, 8
 #: The steps in which the pitch is corrected, degrees.
 _PITCH_STEP_DEG = 0.1
 
-#: The number of first frames without a sure plane in which swapped pictures are tried.
-_SWAP_TRIALS = 5
-
 
 @dataclass(frozen=True)
 class Pair:
@@ -144,13 +141,12 @@ def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRo
             seen = turned(steps * _PITCH_STEP_DEG)
             return seen, _pixels(pair, seen)
 
-        watch = _watch(pair)
+        watch = _watch()
 
         def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
-            left, right = reduced(pair, picture)
-            disparity = disparities(pair, left, right)
+            disparity = disparities(pair, *reduced(pair, picture))
             plane = find_plane(pair, disparity)
-            watch(picture.frame_id, plane, left, right)
+            watch(picture.frame_id, plane)
             steps = 0
             if plane.is_sure:
                 away = float(planes.pose(camera, plane.abc)[1]) - camera.pitch_deg
@@ -192,9 +188,8 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     n_disparities = 16 * math.ceil((below + max(nearest / _SCALE, 1)) / 16)
     if n_disparities >= width:
         raise InputError(
-            f"nearest_m: what is {number(parameters, 'nearest_m'):g} m away is"
-            f" {n_disparities * _SCALE} pixels apart in the two pictures, which are"
-            f" {camera.width} wide; look less near (or is baseline_m wrong?)"
+            f"nearest_m: what is so near is {n_disparities * _SCALE} pixels apart in the two"
+            f" pictures, which are {camera.width} wide; look less near (or is baseline_m wrong?)"
         )
     a, b, c = road
     first = c + a * half + b * (half_row + top)
@@ -337,28 +332,19 @@ def off_plane(pair: Pair, disparity: FloatArray, plane: Plane) -> BoolArray:
     return np.asarray(cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0)
 
 
-def _watch(pair: Pair) -> Callable[[int, Plane, Image, Image], None]:
-    """Makes a function to call after each frame: it raises InputError if the two pictures are
-    swapped, and warns once if the plane stays unsure."""
-    ever_sure, has_warned, running = False, False, 0
+def _watch() -> Callable[[int, Plane], None]:
+    """Makes a function to call after each frame, which warns once if the plane stays unsure."""
+    running = 0
 
-    def watch(frame_id: int, plane: Plane, left: Image, right: Image) -> None:
-        nonlocal ever_sure, has_warned, running
-        ever_sure |= plane.is_sure
-        running = 0 if plane.is_sure else running + 1
-        if running and not ever_sure and running <= _SWAP_TRIALS:
-            swapped = find_plane(pair, disparities(pair, right, left))
-            if swapped.is_sure:
-                raise InputError(
-                    "the pictures of left and right are swapped (the road's disparities are"
-                    " negative); give them the other way round"
-                )
-        if running == _UNSURE_AFTER and not has_warned:
-            has_warned = True
+    def watch(frame_id: int, plane: Plane) -> None:
+        nonlocal running
+        # A drive that was warned of stays so.
+        running = 0 if plane.is_sure and running < _UNSURE_AFTER else running + 1
+        if running == _UNSURE_AFTER:
             warnings.warn(
                 f"frame {frame_id}: no road plane found in {running} frames running (do the two"
-                " pictures show the same? is the pair rectified, baseline_m right?); the"
-                " calibrated plane is used until there is one",
+                " pictures show the same? are left and right swapped? is the pair rectified,"
+                " baseline_m right?); the calibrated plane is used until there is one",
                 UserWarning,
                 stacklevel=2,
             )

@@ -29,7 +29,6 @@ def folder(tmp_path: Path) -> Path:
         ({"sise": [1, 2]}, "unknown key 'sise' (did you mean 'size'?)"),
         ({"layout": "lane"}, "layout: 'lane' is not one of drivable, lanes, instances,"),
         ({"classes": None}, "layout lanes needs classes"),
-        ({"channels": [2]}, "channels: 2 is not one of 2 classes, which are counted from 0"),
         ({"rows": [1, 2]}, "rows: goes with layout row_anchors or hybrid_anchors only"),
         ({"layout": "row_anchors"}, "layout row_anchors needs rows"),
         ({"classes": 1, "activation": "softmax"}, "softmax needs several classes"),
@@ -67,7 +66,7 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "given", "said"),
     [
-        ("network", {}, "here_parameters.network: is missing; it describes a network"),
+        ("network", {}, "here_parameters.network: '' is not the name of a .yaml file; it"),
         ("network", {"network": "none"}, "'none' is not the name of a .yaml file"),
         ("network", {"network": "lsrt"}, "(docs/networks.md) (did you mean 'lstr'?)"),
         ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a .yaml"),

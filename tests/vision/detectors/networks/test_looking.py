@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-import yaml
-from egolane_pgm.drive import data_entries, load_recording
 
-from egolane_pgm.experiment import load_experiment
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import road_to_image
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines
 from egolane_pgm.vision.detectors.runner import detect, find_detector, start
-from tests.kits.drives import command
 from tests.kits.synthetic_road import CAMERA, drive
 from tests.kits.tiny_network import (
     write_answer,
     write_answers,
-    write_known,
     write_top_hat,
 )
 
@@ -87,56 +81,3 @@ def test_beside_lines_there_is_a_margin(top_hat: Path) -> None:
     helped = lines_of("ml", {"on_road": str(top_hat)}, pictures)[-1]
     np.testing.assert_allclose(helped.offset_m, alone.offset_m, atol=0.03)
     assert (helped.is_continuous == alone.is_continuous).all()
-
-
-# --- commands ---------------------------------------------------------------------------------
-
-
-#: The network of `seen`.
-NAMED = "nets/top_hat.yaml"
-
-
-@pytest.fixture(scope="module")
-def seen(place: Path) -> Path:
-    """The folder of `place`, its experiment looked at by a network in a folder below it."""
-    (place / "nets").mkdir()
-    write_top_hat(place / "nets", CAMERA.width, CAMERA.height)
-    content = yaml.safe_load((place / "run.yaml").read_text())
-    content["recording"] |= {
-        "detector": "network",
-        "detector_parameters": {"network": NAMED},
-    }
-    (place / "seen.yaml").write_text(yaml.safe_dump(content))
-    return place
-
-
-def test_a_run_notes_the_network_by_its_content(seen: Path, tmp_path: Path) -> None:
-    def entries() -> dict[str, str]:
-        experiment = load_experiment(seen / "seen.yaml")
-        recorded = load_recording(experiment, {})
-        return {Path(e["path"]).name: e["sha256"] for e in data_entries(experiment, recorded.files)}
-
-    before = entries()
-    assert {"drive.avi", "cam.yaml", "top_hat.yaml", "top_hat.onnx"} == set(before)
-    path = seen / "nets" / "top_hat.yaml"
-    text = path.read_text()
-    path.write_text(text + "threshold: 0.6\n")
-    after = entries()
-    path.write_text(text)
-    assert {name for name in before if before[name] != after[name]} == {"top_hat.yaml"}
-    # The experiment that a run writes can be run from where it lies.
-    out = tmp_path / "out"
-    done = command("run", seen / "seen.yaml", "--no-figures", "--out", out)
-    assert done.exit_code == 0, done.stderr
-    written = yaml.safe_load((out / "experiment.yaml").read_text())
-    assert written["recording"]["detector_parameters"]["network"] == str(path.absolute())
-    noted = {Path(e["path"]).name for e in json.loads((out / "run.json").read_text())["data"]}
-    assert {"top_hat.yaml", "top_hat.onnx"} <= noted
-    # So can that with one that comes along, whose ONNX is beside the first.
-    outputs = {"pred_logits": np.ones((1, 7, 2)), "pred_curves": np.ones((1, 7, 8))}
-    inputs = {"input_mask": (1, 1, 360, 640)}
-    write_known(seen / "lstr_360x640.onnx", outputs, (640, 360), inputs)
-    (seen / "lstr.run.yaml").write_text((seen / "seen.yaml").read_text().replace(NAMED, "lstr"))
-    done = command("run", seen / "lstr.run.yaml", "--no-figures", "--out", out)
-    assert done.exit_code == 0, done.stderr
-    assert "ok" in command("run", "--dry-run", out / "experiment.yaml").stdout

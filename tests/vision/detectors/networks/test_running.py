@@ -139,7 +139,6 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
     said = refused(conv(tmp_path, (1, 3, 40, 80), size=[80, 48]))
     assert "x.onnx takes 1 x 3 x 40 x 80 (picture), but size [80, 48] makes 1 x 3 x 48 x 80" in said
     assert "takes 1 x 1 x 40 x 80" in refused(conv(tmp_path, (1, 1, 40, 80)))
-    assert "takes ? x 4 x ? x ?" in refused(conv(tmp_path, ("n", 4, "h", "w")))
     write_onnx(
         tmp_path / "x.onnx",
         [helper.make_node("Add", ["picture", "before"], ["area"])],
@@ -148,9 +147,7 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
         {"picture": (1, 3, 40, 80), "before": (1, 3, 40, 80)},
     )
     said = refused(tmp_path / "net.yaml")
-    assert (
-        "x.onnx takes 2 inputs (picture, before), not one picture; say in inputs what the" in said
-    )
+    assert "x.onnx takes picture, before; say what each gets but the picture" in said
     assert said.endswith("inputs: {before: 0}")
 
 
@@ -172,61 +169,37 @@ def test_a_picture_goes_in_as_the_numbers_that_the_network_takes(tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    ("shape", "keys", "said"),
-    [
-        (
-            (1, 3, 4, 8),
-            {"layout": "lanes", "classes": 2},
-            "has 3 classes, but the YAML says",
-        ),
-        (
-            (1, 2, 4),
-            {"layout": "lanes", "classes": 2},
-            "is 1 x 2 x 4; layout lanes needs 1 x k",
-        ),
-        (
-            (1, 11, 5, 2),
-            {"layout": "row_anchors", "classes": 11, "rows": [1, 2, 3]},
-            "has 5 rows, but the YAML has 3",
-        ),
-        (
-            (1, 4, 6),
-            {"layout": "polylines", "start": 2, "length": 4, "first_x": 5},
-            "has 6 numbers per line; first_x, start and length must be",
-        ),
-    ],
-)
-def test_an_output_of_another_shape_than_the_yaml_says_is_refused(
-    tmp_path: Path, shape: tuple[int, ...], keys: dict[str, Any], said: str
-) -> None:
-    assert said in refused(write_answer(tmp_path, np.zeros(shape), **keys))
-
-
-@pytest.mark.parametrize(
     ("shapes", "keys", "said"),
     [
+        ({"answer": (1, 3, 4, 8)}, {"layout": "lanes", "classes": 2},
+         "answer 1 x 3 x 4 x 8; layout lanes needs mask 1 x k x h x w, k = 2 (docs/networks.md)"),
+        ({"answer": (1, 2, 4)}, {"layout": "lanes", "classes": 2}, "answer 1 x 2 x 4; layout"),
+        ({"answer": (1, 2, 4, 8)}, {"layout": "lanes", "classes": 2, "channels": [2]}, "k = 2"),
+        ({"answer": (1, 11, 5, 2)}, {"layout": "row_anchors", "classes": 11, "rows": [1, 2, 3]},
+         "needs columns 1 x k x r x n, k = 11, r = 3"),
+        ({"answer": (1, 4, 6)}, {"layout": "polylines", "start": 2, "length": 4, "first_x": 5},
+         "answer 1 x 4 x 6; layout polylines needs candidates 1 x n x k"),
         ({"loc_row": (1, 9, 5, 4), "loc_col": (1, 9, 6, 4), "exist_row": (1, 2, 6, 4),
           "exist_col": (1, 2, 6, 4)}, {"layout": "hybrid_anchors", "rows": "culane"},
-         "output exist_row is 1 x 2 x 6 x 4; layout hybrid_anchors needs 1 x 2 x r x 4"),
+         "exist_row 1 x 2 x 6 x 4, exist_col"),
         ({"boxes": (1, 8, 99), "prototypes": (1, 8, 5, 5)}, {"layout": "prototypes"},
-         "has boxes 8 x 99; with 8 prototypes these are 4 + classes + 8 numbers x boxes, or boxes"),
+         "boxes 1 x 8 x 99, prototypes 1 x 8 x 5 x 5; layout prototypes needs"),
         ({"scores": (1, 9, 2)}, {"layout": "lstr_curves"},
-         "output: is missing; known.onnx gives scores"),
+         "no output 'curves'; known.onnx gives scores"),
     ],
 )  # fmt: skip
-def test_outputs_that_do_not_fit_each_other_are_refused(
+def test_outputs_that_do_not_fit_the_yaml_are_refused(
     tmp_path: Path, shapes: dict[str, tuple[int, ...]], keys: dict[str, Any], said: str
 ) -> None:
     outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
     assert said in refused(write_answers(tmp_path, outputs, **keys))
 
 
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_an_output_that_is_not_finite_is_refused(tmp_path: Path, bad: float) -> None:
+def test_an_output_that_is_not_finite_is_refused(tmp_path: Path) -> None:
     output = np.zeros((1, 2, 4, 8))
-    output[0, 1, 2, 3:6] = bad
+    output[0, 1, 2, 3:6] = np.nan
     said = refused(write_answer(tmp_path, output, layout="lanes", classes=2))
-    assert said.endswith("output answer: 3 of 64 numbers are not finite (NaN)")
+    assert said.endswith("output answer: has numbers that are not finite (NaN)")
 
 
 # --- the ONNX file ----------------------------------------------------------------------------

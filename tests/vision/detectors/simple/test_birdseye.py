@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 
@@ -61,16 +60,3 @@ def test_what_the_camera_is_to_ignore_is_not_seen():
     u, v = road_to_image(CAMERA, view.x_m[:, None], view.y_m)
     np.testing.assert_array_equal(less.valid, view.valid & (v < 430) & (u >= 300))
     assert (look(less, np.full((540, 960), 200, np.uint8))[~less.valid] == 0).all()
-
-
-@pytest.mark.parametrize(("percent", "is_refused"), [(7, True), (13, False)])
-def test_a_tenth_of_the_road_must_be_in_the_picture(percent, is_refused):
-    # A window of the picture in which the road from 10 to 20 m is so wide.
-    u = road_to_image(CAMERA, 15.0, np.array([0.0, 0.1 * percent]))[0]
-    assert CAMERA.width > u[1] > u[0] > 0
-    window = replace(CAMERA, ignore=((0, 0, round(u[0]), 540), (round(u[1]), 0, 960, 540)))
-    if is_refused:
-        with pytest.raises(InputError, match=r"camera: only [5-9] % of the road from 10 to 20 m"):
-            make_view(window, 10, 20, -5, 5)
-    else:
-        assert 0.1 < make_view(window, 10, 20, -5, 5).valid.mean() < 0.16

@@ -74,18 +74,6 @@ def test_what_is_as_rough_as_all_around_is_no_marking() -> None:
     assert mask_of(above, least_rise=0.5)[:, 90:93].all()
 
 
-def test_a_marking_at_the_rim_of_the_picture_is_as_clear_as_elsewhere() -> None:
-    """What lies beyond the rim counts neither as dark nor as smooth."""
-    above = grey()
-    above[:, 12:15] = above[:, 90:93] = 105
-    above[:, 30:32] = above[:, 120:122] = 101  # too little, of 100 + 40
-    found = mask_of(above)
-    assert columns(found) == [12, 13, 14, 90, 91, 92]
-    rough = grey()
-    rough[:, ::3] = 108
-    assert not mask_of(rough).any()
-
-
 def test_road_between_parts_that_are_not_seen_is_no_marking() -> None:
     valid = VIEW.valid.copy()
     valid[:, 90:92] = valid[:, 95:97] = False

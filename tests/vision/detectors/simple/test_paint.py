@@ -71,10 +71,3 @@ def test_paint_half_a_metre_beside_a_line_is_not_its_own_and_does_not_hide_it() 
     line, beside = Paint(1.8), Paint(2.3, grey=250)
     assert share(road([beside], noise=1), line)[0] < 0.1
     assert share(road([replace(line, grey=140), beside], noise=1), line)[0] > 0.95
-
-
-def test_traces_between_bright_dashes_are_no_paint() -> None:
-    dashes, trace = Paint(1.8, 4.0, 12.0), Paint(1.8, grey=125)
-    image = np.maximum(road([dashes], noise=0), road([trace], noise=0))
-    assert share(image, trace, paint_share=0.5)[0] < 0.75
-    assert share(image, trace, paint_share=0.05)[0] > 0.95

@@ -148,8 +148,7 @@ def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) 
             {"match_rows": 30},
             "match_rows: 30 leaves 656x9 .*, and sgbm needs 64x16",
         ),
-        ({"nearest_m": 0.1}, "nearest_m: what is 0.1 m away is .* pixels apart"),
-        ({"nearst_m": 1.0}, r"unknown key 'nearst_m' \(did you mean 'nearest_m'\?\)"),
+        ({"nearest_m": 0.1}, "nearest_m: what is so near is .* pixels apart"),
     ],
 )
 def test_bad_parameters_are_named(given_: dict[str, object], message: str) -> None:
@@ -179,7 +178,6 @@ def test_a_camera_that_is_no_rectified_pair_on_a_road_is_named(
         ("no right one", "the picture of the second camera is missing"),
         ("right one smaller", "right: a picture of 1312x500 pixels"),
         ("left one smaller", "left: a picture of 656x540 pixels"),
-        ("swapped", "the pictures of left and right are swapped"),
     ],
 )
 def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str) -> None:
@@ -188,7 +186,6 @@ def test_pictures_that_are_no_pair_are_named(name: str, wrong: str, message: str
         "no right one": (image, None),
         "right one smaller": (image, right[:500]),
         "left one smaller": (image[:, ::2], right),
-        "swapped": (right, image),
     }[wrong]
     detector = find_detector(name, {}, Path.cwd(), "detector")
     with pytest.raises(InputError) as error:

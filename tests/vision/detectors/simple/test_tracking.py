@@ -191,13 +191,6 @@ def offset_of(tracks: Tracks, number: int) -> float:
     return float(tracks.mean[tracks.number == number][0, 0])
 
 
-@pytest.mark.parametrize(("gate_m", "is_followed"), [(0.3, False), (1.0, True)])
-def test_a_line_must_be_near_its_prediction(gate_m: float, is_followed: bool) -> None:
-    rule = rules(resolve_parameters(TRACKING, {}, 1), curve="clothoid", gate_m=gate_m)
-    tracks = followed(rule, [seen(at(-1.8))] * 12 + [seen(at(-1.3))])[-1]
-    assert (tracks.missed == 0).tolist() == [is_followed]
-
-
 def test_one_line_that_moves_alone_does_not_take_the_others_along() -> None:
     still = [seen(at(-1.8, 1.8))] * 12
     tracks = followed(made(), [*still, seen(at(-1.4))])[-1]

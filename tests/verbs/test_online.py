@@ -1,0 +1,77 @@
+"""`egolane online`: messages on standard input, answers on standard output."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from egolane_pgm.maps.road_table import save
+from tests.kits.drives import command, run, short_drive, write_drive
+from tests.kits.lane_maps import road_rows
+from tests.kits.streams import messages
+
+N_FRAMES = 60
+
+
+def answers(*words: object, given: str | None = None) -> list[dict[str, Any]]:
+    """What `egolane online` answers to the messages of the short drive."""
+    sent = "\n".join(messages(short_drive(N_FRAMES).log)) + "\n" if given is None else given
+    ran = command("online", *words, given=sent)
+    assert ran.exit_code == 0, ran.output
+    return [json.loads(line) for line in ran.stdout.splitlines()]
+
+
+@pytest.mark.parametrize("late", [0, 5])
+def test_the_answers_are_those_of_a_run(tmp_path: Path, late: int) -> None:
+    keys = {"filter": "fixed_lag", "lag": late} if late else {}
+    path = write_drive(tmp_path, N_FRAMES, **keys)
+    found = answers(path, "--node", "SensorState", "--node", "Lane")
+    frames = run(path).frames
+    assert [answer["lane"] for answer in found] == frames["assigned_lane"].to_list()
+    assert set(found[0]["beliefs"]) == {"SensorState", "Lane"}
+    beliefs = [answer["beliefs"]["SensorState"]["OK"] for answer in found]
+    np.testing.assert_allclose(beliefs, frames["SensorState_OK"], atol=1e-12)
+
+
+def test_on_a_road_from_a_map_the_lanes_change(tmp_path: Path) -> None:
+    save(road_rows([3] * 3 + [4] * 3), tmp_path / "road.parquet")
+    path = write_drive(tmp_path, N_FRAMES)
+    words = ("--set", f"road={tmp_path}/road.parquet", "--set", "n_lanes=map", "--node", "Lane")
+    assert [len(a["beliefs"]["Lane"]) for a in answers(path, *words)] == [3] * 30 + [4] * 30
+
+
+def test_other_names_of_fields_are_an_option(tmp_path: Path) -> None:
+    path = write_drive(tmp_path, N_FRAMES)
+    message = {"t": 0.1, "lanes": [{"c0": 1.8}, {"c0": -1.7}]}
+    words = ("--columns", "time_s=t,offset_m=c0,left_positive=true")
+    [answer] = answers(path, *words, given=json.dumps(message))
+    usual = {"time_s": 0.1, "lines": [{"offset_m": -1.8}, {"offset_m": 1.7}]}
+    assert [answer] == answers(path, given=json.dumps(usual))
+
+
+@pytest.mark.parametrize(
+    ("words", "sent", "said"),
+    [
+        ("", "{", "message 1: is not JSON"),
+        ("", '{"frame_id": 1}', "message 1: lines: is missing"),
+        ("", '{"lines": []}', "message 1: frame_id: is missing, as is time_s"),
+        ("", '{"frame_id": 1, "lines": [{"ofset_m": 2}]}', "unknown key 'ofset_m' (did you mean"),
+        ("--node Lanes", '{"frame_id": 1, "lines": []}', "--node: 'Lanes' is not one of Lane,"),
+        ("--set filter=smoothed", '{"frame_id": 1, "lines": []}', "smoothed needs the whole drive"),
+        ("--set filtr=exact", "", "unknown key 'filtr' (did you mean 'filter'?)"),
+        ("--columns ofset_m=y", "", "columns: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(
+    tmp_path: Path, words: str, sent: str, said: str
+) -> None:
+    ran = command("online", write_drive(tmp_path, N_FRAMES), *words.split(), given=sent)
+    assert ran.exit_code == 2
+    [line] = ran.stderr.splitlines()
+    assert line.startswith("egolane: ")
+    assert said in line
+    assert ran.stdout == ""
