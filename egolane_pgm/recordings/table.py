@@ -44,25 +44,6 @@ def read_table(
     return lines_of_columns(named, columns, path, frame_rate)
 
 
-def lines_of_frame(
-    frame: pd.DataFrame, where: Path, frame_rate: float, columns: Columns | None
-) -> LineLog:
-    """The lines of a DataFrame, as `read_table` reads a file of it; its index is a column, too.
-
-    - where: names it in messages.
-    """
-    frame = with_index(frame)
-    check_columns(where, list(frame.columns))
-    return lines_of_columns({name: frame[name] for name in frame}, columns, where, frame_rate)
-
-
-def with_index(frame: pd.DataFrame) -> pd.DataFrame:
-    """A DataFrame with its index among its columns, whose names are text."""
-    frame = frame.rename(columns=str)
-    names = [name for name in frame.index.names if name is not None and name not in frame]
-    return frame.reset_index(names)
-
-
 def write_table(path: str | Path, log: LineLog) -> None:
     """Write a log as CSV or Parquet (by extension); `read_table` gives it back as it was.
 

@@ -132,7 +132,7 @@ def killed(path: Path) -> None:
         (
             of_ids(0, 0, 0),
             {},
-            "0 is followed by 0; without way_id take `columns: {frame_id: header.seq}` (ROS 1)",
+            "way_id stays the same from message to message; `columns: {frame_id: null}`",
         ),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
