@@ -54,16 +54,6 @@ def compare(
     95 % interval, and the difference to the first row with a paired interval over the same
     resamples; recordings of one drive are resampled together. `tuned_on` says whether the
     parameters have seen these frames. Raises InputError unless all rows have the same recordings.
-
-    >>> import egolane_pgm as ego
-    >>> short = {"recording.frames": [0, 800]}
-    >>> one = ego.run("quickstart", overrides=short)
-    >>> other = ego.run("quickstart", overrides={**short, "filter": "exact"})
-    >>> ego.compare([one, other], of="filter")[["accuracy", "accuracy_difference"]].round(3)
-                     accuracy  accuracy_difference
-    filter
-    assumed_density     0.831                  NaN
-    exact               0.831                  0.0
     """
     given = open_results(results)
     if not given:

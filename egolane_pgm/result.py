@@ -331,7 +331,16 @@ def check_writable(directory: Path) -> None:
 
 
 def load_result(directory: str | os.PathLike[str]) -> Result:
-    """Read a result directory. Raises InputError if it is incomplete or damaged."""
+    """Read a result directory. Raises InputError if it is incomplete or damaged.
+
+    >>> import tempfile
+    >>> import egolane_pgm as ego
+    >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     again = ego.load_result(result.save(f"{folder}/mine"))
+    >>> again.frames.equals(result.frames)
+    True
+    """
     place = Path(directory)
     if not is_result(place):
         raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")

@@ -15,7 +15,7 @@ from egolane_pgm.parameters import LARGEST, Parameter
 PAIRS = [
     ("sensor_failure", "counting"),
     ("wor_levels", "counting_levels"),
-    ("position_in_lane", "line_geometry.rule"),
+    ("position_in_lane", "line_geometry"),
 ]
 
 
@@ -41,7 +41,7 @@ def test_parameters_at_their_ends_give_beliefs_and_no_warnings(seed: int) -> Non
     parameters = {spec.name: end(spec, rng) for spec in specs}
     changes = {
         "graph": graph,
-        "evidence": rule.removesuffix(".rule"),
+        "evidence": rule,
         "filter": "exact",
         "recording.frames": [0, 40],
         "parameters": parameters,

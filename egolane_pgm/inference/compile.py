@@ -234,9 +234,9 @@ def compile_tables(
 
     Raises InputError, naming the node, for tables that do not fit each other.
     """
-    check_tables(tables, observed)
     of_node = {table.node: table for table in tables}
     _check_declared(of_node, hidden, observed, inputs)
+    check_tables(tables, observed)
     aligned = {}
     for (name, s), table in of_node.items():
         aligned[name, s] = _in_order(table, tuple((p, s) for p, _ in of_node[name, 1].parents))
@@ -429,7 +429,7 @@ def _check_declared(
         if name in hidden or name in seen:
             what = "hidden" if name in hidden else "observed"
             raise InputError(f"{name}: is declared both {what} and input")
-        if tables[name, 0].parents or tables[name, 1].parents:
+        if any(table.parents for (node, _), table in tables.items() if node == name):
             raise InputError(f"{name}: an input node may not have parents")
         if any((name, 0) in table.parents for (_, s), table in tables.items() if s == 1):
             raise InputError(f"{name}: an input acts within its slice only")

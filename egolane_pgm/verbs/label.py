@@ -58,8 +58,8 @@ def label(
     >>> found = ego.label("zero_label", overrides={"recording.frames": [0, 600]})
     >>> found  # of a simulated drive
     Labels('zero_label': 600 frames, 3 lanes, ... segments not sure (...), accuracy 0.99...)
-    >>> found.truth["true_lane"].iloc[0]
-    3
+    >>> found.truth["true_lane"].head(2).to_list()
+    [3, 3]
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     saved = found.save(f"{folder}/mine")
     ...     print((saved / "labels.txt").read_text()[:5])

@@ -23,7 +23,7 @@ from egolane_pgm.scoring.bootstrap import RESAMPLES
 from egolane_pgm.scoring.confusion import assigned_lane, confusion, recall
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
 from egolane_pgm.tools.files import temporary_folder, write_text
-from egolane_pgm.tools.jobs import in_order
+from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.views.tables import Table, page, with_interval
 from makers.benchmark.tracks import HERE, Recording, make_tracks, read_tracks
@@ -138,7 +138,7 @@ def main() -> None:
         folders = [bench / "motion", bench / "two_lines", made / "rotterdam", made / "paper"]
         recordings = read_tracks(folders)
     entries = [*sorted(HERE.glob("entries/*.yaml")), *options.folders]
-    scored = dict(in_order(partial(score_entry, recordings), entries, 2))
+    scored = dict(parallel(partial(score_entry, recordings), entries, jobs=2))
     head = options.out.read_text().partition(MARK)[0]
     write_text(options.out, head + MARK + "\n" + board(recordings, scored))
 
@@ -156,7 +156,7 @@ def board(recordings: Sequence[Recording], scored: Mapping[str, pd.DataFrame]) -
         first = next(iter(drawn.values()))
         for title, values in drawn.items():
             for cells, each, form in ((accuracy, values, ".3f"), (gap, first - values, "+.3f")):
-                bounds = np.quantile(each[1:], (0.025, 0.975))
+                bounds = np.quantile(each[1:], (0.025, 0.975)).tolist()
                 cells[title].append(with_interval(each[0], bounds, form))
         rows = []
         for title, sums in on.items():

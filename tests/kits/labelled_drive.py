@@ -33,7 +33,7 @@ def write_labelled_drive(folder: Path) -> Path:
     write_ground_truth(folder / "t.txt", lane_truth(np.arange(N_LABELLED), lane, is_crossing))
     return write_experiment(
         folder / "x.yaml",
-        recording={"path": "labels.json", "camera": "cam.yaml", "options": {"valid": "always"}},
+        recording={"path": "labels.json", "camera": "cam.yaml"},
         ground_truth={"path": "t.txt"},
         graph="lane_only",
     )

@@ -16,7 +16,7 @@ from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors import sl
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
-from egolane_pgm.vision.detectors.simple.plane import Plane
+from egolane_pgm.vision.detectors.simple.stereo import Plane
 from egolane_pgm.vision.simulated import DASH_M, PERIOD_M, Paint, draw_road
 from tests.kits.vehicles import Vehicle, with_vehicles
 

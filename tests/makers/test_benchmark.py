@@ -161,8 +161,10 @@ def test_a_folder_of_beliefs_is_scored_beside_experiments(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("entry", sorted((HERE / "entries").glob("*.yaml")), ids=lambda p: p.stem)
-def test_every_entry_is_causal(entry: Path, recordings: Path) -> None:
-    assert run_on(recording(), ego.load_experiment(entry)).run["is_causal"]
+def test_every_entry_but_one_is_causal(entry: Path) -> None:
+    found = run_on(recording(), ego.load_experiment(entry)).run
+    # With a given lane width the flags are read from the whole recording.
+    assert found["is_causal"] == (entry.stem != "3_width_not_estimated")
 
 
 def test_resamples_draw_drivers_then_all_recordings_of_a_drive() -> None:

@@ -159,7 +159,7 @@ def test_a_difference_uses_the_same_resamples_for_both_sides() -> None:
 
 
 def test_several_recordings_are_resampled_one_by_one_and_count_alike() -> None:
-    drives = [a_drive(300, seed=1), a_drive(400, seeds=[2])]
+    drives = [a_drive(300, seed=1), a_drive(400, seed=2)]
     counts = [confusion_counts(*drive, 3) for drive in drives]
     interval = bootstrap_interval(counts, accuracy, block=20, resamples=100, seeds=[5, 6])
     slow = [

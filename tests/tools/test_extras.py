@@ -15,7 +15,8 @@ from egolane_pgm.studies.search import check_sampler
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
-from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
+from egolane_pgm.vision.detectors.networks.running import read_onnx
+from tests.kits.drives import run, write_drive
 from tests.kits.tiny_result import a_result
 
 #: The modules that import an extra's packages when they are imported themselves.
@@ -23,7 +24,7 @@ AT_ONCE = ("page.document", "page.timeline", "export.mcap_file")
 
 
 def exported(file: Path) -> None:
-    plot(a_result().save(file.parent / "result"), out=file)
+    plot(run(write_drive(file.parent, 20)).save(file.parent / "result"), out=file)
 
 
 def sampler(_: Path) -> None:

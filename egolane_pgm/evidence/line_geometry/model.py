@@ -200,24 +200,9 @@ def places(model: LineModel, width_m: float) -> FloatArray:
     return np.concatenate([road, left, right], axis=1)
 
 
-@dataclass(frozen=True)
-class LineTables:
-    """A model, tabulated for one lane width at z = first_m + TABLE_STEP_M * index.
-
-    - log_intensity: (n, 4, Z) logarithm of the intensity, per lane and class
-    - log_mean: (4, Z) logarithm of the mean intensity over the lanes
-    - expected: (n,) Lambda
-    """
-
-    log_intensity: FloatArray
-    log_mean: FloatArray
-    first_m: float
-    expected: FloatArray
-    width_m: float
-
-
-def line_tables(model: LineModel, width_m: float) -> LineTables:
-    """Tabulates a model over every z that a line within reach can have."""
+def log_intensity(model: LineModel, width_m: float) -> FloatArray:
+    """The logarithm of a model's intensity, (n, 4, Z), per lane and class, over every z that a line
+    within reach can have: z = -(REACH_M + width_m) + TABLE_STEP_M * index."""
     last = REACH_M + width_m
     n_steps = math.ceil(2 * last / TABLE_STEP_M) + 2
     z = -last + TABLE_STEP_M * np.arange(n_steps)
@@ -228,7 +213,4 @@ def line_tables(model: LineModel, width_m: float) -> LineTables:
     density = np.exp(exponent) / (sigma * math.sqrt(2 * math.pi))
     weights = model.rates[:, :, None] * model.class_shares
     intensity = weights.transpose(0, 2, 1) @ density + model.clutter[:, None]
-    intensity = np.maximum(intensity, LEAST_INTENSITY)
-    return LineTables(
-        np.log(intensity), np.log(intensity.mean(axis=0)), -last, model.expected, width_m
-    )
+    return np.asarray(np.log(np.maximum(intensity, LEAST_INTENSITY)))

@@ -26,10 +26,11 @@ from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
     GENERIC,
     LANE_M,
+    REACH_M,
     Kind,
     LineModel,
     line_model,
-    line_tables,
+    log_intensity,
     without_flags,
 )
 from egolane_pgm.parameters import Value
@@ -79,7 +80,8 @@ LANE_CHANGES, KIND_CHANGES = 0.002, 0.003
 
 @dataclass(frozen=True)
 class SightTables:
-    """The models of K kinds for n lanes, tabulated as in `model.LineTables`.
+    """The models of K kinds for n lanes, tabulated for one lane width at z = first_m +
+    TABLE_STEP_M * index.
 
     - log_intensity: (4, Z, K n) logarithm of the intensity, per class, place, and kind and lane
     - log_mean: (4, Z) logarithm of the mean intensity over kinds and lanes
@@ -105,14 +107,13 @@ def kinds_of(n_lanes: int, parameters: Mapping[str, Value]) -> list[LineModel]:
 def sight_tables(models: Sequence[LineModel], *, has_flags: bool) -> SightTables:
     """Tabulates the models of all kinds, as of a detector that marks lines as continuous or not."""
     used = models if has_flags else [without_flags(model) for model in models]
-    tables = [line_tables(model, LANE_M) for model in used]
-    log_intensity = np.concatenate([table.log_intensity for table in tables])
+    of_kinds = np.concatenate([log_intensity(model, LANE_M) for model in used])
     return SightTables(
-        np.ascontiguousarray(log_intensity.transpose(1, 2, 0)),
-        np.log(np.exp(log_intensity).mean(axis=0)),
-        tables[0].first_m,
-        np.array([table.expected for table in tables]),
-        tables[0].width_m,
+        np.ascontiguousarray(of_kinds.transpose(1, 2, 0)),
+        np.log(np.exp(of_kinds).mean(axis=0)),
+        -(REACH_M + LANE_M),
+        np.array([model.expected for model in used]),
+        LANE_M,
     )
 
 

@@ -16,8 +16,7 @@ from egolane_pgm.vision.detectors.networks.description import (
     Network,
     ready_networks,
 )
-from egolane_pgm.vision.detectors.networks.onnx_file import Shape, read_onnx
-from egolane_pgm.vision.detectors.networks.running import lengths, said
+from egolane_pgm.vision.detectors.networks.running import Shape, lengths, read_onnx, said
 
 #: How many x the polylines of CLRNet and LaneATT have; row anchors have no more lines than the
 #: second number, and masks are wider.

@@ -1,4 +1,8 @@
-"""Takes pictures through a network, by OpenCV (`cv2.dnn`)."""
+"""Takes pictures through a network, by OpenCV (`cv2.dnn`).
+
+OpenCV 5 has no function that lists the inputs of an ONNX file, and does not compare a picture with
+the declared one: the package onnx reads these.
+"""
 
 from __future__ import annotations
 
@@ -7,16 +11,24 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from egolane_pgm.tools.extras import needed as extra
 from egolane_pgm.types import FloatArray, InputError, suggestion
 from egolane_pgm.vision.camera.picture import Image, check_size
 from egolane_pgm.vision.camera.writing import silent
 from egolane_pgm.vision.detectors.networks.description import OUTPUTS, Network
-from egolane_pgm.vision.detectors.networks.onnx_file import Declared, Shape, read_onnx
+
+if TYPE_CHECKING:
+    from onnx import ValueInfoProto
+
+#: A size that is not fixed is None. Shape None: none is declared.
+Shape = tuple[int | None, ...] | None
 
 #: What a network gives for one picture, without the first axis, by what it is.
 Outputs = dict[str, FloatArray]
@@ -73,6 +85,56 @@ def as_input(network: Network, fit: Fit, image: Image) -> NDArray[np.float32]:
     mean, scale = (np.asarray(v, dtype=np.float32) for v in (network.mean, network.scale))
     values = (seen.astype(np.float32) - mean) * scale
     return np.ascontiguousarray(values.transpose(2, 0, 1)[None])
+
+
+@dataclass(frozen=True)
+class Declared:
+    """A network as its file has it.
+
+    - inputs, outputs: their names and shapes, in their order
+    - types: the types of the inputs
+    - content: the file, with the weights that it keeps in others
+    """
+
+    inputs: dict[str, Shape]
+    outputs: dict[str, Shape]
+    types: dict[str, np.dtype[Any]]
+    content: bytes
+
+
+def read_onnx(path: Path, where: str) -> Declared:
+    """Read a network with its weights. Raises InputError, starting with `where`, for a file that
+    cannot be read or is no ONNX, and if weights are missing."""
+    with extra(f"{where}: {path}", "vision"):
+        import onnx
+        from google.protobuf.message import DecodeError
+    try:
+        # Without a format onnx would take a file that ends in .json or .txt for text.
+        model = onnx.load(str(path), format="protobuf")
+    except OSError as error:
+        raise InputError(f"{where}: {path}: {error.strerror or error}") from None
+    except (DecodeError, ValueError, onnx.checker.ValidationError) as error:
+        said = " ".join(str(error).split())[:240]
+        raise InputError(f"{where}: {path}: is no ONNX file that can be read: {said}") from None
+    if not model.graph.output:
+        raise InputError(f"{where}: {path}: is no ONNX file")
+    # Older files list the weights among the inputs.
+    weights = {tensor.name for tensor in model.graph.initializer}
+    inputs = [port for port in model.graph.input if port.name not in weights]
+    kinds = {port.name: port.type.tensor_type.elem_type for port in inputs}
+    return Declared(
+        {port.name: _shape(port) for port in inputs},
+        {port.name: _shape(port) for port in model.graph.output},
+        {name: onnx.helper.tensor_dtype_to_np_dtype(kind) for name, kind in kinds.items()},
+        model.SerializeToString(),
+    )
+
+
+def _shape(port: ValueInfoProto) -> Shape:
+    tensor = port.type.tensor_type
+    if not tensor.HasField("shape"):
+        return None
+    return tuple(size.dim_value if size.dim_value > 0 else None for size in tensor.shape.dim)
 
 
 def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:

@@ -27,15 +27,16 @@ from egolane_pgm.vision.detectors.simple.kernels import (
     common_scores,
     line_equations,
 )
-from egolane_pgm.vision.detectors.simple.markings import SMOOTH_ALONG_M, marking_mask
-from egolane_pgm.vision.detectors.simple.parameters import CURVES
-from egolane_pgm.vision.detectors.simple.streaks import (
+from egolane_pgm.vision.detectors.simple.markings import (
     NOISE,
     RAIN,
+    SMOOTH_ALONG_M,
     is_nothing_but_noise,
+    marking_mask,
     streak_cover,
     without_streaks,
 )
+from egolane_pgm.vision.detectors.simple.parameters import CURVES
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
 #: The far edge of the view for straight lines, as roads bend, and the size of its pixels along and

@@ -19,8 +19,7 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.networks.checking import describe_onnx
 from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
-from egolane_pgm.vision.detectors.networks.onnx_file import read_onnx
-from egolane_pgm.vision.detectors.networks.running import Outputs, as_input, fit_of, load
+from egolane_pgm.vision.detectors.networks.running import Outputs, as_input, fit_of, load, read_onnx
 from tests.kits.tiny_network import (
     write_answer,
     write_answers,

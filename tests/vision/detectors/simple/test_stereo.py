@@ -15,7 +15,6 @@ from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.runner import detect, find_detector, start
 from egolane_pgm.vision.detectors.simple import fit as _fit
-from egolane_pgm.vision.detectors.simple import plane as _plane
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
 from tests.kits.stereo_pairs import DRAWN, OFFSETS, PAIR, K, drawn, plane_of, settled
 from tests.kits.vehicles import car, lorry
@@ -36,7 +35,7 @@ def test_the_disparity_of_the_road_is_that_of_its_projection_in_both_cameras(
     u, v = road_to_image(left, x, y)
     other_u, other_v = road_to_image(right, x - ahead, y)
     assert other_v == pytest.approx(v, abs=1e-6)
-    expected = _plane.disparity_at(_plane.ground_plane(left), u, v)
+    expected = _stereo.disparity_at(_stereo.ground_plane(left), u, v)
     assert u - other_u == pytest.approx(expected, abs=1e-6)
 
 
@@ -53,12 +52,12 @@ def test_a_plane_is_found_among_many_points_that_are_not_on_it(
         height_m=PAIR.height_m * heave,
     )
     u, v = rng.uniform(0, 640, 2000), rng.uniform(170, 300, 2000)
-    disparity = _plane.disparity_at(_plane.ground_plane(true), u, v) + rng.normal(0, 0.2, 2000)
+    disparity = _stereo.disparity_at(_stereo.ground_plane(true), u, v) + rng.normal(0, 0.2, 2000)
     stands = u < 260
     disparity[stands] = rng.uniform(25, 40, stands.sum())
-    plane = _plane.fit_plane(PAIR, u, v, disparity, 1.0, 0.4)
+    plane = _stereo.fit_plane(PAIR, u, v, disparity, 1.0, 0.4)
     assert plane.is_sure
-    away = _plane.disparity_at(plane.abc - _plane.ground_plane(true), u, v)
+    away = _stereo.disparity_at(plane.abc - _stereo.ground_plane(true), u, v)
     assert np.abs(away).max() < 0.2
 
 
@@ -67,15 +66,15 @@ def test_an_unsure_fit_says_so_and_keeps_the_calibrated_plane(kind: str) -> None
     rng = np.random.default_rng(1)
     n_points = 100 if kind == "few" else 2000
     u, v = rng.uniform(0, 640, n_points), rng.uniform(170, 300, n_points)
-    flat = _plane.disparity_at(_plane.ground_plane(PAIR), u, v)
+    flat = _stereo.disparity_at(_stereo.ground_plane(PAIR), u, v)
     disparity = {
         "few": flat,
         "wall": np.full(n_points, 30.0),
         "noise": rng.uniform(0, 60, n_points),
     }
-    plane = _plane.fit_plane(PAIR, u, v, disparity[kind], 1.0, 0.4)
+    plane = _stereo.fit_plane(PAIR, u, v, disparity[kind], 1.0, 0.4)
     assert not plane.is_sure
-    assert np.array_equal(plane.abc, _plane.ground_plane(PAIR))
+    assert np.array_equal(plane.abc, _stereo.ground_plane(PAIR))
 
 
 @pytest.mark.parametrize("rows", [4, 1])
@@ -83,7 +82,7 @@ def test_the_plane_of_an_empty_road_is_the_cameras(rows: int) -> None:
     camera = DRAWN
     pair, plane, disparity = plane_of(drawn(), camera, match_rows=rows)
     assert plane.is_sure
-    height, pitch, roll = _plane.pose(camera, plane.abc)
+    height, pitch, roll = _stereo.pose(camera, plane.abc)
     assert height == pytest.approx(camera.height_m, rel=0.02)
     assert pitch == pytest.approx(camera.pitch_deg, abs=0.1)
     assert roll == pytest.approx(0, abs=0.1)
@@ -100,7 +99,7 @@ def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> Non
     frame = drawn(more_pitch_deg=1.2)
     _, plane, _ = plane_of(frame, DRAWN)
     assert plane.is_sure
-    pitch = float(_plane.pose(DRAWN, plane.abc)[1])
+    pitch = float(_stereo.pose(DRAWN, plane.abc)[1])
     assert pitch == pytest.approx(frame.camera.pitch_deg, abs=0.15)
 
     parameters = settled()

@@ -9,8 +9,8 @@ import pytest
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
+from egolane_pgm.vision.detectors.simple.markings import NOISE, RAIN, streak_cover
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
-from egolane_pgm.vision.detectors.simple.streaks import NOISE, RAIN, streak_cover
 from tests.kits.synthetic_road import Paint, road
 from tests.vision.detectors.simple.test_upright import CAMERA
 
