@@ -23,7 +23,7 @@ from egolane_pgm.maps.cutting import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
 from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_names
-from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_with
+from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.memory import lines_of, truth_of
 from egolane_pgm.recordings.select import (
@@ -154,7 +154,7 @@ def read_file(experiment: Experiment) -> Recording:
     given = {key: getattr(r, key) for key in ("camera", "topic", "columns")}
     options |= {key: value for key, value in given.items() if value is not None}
     if r.format is None or r.format in FORMATS:
-        log = read_with(path, r.format, options)
+        log = read_lines(path, format=r.format, **options)
         # The time stamps of a bag in the paper's format are no frame rate.
         is_timed = r.columns is not None or (r.format or format_of(path)) == "table"
         return Recording(log, frame_rate=rate_of(log.frame_id, log.time_s) if is_timed else None)

@@ -134,9 +134,6 @@ class Columns(Section):
     )
     unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of the offsets")
     time_unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of the times")
-    separator: str | None = Field(
-        default=None, pattern=r"^(.|\\t)$", description="what separates the cells of a CSV"
-    )
 
     @model_serializer(mode="wrap")
     def said(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:

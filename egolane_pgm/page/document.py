@@ -84,7 +84,7 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     template = resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8")
     look = {"template": template, "template_variables": words}
     page = file_html(_timeline(tracks.values()), INLINE, ", ".join(names), **look)
-    write_text(file, page, make_folder=True)
+    write_text(file, page)
     return lacking
 
 

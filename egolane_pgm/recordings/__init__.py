@@ -5,7 +5,6 @@ One file per format of recording; `read_lines` picks it by the file's extension.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -61,33 +60,27 @@ def read_lines(
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
     """
-    given = {**options, "frame_rate": frame_rate, "columns": columns}
-    given = {key: value for key, value in given.items() if value is not None}
-    # Only a format whose lines are in pixels has a reader that takes a camera.
-    if camera is not None and "camera" in reader_of(format or format_of(path)).__kwdefaults__:
-        given["camera"] = camera
-    return read_with(path, format, given)
-
-
-def read_with(path: str | Path, format: str | None, options: Mapping[str, Any]) -> LineLog:
-    """Read as `read_lines` does, with the options as a mapping (of a YAML or of `--set`)."""
     name = format_of(path) if format is None else format
     with problems_in(str(path)):
         read = reader_of(name)
-    if options.get("columns") is not None:
-        from egolane_pgm.recordings.columns import columns_of
-
-        options = {**options, "columns": columns_of(options["columns"], str(path))}
     allowed = set(read.__kwdefaults__)
-    for option in options:
+    given = {**options, "frame_rate": frame_rate, "columns": columns}
+    # Only a format whose lines are in pixels has a reader that takes a camera.
+    given |= {"camera": camera} if "camera" in allowed else {}
+    given = {key: value for key, value in given.items() if value is not None}
+    for option in given:
         if option not in allowed:
             raise InputError(
                 f"{path}: format {name} has no option '{option}'{suggestion(str(option), allowed)}"
             )
-    rate = options.get("frame_rate", 10.0)
+    if "columns" in given:
+        from egolane_pgm.recordings.columns import columns_of
+
+        given["columns"] = columns_of(given["columns"], str(path))
+    rate = given.get("frame_rate", 10.0)
     if not (isinstance(rate, (int, float, np.number)) and 0 < rate < np.inf):
         raise InputError(f"{path}: frame_rate: {rate!r} is not a number greater than 0")
-    log: LineLog = read(path, **options)
+    log: LineLog = read(path, **given)
     return log
 
 
@@ -99,16 +92,9 @@ def write_lines(path: str | Path, log: LineLog) -> None:
     """
     from egolane_pgm.recordings.table import write_table
 
-    check_one_drive(log, "a file that is written holds one drive")
-    write_table(path, log)
-
-
-def check_one_drive(log: LineLog, why: str) -> None:
-    """Raise InputError, which ends with `why`, for a log of several clips."""
     if log.clip is not None:
-        raise InputError(
-            f"{log.source}: has {len(log.pieces())} clips, the first {log.clip[0]}; {why}"
-        )
+        raise InputError(f"{log.source}: has several clips; a file that is written holds one drive")
+    write_table(path, log)
 
 
 def files_of(folder: Path) -> list[Path]:

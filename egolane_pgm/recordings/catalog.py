@@ -75,37 +75,6 @@ def _pooch() -> ModuleType:
     return module
 
 
-def find_file(
-    path: str | Path,
-    base: str | Path | None = None,
-    *,
-    folders: bool = False,
-    is_fetched: bool = True,
-) -> Path:
-    """Find the file that a path in an experiment means.
-
-    An absolute path is taken as it is. Any other is looked for below `base` (the folder of the
-    YAML), then below `$EGOLANE_DATA`, then in the download folder.
-
-    - folders: the path may be a folder too.
-    - is_fetched: the public data may have the file, so the message names `egolane data fetch`.
-
-    Raises InputError, with every place that was looked in, if it is nowhere.
-    """
-    wanted = Path(path).expanduser()
-    places = [wanted]
-    if not wanted.is_absolute():
-        places = [folder / wanted for folder in (Path(base or Path.cwd()), *data_folders())]
-    for place in places:
-        if place.is_file() or (folders and place.is_dir()):
-            return place
-    cure = "; run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
-    raise InputError(
-        f"{path}: no such file; looked for {', '.join(map(str, places))}"
-        f"{cure if is_fetched and not wanted.is_absolute() else ''}"
-    )
-
-
 def data_folders() -> list[Path]:
     """The folders that are looked in for the data set, the first one that has a file first:
     `$EGOLANE_DATA`, then the download folder."""

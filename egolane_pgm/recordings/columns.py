@@ -48,6 +48,9 @@ ColumnsGiven = Columns | Mapping[str, Any] | str | Sequence[str]
 #: Cells that are a number are so by default; these are true or false.
 _FLAGS = ("is_valid", "is_continuous", "is_missing", "is_crossing")
 
+#: Cells that are whole numbers.
+_WHOLE = ("frame_id", "line", "lane")
+
 #: Columns that are the same in all rows of a frame, and those of a line beside its offset.
 _OF_FRAME = ("frame_id", "time_s", "is_missing")
 OF_LINE = ("is_valid", "is_continuous", "lri")
@@ -242,7 +245,6 @@ def _lines_of(table: _Table, at: IntArray) -> dict[str, NDArray[Any]]:
             is_there = ~is_empty | (cells["is_valid"] == 1)
             cells["line"] = np.full(len(rows), float(number))
         elif "line" in cells:
-            check_whole(table.path, cells, "line", table.row)
             is_there = ~np.isnan(cells["line"])
             table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
             # Lines may be numbered from 0.
@@ -276,7 +278,6 @@ def _frames_of(table: _Table, first: int) -> Cells:
         cells["time_s"] = _seconds(table, time)
     if ids is not None:
         cells["frame_id"] = table.cells("frame_id", ids)
-        check_whole(table.path, cells, "frame_id", table.row)
     elif time is not None:
         cells["frame_id"] = first + _ids_of(table, cells["time_s"])
     else:
@@ -341,52 +342,53 @@ def arrow_column(column: Any) -> Any:
 def typed(
     path: Path, name: str, column: Any, called: str = "", rows: IntArray | None = None
 ) -> FloatArray:
-    """The cells of a column, which may hold text or other numbers. Raises InputError for what does
-    not fit the column.
+    """The cells of a column, which may hold text or other numbers; NaN where they are empty.
 
     - column: of pyarrow or pandas, or a list.
     - called: what the table calls it, where that is another name.
     - rows: the row of the file in which each cell stands; by default one after the other.
+
+    Raises InputError for what does not fit the column: a flag is true or false, some are whole.
     """
     called = name if called in ("", name) else f"{called} ({name})"
     is_flag = name in _FLAGS
-    needed = "true, false, 1 or 0" if is_flag else "a number"
-
-    def refuse(row: int, cell: str) -> InputError:
-        number = 1 + int(row if rows is None else rows[row])
-        return InputError(f"{path}: row {number}: {called} is {cell}, not {needed}")
-
+    needed = "a whole number" if name in _WHOLE else "a number"
+    needed = "true, false, 1 or 0" if is_flag else needed
     try:
         column = arrow_column(column)
-        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
-            values = np.full(len(column), np.nan)
-            words = {"": np.nan, **({"true": 1, "false": 0} if is_flag else {})}
-            for row, cell in enumerate(column.to_pylist()):
-                text = (cell or "").strip()
-                try:
-                    values[row] = float(words.get(text.lower(), text))
-                except ValueError:
-                    raise refuse(row, repr(text[:40])) from None
+        is_text = pa.types.is_string(column.type) or pa.types.is_large_string(column.type)
+        if is_text:
+            values, bad = _numbers_of(column.to_pylist(), is_flag)
+        elif pa.types.is_boolean(column.type) and not is_flag:
+            raise pa.ArrowInvalid
         else:
-            if pa.types.is_boolean(column.type) and not is_flag:
-                raise pa.ArrowInvalid
-            column = column.cast(pa.float64(), safe=False).fill_null(np.nan)
-            values = column.to_numpy(zero_copy_only=False)
+            numbers = column.cast(pa.float64(), safe=False).fill_null(np.nan)
+            values, bad = numbers.to_numpy(zero_copy_only=False), np.zeros(len(column), dtype=bool)
     except (pa.ArrowException, OverflowError):
         kind = getattr(column, "type", "mixed")
         raise InputError(f"{path}: column {called} has type {kind}, not {needed}") from None
-    # To pyarrow every number but 0 is true; 7 is more likely another column.
-    if is_flag and (wrong := ~(np.isnan(values) | np.isin(values, (0, 1)))).any():
-        raise refuse(int(np.argmax(wrong)), f"{values[np.argmax(wrong)]:g}")
+    if is_flag:
+        # To pyarrow every number but 0 is true; 7 is more likely another column.
+        bad = bad | ~(np.isnan(values) | np.isin(values, (0, 1)))
+    elif name in _WHOLE:
+        # pandas writes whole numbers beside empty cells as 12.0.
+        is_whole = (np.floor(values) == values) & (np.abs(values) < 2.0**53)
+        bad = bad | ~(np.isnan(values) | is_whole)
+    if bad.any():
+        k = int(np.argmax(bad))
+        row = 1 + int(k if rows is None else rows[k])
+        raise InputError(f"{path}: row {row}: {called} is {column[k].as_py()!r:.40}, not {needed}")
     return values
 
 
-def check_whole(path: Path, cells: Cells, name: str, row: IntArray) -> None:
-    """Raise InputError for a cell that is neither empty nor a whole number."""
-    number = cells[name]
-    # pandas writes whole numbers beside empty cells as 12.0.
-    bad = ~np.isnan(number) & ~((np.floor(number) == number) & (np.abs(number) < 2.0**53))
-    if bad.any():
-        k = int(np.argmax(bad))
-        problem = f"{name} is {number[k]:.17g}, not a whole number"
-        raise InputError(f"{path}: row {row[k] + 1}: {problem}")
+def _numbers_of(cells: Sequence[str | None], is_flag: bool) -> tuple[FloatArray, BoolArray]:
+    """Texts as numbers, and which of them are none, (N,) both."""
+    words = {"": "nan", **({"true": "1", "false": "0"} if is_flag else {})}
+    values, bad = np.full(len(cells), np.nan), np.zeros(len(cells), dtype=bool)
+    for k, cell in enumerate(cells):
+        text = (cell or "").strip().lower()
+        try:
+            values[k] = float(words.get(text, text))
+        except ValueError:
+            bad[k] = True
+    return values, bad

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.recordings.columns import FRAME_RATE, check_whole, typed
-from egolane_pgm.recordings.table import lines_of_frame, with_index
+from egolane_pgm.recordings.columns import FRAME_RATE, lines_of_columns, typed
+from egolane_pgm.recordings.table import check_columns
 from egolane_pgm.types import InputError, LineLog, lane_truth, suggestion
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def lines_of(
     - columns: which columns are what, where they are not called as ours.
     - path: names the lines in messages.
 
-    Raises InputError for anything else, and as `recordings.table.read_table`.
+    Raises InputError for anything else, and as `recordings.columns.lines_of_columns`.
 
     >>> import pandas as pd
     >>> from egolane_pgm.recordings.memory import lines_of
@@ -43,8 +43,9 @@ def lines_of(
     """
     if isinstance(given, LineLog):
         return given
-    _check_frame(given, "recording", "lines")
-    return lines_of_frame(given, path, frame_rate, columns)
+    frame = _with_index(given, "recording", "lines")
+    check_columns(path, list(frame.columns))
+    return lines_of_columns({name: frame[name] for name in frame}, columns, path, frame_rate)
 
 
 def truth_of(given: pd.DataFrame) -> pd.DataFrame:
@@ -61,23 +62,25 @@ def truth_of(given: pd.DataFrame) -> pd.DataFrame:
     >>> truth_of(pd.DataFrame({"frame_id": [7, 8, 9], "lane": [2, None, 1]}))["true_lane"].to_list()
     [2, 1]
     """
-    _check_frame(given, "ground_truth", "lanes")
     path = Path("ground truth in memory")
-    frame = with_index(given).rename(columns={"crossing": "is_crossing", "true_lane": "lane"})
+    frame = _with_index(given, "ground_truth", "lanes")
+    frame = frame.rename(columns={"crossing": "is_crossing", "true_lane": "lane"})
     cells = {}
     for name in ("frame_id", "lane", "is_crossing"):
         if name in frame:
             cells[name] = typed(path, name, frame[name])
         elif name != "is_crossing":
             raise InputError(f"{path}: no column {name}{suggestion(name, frame.columns)}")
-    for name in ("frame_id", "lane"):
-        check_whole(path, cells, name, np.arange(len(frame)))
     known = ~np.isnan(cells["lane"]) & ~np.isnan(cells["frame_id"])
     kept = {name: values[known] for name, values in cells.items()}
     crossing = kept.get("is_crossing", np.zeros(known.sum())) == 1
     return lane_truth(kept["frame_id"], kept["lane"], crossing, str(path))
 
 
-def _check_frame(given: Any, what: str, of: str) -> None:
+def _with_index(given: Any, what: str, of: str) -> pd.DataFrame:
+    """A DataFrame with its index among its columns, whose names are text."""
     if not hasattr(given, "reset_index"):
         raise InputError(f"{what}: {given!r:.60} is neither a file nor a DataFrame of {of}")
+    frame: pd.DataFrame = given.rename(columns=str)
+    names = [name for name in frame.index.names if name is not None and name not in frame]
+    return frame.reset_index(names)

@@ -6,8 +6,7 @@ The definitions of the messages are taken from the file.
 from __future__ import annotations
 
 import dataclasses
-import warnings
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -53,24 +52,19 @@ def topics_of(path: Path) -> Topics:
 
 
 def messages(path: Path, topics: Collection[str]) -> Iterator[Message]:
-    """See `recordings.topics`. Warns of a bag that has fewer messages than its index."""
-    found = 0
+    """See `recordings.topics`."""
     with open_bag(path) as bag:
-        chosen = _connections(bag, path, topics)
-        for connection, logged_ns, raw in bag.messages(chosen):
-            found += 1
+        for connection, logged_ns, raw in bag.messages(_connections(bag, path, topics)):
             value = plain(bag.deserialize(raw, connection.msgtype))
             yield Message(time_of(value, logged_ns), connection.topic, value)
-        _check_count(bag, path, chosen, found)
 
 
 def fields_of(path: Path, topic: str) -> Fields:
     """The fields of all messages on a topic, and their times, `time_s` (N,), if they have none;
-    empty without messages. Warns as `messages`."""
+    empty without messages."""
     with open_bag(path) as bag:
         chosen = _connections(bag, path, [topic])
         found = list(bag.messages(chosen))
-        _check_count(bag, path, chosen, len(found))
         if not found:
             return {}
         types, kind = bag.typestore.fielddefs, chosen[0].msgtype
@@ -81,14 +75,6 @@ def fields_of(path: Path, topic: str) -> Fields:
         is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
         stamp = fields["timestamp"] if is_stamp else np.zeros(len(found))
     return {"time_s": np.where(stamp != 0, stamp, _seconds(logged_ns)), **fields}
-
-
-def _check_count(bag: AnyReader, path: Path, chosen: Sequence[Connection], found: int) -> None:
-    counted = sum(bag.topics[name].msgcount for name in {c.topic for c in chosen})
-    if counted > found:
-        said = f"{path}: {found} messages were read of the {counted} that it says are on"
-        names = ", ".join(sorted({c.topic for c in chosen}))
-        warnings.warn(f"{said} {names}; it is damaged", UserWarning, stacklevel=4)
 
 
 @contextmanager
@@ -102,14 +88,8 @@ def open_bag(path: Path) -> Iterator[AnyReader]:
 
 
 def _connections(bag: AnyReader, path: Path, topics: Collection[str]) -> list[Connection]:
-    """The connections on some topics. Raises InputError for a type that is not defined, or is in
-    several ways."""
+    """The connections on some topics. Raises InputError for a type that is not defined."""
     chosen = [each for each in bag.connections if each.topic in topics]
-    if len({(each.topic, each.msgtype, each.msgdef) for each in chosen}) > len(set(topics)):
-        raise InputError(
-            f"{path}: the messages on {', '.join(topics)} have several definitions (a node was"
-            " rebuilt while it recorded); split the bag"
-        )
     for kind in {each.msgtype for each in chosen} - bag.typestore.fielddefs.keys():
         raise InputError(
             f"{path}: has no definition of {kind}; convert it to MCAP where that type is known:"

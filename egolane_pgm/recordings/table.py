@@ -39,28 +39,9 @@ def read_table(
     `recordings.columns.lines_of_columns`.
     """
     path = Path(path)
-    table = read_columns(path, columns)
+    table = read_columns(path)
     named = dict(zip(table.column_names, table.columns, strict=True))
     return lines_of_columns(named, columns, path, frame_rate)
-
-
-def lines_of_frame(
-    frame: pd.DataFrame, where: Path, frame_rate: float, columns: Columns | None
-) -> LineLog:
-    """The lines of a DataFrame, as `read_table` reads a file of it; its index is a column, too.
-
-    - where: names it in messages.
-    """
-    frame = with_index(frame)
-    check_columns(where, list(frame.columns))
-    return lines_of_columns({name: frame[name] for name in frame}, columns, where, frame_rate)
-
-
-def with_index(frame: pd.DataFrame) -> pd.DataFrame:
-    """A DataFrame with its index among its columns, whose names are text."""
-    frame = frame.rename(columns=str)
-    names = [name for name in frame.index.names if name is not None and name not in frame]
-    return frame.reset_index(names)
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
@@ -101,11 +82,11 @@ def _write_csv(path: Path, rows: pd.DataFrame) -> None:
         csv.write_csv(table, file, csv.WriteOptions(include_header=False))
 
 
-def read_columns(path: Path, said: Columns | None = None) -> pa.Table:
+def read_columns(path: Path) -> pa.Table:
     """A whole CSV or Parquet file. pyarrow finds the types of the columns.
 
-    - said: the separator of a CSV; by default the most frequent one of its heading. If it is a
-      semicolon, numbers may have a decimal comma.
+    The separator of a CSV is the most frequent one of its heading. If it is a semicolon, numbers
+    may have a decimal comma.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
@@ -117,8 +98,7 @@ def read_columns(path: Path, said: Columns | None = None) -> pa.Table:
             f"{path}: unknown extension '{path.suffix}' of a table ({', '.join(TABLES)})"
         )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
-        found = max(",;\t|", key=file.readline().count)
-    separator = ((said and said.separator) or found).replace("\\t", "\t")
+        separator = max(",;\t|", key=file.readline().count)
     try:
         table = csv.read_csv(
             path,

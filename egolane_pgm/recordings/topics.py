@@ -22,7 +22,6 @@ from egolane_pgm.recordings.columns import (
     OF_LINE,
     arrow_column,
     lines_of_columns,
-    typed,
 )
 from egolane_pgm.recordings.decoding import Fields, Items, stamp_parts
 from egolane_pgm.recordings.rosbag import Message, Topics
@@ -80,7 +79,8 @@ def _topic_of(path: Path, topic: str | None = None) -> str:
         return topic
     else:
         problem = f"no topic {topic}{near_word(topic, there)}"
-    raise InputError(f"{path}: {problem}; the file has {listed(there)} (`egolane show {path}`)")
+    listed = ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(there.items()))
+    raise InputError(f"{path}: {problem}; the file has {listed or 'none'} (`egolane show {path}`)")
 
 
 def read_topic(
@@ -105,8 +105,15 @@ def read_topic(
     if said.offset_m is None and {"line", "way_id"} <= table.keys():
         is_ros1 = path.suffix == ".bag"
         said = Columns(**{**_PUBLISHED, "is_valid": _VALID[is_ros1], **said.model_dump()})
-        if said.time_s is None and said.frame_id is not None:
-            table = _with_times(path, table, row, said.frame_id, is_ros1)
+        begins = np.flatnonzero(np.diff(row, prepend=-1))
+        if said.frame_id in table:
+            if (np.diff(np.asarray(table[said.frame_id])[begins]) == 0).any():
+                raise InputError(
+                    f"{path}: {said.frame_id} stays the same from message to message; `columns:"
+                    " {frame_id: null}` numbers frames by their times"
+                )
+            if said.time_s is None:
+                table = _with_times(path, table, begins, is_ros1)
     return _lines_of(table, row, said, path, frame_rate)
 
 
@@ -222,36 +229,21 @@ def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
 
 
 def _with_times(
-    path: Path, table: dict[str, Any], row: IntArray, frame_id: str, is_ros1: bool
+    path: Path, table: dict[str, Any], begins: IntArray, is_ros1: bool
 ) -> dict[str, Any]:
     """Messages of the published type with times that increase, or without any.
 
     The stamps of the published ROS 1 bags say when they were processed, jump by minutes or are all
     zero: time is frame id over frame rate there.
+
+    - begins: the first row of each message.
     """
-    begins = np.flatnonzero(np.diff(row, prepend=-1))
-    if frame_id not in table:
-        return table
-    ids = typed(path, "frame_id", table[frame_id])[begins]
-    is_back = np.diff(ids) <= 0
-    if is_back.any():
-        one, other = ids[np.argmax(is_back) :][:2]
-        raise InputError(
-            f"{path}: frame ids must increase, but {one:.0f} is followed by {other:.0f}; without"
-            " way_id take `columns: {frame_id: header.seq}` (ROS 1) or `{frame_id: null}`, which"
-            " numbers frames by their times"
-        )
     if not is_ros1:
         if (np.diff(np.asarray(table["time_s"])[begins]) > 0).all():
             return table
         said = f"{path}: stamps do not increase; time is frame id over frame rate"
         warnings.warn(said, UserWarning, stacklevel=4)
     return {name: each for name, each in table.items() if name != "time_s"}
-
-
-def listed(topics: Topics) -> str:
-    """Topics and their types, for messages."""
-    return ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(topics.items())) or "none"
 
 
 def _reader(path: Path) -> Any:

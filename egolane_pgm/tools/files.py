@@ -53,22 +53,16 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
 
 
 @contextlib.contextmanager
-def atomic(path: str | Path, *, make_folder: bool = False) -> Iterator[Path]:
+def atomic(path: str | Path) -> Iterator[Path]:
     """The name of a file to write, which takes the place of `path` when the block ends well.
 
-    - make_folder: folders that are not there yet are made.
-
-    Nothing is left where the block does not end well. A device or a pipe is written as it is.
+    Folders that are not there yet are made. No file is left where the block does not end well.
     Raises InputError, naming `path`, for an OSError of the block or where the file cannot be put
     in its place.
     """
     path = Path(path)
     try:
-        if make_folder:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        if path.exists() and not path.is_file() and not path.is_dir():
-            yield path
-            return
+        path.parent.mkdir(parents=True, exist_ok=True)
         with temporary_folder(path.parent) as folder:
             yield folder / path.name
             (folder / path.name).replace(path)
@@ -76,9 +70,9 @@ def atomic(path: str | Path, *, make_folder: bool = False) -> Iterator[Path]:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def write_bytes(path: str | Path, content: bytes, *, make_folder: bool = False) -> None:
+def write_bytes(path: str | Path, content: bytes) -> None:
     """Write a whole file. Raises InputError where it cannot be written."""
-    with atomic(path, make_folder=make_folder) as temporary:
+    with atomic(path) as temporary:
         temporary.write_bytes(content)
 
 
@@ -89,15 +83,14 @@ def as_csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
     return text.getvalue()
 
 
-def write_text(path: str | Path, text: str, *, make_folder: bool = False) -> None:
+def write_text(path: str | Path, text: str) -> None:
     """Write a whole file of text, UTF-8. Raises InputError where it cannot be written."""
-    write_bytes(path, text.encode(), make_folder=make_folder)
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON; folders that are not there are made. Raises InputError where it cannot be
-    written."""
-    write_text(path, json_text(content), make_folder=True)
+    """Write JSON. Raises InputError where it cannot be written."""
+    write_text(path, json_text(content))
 
 
 def json_text(content: Mapping[str, Any]) -> str:
@@ -107,9 +100,9 @@ def json_text(content: Mapping[str, Any]) -> str:
 
 def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> None:
     """Write YAML, keys in their order, innermost lists in one line; the heading, comments, above
-    it; folders that are not there are made. Raises InputError where it cannot be written."""
+    it. Raises InputError where it cannot be written."""
     text = dump_yaml({"version": YAML_VERSION, **plain(content)})
-    write_text(path, heading + text, make_folder=True)
+    write_text(path, heading + text)
 
 
 def write_parquet(path: Path, frame: pd.DataFrame) -> None:
@@ -163,8 +156,6 @@ def check_place(path: Path) -> None:
     nearest = path.absolute().parent
     try:
         while not nearest.exists():
-            if nearest.is_symlink():
-                raise InputError(f"{path}: cannot be written, {nearest} is a link to nothing")
             nearest = nearest.parent
         # Permissions alone do not tell (root, read-only file systems); nothing is left behind.
         with tempfile.TemporaryFile(dir=nearest):

@@ -2,30 +2,11 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numba import config, njit
-from numba.core import event
-
-
-class _Announcer(event.Listener):
-    """Says in a terminal, once, that the first use takes longer."""
-
-    is_due = True
-
-    def on_start(self, event: Any) -> None:
-        if self.is_due and sys.stderr.isatty():
-            sys.stderr.write("compiling for the first use: some seconds, once\n")
-        self.is_due = False
-
-    def on_end(self, event: Any) -> None:
-        pass
-
-
-event.register("numba:compile", _Announcer())  # type: ignore[no-untyped-call]
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:

@@ -42,8 +42,6 @@ def parse_yaml(text: str, source: str) -> Any:
         at = f"line {mark.line + 1}: " if mark is not None else ""
         hint = "; indent with spaces" if "'\\t'" in str(error.problem) else ""
         raise InputError(f"{source}: is not YAML: {at}{error.problem}{hint}") from error
-    except RecursionError:
-        raise InputError(f"{source}: is not YAML: it is nested too deeply") from None
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
     if loader.twice:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
@@ -10,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
-from egolane_pgm.tools.files import check_not_read, check_place
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, Progress, StrPath, several_of
@@ -71,8 +70,10 @@ def calibrate(
     Returns the camera, whose YAML says how it was found. Without `out` it is not written. Raises
     InputError, one line, for whatever does not fit.
     """
+    columns, rows = _numbers(board, "x", 2, "board", "two whole numbers, e.g. 9x6")
     masks = tuple(_rectangle(each) for each in several_of(ignore))
-    _check_place(out, [chessboards, stills])
+    if out is not None:
+        check_place(Path(out))
     check_lane_width(lane_width)
     if chessboards and field_of_view is not None:
         raise InputError("field_of_view: goes without chessboards, which measure the lens")
@@ -84,7 +85,7 @@ def calibrate(
     size = _size_of_road(stills, pictures)
     if chessboards:
         paths = shown("chessboards")(files_matching(chessboards))
-        lens = calibrate_lens(paths, *_size(board, "board"))
+        lens = calibrate_lens(paths, columns, rows)
         _warn_of(lens.skipped)
         camera, said = lens.camera, [describe_lens(lens, board)]
         if (camera.width, camera.height) != size:
@@ -127,11 +128,6 @@ def _numbers(text: str, separator: str, n: int, name: str, example: str) -> tupl
     return tuple(int(part) for part in parts)
 
 
-def _size(text: str, name: str) -> tuple[int, int]:
-    width, height = _numbers(text, "x", 2, name, "two whole numbers, e.g. 1280x720")
-    return width, height
-
-
 def _rectangle(text: str) -> Rectangle:
     example = "left,top,right,bottom in pixels, e.g. 0,600,1280,720"
     left, top, right, bottom = _numbers(text, ",", 4, "ignore", example)
@@ -148,18 +144,6 @@ def _masked(camera: Camera, masks: tuple[Rectangle, ...]) -> Camera:
                 f"ignore: {said} is not in a picture of {camera.width}x{camera.height}"
             )
     return replace(camera, ignore=masks)
-
-
-def _check_place(place: StrPath | None, patterns: Sequence[str | None]) -> None:
-    """Raise InputError for an output that cannot be written, or that is read."""
-    if place is None:
-        return
-    read: list[Path] = []
-    for pattern in filter(None, patterns):
-        with contextlib.suppress(InputError):
-            read += files_matching(pattern)
-    check_not_read(Path(place), [each for each in read if each.name == Path(place).name])
-    check_place(Path(place))
 
 
 def _size_of_road(stills: str, pictures: Sequence[Path]) -> tuple[int, int]:

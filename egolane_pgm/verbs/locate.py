@@ -15,7 +15,7 @@ from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import RoadTable
-from egolane_pgm.tools.files import check_not_read, check_place
+from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, StrPath
 
@@ -52,15 +52,14 @@ def locate(
 
     Returns the road table. Raises InputError, one line, for whatever does not fit.
     """
-    file, read_from = None if out is None else Path(out), (Path(map), Path(positions))
+    file = None if out is None else Path(out)
     if file is not None:
         if file.suffix.lower() != ".parquet":
             raise InputError(f"{file}: a road table is a .parquet file")
         check_place(file)
-        check_not_read(file, read_from)
-    graph = read_osm(read_from[0])
+    graph = read_osm(Path(map))
     named = {ours: str(theirs) for ours, theirs in (columns or {}).items()}
-    read = read_positions(read_from[1], columns=named, topic=topic)
+    read = read_positions(Path(positions), columns=named, topic=topic)
     read = replace(read, t_s=read.t_s + shift)
     matched = lock_on_road(graph, read) if method == "lock-on-road" else None
     table = locate_on(graph, read, online=online, matched=matched)

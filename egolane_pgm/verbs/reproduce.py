@@ -104,9 +104,7 @@ def _have_recordings() -> bool:
 
 
 def _all_found() -> bool:
-    try:
-        for file in catalog.list_files():
-            catalog.find_file(file.target)
-    except InputError:
-        return False
-    return True
+    folders = catalog.data_folders()
+    return all(
+        any((folder / file.target).is_file() for folder in folders) for file in catalog.list_files()
+    )

@@ -97,7 +97,7 @@ def write_network(compiled: Compiled, path: str | Path) -> None:
     """
     check_ending(path)
     if Path(path).suffix.lower() == ".bif":
-        write_text(path, bif(compiled.tables.values(), compiled.values), make_folder=True)
+        write_text(path, bif(compiled.tables.values(), compiled.values))
     else:
         write_figure(lambda: network_figure(structure_of(compiled)), path)
 

@@ -123,7 +123,7 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
     extension = path.suffix.lower()
     if extension not in FORMATS:
         raise InputError(f"{path}: unknown format; a figure ends in {', '.join(FORMATS)}")
-    write_bytes(path, figure_bytes(make, extension), make_folder=True)
+    write_bytes(path, figure_bytes(make, extension))
     return path
 
 

@@ -157,23 +157,6 @@ def test_another_number_of_values_in_the_second_slice_is_refused() -> None:
         refused(tables, ["A", "B"])
 
 
-@pytest.mark.parametrize(
-    ("hidden", "observed", "inputs", "named"),
-    [
-        (("Aa",), ("D",), (), "Aa"),
-        (("A", "Ghost"), ("D",), (), "Ghost"),
-        (("A",), ("D", "Ghost"), (), "Ghost"),
-        (("A",), (("D", "Ghost"),), (), "Ghost"),
-        (("A",), ("D",), ("Ghost",), "Ghost"),
-    ],
-)
-def test_a_name_that_is_no_node_is_refused(
-    hidden: tuple[str, ...], observed: tuple[Observed, ...], inputs: tuple[str, ...], named: str
-) -> None:
-    message = refused(simple_tables(), hidden, observed, inputs, declared=["D"])
-    assert message.startswith(f"{named}: declared, but not a node of the network")
-
-
 @pytest.mark.parametrize("what", ["hidden", "observed", "inputs"])
 def test_a_name_instead_of_a_list_of_names_is_refused(what: str) -> None:
     names: dict[str, Any] = {"observed": ["D"], what: "AD"}
@@ -235,27 +218,6 @@ def test_the_network_of_a_compiled_graph_is_the_one_that_was_compiled(seed: int)
     again = compile(network, hidden=graph.hidden, observed=graph.observed, inputs=graph.inputs)
     assert again.values == compiled.values
     np.testing.assert_array_equal(again.transition, compiled.transition)
-
-
-def test_a_stray_node_is_refused() -> None:
-    tables = [*simple_tables(), *within("E", ["A"], SEES)]
-    assert refused(tables) == "E: neither hidden, observed, input nor virtual evidence"
-
-
-@pytest.mark.parametrize(
-    ("hidden", "observed", "named"),
-    [
-        (("A", "A"), ("D",), "A"),
-        (("A",), ("D", "D"), "D_ve"),
-        (("A",), ("D", ("D",)), "D_ve"),
-        (("A",), (("D", "D"),), "D"),
-    ],
-)
-def test_a_node_that_is_declared_twice_is_refused(
-    hidden: tuple[str, ...], observed: tuple[Observed, ...], named: str
-) -> None:
-    message = refused(simple_tables(), hidden, observed, declared=["D"])
-    assert message == f"{named}: declared more than once"
 
 
 def test_a_hidden_node_may_be_a_constant() -> None:
@@ -352,41 +314,44 @@ def test_a_joint_state_too_large_is_refused_with_its_size_and_its_nodes() -> Non
     )
 
 
-def test_a_network_without_a_state_is_refused() -> None:
-    tables = [*within("A", [], [0.0, 1.0]), *within("D", ["A"], SEES)]
-    assert refused(tables).startswith("every hidden node (A) is a constant")
-    autoregressive = [*prior("D", [0.5, 0.5]), *dynamics("D", [previous("D")], KEEP)]
-    assert refused(autoregressive, []).startswith("no hidden node is declared")
-
-
-def test_inputs_are_roots_that_act_within_their_slice() -> None:
-    root = within("I", [], [0.5, 0.5])
-    tables = [*simple_tables(), *within("I", ["A"], SEES)]
-    assert refused(tables, inputs=["I"]) == "I: an input node may not have parents"
-    tables = [*prior("A", [0.5, 0.5]), *dynamics("A", [previous("I")], KEEP), *root]
-    tables += [*prior("B", [0.5, 0.5]), *dynamics("B", [previous("B")], KEEP)]
-    tables += within("D", ["A"], SEES)
-    message = refused(tables, ["A", "B"], inputs=["I"])
-    assert message == "I: an input acts within its slice only"
+OF_INPUT = [
+    *INPUT,
+    *prior("A", KEEP, ["Input"]),
+    *dynamics("A", ["Input", previous("A")], OF_TWO),
+    *within("D", ["A"], SEES),
+]
+AFTER_INPUT = [
+    *prior("A", [0.5, 0.5]),
+    *dynamics("A", [previous("Input")], KEEP),
+    *INPUT,
+    *within("D", ["A"], SEES),
+]
+CONSTANT = [*within("A", [], [0.0, 1.0]), *within("D", ["A"], SEES)]
 
 
 @pytest.mark.parametrize(
-    ("hidden", "observed", "message"),
+    ("tables", "hidden", "observed", "inputs", "said"),
     [
-        (("A", "I"), ("D",), "I: is declared both hidden and input"),
-        (("A",), ("D", "I"), "I: is declared both observed and input"),
+        (simple_tables(), ["Aa"], ["D"], [], "Aa: declared, but not a node of the network"),
+        (simple_tables(), ["A"], [("D", "Ghost")], [], "observed node Ghost: there is no"),
+        (simple_tables(), ["A"], ["D"], ["Ghost"], "Ghost: declared, but not a node"),
+        (simple_tables(), ["A", "A"], ["D"], [], "A: declared more than once"),
+        (simple_tables(), ["A"], ["D", ("D",)], [], "D_ve: declared more than once"),
+        (simple_tables(), ["A"], [("D", "D")], [], "D: declared more than once"),
+        (simple_tables(), [], ["D", "A"], [], "no hidden node is declared"),
+        (sensor_bias(), [], ["D"], [], "A: neither hidden, observed, input nor virtual evidence"),
+        (CONSTANT, ["A"], ["D"], [], "every hidden node (A) is a constant"),
+        ([*simple_tables(), *within("I", ["A"], SEES)], ["A"], ["D"], ["I"],
+         "I: an input node may not have parents"),
+        (AFTER_INPUT, ["A"], ["D"], ["Input"], "Input: an input acts within its slice only"),
+        (OF_INPUT, ["A", "Input"], ["D"], ["Input"], "Input: is declared both hidden and input"),
+        (OF_INPUT, ["A"], ["D", "Input"], ["Input"], "Input: is declared both observed and input"),
     ],
-)
-def test_an_input_is_nothing_else(
-    hidden: tuple[str, ...], observed: tuple[Observed, ...], message: str
+)  # fmt: skip
+def test_declarations_that_do_not_fit_the_network_are_refused(
+    tables: list[Table], hidden: list[str], observed: list[Observed], inputs: list[str], said: str
 ) -> None:
-    tables = [
-        *within("I", [], [0.5, 0.5]),
-        *prior("A", KEEP, ["I"]),
-        *dynamics("A", ["I", previous("A")], OF_TWO),
-        *within("D", ["A"], SEES),
-    ]
-    assert refused(tables, hidden, observed, ["I"]) == message
+    assert refused(tables, hidden, observed, inputs, declared=["D"]).startswith(said)
 
 
 def test_a_virtual_evidence_node_is_a_binary_leaf_of_what_it_observes() -> None:

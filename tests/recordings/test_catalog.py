@@ -16,7 +16,6 @@ from egolane_pgm.recordings import catalog
 from egolane_pgm.recordings.catalog import (
     DataFile,
     fetch,
-    find_file,
     list_files,
     problems,
     verify,
@@ -105,32 +104,3 @@ def test_a_dead_network_is_said_in_one_line(
     monkeypatch.setattr(catalog, "BASE_URL", "http://127.0.0.1:9/never-the-real-one")
     with pytest.raises(InputError, match="no connection; is the network up"):
         fetch(tmp_path)
-
-
-def test_a_file_is_found_beside_the_yaml_then_in_the_data_folder_then_in_the_downloads(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folders = [tmp_path / name for name in ("yaml", "data", "cache/egolane_pgm")]
-    monkeypatch.setenv("EGOLANE_DATA", str(folders[1]))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    for folder in reversed(folders):
-        (folder / "rle").mkdir(parents=True)
-        (folder / "rle" / "a.bag").write_bytes(b"")
-        assert find_file("rle/a.bag", base=folders[0]) == folder / "rle" / "a.bag"
-    assert find_file(folders[2] / "rle" / "a.bag") == folders[2] / "rle" / "a.bag"
-    monkeypatch.chdir(folders[0])
-    assert find_file("rle/a.bag").samefile(folders[0] / "rle" / "a.bag")
-
-
-def test_a_file_that_is_nowhere_is_refused_with_every_place_and_what_helps(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("EGOLANE_DATA", str(tmp_path / "data"))
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    with pytest.raises(InputError, match="or set EGOLANE_DATA") as info:
-        find_file("rle/a.bag", base=tmp_path / "yaml")
-    for folder in ("yaml", "data", "cache/egolane_pgm"):
-        assert str(tmp_path / folder / "rle" / "a.bag") in str(info.value)
-    with pytest.raises(InputError) as info:
-        find_file(tmp_path / "a.bag")
-    assert "egolane data fetch" not in str(info.value)

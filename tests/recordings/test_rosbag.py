@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,11 +13,9 @@ import pytest
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.select import recording_warnings
-from egolane_pgm.recordings.topics import TOPICS, read_topic
+from egolane_pgm.recordings.topics import read_topic
 from egolane_pgm.types import InputError
 from tests.kits.bags import (
-    PLAIN_BODY,
-    PLAIN_CHECKSUM,
     PLAIN_LINE,
     Line,
     definition,
@@ -82,22 +79,6 @@ def test_header_seq_can_be_the_frame_id(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.frame_id, [20, 21, 22])
 
 
-def test_a_topic_of_several_definitions_is_refused(tmp_path: Path) -> None:
-    from rosbags.rosbag1 import Writer
-
-    with Writer(tmp_path / "a.bag") as bag:
-        for k, text in enumerate((definition(), definition(PLAIN_BODY + "# once more\n"))):
-            connection = bag.add_connection(
-                TOPICS[0],
-                "pkg/msg/msg_lines",
-                msgdef=text,
-                md5sum=PLAIN_CHECKSUM,
-                callerid=f"/node{k}",
-            )
-            bag.write(connection, k, plain_message(k, LINES[0]))
-    assert "several definitions" in refused(tmp_path / "a.bag")
-
-
 def refused(path: Path, **options: object) -> str:
     with pytest.raises(InputError) as info:
         read_lines(path, **options)
@@ -151,7 +132,7 @@ def killed(path: Path) -> None:
         (
             of_ids(0, 0, 0),
             {},
-            "0 is followed by 0; without way_id take `columns: {frame_id: header.seq}` (ROS 1)",
+            "way_id stays the same from message to message; `columns: {frame_id: null}`",
         ),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
@@ -161,16 +142,6 @@ def test_what_cannot_be_read_is_refused(
 ) -> None:
     make(tmp_path / "a.bag")
     assert said in refused(tmp_path / "a.bag", **options)
-
-
-def test_a_bag_that_says_it_has_more_messages_is_warned_of(tmp_path: Path) -> None:
-    whole = bytearray(write_bag(tmp_path / "a.bag", [GOOD_MESSAGE]).read_bytes())
-    whole[-4:] = struct.pack("<I", 2)  # the chunk is said to hold two messages
-    (tmp_path / "a.bag").write_bytes(whole)
-    with pytest.warns(
-        UserWarning, match=f"1 messages were read of the 2 that it says are on {TOPICS[0]}"
-    ):
-        assert len(read_topic(tmp_path / "a.bag")) == 1
 
 
 @pytest.mark.parametrize(("name", "n_frames", "n_lines"), PAPER_FILES)

@@ -160,7 +160,7 @@ def test_other_columns_are_ignored_with_one_warning_that_names_near_misses(tmp_p
 @pytest.mark.parametrize(
     ("row", "said"),
     [
-        ("x,1,2.0,true,false,3", "frame_id is 'x', not a number"),
+        ("x,1,2.0,true,false,3", "frame_id is 'x', not a whole number"),
         ("2.5,1,2.0,true,false,3", "frame_id is 2.5, not a whole number"),
         (",1,2.0,true,false,3", "frame_id is empty"),
         ("2,1,2.0,yes,false,3", "is_valid is 'yes', not true, false, 1 or 0"),

@@ -105,6 +105,7 @@ def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said
             " spaces",
         ),
         ("a: [1\nb: 2\n", "is not YAML: line 2: expected ',' or ']', but got ':'"),
+        ("a: *b", "is not YAML: line 1: found undefined alias 'b'"),
     ],
 )
 def test_what_is_wrong_with_a_yaml_is_named_by_its_line(

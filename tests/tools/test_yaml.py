@@ -8,23 +8,6 @@ import pytest
 
 from egolane_pgm.tools.files import read_yaml, write_yaml
 from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
-from egolane_pgm.types import InputError
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("a: !!python/object:os.system x", "line 1: could not determine a constructor for the tag"),
-        ("? [1]\n: 2", "line 1: found unhashable key"),
-        ("a: *b", "line 1: found undefined alias 'b'"),
-    ],
-)
-def test_damaged_yaml_is_refused_with_its_line(tmp_path: Path, text: str, said: str) -> None:
-    path = tmp_path / "x.yaml"
-    path.write_text(text)
-    with pytest.raises(InputError) as caught:
-        read_yaml(path, "n_lanes: 4")
-    assert str(caught.value).startswith(f"{path}: is not YAML: {said}")
 
 
 @pytest.mark.parametrize(

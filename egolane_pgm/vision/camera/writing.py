@@ -20,7 +20,7 @@ CODEC = "mp4v"
 def write_picture(file: Path, image: Image) -> None:
     """Writes a picture, (H, W, 3), blue green red, in the format of its extension, whole or not at
     all; missing folders are made. Raises InputError where it cannot be written."""
-    write_bytes(file, cv2.imencode(file.suffix, image)[1].tobytes(), make_folder=True)
+    write_bytes(file, cv2.imencode(file.suffix, image)[1].tobytes())
 
 
 def as_jpeg(image: Image, height: int, quality: int = 80) -> bytes:
