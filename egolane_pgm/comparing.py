@@ -44,8 +44,8 @@ def compare(
 
     - results: results, their directories, or folders of result directories.
     - of: the sides of the comparison: a key of the experiment (`graph`, `parameters.sigma1`), a
-      tag (`tag.driver`), or `name`. By default the name of each result if all are of one
-      recording, and the folder of its directory otherwise.
+      tag (`tag.driver`), `name`, `directory` (of the result) or `folder` (around it). By default
+      the name if all results are of one recording, and the folder otherwise.
     - by: a second such key; results with different values of it are compared separately.
     - detector: whether the detectors' own answers are a further side, the last one.
     - events: whether scores of lane changes, reported within 1 s, are added.
@@ -114,15 +114,26 @@ def results_in(folder: Path) -> list[Path]:
 
 
 def _default_key(results: Sequence[Result]) -> str:
-    names = [each.name for each in results]
-    return "name" if len(set(names)) == len(names) else "folder"
+    """The key that tells the sides apart if none is given."""
+    if len({_recording(each) for each in results}) > 1:
+        return "folder"
+    return "name" if len({each.name for each in results}) == len(results) else "directory"
+
+
+def _recording(result: Result) -> str:
+    """The file of a result's recording, or its simulated drive."""
+    recording = result.experiment.recording
+    return recording.path or f"{recording.simulate}, seed {recording.seed}"
 
 
 def _value(result: Result, key: str | None) -> Any:
     if key is None:
         return None
-    if key == "folder":
-        return result.name if result.directory is None else result.directory.parent.name
+    if key in ("folder", "directory"):
+        place = result.directory
+        if place is None:
+            return result.name
+        return place.parent.name if key == "folder" else place.name
     value = result.value(key)
     if isinstance(value, str) and value.endswith(OWN_FILES):
         # A graph or a rule of one's own is called by its file.
@@ -157,9 +168,7 @@ def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
     found: dict[str, Result] = {}
     for result in results:
         truth = _truth(_kept(result))
-        recording = result.experiment.recording
-        source = recording.path or f"{recording.simulate}, seed {recording.seed}"
-        key = f"{source} {pd.util.hash_pandas_object(truth).sum()}"
+        key = f"{_recording(result)} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
                 f"of: {side} has two results of one recording, {found[key].name} and {result.name};"

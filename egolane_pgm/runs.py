@@ -97,7 +97,9 @@ def open_input(
     changes = load_overrides(overrides, recording, truth)
     if lines is None and (experiment is not None or is_lines(given)):
         lines = given
-        loaded = load_experiment(experiment or ZERO_LABEL, changes, lines=lines, n_lanes=n_lanes)
+        loaded = load_experiment(
+            ZERO_LABEL if experiment is None else experiment, changes, lines=lines, n_lanes=n_lanes
+        )
     else:
         loaded = load_experiment(given, changes, n_lanes=n_lanes)
     if graph is not None:

@@ -495,7 +495,14 @@ def run_study(
             kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
             raise KeyboardInterrupt(kept) from None
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
-        frames = concat_drives(fitted_drives, [frames_of(drive) for drive in fitted_drives])
+        tables = [frames_of(drive) for drive in fitted_drives]
+        for drive, table in zip(drives, tables, strict=True):
+            if not drive.is_trusted.all():
+                # Unlabelled frames are trusted: nothing is known that may be wrong.
+                trusted = np.ones(len(table), dtype=bool)
+                trusted[drive.rows] = drive.is_trusted
+                table["is_trusted"] = trusted
+        frames = concat_drives(fitted_drives, tables)
     notes = [*notes, *messages(caught)]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))

@@ -29,7 +29,7 @@ def compare(
 
     - results: result directories, folders of them (as `run --table` writes), or Results.
     - of: sides of the comparison: a key of the experiment (graph, parameters.sigma1), or tag.X. By
-      default the name of each result, or its folder if several are of one recording.
+      default the name of each result; of several recordings the folder of their results.
     - by: a second such key: results with different values of it are compared separately.
     - detector: add the detectors' own answers.
     - events: add scores of lane changes that are reported within 1 s.
