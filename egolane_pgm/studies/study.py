@@ -66,10 +66,11 @@ class Fold(NamedTuple):
     test: tuple[IntArray, ...]
 
 
-def everything(drives: Sequence[Drive]) -> Fold:
-    """The fold of a final fit: train on all trusted frames, test on all frames."""
+def everything(drives: Sequence[Drive], *, is_trusted_only: bool = True) -> Fold:
+    """The fold of a final fit: train on all trusted frames, or on all; test on all frames."""
     test = tuple(np.arange(len(drive)) for drive in drives)
-    return Fold(tuple(np.flatnonzero(drive.is_trusted) for drive in drives), test)
+    trusted = tuple(np.flatnonzero(drive.is_trusted) for drive in drives)
+    return Fold(trusted if is_trusted_only else test, test)
 
 
 def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]:
@@ -482,7 +483,9 @@ def run_study(
         if directory is not None:
             storage = storage or str(directory / JOURNAL_NAME)
         fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
-    numbered = [(None, everything(drives)), *enumerate(folds)]
+    # As in the paper, the search on everything uses all frames; no held-out score does.
+    whole_fold = everything(drives, is_trusted_only=method == "learn")
+    numbered = [(None, whole_fold), *enumerate(folds)]
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         try:
