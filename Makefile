@@ -27,8 +27,8 @@ check: .venv/.dev
 
 # The kernels as plain Python, so that their lines are seen too; then, compiled, what would take
 # minutes so.
-COMPILED := $(addsuffix .py,$(addprefix tests/,comparing/test_compared test_held_out \
-	learning/test_held_out vision/detectors/test_detectors vision/detectors/test_runner))
+COMPILED := $(addsuffix .py,$(addprefix tests/,test_comparing studies/test_study \
+	studies/test_learning vision/detectors/test_detectors vision/detectors/test_runner))
 coverage: .venv/.dev
 	NUMBA_DISABLE_JIT=1 $(BIN)/python -m coverage run -m pytest -q $(addprefix --ignore=,$(COMPILED))
 	$(BIN)/python -m coverage run --append -m pytest -q $(COMPILED)
