@@ -109,7 +109,8 @@ def _check_numbers(name: str, values: object, n: int) -> None:
     if not (
         isinstance(values, tuple)
         and len(values) == n
-        and all(type(v) in (int, float) and math.isfinite(v) for v in values)
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values)
+        and all(math.isfinite(v) for v in values)
         and (not is_whole or all(v == int(v) for v in values))
     ):
         given = values[0] if n == 1 and isinstance(values, tuple) else values
