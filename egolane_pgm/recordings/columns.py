@@ -123,7 +123,8 @@ def lines_of_columns(
     starts = step > 0
     if "time_s" in frames:
         is_later = np.diff(frames["time_s"], prepend=-np.inf) > 0
-        table.refuse(starts & ~is_later, "time_s is not later than that of the frame before")
+        cure = "; `columns: {time_s: null}` takes frame id over frame rate"
+        table.refuse(starts & ~is_later, f"time_s is not later than that of the frame before{cure}")
     at = np.cumsum(starts) - 1
     lines = _lines_of(table, at)
     log = LineLog.from_rows(

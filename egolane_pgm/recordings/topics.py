@@ -7,7 +7,6 @@ those of the lines in the list only their own.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -112,8 +111,10 @@ def read_topic(
                     f"{path}: {said.frame_id} stays the same from message to message; `columns:"
                     " {frame_id: null}` numbers frames by their times"
                 )
-            if said.time_s is None:
-                table = _with_times(path, table, begins, is_ros1)
+            if is_ros1 and said.time_s is None:
+                # The stamps of the published ROS 1 bags say when they were processed, jump by
+                # minutes or are all zero: time is frame id over frame rate there.
+                table = {name: each for name, each in table.items() if name != "time_s"}
     return _lines_of(table, row, said, path, frame_rate)
 
 
@@ -226,24 +227,6 @@ def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
     table = {name: values.take(pa.array(row)) for name, values in table.items()}
     table["line"] = pa.array(number, mask=is_empty)
     return table | {name: arrow_column(each).take(line) for name, each in of_line.items()}, row
-
-
-def _with_times(
-    path: Path, table: dict[str, Any], begins: IntArray, is_ros1: bool
-) -> dict[str, Any]:
-    """Messages of the published type with times that increase, or without any.
-
-    The stamps of the published ROS 1 bags say when they were processed, jump by minutes or are all
-    zero: time is frame id over frame rate there.
-
-    - begins: the first row of each message.
-    """
-    if not is_ros1:
-        if (np.diff(np.asarray(table["time_s"])[begins]) > 0).all():
-            return table
-        said = f"{path}: stamps do not increase; time is frame id over frame rate"
-        warnings.warn(said, UserWarning, stacklevel=4)
-    return {name: each for name, each in table.items() if name != "time_s"}
 
 
 def _reader(path: Path) -> Any:

@@ -93,14 +93,12 @@ def test_without_a_stamp_in_the_header_the_time_is_that_of_recording(
     np.testing.assert_array_equal(found.time_s, np.array(stamps) / 1e9)
 
 
-def test_stamps_that_do_not_increase_are_left_out_with_a_warning(
-    log: LineLog, tmp_path: Path
-) -> None:
+def test_stamps_that_do_not_increase_are_refused_or_left_out(log: LineLog, tmp_path: Path) -> None:
     time_s = log.time_s.copy()
     time_s[7] = time_s[6]
     write_lines(tmp_path / "a.mcap", replace(log, time_s=time_s))
-    with pytest.warns(UserWarning, match="stamps do not increase"):
-        found = read_topic(tmp_path / "a.mcap")
+    assert "time_s is not later than that of the frame before" in refused(tmp_path / "a.mcap")
+    found = read_lines(tmp_path / "a.mcap", columns="time_s=null")
     np.testing.assert_array_equal(found.time_s, log.frame_id / 10)
 
 
