@@ -31,4 +31,4 @@ def test_a_line_is_in_the_picture_where_the_camera_says_it_is(
 def test_pictures_are_of_the_drive_whose_lines_are_simulated() -> None:
     road, drive = simulated_road("a2", 3, 50), simulate("a2", 3, 50)
     np.testing.assert_array_equal(road.position_m, drive.position_m)
-    np.testing.assert_array_equal(road.truth.lane, drive.truth.lane)
+    assert road.truth.equals(drive.truth)
