@@ -1,4 +1,4 @@
-"""The paper's recordings: list them, download them, check them."""
+"""The paper's recordings: list and check them, download them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Folder = Annotated[str | Path | None, Option("DIRECTORY")]
 
 
 def list_files() -> str:
-    """What the data set consists of, and which files are there."""
+    """What the data set consists of, and which files are there and good."""
     looked = [f"looked in: {folder}" for folder in catalog.data_folders()]
     files = [
         f"{outcome.status:>10}  {outcome.file.size / 1e6:6.2f} MB"
@@ -33,20 +33,7 @@ def fetch(*, folder: Folder = None) -> str:
 
     Returns how many files are good. Raises InputError where one is not.
     """
-    return _good(catalog.fetch(folder))
-
-
-def verify(*, folder: Folder = None) -> str:
-    """Check every file against its sha256: those in $EGOLANE_DATA, else the downloaded ones.
-
-    - folder: where they are; by default as a run finds them.
-
-    Returns how many files are good. Raises InputError where one is not.
-    """
-    return _good(catalog.verify(folder))
-
-
-def _good(outcomes: list[catalog.Outcome]) -> str:
+    outcomes = catalog.fetch(folder)
     said = f"{sum(each.ok for each in outcomes)} of {len(outcomes)} files are there and good"
     problems = catalog.problems(outcomes)
     if problems:
@@ -56,4 +43,4 @@ def _good(outcomes: list[catalog.Outcome]) -> str:
     return said
 
 
-data = {"list": list_files, "fetch": fetch, "verify": verify}
+data = {"list": list_files, "fetch": fetch}
