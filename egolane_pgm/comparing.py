@@ -63,7 +63,7 @@ def compare(
             raise InputError(f"{option}: no result has a value of {name}")
     rows = []
     for group, members in _groups(given, by).items():
-        key = of or _default_key(members)
+        key = of or _default_key(given)
         sides = {
             str(name): _by_recording(side, name) for name, side in _groups(members, key).items()
         }

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import time
 import warnings
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -208,11 +210,14 @@ def run_experiment(
 
 
 def messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
-    """The different user warnings among those that were caught; the others are warned of again."""
-    found = []
+    """The different user warnings among those that were caught; the others are warned of again.
+
+    Files in the current folder are named as the user sees them.
+    """
+    here, found = f"{Path.cwd()}{os.sep}", []
     for each in caught:
         if issubclass(each.category, UserWarning):
-            found.append(str(each.message))
+            found.append(str(each.message).replace(here, ""))
         else:
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
     return list(dict.fromkeys(found))

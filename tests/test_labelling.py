@@ -22,12 +22,10 @@ from egolane_pgm.labelling import (
     lane_path,
 )
 from egolane_pgm.loading import experiments_folder
-from egolane_pgm.runs import open_input
+from egolane_pgm.runs import open_input, table_inputs
 from egolane_pgm.types import FloatArray, InputError, runs_of
 from tests.conftest import needs_compiler
 from tests.kits.drives import write_drive
-
-BEYOND = experiments_folder() / "beyond"
 
 
 def simulated(**keys: Any) -> Labels:
@@ -171,8 +169,11 @@ def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
 
 @pytest.fixture(scope="module")
 def real(recordings: Path) -> dict[str, Labels]:
-    names = [f"{road}_{kind}" for road in ("italy", "spain") for kind in ("ml", "sl", "mc", "sc")]
-    return {name: labelled(BEYOND / f"geometry_{name}.yaml") for name in names}
+    table = experiments_folder() / "paper" / "recordings.csv"
+    given = table_inputs("zero_label", table)
+    return {
+        each.experiment.name: label_input(each) for each in given if each.tags["detector"] != "mld"
+    }
 
 
 @needs_compiler

@@ -47,6 +47,7 @@ def test_without_the_recordings_a_notebook_takes_a_simulated_drive(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     """Up to the cell that chooses."""
+    monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("EGOLANE_DATA", "")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     cells = [cell.source for cell in code(path)]

@@ -333,7 +333,7 @@ CONSTANT = [*within("A", [], [0.0, 1.0]), *within("D", ["A"], SEES)]
     ("tables", "hidden", "observed", "inputs", "said"),
     [
         (simple_tables(), ["Aa"], ["D"], [], "Aa: declared, but not a node of the network"),
-        (simple_tables(), ["A"], [("D", "Ghost")], [], "observed node Ghost: there is no"),
+        (simple_tables(), ["A"], [("D", "Ghost")], [], "Ghost: declared, but not a node"),
         (simple_tables(), ["A"], ["D"], ["Ghost"], "Ghost: declared, but not a node"),
         (simple_tables(), ["A", "A"], ["D"], [], "A: declared more than once"),
         (simple_tables(), ["A"], ["D", ("D",)], [], "D_ve: declared more than once"),

@@ -9,6 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from egolane_pgm.evidence import counting
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.simulation import (
     PRESETS,
     DetectorModel,
@@ -194,14 +197,10 @@ def test_a_failure_takes_lines_away_and_puts_lines_in_wrong_places() -> None:
 def test_the_counting_rule_is_right_as_often_as_on_the_road_and_less_in_failures(
     preset: str, lowest: float, highest: float
 ) -> None:
-    counting = pytest.importorskip("egolane_pgm.evidence.counting")
-    assign = pytest.importorskip("egolane_pgm.scoring.assign")
-    from egolane_pgm.parameters import resolve_parameters
-
     drive = simulate(preset, 0)
     values = resolve_parameters(counting.PARAMETERS, {"bonus_value": 7}, drive.n_lanes)
     tentative = counting.evidence(drive.log, drive.n_lanes, values)
-    lane = assign.assigned_lane(tentative.likelihoods["DetectorOutput"])
+    lane = assigned_lane(tentative.likelihoods["DetectorOutput"])
     scored = ~drive.truth["is_crossing"].to_numpy()
     is_right = lane == drive.truth["true_lane"].to_numpy()
     assert lowest < is_right[scored].mean() < highest

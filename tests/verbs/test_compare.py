@@ -64,7 +64,10 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
     [
         ("", "Missing argument"),
         ("{0}/gone", "gone: is not a result directory"),
-        ("{0}/sensor_failure_0 {0}/sensor_failure_1", "has other recordings, frames or labels"),
+        (
+            "{0}/sensor_failure_0 {0}/sensor_failure_1 --of name",
+            "has other recordings, frames or labels",
+        ),
         ("{0} --of tuned_on", "--of: not_tuned has two results of one recording"),
         ("{0} --by tag.drivr", "--by: no result has a value of tag.drivr"),
         ("{0} --of graph --out {0}/x.txt", "x.txt"),
