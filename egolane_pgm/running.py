@@ -19,7 +19,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.inference.filtering import step
 from egolane_pgm.inference.smoothing import infer_beliefs, lag_rest, lag_step
-from egolane_pgm.inference.viterbi import disagreement, viterbi
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.model import (
     Model,
     lateral_offset_by_lines,
@@ -90,8 +90,6 @@ def _infer_whole(model: Model, log: LineLog) -> Columns:
     if e.decode == "viterbi":
         path = viterbi(model.compiled, evidence, frame_id=log.frame_id)
         columns["assigned_lane"] = path.lane
-        for note in filter(None, [disagreement(path, beliefs)]):
-            warnings.warn(note, UserWarning, stacklevel=2)
     return columns
 
 

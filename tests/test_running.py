@@ -142,14 +142,6 @@ def test_a_decoded_run_answers_the_most_probable_path(drive: Path) -> None:
     assert found.scores["model"]["confusion"] == confusion(path.lane, *known, 3).tolist()
 
 
-def test_a_path_that_the_smoothed_posterior_doubts_for_long_is_noted(drive: Path) -> None:
-    """A detector without information: the most probable path holds one lane, no other does."""
-    keys = {"filter": "smoothed", "decode": "viterbi", "graph": "lane_only"}
-    found = run(drive, {**keys, "parameters": {"sigma1": 0.8, "tentative_noise": 1e9}})
-    [note] = found.notes
-    assert "the most probable path holds a Lane that the smoothed belief gives less" in note
-
-
 # --- gaps ----------------------------------------------------------------------------------------
 
 

@@ -1,11 +1,11 @@
-"""The most probable path of the joint state, and where it is not to be trusted.
+"""The most probable path of the joint state.
 
 The path has, in every frame, one value for each node of the joint state (`compile`). The values of
 plain emissions are no part of it: they are summed out. An observed node that is in the joint state
 is a part of it, so that the path takes one of its values, however soft the evidence.
 
 Many paths may share the probability, and the best of them may then be far from what each frame's
-smoothed belief says. `disagreement` finds such stretches of frames.
+smoothed belief says.
 """
 
 from __future__ import annotations
@@ -18,10 +18,7 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.inference.smoothing import pass_forward
-from egolane_pgm.types import Beliefs, BoolArray, Evidence, IntArray, runs_of
-
-#: Frames in a row that the path may disagree with the smoothed belief without a warning.
-LIMIT = 50
+from egolane_pgm.types import BoolArray, Evidence, IntArray
 
 
 @dataclass(frozen=True)
@@ -77,20 +74,3 @@ def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None
         total = best_path(log_prior, log_transition, log_likelihood, passed.index, states)
     values = {name: compiled.node_value[name][states] for name in compiled.hidden}
     return Path(ids, values, total, passed.is_impossible)
-
-
-def disagreement(path: Path, smoothed: Beliefs, limit: int = LIMIT) -> str | None:
-    """A line about the longest stretch of frames in which the path's lane has a smoothed
-    probability below 1/2; None where none has more than `limit` frames.
-
-    - smoothed: of the path's frames.
-    """
-    doubted = smoothed.lane[np.arange(len(path)), path.values["Lane"]] < 0.5
-    start, stop = max(runs_of(doubted), key=lambda run: run[1] - run[0], default=(0, 0))
-    if stop - start <= limit:
-        return None
-    return (
-        "the most probable path holds a Lane that the smoothed belief gives less than 1/2 for"
-        f" {stop - start} frames ({path.frame_id[start]} to {path.frame_id[stop - 1]}); trust the"
-        " smoothed belief there"
-    )

@@ -1,4 +1,4 @@
-"""The most probable path, and the warning where it is not to be trusted."""
+"""The most probable path."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.viterbi import Path, disagreement, viterbi
-from egolane_pgm.types import Beliefs, Evidence
+from egolane_pgm.inference.viterbi import viterbi
+from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     any_compiled,
     draw_evidence,
@@ -86,23 +86,3 @@ def test_long_drives_do_not_underflow_and_impossible_frames_are_ignored() -> Non
     nothing = viterbi(compiled, evidence.take(slice(0, 0)))
     assert len(nothing) == 0
     assert nothing.log_probability == 0
-
-
-def believed(lane: list[int], probability: list[float]) -> tuple[Path, Beliefs]:
-    """A path over two lanes and a belief that gives its lane this probability."""
-    ids = np.arange(100, 100 + len(lane))
-    values = np.array(lane)
-    rows = np.empty((len(lane), 2))
-    rows[np.arange(len(lane)), values] = probability
-    rows[np.arange(len(lane)), 1 - values] = 1 - np.array(probability)
-    flags = np.zeros(len(lane), dtype=bool)
-    path = Path(ids, {"Lane": values}, 0.0, flags)
-    return path, Beliefs(ids, {"Lane": rows}, np.zeros(len(lane)), flags)
-
-
-def test_the_longest_stretch_of_doubt_is_found_and_warned_of_beyond_the_limit() -> None:
-    doubt = [0.9, 0.4, 0.9, 0.3, 0.2, 0.49, 0.5, 0.1, 0.1]
-    path, smoothed = believed([0, 0, 0, 1, 1, 1, 0, 0, 0], doubt)
-    assert disagreement(path, smoothed, limit=3) is None
-    assert "for 3 frames (103 to 105)" in str(disagreement(path, smoothed, limit=2))
-    assert disagreement(*believed([0, 1], [0.9, 0.8]), limit=0) is None
