@@ -39,7 +39,6 @@ from egolane_pgm.studies.objective import (
 )
 from egolane_pgm.studies.search import (
     TRIALS,
-    Report,
     Settings,
     best_trial,
     check_sampler,
@@ -51,12 +50,11 @@ from egolane_pgm.studies.space import (
     Point,
     SearchSpace,
     describe,
-    differences,
     make_space,
     to_parameters,
     to_point,
 )
-from egolane_pgm.studies.storage import open_storage, storage_errors
+from egolane_pgm.studies.storage import open_storage
 from egolane_pgm.tools.files import plain
 from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
 
@@ -338,7 +336,6 @@ def fit_tune(
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
-    report: Report | None = None,
 ) -> Fitted:
     """The best parameters of an Optuna study on the training frames.
 
@@ -348,19 +345,21 @@ def fit_tune(
     - starts: parameter sets that the study on everything tries first. A study without a fold starts
       from scratch: known values may have been tuned on the frames that are held out.
     - pooled: whether all frames count alike; otherwise all drives do.
-    - report: called after each trial.
     """
+    for drive in drives:
+        check_filter(drive.experiment)
     spaces = search_spaces(drives, tuning)
-    study = tune_study(
-        drives,
-        train,
-        fold,
-        tuning=tuning,
-        storage=storage,
-        starts=starts,
-        pooled=pooled,
-        report=report,
-    )
+    settings = settings_of(tuning, fold, drives[0].experiment.source)
+    used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
+    study = open_study(drives, train, fold, settings, spaces[0], storage)
+    if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
+        own = current_values(drives[0].model, tuning)
+        points = (to_point(spaces[0], {**own, **each}) for each in starts)
+        with quiet():
+            for point in filter(None, points):
+                study.enqueue_trial(dict(point), skip_if_exists=True)
+    score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
+    search(study, spaces[0], score, settings)
     values = to_parameters(spaces[0], best_trial(study).params)
     found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
     fitted = Fitted({name: value for name, value in values.items() if name in found})
@@ -381,36 +380,6 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
         for trial in trials
     ]
     return pd.DataFrame(rows)
-
-
-def tune_study(
-    drives: Sequence[Drive],
-    train: Sequence[IntArray],
-    fold: int | None,
-    *,
-    tuning: Tuning,
-    storage: str | None = None,
-    starts: Sequence[Mapping[str, Value]] = (),
-    pooled: bool = False,
-    report: Report | None = None,
-) -> optuna.Study:
-    """Run the study of a fold, or go on with it; see `fit_tune`."""
-    for drive in drives:
-        check_filter(drive.experiment)
-    spaces = search_spaces(drives, tuning)
-    settings = settings_of(tuning, fold, drives[0].experiment.source)
-    used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
-    with storage_errors(storage):
-        study = open_study(drives, train, fold, settings, spaces[0], storage)
-        if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
-            own = current_values(drives[0].model, tuning)
-            points = (to_point(spaces[0], {**own, **each}) for each in starts)
-            with quiet():
-                for point in filter(None, points):
-                    study.enqueue_trial(dict(point), skip_if_exists=True)
-        search(study, spaces[0], score, settings, report=report)
-    return study
 
 
 def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Settings:
@@ -508,10 +477,10 @@ def open_study(
     known = json.loads(json.dumps(plain(content)))
     before = study.user_attrs.get("identity", known)
     if before != known:
-        what = "; ".join(differences(before, known)[:5])
+        what = ", ".join(key for key in known if before[key] != known[key])
         raise InputError(
-            f"study {name}: the storage holds another study of this name ({what}); name another"
-            " directory or storage"
+            f"study {name}: the storage holds another study of this name, with another {what};"
+            " name another directory or storage"
         )
     study.set_user_attr("identity", known)
     return study

@@ -29,9 +29,6 @@ TRIALS = 3000
 #: Scores a point: one number per objective.
 Score = Callable[[Point], Sequence[float]]
 
-#: Called after each trial of this process with its first score.
-Report = Callable[[float], None]
-
 
 @dataclass(frozen=True)
 class Settings:
@@ -119,25 +116,17 @@ def new_study(settings: Settings, **given: Any) -> optuna.Study:
     return study
 
 
-def search(
-    study: optuna.Study,
-    space: SearchSpace,
-    score: Score,
-    settings: Settings,
-    *,
-    report: Report | None = None,
-) -> None:
-    """Go on with a study until it has its number of complete trials, those of others included.
-
-    - report: called after each trial of this process.
-    """
+def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Settings) -> None:
+    """Go on with a study until it has its number of complete trials, those of others included."""
     n_trials = len(study.get_trials(deepcopy=False))
     if n_complete(study) >= settings.trials:
         return
     study.sampler = make_sampler(settings, space, n_trials)
-    objective = _objective(space, score, report)
     with quiet(), _interruptions():
-        study.optimize(objective, callbacks=[MaxTrialsCallback(settings.trials)])
+        study.optimize(
+            lambda trial: score(suggest(space, trial)),
+            callbacks=[MaxTrialsCallback(settings.trials)],
+        )
 
 
 @contextmanager
@@ -153,20 +142,6 @@ def _interruptions() -> Iterator[None]:
         if cause is None:
             raise
         raise type(cause)(*cause.args) from None
-
-
-def _objective(
-    space: SearchSpace, score: Score, report: Report | None
-) -> Callable[[Trial], Sequence[float]]:
-    """The objective for Optuna."""
-
-    def objective(trial: Trial) -> Sequence[float]:
-        values = score(suggest(space, trial))
-        if report is not None:
-            report(values[0])
-        return values
-
-    return objective
 
 
 def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:

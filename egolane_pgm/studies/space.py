@@ -210,40 +210,8 @@ def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, A
     return point
 
 
-def described(space: SearchSpace) -> tuple[list[str], list[str]]:
-    """For a reader: what is searched, with the ranges, and what is held fixed, with the values."""
-    searched = []
-    for d in space.dimensions:
-        # The end of an open range is the number that is left out.
-        low = 0.0 if 0 < d.low <= 2 * OPEN_END * d.high else d.low
-        ends = " or ".join(d.choices) if d.choices else f"{low:.4g} to {d.high:.4g}"
-        n_lanes = sum(other.parameter == d.parameter for other in space.dimensions)
-        if d.lane in (None, 1):
-            searched.append(f"{d.parameter}{f' of {n_lanes} lanes' if d.lane else ''} {ends}")
-    fixed = [f"{name} {_short(value)}" for name, value in space.fixed.items()]
-    return searched, fixed
-
-
-def _short(value: Value) -> str:
-    if isinstance(value, tuple):
-        return f"({len(value)} numbers)" if len(value) > 4 else f"({', '.join(map(_short, value))})"
-    return value if isinstance(value, str) else f"{value:.6g}"
-
-
 def describe(space: SearchSpace) -> dict[str, Any]:
     """The space as plain JSON: what is searched and what is kept."""
     searched = {d.key: list(d.choices) if d.choices else [d.low, d.high] for d in space.dimensions}
     fixed = {k: list(v) if isinstance(v, tuple) else v for k, v in sorted(space.fixed.items())}
     return {"searched": searched, "fixed": fixed}
-
-
-def differences(before: Mapping[str, Any], now: Mapping[str, Any], prefix: str = "") -> list[str]:
-    """What differs between two nested JSON mappings, one phrase each: `fixed.p1: 0.9, now 0.8`."""
-    found = []
-    for key in sorted({*before, *now}):
-        old, new = before.get(key, "nothing"), now.get(key, "nothing")
-        if isinstance(old, Mapping) and isinstance(new, Mapping):
-            found += differences(old, new, f"{prefix}{key}.")
-        elif old != new:
-            found.append(f"{prefix}{key}: {old}, now {new}")
-    return found

@@ -12,10 +12,10 @@ from egolane_pgm.experiment import Tuning
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.simulation import simulate
 from egolane_pgm.studies.black_box import objective
-from egolane_pgm.studies.fits import tune_study
+from egolane_pgm.studies.fits import fit_tune, trials_of
 from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.types import InputError
-from tests.kits.studies import drive_of, tried
+from tests.kits.studies import drive_of
 
 QUICKSTART = "quickstart"
 
@@ -24,12 +24,15 @@ def test_optuna_finds_with_it_what_our_own_search_finds() -> None:
     score = objective(QUICKSTART)
     drive = drive_of(load_experiment(QUICKSTART))
     tuning = Tuning(trials=45, seed=1, from_scratch=True)
-    ours = tune_study([drive], [np.arange(len(drive))], None, tuning=tuning)
+    ours = fit_tune([drive], [np.arange(len(drive))], None, tuning=tuning).trials
+    assert ours is not None
     study = optuna.create_study(direction=score.direction, sampler=Shade(1, score.distributions))
     for _ in range(45):
         trial = study.ask(score.distributions)
         study.tell(trial, score(trial.params))
-    assert tried(study.trials) == tried(ours.trials)
+    names = list(score.distributions)
+    assert trials_of(study)[names].equals(ours[names])
+    assert [trial.values[0] for trial in study.trials] == ours["accuracy"].tolist()
 
 
 def test_values_that_are_left_out_are_the_experiments() -> None:

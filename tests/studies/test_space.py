@@ -13,8 +13,6 @@ from egolane_pgm.parameters import Parameter, held_fixed, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
 from egolane_pgm.studies.space import (
     SearchSpace,
-    describe,
-    differences,
     distributions,
     make_space,
     to_parameters,
@@ -155,12 +153,3 @@ def test_a_point_outside_of_the_bounds_is_none() -> None:
     names = space(no_valid_line=["uniform", "ignore"])
     assert to_point(names, {**CURRENT, "no_valid_line": "ignore"}) is not None
     assert to_point(names, {**CURRENT, "no_valid_line": "neither"}) is None
-
-
-def test_differences_name_each_key_with_both_values() -> None:
-    before, now = describe(space()), describe(space(p1=0.9, sigma1=[0.1, 1.0]))
-    text = "; ".join(differences(before, now))
-    assert "fixed.p1: nothing, now 0.9" in text
-    assert "searched.sigma1: [3e-06, 3.0], now [0.1, 1.0]" in text
-    assert "sigma2" not in text
-    assert differences({"a": {"b": 1}, "c": 2}, {"c": 2}) == ["a: {'b': 1}, now nothing"]

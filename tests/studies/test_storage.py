@@ -10,7 +10,7 @@ from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
 from egolane_pgm.studies.search import Settings, new_study, search
-from egolane_pgm.studies.storage import JOURNAL_NAME, open_storage, storage_errors
+from egolane_pgm.studies.storage import JOURNAL_NAME, open_storage
 from egolane_pgm.types import InputError
 from tests.kits.studies import bowl, plain_space, search_in_memory, tried
 
@@ -66,9 +66,3 @@ def test_a_storage_that_cannot_be_opened_is_one_line(
         open_storage(storage.format(folder=tmp_path))
     assert said in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_an_error_of_the_score_is_none_of_the_storage(tmp_path: Path) -> None:
-    study = study_in(str(tmp_path / JOURNAL_NAME))
-    with pytest.raises(ZeroDivisionError), storage_errors("here"):
-        search(study, SPACE, lambda _: [1 / 0], settings(9))

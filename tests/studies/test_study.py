@@ -249,9 +249,9 @@ def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:
     before = contents(out)
     all_other = with_labels(drive, np.arange(5), 1)
     for given, tuning, said in (
-        (drive, {"seed": 5}, "seed: 0, now 5"),
+        (drive, {"seed": 5}, "with another seed"),
         (drive, {"objective": "f1"}, "objective"),
-        (drive, {"parameters": {"sigma1": [0.1, 0.2]}}, "sigma1"),
+        (drive, {"parameters": {"sigma1": [0.1, 0.2]}}, "space"),
         (scrambled(all_other, np.arange(500)), {}, "data"),
     ):
         with pytest.raises(InputError, match="the storage holds another study of this") as caught:
