@@ -25,7 +25,6 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.banded import Band, forward_banded
 from egolane_pgm.inference.kernels.filter import forward_kernel, likelihood_kernel, multiply_chosen
 from egolane_pgm.inference.layout import (
-    FilterState,
     evidence_blocks,
     joint_input,
     layout,
@@ -82,11 +81,12 @@ def filter_beliefs(
 
 
 def step(
-    compiled: Compiled, state: FilterState | None, evidence: Evidence, method: str = "exact"
-) -> tuple[FilterState, Beliefs]:
+    compiled: Compiled, state: FloatArray | None, evidence: Evidence, method: str = "exact"
+) -> tuple[FloatArray, Beliefs]:
     """Filter one more frame (or several) online: the new state and the beliefs of these frames.
 
-    - state: the state that the call before gave, None before the first frame; it is not changed.
+    - state (S,): what the call before gave: the belief after its last frame, under assumed density
+      the product of its marginals; None before the first frame; it is not changed.
     - evidence, method, errors: as in `filter_beliefs`.
     """
     if method not in METHODS:
@@ -94,7 +94,7 @@ def step(
     is_factored = method == "assumed_density"
     n_frames = len(evidence)
     ids = np.arange(n_frames)
-    joint = np.zeros(compiled.n_states) if state is None else state.joint.copy()
+    joint = np.zeros(compiled.n_states) if state is None else state.copy()
     begins = np.zeros(n_frames, dtype=bool)
     begins[:1] = state is None
     index = joint_input(compiled, evidence)
@@ -109,7 +109,7 @@ def step(
         )
         marginals = marginals_of(compiled, beliefs)
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))
-    return FilterState(joint), Beliefs.joined(done)
+    return joint, Beliefs.joined(done)
 
 
 def read_evidence(evidence: Evidence, reading: str) -> Evidence:

@@ -15,16 +15,6 @@ from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observ
 
 
 @dataclass(frozen=True)
-class FilterState:
-    """What an online filter carries from frame to frame.
-
-    joint (S,): the belief after the last frame; under assumed density the product of its marginals.
-    """
-
-    joint: FloatArray
-
-
-@dataclass(frozen=True)
 class Layout:
     """The arrays of a network for the kernels, besides its tables and whatever the evidence.
 

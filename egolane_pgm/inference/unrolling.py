@@ -11,7 +11,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import step
-from egolane_pgm.inference.layout import FilterState, check_keys
+from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
@@ -116,7 +116,7 @@ def _seen(key: Observed, frame: int, likelihood: FloatArray, name: str = "") -> 
     return Table((name or ve_name(key), frame), tuple((each, frame) for each in names), values)
 
 
-def _past(compiled: Compiled, state: FilterState, frame: int) -> list[Table]:
+def _past(compiled: Compiled, state: FloatArray, frame: int) -> list[Table]:
     """The belief of a frame as tables of the nodes that the next frame depends on: of the first
     node, of the second given the first, and so on."""
     needed = {
@@ -125,7 +125,7 @@ def _past(compiled: Compiled, state: FilterState, frame: int) -> list[Table]:
         for name, s in table.parents
         if s == 0 and table.node[1] == 1
     }
-    joint = state.joint.reshape([compiled.cardinality[name] for name in compiled.state_nodes])
+    joint = state.reshape([compiled.cardinality[name] for name in compiled.state_nodes])
     others = [k for k, name in enumerate(compiled.state_nodes) if name not in needed]
     joint = joint.sum(axis=tuple(others))
     nodes: list[SliceNode] = [(n, frame) for n in compiled.state_nodes if n in needed]

@@ -82,10 +82,10 @@ def test_stepping_leaves_the_earlier_state_as_it_was(method: str) -> None:
     compiled = template("sensor_failure", 4)
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0), zeros=0)
     first, _ = step(compiled, None, evidence.take(slice(0, 1)), method)
-    before = first.joint.copy()
+    before = first.copy()
     _, once = step(compiled, first, evidence.take(slice(1, 3)), method)
     _, again = step(compiled, first, evidence.take(slice(1, 3)), method)
-    np.testing.assert_array_equal(first.joint, before)
+    np.testing.assert_array_equal(first, before)
     np.testing.assert_array_equal(once.lane, again.lane)
 
 
@@ -106,7 +106,7 @@ def test_uniform_evidence_changes_nothing_but_the_prediction(
         beliefs.log_evidence[[0, 4]], len(evidence.likelihoods) * np.log(level), atol=1e-9
     )
     state, _ = step(compiled, None, evidence.take(slice(0, 4)), method)
-    for t, predicted in ((0, start[u[0]]), (4, state.joint @ compiled.transition[u[4]])):
+    for t, predicted in ((0, start[u[0]]), (4, state @ compiled.transition[u[4]])):
         for name in compiled.hidden:
             expected = np.bincount(
                 compiled.node_value[name], predicted, minlength=compiled.cardinality[name]

@@ -14,7 +14,7 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, Expected
 from egolane_pgm.inference.kernels.filter import LEAST
-from egolane_pgm.inference.layout import FilterState, joint_input
+from egolane_pgm.inference.layout import joint_input
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
 
 #: The largest likelihood of a frame: those that matter have the whole range of numbers.
@@ -34,10 +34,10 @@ def filter_beliefs(
 
 def step(
     compiled: Compiled,
-    state: FilterState | None,
+    state: FloatArray | None,
     evidence: Evidence,
     method: str = "exact",
-) -> tuple[FilterState, Beliefs]:
+) -> tuple[FloatArray, Beliefs]:
     """As `egolane_pgm.inference.filtering.step`."""
     return _filter(compiled, evidence, method, state, None)
 
@@ -46,18 +46,17 @@ def _filter(
     compiled: Compiled,
     evidence: Evidence,
     method: str,
-    state: FilterState | None,
+    state: FloatArray | None,
     frame_id: IntArray | None,
-) -> tuple[FilterState, Beliefs]:
-    joint = None if state is None else state.joint
+) -> tuple[FloatArray, Beliefs]:
     likelihood, log_scale = state_likelihood(compiled, evidence)
     index = joint_input(compiled, evidence)
     filtered, log_evidence, is_impossible, last = forward(
-        compiled, likelihood, log_scale, index, method, joint
+        compiled, likelihood, log_scale, index, method, state
     )
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     marginals = marginals_of(compiled, filtered)
-    return FilterState(last), Beliefs(ids, marginals, log_evidence, is_impossible)
+    return last, Beliefs(ids, marginals, log_evidence, is_impossible)
 
 
 def state_likelihood(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray, FloatArray]:
