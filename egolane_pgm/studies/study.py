@@ -1,7 +1,7 @@
 """Studies: fit on some frames, infer and score the others.
 
-`cross_validate(drives, fit, folds)` is the only engine. `run --held-out`, `tune`, `learn` and
-transfer from some drives to others differ in the fit and in the folds.
+`fit_folds` and `test_frames` are the only engine. `run --held-out`, `tune`, `learn` and transfer
+from some drives to others differ in the fit and in the folds.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import pandas as pd
 from egolane_pgm.drives import Drive, digests, drive_key, with_rate
 from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
 from egolane_pgm.model import Model, recording_key
-from egolane_pgm.result import Result, by_drive, is_result, make_result, score
+from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, messages
 from egolane_pgm.studies.fits import (
     TABLES,
@@ -215,18 +215,6 @@ def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
     return replace(again, model=model)
 
 
-def cross_validate(
-    drives: Sequence[Drive], fit: Fit, folds: Sequence[Fold], **options: Any
-) -> tuple[pd.DataFrame, list[Fitted]]:
-    """Fit each fold to its training frames and infer its test frames.
-
-    Returns the table of all test frames, see `test_frames`, and the fit of each fold. options: as
-    `fit_folds` takes them.
-    """
-    fitted = fit_folds(drives, fit, list(enumerate(folds)), **options)
-    return test_frames(drives, folds, fitted), fitted
-
-
 def lacking_lanes(drives: Sequence[Drive], folds: Sequence[Fold]) -> list[str]:
     """A warning per lane that no training frame of a fold has, though it is driven."""
     found = []
@@ -322,12 +310,6 @@ class Study:
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
         return content
 
-    def scores_by_drive(self) -> dict[str, dict[str, Any]]:
-        """The held-out scores of each drive, by name."""
-        assert self.held_out is not None
-        rate = self.held_out.frame_rate
-        return {str(name): score(part, rate) for name, part in by_drive(self.held_out.frames)}
-
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane tune` prints: scores in-sample and held out, and what was found.
 
@@ -400,11 +382,10 @@ def held_out_result(
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
     experiment = drives[0].experiment
+    notes = [*notes, *messages(caught)]
     if fit != "none":
         keys["tuned_on"] = "other_frames"
-    notes = [*notes, *lacking_lanes(drives, folds), *messages(caught)]
-    if fit == "none":
-        notes = [note for note in notes if "only block" not in note]
+        notes += lacking_lanes(drives, folds)
     return make_result(experiment, drives, frames, notes, begin=begin, **keys)
 
 

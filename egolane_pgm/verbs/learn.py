@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from egolane_pgm.loading import ExperimentLike, Overrides
@@ -21,6 +21,7 @@ from egolane_pgm.verbs.given import (
     Truth,
 )
 from egolane_pgm.verbs.studied import open_studied, study_place
+from egolane_pgm.verbs.studied import says as says
 
 EXAMPLES = (
     "egolane learn drive/experiment.yaml",
@@ -97,8 +98,3 @@ def learn(
         cluster=cluster,
         progress=progress,
     )
-
-
-def says(done: Study, given: Mapping[str, Any]) -> str:
-    """Where the study is."""
-    return f"study: {done.directory}; run its best.yaml, or `include:` it"

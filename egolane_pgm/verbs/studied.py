@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from egolane_pgm.experiment import Experiment, Section, Tuning, validated
 from egolane_pgm.loading import experiment_path, load_experiment, load_yaml
 from egolane_pgm.running import messages
 from egolane_pgm.runs import is_lines, open_input, table_inputs
-from egolane_pgm.studies.study import Fold, block_folds, drive_folds
+from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import path_of, several_of
 
@@ -113,3 +113,8 @@ def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
 def study_place(out: Any, given: Studied) -> Path | None:
     """The directory of a study; `*` is the name of its experiment."""
     return None if out is None else Path(path_of(out, "out").replace("*", given.name))
+
+
+def says(done: Study, given: Mapping[str, Any]) -> str:
+    """Where the study is; the last line of the commands."""
+    return f"study: {done.directory}; run its best.yaml, or `include:` it"

@@ -28,6 +28,7 @@ from egolane_pgm.verbs.given import (
     keys_of,
 )
 from egolane_pgm.verbs.studied import Studied, open_studied, study_place
+from egolane_pgm.verbs.studied import says as says
 
 EXAMPLES = (
     "egolane tune drive/experiment.yaml --trials 300",
@@ -161,8 +162,3 @@ def starting_points(given: Studied) -> list[dict[str, Any]]:
         of_detector = searched_of_detector(given.drives[0].experiment)[1]
         starts = [{**each, **of_detector} for each in starts]
     return starts
-
-
-def says(done: Study, given: Mapping[str, Any]) -> str:
-    """Where the study is."""
-    return f"study: {done.directory}; run its best.yaml, or `include:` it"

@@ -15,13 +15,14 @@ from pandas.testing import assert_frame_equal
 from egolane_pgm.drives import Drive
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.running import frames_of
+from egolane_pgm.studies import study
 from egolane_pgm.studies.fits import Fitted, apply_fit
 from egolane_pgm.studies.study import (
     block_folds,
-    cross_validate,
     drive_folds,
     everything,
     fit_fold,
+    fit_folds,
     group_folds,
     lacking_lanes,
 )
@@ -145,7 +146,8 @@ def test_each_test_frame_has_the_posterior_of_its_own_fold() -> None:
     def fit(given: Any, train: Any, number: Any) -> Fitted:
         return Fitted(sigma1=0.1 + 0.3 * number)
 
-    frames, fitted = cross_validate(drives, fit, folds)
+    fitted = fit_folds(drives, fit, list(enumerate(folds)))
+    frames = study.test_frames(drives, folds, fitted)
     assert [each["sigma1"] for each in fitted] == pytest.approx([0.1, 0.4, 0.7, 1.0])
     assert frames.index.tolist() == [i for each in drives for i in each.log.frame_id]
     for k, one in enumerate(drives):
