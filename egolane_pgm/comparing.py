@@ -61,9 +61,8 @@ def compare(
     for option, name in (("of", of), ("by", by)):
         if name is not None and all(_value(each, name) is None for each in given):
             raise InputError(f"{option}: no result has a value of {name}")
-    rows = []
+    rows, key = [], of or _default_key(given)
     for group, members in _groups(given, by).items():
-        key = of or _default_key(given)
         sides = {
             str(name): _by_recording(side, name) for name, side in _groups(members, key).items()
         }
@@ -71,23 +70,22 @@ def compare(
         own = [(name, side, "Lane") for name, side in sides.items()]
         if detector and all("detector" in each.scores for each in first.values()):
             own.append(("detector alone", first, "detector"))
+        of_first = _counts([*first.values()], "Lane")
         for name, side, node in own:
             if side.keys() != first.keys():
                 raise InputError(f"{key} {name}: has other recordings, frames or labels")
             aligned = [side[recording] for recording in first]
+            counts = _counts(aligned, node)
             row = {} if by is None else {by: group}
-            row |= {key: name, "recordings": len(aligned), **_cells(_counts(aligned, node))}
+            row |= {key: name, "recordings": len(aligned), **_cells(counts)}
             if side is not first or node != "Lane":
-                minus = _counts([*first.values()], "Lane")
-                row |= _cells(_counts(aligned, node), minus, "_difference")
+                row |= _cells(counts, of_first, "_difference")
             if events and node == "Lane":
                 row |= _event_scores(aligned)
             tuned = dict.fromkeys(each.run["tuned_on"] for each in aligned)
             row["tuned_on"] = "" if node != "Lane" else ", ".join(tuned)
             rows.append(row)
-    index = [each for each in (by, of or _default_key(given)) if each is not None]
-    table = pd.DataFrame(rows)
-    return table.set_index([name for name in index if name in table])
+    return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
 
 
 def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
