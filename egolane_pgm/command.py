@@ -51,9 +51,6 @@ COMMANDS = {
     "tune": "Search parameters, and score them on frames they have not seen.",
 }
 
-#: Of one of several that failed, this many are named.
-_MANY = 20
-
 #: The first word of a message, which may be a parameter's name.
 _LEADING = re.compile(r"^\w+(?=:)")
 
@@ -188,7 +185,7 @@ def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Pa
         settings |= {} if given is None else {"default": given}
         return [click.Argument([name], nargs=nargs, required=required, **settings)]
     value = given if looks.default is None else looks.default
-    help = looks.help or (f"Do not {said}" if default is True else said[:1].upper() + said[1:])
+    help = f"Do not {said}" if default is True else said[:1].upper() + said[1:]
     if looks.said or not (value is None or isinstance(value, bool)):
         help += f"  [default: {looks.said or value}]"
     if bool in kinds:
@@ -273,8 +270,9 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file is not None and json_file != "-":
         each_given = (v for value in given.values() for v in several_of(value))
-        paths = [Path(each) for each in each_given if isinstance(each, str) and each]
-        check_not_read(Path(json_file), [file for path in paths for file in _files_of(path)])
+        check_not_read(
+            Path(json_file), [Path(each) for each in each_given if isinstance(each, str)]
+        )
         check_place(Path(json_file))
     texts, says = getattr(module, "text", None), getattr(module, "says", None)
     with contextlib.redirect_stdout(prints):
@@ -299,24 +297,10 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
     if json_file == "-":
         click.echo(json_text(document_of(done)), nl=False)
     failed: list[tuple[str, str]] = getattr(module, "failed", lambda done: [])(done)
-    for title, why in failed[:_MANY]:
-        for line in why.splitlines():
-            _say(f"failed: {title}: {line}")
-    if len(failed) > _MANY:
-        _say(f"failed: {len(failed) - _MANY} more")
+    for title, why in failed:
+        _say(f"failed: {title}: {why}")
     if failed:
         raise SystemExit(1)
-
-
-def _files_of(path: Path) -> list[Path]:
-    """A file, and of an experiment those that it names."""
-    from egolane_pgm.drives import data_files
-    from egolane_pgm.loading import load_experiment
-    from egolane_pgm.types import InputError
-
-    with contextlib.suppress(InputError):
-        return [path, *data_files(load_experiment(path))]
-    return [path]
 
 
 def _given(hint: Any, name: str, value: Any) -> Any:

@@ -36,7 +36,6 @@ class Option:
     - default: what a command takes where the verb is given nothing. said: shows what that means.
     - many: whether it is given several times, or several arguments.
     - envvar: a variable of the environment that gives it.
-    - help: for the command line only; else what the docstring says.
     - required: whether a command needs it.
     - hidden: whether a command does not have it.
     """
@@ -48,7 +47,6 @@ class Option:
     said: str | None = None
     many: bool = False
     envvar: str | None = None
-    help: str | None = None
     required: bool = False
     hidden: bool = False
 
