@@ -25,7 +25,6 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     IntArray,
-    suggestion,
 )
 
 #: The methods by which an experiment may infer its beliefs.
@@ -54,8 +53,6 @@ def infer_beliefs(
         if lag is None:
             raise InputError("filter 'fixed_lag' needs a lag, in frames")
         return fixed_lag_beliefs(compiled, evidence, lag, frame_id=frame_id)
-    if filter not in METHODS:
-        raise InputError(f"filter '{filter}'{suggestion(filter, FILTERS)}")
     return filter_beliefs(compiled, evidence, filter, frame_id=frame_id)
 
 
