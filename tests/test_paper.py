@@ -221,7 +221,7 @@ def test_without_the_recordings_it_is_said_how_to_get_them(
     assert "EGOLANE_DATA" in said
 
 
-def test_reproduce_if_available_ends_well_without_the_recordings_and_asks_no_pipe(
+def test_reproduce_if_available_ends_well_without_the_recordings(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("EGOLANE_DATA", raising=False)

@@ -12,8 +12,6 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import default_values
@@ -21,12 +19,6 @@ from egolane_pgm.model import Model, compile_graph, matching_evidence_rule
 from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_place
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import InputError, problems_in
-
-#: Digits of a number in the file: rows still sum to one far within what a graph may be off.
-_DIGITS = 12
-
-#: Digits with which a number is read as it was.
-_ALL_DIGITS = 17
 
 
 def graph_named(graph: Any, experiment: Experiment) -> str:
@@ -58,7 +50,7 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         rule = load_plugin("evidence", evidence, "evidence")
         compiled, unused = compile_graph(rule, module, n_lanes, {})
     model = Model(experiment, rule, module, {}, compiled, unused)
-    content = graph_yaml(model, "a network of pgmpy that was in memory", _ALL_DIGITS)
+    content = graph_yaml(model, "a network of pgmpy that was in memory")
     # A network of unknown origin may have seen any frames.
     content["learned_from"] = getattr(graph, "learned_from", "unknown")
     digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
@@ -73,12 +65,10 @@ def _folder() -> tempfile.TemporaryDirectory[str]:
     return tempfile.TemporaryDirectory(prefix="egolane_")
 
 
-def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[str, Any]:
+def graph_yaml(model: Model, description: str) -> dict[str, Any]:
     """The keys of a YAML graph with the nodes of the model's graph and its tables.
 
     It is for the model's number of lanes only, and has no parameters.
-
-    - digits: of a number in the file.
     """
     compiled = model.compiled
     by_node = compiled.tables
@@ -96,9 +86,9 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
         "inputs": list(compiled.inputs),
         "unused": [list(k) if isinstance(k, tuple) else k for k in sorted(model.unused, key=str)],
         "tables": {
-            name: _rows(by_node[name, 1], digits)
+            name: _rows(by_node[name, 1])
             if compiled.has_one_table(name)
-            else {"first": _rows(by_node[name, 0], digits), "next": _rows(by_node[name, 1], digits)}
+            else {"first": _rows(by_node[name, 0]), "next": _rows(by_node[name, 1])}
             for name in names
             if name not in compiled.inputs
         },
@@ -106,7 +96,6 @@ def graph_yaml(model: Model, description: str, digits: int = _DIGITS) -> dict[st
     return {key: value for key, value in content.items() if value not in ([], "")}
 
 
-def _rows(table: Table, digits: int) -> dict[str, Any]:
+def _rows(table: Table) -> dict[str, Any]:
     of = [name if t == table.node[1] else f"{name} before" for name, t in table.parents]
-    rounded = np.reshape([float(f"{v:.{digits}g}") for v in table.values.flat], table.values.shape)
-    return {"rows": {**({"of": of} if of else {}), "values": rounded.tolist()}}
+    return {"rows": {**({"of": of} if of else {}), "values": table.values.tolist()}}

@@ -58,14 +58,6 @@ class SearchSpace:
     dimensions: tuple[Dimension, ...]
     fixed: Mapping[str, Value]
 
-    def __len__(self) -> int:
-        return len(self.dimensions)
-
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """The keys of the dimensions."""
-        return tuple(d.key for d in self.dimensions)
-
 
 def make_space(
     specs: Sequence[Parameter],

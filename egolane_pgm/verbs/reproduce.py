@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 from egolane_pgm.paper import Reproduction, Runs, load_published, parse_runs, reproduce_run
 from egolane_pgm.recordings import catalog
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError
 from egolane_pgm.verbs.given import Option, Progress, StrPath, path_of
 from egolane_pgm.views.tables import Table, confusion_table, page, reproduction_rows
 
@@ -30,8 +28,7 @@ def reproduce(
     - runs: e.g. 1-5,7.
     - parameters: recovered (by a search; run 5 from the authors' code), or as printed (truncated).
     - matrices: print every confusion matrix too.
-    - if_available: without the recordings: offer the download, or say how to get them, and end
-      well.
+    - if_available: without the recordings: say how to get them, and end well.
     - out: keep a result directory per run.
     - progress: whether a bar shows how far it is; None for in a terminal.
 
@@ -79,32 +76,15 @@ def text(done: Reproduction | None, style: str, wide: bool) -> str:
 
 
 def _have_recordings() -> bool:
-    """Whether the paper's recordings are there. If not, offer to download them, or print where they
-    were looked for and how to get them."""
-    if _all_found():
+    """Whether the paper's recordings are there. If not, print where they were looked for and how to
+    get them."""
+    files, folders = catalog.list_files(), catalog.data_folders()
+    if all(any((folder / file.target).is_file() for folder in folders) for file in files):
         return True
-    size = sum(file.size for file in catalog.list_files()) / 1e6
-    question = f"Download the paper's recordings ({size:.0f} MB) to {catalog.download_folder()}?"
-    if sys.stdin.isatty() and input(f"{question} [y/N]: ").strip().lower() in ("y", "yes"):
-        try:
-            problems = catalog.problems(catalog.fetch())
-        except InputError as error:
-            problems = [str(error)]
-        for line in problems:
-            sys.stderr.write(f"egolane: {line}\n")
-        if _all_found():
-            return True
-    places = " and ".join(map(str, catalog.data_folders()))
+    places, size = " and ".join(map(str, folders)), sum(file.size for file in files) / 1e6
     print(f"The paper's recordings (rle/*.bag) are not there; looked in {places}.")
     print(
         f"To get them: `egolane data fetch` ({size:.0f} MB), or set EGOLANE_DATA to the folder that"
         " has rle/."
     )
     return False
-
-
-def _all_found() -> bool:
-    folders = catalog.data_folders()
-    return all(
-        any((folder / file.target).is_file() for folder in folders) for file in catalog.list_files()
-    )

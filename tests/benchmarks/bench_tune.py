@@ -37,7 +37,7 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
     """(what, seconds per trial) of everything that is measured."""
     problem = load()
     score, space = problem.score, problem.search_space
-    points = points_at(space, np.random.default_rng(0).random((256, len(space))))
+    points = points_at(space, np.random.default_rng(0).random((256, len(space.dimensions))))
     for point in points:
         score(point)
     share = 10_000 / len(problem.drives[0].log)

@@ -38,7 +38,7 @@ def everything() -> Any:
 def posteriors(n: int) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Some parameter sets, and the posterior (K, lanes) of each."""
     space = search_space(quickstart().model, Tuning())
-    units = np.random.default_rng(0).random((n, len(space)))
+    units = np.random.default_rng(0).random((n, len(space.dimensions)))
     sets = [to_parameters(space, point) for point in points_at(space, units)]
     posterior_at = objective.posterior_at(quickstart())
     return [(each, posterior_at(each)) for each in sets]

@@ -94,7 +94,7 @@ def test_a_graph_of_ones_own_is_searched_without_saying_so() -> None:
         Parameter("kept", "positive", 2.0, "not searched", search=None),
     ]
     found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
-    assert found.keys == ("stay", "width", "p3[1]", "p3[2]", "p3[3]")
+    assert tuple(distributions(found)) == ("stay", "width", "p3[1]", "p3[2]", "p3[3]")
     assert found.fixed == {"kept": 2.0}
     width = distributions(found)["width"]
     assert (width.low, width.high, width.log) == (0.2, 20, True)  # type: ignore[attr-defined]
@@ -115,7 +115,7 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
     assert to_parameters(found, point)["p3"] == (0.2, 0.4, 0.6)
     fixed = make_space(specs, current, {"p3": [0.2, 0.4, 0.6]}, 3, "x")
     assert fixed.fixed["p3"] == (0.2, 0.4, 0.6)
-    assert not any(key.startswith("p3") for key in fixed.keys)
+    assert not any(key.startswith("p3") for key in distributions(fixed))
     narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
     assert [d.high for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
 
