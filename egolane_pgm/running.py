@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import time
 import warnings
@@ -199,23 +200,26 @@ def run_experiment(
     - progress: whether a bar counts the drives; None for in a terminal.
     """
     begin = time.perf_counter()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as notes:
         drives = read_drives(experiment, lines, truth, tags)
         shown = bar(drives, progress, unit="drive") if len(drives) > 1 else drives
         frames = concat_drives(drives, [frames_of(drive, chunk_frames) for drive in shown])
-    return make_result(experiment, drives, frames, messages(caught), begin=begin)
+    return make_result(experiment, drives, frames, notes, begin=begin)
 
 
-def messages(caught: Sequence[warnings.WarningMessage]) -> list[str]:
-    """The different user warnings among those that were caught; the others are warned of again.
+@contextlib.contextmanager
+def noting() -> Iterator[list[str]]:
+    """Collect user warnings, each different one once; the list is filled at the end.
 
     Files in the current folder are named as the user sees them.
     """
-    here, found = f"{Path.cwd()}{os.sep}", []
+    notes: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield notes
+    here = f"{Path.cwd()}{os.sep}"
     for each in caught:
-        if issubclass(each.category, UserWarning):
-            found.append(str(each.message).replace(here, ""))
-        else:
+        if not issubclass(each.category, UserWarning):
             warnings.warn_explicit(each.message, each.category, each.filename, each.lineno)
-    return list(dict.fromkeys(found))
+        elif (note := str(each.message).replace(here, "")) not in notes:
+            notes.append(note)

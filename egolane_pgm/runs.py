@@ -7,7 +7,6 @@ experiment (`recording.path`, `n_lanes`, `parameters.sigma1`), or tags of one's 
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -32,7 +31,7 @@ from egolane_pgm.loading import (
 )
 from egolane_pgm.model import with_graph
 from egolane_pgm.result import TAG, Result, stored
-from egolane_pgm.running import messages, run_experiment
+from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools.files import make_directory, read_parquet
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
@@ -292,10 +291,9 @@ def run_input(
     # It can search: other runs do without Optuna.
     from egolane_pgm.studies.study import run_held_out
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as notes:
         drives = given.drives()
-    return run_held_out(drives, n_blocks, notes=messages(caught), progress=progress)
+    return run_held_out(drives, n_blocks, notes=notes, progress=progress)
 
 
 def numbers(scores: Mapping[str, Any]) -> dict[str, Any]:

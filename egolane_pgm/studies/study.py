@@ -22,7 +22,7 @@ from egolane_pgm.drives import Drive, digests, drive_key, with_rate
 from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
-from egolane_pgm.running import concat_drives, frames_of, messages
+from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
     TABLES,
     Fit,
@@ -172,10 +172,9 @@ def _fit_numbered(
     drives: Sequence[Drive], fit: Fit, numbered: tuple[int | None, Fold]
 ) -> tuple[Fitted, list[str]]:
     """A fit and its warnings, which another process cannot show."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as notes:
         fitted = fit_fold(drives, fit, numbered[1], numbered[0])
-    return fitted, messages(caught)
+    return fitted, notes
 
 
 def test_frames(
@@ -377,12 +376,11 @@ def held_out_result(
     fit: str,
 ) -> Result:
     """The result of the test frames of all folds."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
     experiment = drives[0].experiment
-    notes = [*notes, *messages(caught)]
+    notes = [*notes, *found]
     if fit != "none":
         keys["tuned_on"] = "other_frames"
         notes += lacking_lanes(drives, folds)
@@ -409,11 +407,9 @@ def run_held_out(
     }
     folds = block_folds(drives, n_blocks)
     numbered = list(enumerate(folds))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as found:
         fitted = fit_folds(drives, fits[method], numbered, jobs=jobs, progress=progress)
-    found = [*notes, *messages(caught)]
-    return held_out_result(drives, folds, fitted, found, begin, method)
+    return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
 def run_study(
@@ -467,8 +463,7 @@ def run_study(
     # As in the paper, the search on everything uses all frames; no held-out score does.
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as of_fits:
         try:
             whole, *fitted = fit_folds(
                 drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
@@ -487,7 +482,7 @@ def run_study(
                 trusted[drive.rows] = drive.is_trusted
                 table["is_trusted"] = trusted
         frames = concat_drives(fitted_drives, tables)
-    notes = [*notes, *messages(caught)]
+    notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
     in_sample = make_result(

@@ -11,7 +11,6 @@ A list of experiments may be a file:
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from pydantic import Field
 from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import Experiment, Section, Tuning, validated
 from egolane_pgm.loading import experiment_path, load_experiment, load_yaml
-from egolane_pgm.running import messages
+from egolane_pgm.running import noting
 from egolane_pgm.runs import is_lines, open_input, table_inputs
 from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds
 from egolane_pgm.types import InputError
@@ -85,8 +84,7 @@ def open_studied(
         if len(inputs) > 1:
             raise InputError("table: goes with one experiment")
         inputs = table_inputs(inputs[0].experiment, table)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
+    with noting() as notes:
         drives = [drive for each in inputs for drive in each.drives()]
     folds: Sequence[Fold] = []
     if blocks == 1:
@@ -96,7 +94,7 @@ def open_studied(
     elif blocks:
         folds = block_folds(drives, blocks)
     experiments = [each.experiment for each in inputs]
-    return Studied(name, experiments, drives, folds, messages(caught))
+    return Studied(name, experiments, drives, folds, notes)
 
 
 def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
