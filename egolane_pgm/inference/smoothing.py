@@ -11,6 +11,7 @@ filter, and its evidence is ignored by the smoothers too. `log_evidence` is the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -132,7 +133,8 @@ def fixed_lag_beliefs(
     >>> ego.fixed_lag_beliefs(run.model.compiled, run.evidence, lag=5)
     Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
-    check_lag(lag)
+    if lag < 0:
+        raise InputError(f"lag {lag}: must not be negative")
     passed = pass_forward(compiled, evidence)
     smoothed = np.empty_like(passed.filtered)
     fixed_lag_frames(
@@ -141,18 +143,15 @@ def fixed_lag_beliefs(
     return _beliefs(compiled, passed, smoothed, frame_id)
 
 
-@dataclass(frozen=True)
-class LagState:
+class LagState(NamedTuple):
     """What an online fixed-lag smoother carries.
 
     recent: the frames without an answer yet, lag of them or fewer.
     joint (S,): the joint belief after the last frame.
-    count: frames seen so far.
     """
 
     recent: Passed
     joint: FloatArray
-    count: int
 
 
 def lag_step(
@@ -165,33 +164,28 @@ def lag_step(
     - evidence: one frame.
     - lag: frames, not negative.
 
-    The `frame_id` of a belief counts from 0, the first frame. `lag_rest` has the last frames at the
-    end. Raises InputError as `fixed_lag_beliefs`, and for more frames than one.
+    `lag_rest` has the last frames at the end. Raises InputError as `pass_forward`.
     """
-    check_lag(lag)
-    if len(evidence) != 1:
-        raise InputError(f"lag_step takes one frame at a time, got {len(evidence)}")
     recent = pass_forward(compiled, evidence, None if state is None else state.joint)
-    joint, count = recent.filtered[-1], 1
+    joint = recent.filtered[-1]
     if state is not None:
         pairs = zip(vars(state.recent).values(), vars(recent).values(), strict=True)
-        recent, count = Passed(*map(np.concatenate, pairs)), state.count + 1
+        recent = Passed(*map(np.concatenate, pairs))
     n_known = int(len(recent.filtered) > lag)
     rest = Passed(*(array[n_known:] for array in vars(recent).values()))
-    return LagState(rest, joint, count), _answers(compiled, recent, count, n_known)
+    return LagState(rest, joint), _first(compiled, recent, n_known)
 
 
 def lag_rest(compiled: Compiled, state: LagState) -> Beliefs:
     """The beliefs about the frames that `lag_step` has not answered yet, at the end."""
-    return _answers(compiled, state.recent, state.count, len(state.recent.filtered))
+    return _first(compiled, state.recent, len(state.recent.filtered))
 
 
-def _answers(compiled: Compiled, recent: Passed, count: int, n_frames: int) -> Beliefs:
+def _first(compiled: Compiled, recent: Passed, n_frames: int) -> Beliefs:
     """The beliefs about the first of the recent frames, given all of them."""
     here = Passed(*(array[:n_frames] for array in vars(recent).values()))
     smoothed = _smoothed(compiled, recent)[:n_frames] if n_frames else here.filtered
-    ids = count - len(recent.filtered) + np.arange(n_frames)
-    return _beliefs(compiled, here, smoothed, ids)
+    return _beliefs(compiled, here, smoothed, None)
 
 
 def _smoothed(compiled: Compiled, passed: Passed) -> FloatArray:
@@ -209,9 +203,3 @@ def _beliefs(
     ids = np.arange(len(joint)) if frame_id is None else frame_id
     marginals = marginals_of(compiled, joint)
     return Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible, compiled.values)
-
-
-def check_lag(lag: int) -> None:
-    """Raise InputError for a negative lag."""
-    if lag < 0:
-        raise InputError(f"lag {lag}: must not be negative")

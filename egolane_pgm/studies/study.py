@@ -136,14 +136,22 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
     return group_folds(drives, groups)
 
 
-def fit_fold(drives: Sequence[Drive], fit: Fit, fold: Fold, number: int | None) -> Fitted:
-    """Fit to the training frames of a fold; the labels of all others are masked."""
+def fit_fold(
+    drives: Sequence[Drive], fit: Fit, numbered: tuple[int | None, Fold]
+) -> tuple[Fitted, list[str]]:
+    """Fit to the training frames of a numbered fold; the labels of all others are masked.
+
+    Returns the fit and its warnings, which another process cannot show.
+    """
+    number, fold = numbered
     used = [k for k, train in enumerate(fold.train) if len(train)]
     if not used and fit is not fit_nothing:
         which = "" if number is None else f"block {number + 1}: "
         raise InputError(f"{which}no frame is left to fit to; exclude fewer frames (never_fit)")
     train = [fold.train[k] for k in used]
-    return fit([drives[k].mask_labels(fold.train[k]) for k in used], train, number)
+    with noting() as notes:
+        fitted = fit([drives[k].mask_labels(fold.train[k]) for k in used], train, number)
+    return fitted, notes
 
 
 def fit_folds(
@@ -156,7 +164,7 @@ def fit_folds(
     progress: bool | None = False,
 ) -> list[Fitted]:
     """The fit of each numbered fold; see `fit_fold`."""
-    work = partial(_fit_numbered, list(drives), fit)
+    work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
     caught: dict[str, None] = {}
     fitted = []
@@ -166,15 +174,6 @@ def fit_folds(
     for note in caught:
         warnings.warn(note, UserWarning, stacklevel=2)
     return fitted
-
-
-def _fit_numbered(
-    drives: Sequence[Drive], fit: Fit, numbered: tuple[int | None, Fold]
-) -> tuple[Fitted, list[str]]:
-    """A fit and its warnings, which another process cannot show."""
-    with noting() as notes:
-        fitted = fit_fold(drives, fit, numbered[1], numbered[0])
-    return fitted, notes
 
 
 def test_frames(

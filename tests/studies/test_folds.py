@@ -118,7 +118,7 @@ def test_a_fit_sees_no_label_but_those_of_its_training_frames() -> None:
         np.testing.assert_array_equal(train[0], fold.train[0])
         return Fitted()
 
-    fit_fold(drives, fit, fold, 1)
+    fit_fold(drives, fit, (1, fold))
     for one, train, masked in zip(drives, fold.train, seen, strict=True):
         kept = one.rows[train]
         others = np.setdiff1d(one.rows, kept)
@@ -128,14 +128,14 @@ def test_a_fit_sees_no_label_but_those_of_its_training_frames() -> None:
     # Drives that are held out as a whole are not passed on at all.
     seen.clear()
     fold = group_folds(drives, ["a", "b"])[1]
-    fit_fold(drives, fit, fold, 1)
+    fit_fold(drives, fit, (1, fold))
     assert [each.name for each in seen] == ["d0"]
 
 
 def test_a_fold_without_a_training_frame_is_refused() -> None:
     one = drive(tuning={"never_fit": {"from_frame": 0}})
     with pytest.raises(InputError, match="block 1: no frame is left to fit to; exclude fewer"):
-        fit_fold([one], lambda *_: Fitted(), block_folds([one])[0], 0)
+        fit_fold([one], lambda *_: Fitted(), (0, block_folds([one])[0]))
 
 
 def test_each_test_frame_has_the_posterior_of_its_own_fold() -> None:

@@ -21,7 +21,7 @@ from egolane_pgm.result import load_result
 from egolane_pgm.studies.storage import open_storage
 from egolane_pgm.types import lane_truth
 from egolane_pgm.verbs.studied import open_studied
-from tests.kits.drives import contents, done, refused, rewritten, run, write_drive
+from tests.kits.drives import done, refused, rewritten, run, write_drive
 from tests.kits.processes import started
 from tests.kits.synthetic_road import write_place
 
@@ -60,17 +60,6 @@ def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path:
                  "--out", tmp_path / "same", "--no-figures")  # fmt: skip
     assert "no ground truth" in other.stdout
     assert load_result(tmp_path / "same").run["tuned_on"] == "same_frames"
-
-
-def test_the_same_command_gives_the_same_study_and_a_longer_one_goes_on(tmp_path: Path) -> None:
-    words = ("tune", QUICKSTART, "--blocks", 0, "--seed", 5, "--no-figures")
-    for out, n in (("a", 6), ("b", 4), ("b", 4), ("b", 6)):
-        done(*words, "--trials", n, "--out", tmp_path / out)
-    timeless = [trials_of(tmp_path / out).filter(regex="^(?!.*(seconds|time|start|complete))")
-                for out in ("a", "b")]  # fmt: skip
-    pd.testing.assert_frame_equal(*timeless)
-    assert len(timeless[0]) == 6
-    assert "holds another study" in refused(*words, "--out", tmp_path / "a", "-p", "p1=0.9")
 
 
 def test_options_go_before_the_yaml(tmp_path: Path) -> None:
@@ -254,14 +243,6 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
     assert run(found).run["tuned_on"] == "same_frames"
     # The learned graph by itself, on the frames that it was learned from, is in-sample too.
     assert run(before, graph=out / "best.graph.yaml").run["tuned_on"] == "same_frames"
-
-
-def test_learning_again_leaves_the_first_study_as_it_was(tmp_path: Path) -> None:
-    path, one = write_drive(tmp_path, graph="lane_only"), tmp_path / "one"
-    done("learn", path, "--blocks", 0, "--out", one)
-    before = contents(one)
-    done("learn", one / "best.yaml", "--blocks", 0, "--out", tmp_path / "two")
-    assert contents(one) == before
 
 
 @pytest.mark.parametrize(
