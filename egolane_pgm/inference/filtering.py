@@ -42,7 +42,6 @@ from egolane_pgm.types import (
 )
 
 METHODS = ("assumed_density", "exact")
-READINGS = ("soft", "hard")
 
 #: Kernels are compiled for the sizes of networks with at most this many joint states, ...
 MAX_FIXED_STATES = 16
@@ -119,8 +118,6 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
     """
     if reading == "soft":
         return evidence
-    if reading != "hard":
-        raise InputError(f"evidence reading '{reading}'{suggestion(reading, READINGS)}")
     hard: dict[Observed, FloatArray] = {}
     for key, values in evidence.likelihoods.items():
         flat = values.reshape(len(values), math.prod(values.shape[1:]))

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import METHODS, filter_beliefs, forward, state_likelihood
+from egolane_pgm.inference.filtering import filter_beliefs, forward, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
 from egolane_pgm.inference.layout import joint_input, marginals_of
 from egolane_pgm.types import (
@@ -27,9 +27,6 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
 )
-
-#: The methods by which an experiment may infer its beliefs.
-FILTERS = (*METHODS, "smoothed", "fixed_lag")
 
 
 def infer_beliefs(
@@ -42,7 +39,7 @@ def infer_beliefs(
 ) -> Beliefs:
     """The beliefs by the name of their method.
 
-    - filter: one of FILTERS.
+    - filter: smoothed, fixed_lag, or a method of `filter_beliefs`.
     - lag: later frames that `fixed_lag` waits for; the others take none.
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 

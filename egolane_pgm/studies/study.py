@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, digests, drive_key, with_rate
+from egolane_pgm.drives import Drive, digests, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
@@ -207,8 +207,6 @@ def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
     model = apply_fit(drive.model, fitted)
     if model.experiment.recording == drive.experiment.recording:
         return replace(drive, model=model)
-    from egolane_pgm.drives import read_drives
-
     [again] = read_drives(model.experiment)
     return replace(again, model=model)
 

@@ -246,8 +246,6 @@ def test_an_input_that_is_missing_unknown_or_out_of_range_is_refused() -> None:
     ]:
         with pytest.raises(InputError, match=message):
             filter_beliefs(compiled, Evidence(seen, inputs))
-    with pytest.raises(InputError, match=r"evidence reading 'hards' \(did you mean 'hard'\?\)"):
-        read_evidence(Evidence(seen), "hards")
     with pytest.raises(InputError, match=r"filter 'exakt' \(did you mean 'exact'\?\)"):
         filter_beliefs(compiled, Evidence(seen, {"Speed": np.zeros(2, dtype=int)}), "exakt")
     with pytest.raises(InputError, match="evidence for Speed: the graph has no such input node"):
