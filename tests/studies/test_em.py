@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,16 +12,12 @@ from hypothesis import strategies as st
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.loading import load_experiment
-from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.studies import em
 from egolane_pgm.studies.em import Training, fit_tables, fit_tables_pooled
-from egolane_pgm.studies.fits import start_of_learning, training_of
 from egolane_pgm.types import Evidence, IntArray
 from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
-from tests.kits.studies import drive_of
 from tests.reference import inference as reference
 
 
@@ -172,21 +167,3 @@ def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_ha
     )
     assert fitted.log_posterior[0] == pytest.approx(before)
     assert fitted.log_posterior[-1] == pytest.approx(now + log_prior)
-
-
-@needs_compiler
-@pytest.mark.parametrize("run", [1, 10])
-@pytest.mark.parametrize("labels", [True, False])
-def test_no_iteration_lowers_the_log_posterior_of_the_papers_recordings(
-    recordings: Path, run: int, labels: bool
-) -> None:
-    drive = drive_of(load_experiment(paper_experiment(run)))
-    training = training_of(drive, np.arange(len(drive)), labels=labels)
-    start = start_of_learning(drive.model).compiled
-    fitted = fit_tables_pooled(start, [training], iterations=40)
-    history = fitted.log_posterior
-    assert (np.diff(history) >= -1e-9 * np.abs(history[:-1])).all()
-    assert history[-1] > history[0] + 100
-    assert not fitted.is_impossible.any()
-    for node, table in counted_tables(start).items():
-        np.testing.assert_array_equal(fitted.tables[node].values > 0, table.values > 0)

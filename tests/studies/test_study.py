@@ -22,7 +22,6 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import with_parameters
 from egolane_pgm.result import Result, is_result, load_result
 from egolane_pgm.runs import open_input, run_input
-from egolane_pgm.studies import fits
 from egolane_pgm.studies.study import (
     Study,
     block_folds,
@@ -221,20 +220,6 @@ def test_six_trials_and_six_more_are_the_twelve(tmp_path: Path) -> None:
     assert whole.held_out is not None
     assert parts.held_out.run["fitted"] == whole.held_out.run["fitted"]
     assert parts.fitted == whole.fitted
-
-
-def test_trials_that_are_done_are_not_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drive = drive_of(simulated())
-    study = tuned([drive], trials=6, directory=tmp_path / "out")
-
-    def never(*_: Any, **__: Any) -> Any:
-        raise AssertionError("no trial was asked for")
-
-    monkeypatch.setattr(fits, "scores_of", never)
-    again = tuned([drive], trials=6, directory=tmp_path / "out")
-    assert again.fitted == study.fitted
 
 
 def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:
