@@ -270,9 +270,8 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file is not None and json_file != "-":
         each_given = (v for value in given.values() for v in several_of(value))
-        check_not_read(
-            Path(json_file), [Path(each) for each in each_given if isinstance(each, str)]
-        )
+        paths = [Path(each) for each in each_given if isinstance(each, str) and each]
+        check_not_read(Path(json_file), [file for path in paths for file in _files_of(path)])
         check_place(Path(json_file))
     texts, says = getattr(module, "text", None), getattr(module, "says", None)
     with contextlib.redirect_stdout(prints):
@@ -301,6 +300,17 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
         _say(f"failed: {title}: {why}")
     if failed:
         raise SystemExit(1)
+
+
+def _files_of(path: Path) -> list[Path]:
+    """A file, and of an experiment those that it names."""
+    from egolane_pgm.drives import data_files
+    from egolane_pgm.loading import load_experiment
+    from egolane_pgm.types import InputError
+
+    with contextlib.suppress(InputError):
+        return [path, *data_files(load_experiment(path))]
+    return [path]
 
 
 def _given(hint: Any, name: str, value: Any) -> Any:

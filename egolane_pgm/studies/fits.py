@@ -54,7 +54,7 @@ from egolane_pgm.studies.space import (
     to_parameters,
     to_point,
 )
-from egolane_pgm.studies.storage import open_storage
+from egolane_pgm.studies.storage import open_storage, storage_errors
 from egolane_pgm.tools.files import plain
 from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
 
@@ -351,15 +351,16 @@ def fit_tune(
     spaces = search_spaces(drives, tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    study = open_study(drives, train, fold, settings, spaces[0], storage)
-    if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
-        own = current_values(drives[0].model, tuning)
-        points = (to_point(spaces[0], {**own, **each}) for each in starts)
-        with quiet():
-            for point in filter(None, points):
-                study.enqueue_trial(dict(point), skip_if_exists=True)
     score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
-    search(study, spaces[0], score, settings)
+    with storage_errors(storage):
+        study = open_study(drives, train, fold, settings, spaces[0], storage)
+        if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
+            own = current_values(drives[0].model, tuning)
+            points = (to_point(spaces[0], {**own, **each}) for each in starts)
+            with quiet():
+                for point in filter(None, points):
+                    study.enqueue_trial(dict(point), skip_if_exists=True)
+        search(study, spaces[0], score, settings)
     values = to_parameters(spaces[0], best_trial(study).params)
     found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
     fitted = Fitted({name: value for name, value in values.items() if name in found})

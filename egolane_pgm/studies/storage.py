@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from optuna.exceptions import StorageInternalError
 from optuna.storages import (
     BaseStorage,
     JournalStorage,
@@ -61,12 +65,21 @@ class _Journal(JournalFileBackend):
         # A lock older than five seconds was left by a process that was killed.
         self.path, self.lock = path, JournalFileOpenLock(str(path), grace_period=5)
         super().__init__(str(path), self.lock)
+        with self._locked():
+            content = path.read_bytes()
+            if not content.endswith(b"\n"):
+                # The half line of such a process: the next line would follow it.
+                os.truncate(path, content.rfind(b"\n") + 1)
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
+        with self._locked(), self.path.open("ab") as file:
+            file.writelines(json.dumps(log).encode() + b"\n" for log in logs)
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
         self.lock.acquire()
         try:
-            with self.path.open("ab") as file:
-                file.writelines(json.dumps(log).encode() + b"\n" for log in logs)
+            yield
         finally:
             self.lock.release()
 
@@ -80,6 +93,24 @@ def _database(url: str) -> RDBStorage:
             grace_period=GRACE_S,
             heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(),
         )
+
+
+@contextmanager
+def storage_errors(storage: str | None) -> Iterator[None]:
+    """Turn errors of a storage while a study runs into InputError: a lost database, a full disk."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        first: BaseException = error
+        # Optuna may raise an error of its own over it.
+        while not isinstance(first, (OSError, SQLAlchemyError, StorageInternalError)):
+            if first.__context__ is None:
+                raise
+            first = first.__context__
+        kept = "complete trials are kept, repeat the command to go on"
+        raise InputError(f"{named(storage or 'study')}: {_reason(first)}; {kept}") from error
 
 
 def named(storage: str) -> str:

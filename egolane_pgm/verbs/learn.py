@@ -39,7 +39,7 @@ def learn(
     graph: Graph = None,
     overrides: Overrides = (),
     out: Annotated[StrPath | None, Option("DIR", default="results/learning/*")] = None,
-    blocks: HeldOutBlocks = 5,
+    blocks: Annotated[HeldOutBlocks | None, Option(said="5")] = None,
     table: TableOfRuns = None,
     by_tag: ByTag = None,
     jobs: Jobs = 1,

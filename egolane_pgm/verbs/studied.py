@@ -60,11 +60,12 @@ class Studied:
 
 
 def open_studied(
-    experiments: Any, *, table: Any, by_tag: str | None, blocks: int, **options: Any
+    experiments: Any, *, table: Any, by_tag: str | None, blocks: int | None, **options: Any
 ) -> Studied:
     """Read the drives of some experiments, or of a table of runs, and make the folds.
 
-    - blocks: number of blocks of each drive, of parts of a table, or 0 for no folds.
+    - blocks: number of blocks of each drive, of parts of a table, or 0 for no folds; by default
+      `tuning.blocks` of the first experiment.
     - options: as `runs.open_input` takes them.
     """
     given = several_of(experiments)
@@ -86,6 +87,8 @@ def open_studied(
         inputs = table_inputs(inputs[0].experiment, table)
     with noting() as notes:
         drives = [drive for each in inputs for drive in each.drives()]
+    if blocks is None:
+        blocks = (inputs[0].experiment.tuning or Tuning()).blocks
     folds: Sequence[Fold] = []
     if blocks == 1:
         raise InputError("blocks: 1 leaves nothing to fit to; 0 holds out nothing")

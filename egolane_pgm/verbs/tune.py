@@ -53,7 +53,7 @@ def tune(
         Mapping[str, Any] | None,
         Option("NAME=VALUE", names=("-p",), example="p1=[0.5,1] or p1=0.9"),
     ] = None,
-    blocks: HeldOutBlocks = 5,
+    blocks: Annotated[HeldOutBlocks | None, Option(said="5")] = None,
     table: TableOfRuns = None,
     by_tag: ByTag = None,
     out: Annotated[StrPath | None, Option("DIR", default="results/tuning/*")] = None,
