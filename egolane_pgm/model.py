@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry.place import place_finder
+from egolane_pgm.evidence.line_geometry.scale import place_finder
 from egolane_pgm.experiment import FROM_MAP, Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import (
