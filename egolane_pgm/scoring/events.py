@@ -42,18 +42,6 @@ TOLERANCES_S = (0.5, 1.0, 2.0)
 WARNED = 0.5
 
 
-def event_scores(
-    events: pd.DataFrame, crossing: FloatArray | None, truth: pd.DataFrame, frame_rate: float
-) -> dict[str, Any]:
-    """What scores.json says of lane changes: `score_events`, and under `crossing` what
-    `score_crossing` gives, or None.
-
-    - crossing: (K,) of the annotated frames, see `inference.events.crossing_probability`.
-    """
-    warning = None if crossing is None else score_crossing(crossing, truth, frame_rate)
-    return {**score_events(events, truth, frame_rate), "crossing": warning}
-
-
 def changes_of(truth: pd.DataFrame) -> LaneChanges:
     """The true lane changes."""
     return lane_changes(truth["true_lane"], truth["is_crossing"])
@@ -105,15 +93,22 @@ def event_delays(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     return delay
 
 
-def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -> dict[str, Any]:
+def score_events(
+    events: pd.DataFrame,
+    truth: pd.DataFrame,
+    frame_rate: float,
+    crossing: FloatArray | None = None,
+) -> dict[str, Any]:
     """The scores of lane-change events, ready for JSON; None where a score is undefined.
 
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
+    - crossing (K,): the line crossing probability, see `inference.events.across_lanes`.
 
     Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
     annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
-    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
+    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}, `crossing` (see
+    `score_crossing`; None without a probability).
     """
     changes = changes_of(truth)
     hours = len(truth) / frame_rate / 3600
@@ -137,6 +132,7 @@ def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
         "hours": hours,
         "within": within,
         "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
+        "crossing": None if crossing is None else score_crossing(crossing, truth, frame_rate),
     }
 
 
