@@ -21,7 +21,6 @@ import cmath
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -80,6 +79,26 @@ RATES = np.array(
 )
 
 
+#: The logarithmic distances of a gap and a width, in steps, for which there is a likelihood.
+_FIRST = math.floor(math.log(0.02) / _STEP)
+_LAST = math.ceil(math.log(lane_width.MOST_LANES + 1.5) / _STEP)
+_GAP = np.exp(_STEP * np.arange(_FIRST, _LAST + 1))
+_LANES = np.maximum(1, np.round(_GAP))
+_NORMAL = np.exp(-0.5 * ((_GAP - _LANES) / lane_width.GAP_SIGMA) ** 2) / (
+    lane_width.GAP_SIGMA * math.sqrt(2 * math.pi)
+)
+_DENSITY = np.where(_LANES <= lane_width.MOST_LANES, _NORMAL, 0.0)
+
+#: For each of them the logarithm of the likelihood, relative to a gap anywhere; and 1 where the gap
+#: is two lanes.
+_LOG_LIKELIHOOD = np.log((1 - OFF_LATTICE) * _DENSITY + OFF_LATTICE)
+_IS_TWO_LANES = np.where(np.abs(_GAP - 2) < lane_width.PAIR_WITHIN, 1.0, 0.0)
+
+#: A width that wanders, around the steady one, (2 h + 1,).
+_HALF = round(3 * WANDERS / _STEP)
+_AROUND = np.exp(-0.5 * (np.arange(-_HALF, _HALF + 1) * _STEP / WANDERS) ** 2)
+_SPREAD = _AROUND / _AROUND.sum()
+
 #: Lines farther away, in lane widths, do not count for the place: an error of the width moves them
 #: the more.
 REACH = 1.5
@@ -111,22 +130,6 @@ class WidthBelief:
     prior: FloatArray
 
 
-@dataclass(frozen=True)
-class _GapTables:
-    """The likelihood of a gap given a width, by their logarithmic distance in steps.
-
-    - log_likelihood: (D,) relative to a gap anywhere
-    - is_two_lanes: (D,) 1 where the gap is two lanes
-    - first: steps of the first entry
-    - spread: (2 h + 1,) a width that wanders, around the steady one
-    """
-
-    log_likelihood: FloatArray
-    is_two_lanes: FloatArray
-    first: int
-    spread: FloatArray
-
-
 def new_belief(expected_m: float) -> WidthBelief:
     """The belief before the first frame. expected_m: the expected width."""
     away = (np.log(GRID) - math.log(expected_m)) / lane_width.EXPECTED_WITHIN
@@ -142,7 +145,6 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
 
     offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
-    tables = _tables()
     widths = np.empty((len(offset_m), N_QUANTILES))
     kernels.follow_width(
         offset_m,
@@ -152,10 +154,10 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
         belief.pairs,
         belief.counts,
         belief.prior,
-        tables.log_likelihood,
-        tables.is_two_lanes,
-        tables.first,
-        tables.spread,
+        _LOG_LIKELIHOOD,
+        _IS_TWO_LANES,
+        _FIRST,
+        _SPREAD,
         RATES,
         lane_width.DOUBLE,
         lane_width.ENOUGH_PAIRS,
@@ -165,24 +167,6 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
         widths,
     )
     return widths
-
-
-@lru_cache(maxsize=1)
-def _tables() -> _GapTables:
-    """The tables for this grid."""
-    first = math.floor(math.log(0.02) / _STEP)
-    last = math.ceil(math.log(lane_width.MOST_LANES + 1.5) / _STEP)
-    gap = np.exp(_STEP * np.arange(first, last + 1))
-    lanes = np.maximum(1, np.round(gap))
-    normal = np.exp(-0.5 * ((gap - lanes) / lane_width.GAP_SIGMA) ** 2) / (
-        lane_width.GAP_SIGMA * math.sqrt(2 * math.pi)
-    )
-    density = np.where(lanes <= lane_width.MOST_LANES, normal, 0.0)
-    log_likelihood = np.log((1 - OFF_LATTICE) * density + OFF_LATTICE)
-    half = round(3 * WANDERS / _STEP)
-    spread = np.exp(-0.5 * (np.arange(-half, half + 1) * _STEP / WANDERS) ** 2)
-    is_two = np.where(np.abs(gap - 2) < lane_width.PAIR_WITHIN, 1.0, 0.0)
-    return _GapTables(log_likelihood, is_two, first, spread / spread.sum())
 
 
 def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
