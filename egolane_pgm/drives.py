@@ -43,6 +43,7 @@ from egolane_pgm.types import (
     IntArray,
     LineLog,
     check_lanes,
+    pieces_of,
     problems_in,
     suggestion,
 )
@@ -99,11 +100,6 @@ class Drive:
     def experiment(self) -> Experiment:
         """The experiment of the model."""
         return self.model.experiment
-
-    @property
-    def n_lanes(self) -> int:
-        """Number of lanes of the road."""
-        return self.model.n_lanes
 
     @property
     def has_truth(self) -> bool:
@@ -300,7 +296,7 @@ def read_drives(
             f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
         )
     drives: list[Drive] = []
-    for piece in log.pieces():
+    for piece in pieces_of(log.clip, len(log)):
         clip = log.take(piece)
         name = experiment.name if clip.clip is None else str(clip.clip[0])
         clip = replace(clip, clip=None)

@@ -484,11 +484,6 @@ class Experiment(Section):
     _source: str = "experiment"
 
     @property
-    def has_causal_filter(self) -> bool:
-        """Whether the filter believes a frame by the evidence up to it; see `model.causality`."""
-        return self.filter in ("assumed_density", "exact")
-
-    @property
     def source(self) -> str:
         """The YAML file, for messages."""
         return self._source

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry.place import place_finder
 from egolane_pgm.experiment import FROM_MAP, Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import (
@@ -20,13 +19,12 @@ from egolane_pgm.inference.compile import (
     starting_in,
     with_tables,
 )
-from egolane_pgm.inference.filtering import read_evidence
+from egolane_pgm.inference.filtering import METHODS, read_evidence
 from egolane_pgm.inference.layout import check_keys
 from egolane_pgm.parameters import Value, looking_back, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
     load_plugin,
-    load_rule_and_graph,
     plugin_errors,
     plugin_names,
     plugin_place,
@@ -93,7 +91,8 @@ def compile_model(experiment: Experiment) -> Model:
             f"{source}: n_lanes: map: a road with several numbers of lanes is run as several"
             " drives; here give one number (road: null, n_lanes: 3)"
         )
-    rule, graph = load_rule_and_graph(e.evidence, e.graph, source)
+    rule = load_plugin("evidence", e.evidence, f"{source}: evidence")
+    graph = load_plugin("graphs", e.graph, f"{source}: graph")
     declared = declared_parameters(rule, graph)
     specs = looking_back(declared) if e.filter == "smoothed" else declared
     parameters = resolve_parameters(specs, e.parameters, e.n_lanes, f"{source}: parameters")
@@ -310,7 +309,13 @@ def make_evidence(
         raise InputError(f"{file}: evidence() returned {type(given).__name__}, not Evidence")
     if len(given) != len(log):
         raise InputError(f"{file}: evidence() returned {len(given)} frames for {len(log)}")
-    tentative = _tentative(model, given)
+    tentative = given.likelihoods.get(getattr(model.rule, "TENTATIVE", ""))
+    if tentative is not None and tentative.shape[1:] == (model.n_lanes,):
+        total = tentative.sum(axis=1, keepdims=True)
+        shares = tentative / np.where(total > 0, total, 1)
+        tentative = np.where(total > 0, shares, 1 / model.n_lanes)
+    else:
+        tentative = None
     likelihoods = {k: v for k, v in given.likelihoods.items() if k not in model.unused}
     if log.is_missing.any():
         likelihoods = {k: v.copy() for k, v in likelihoods.items()}
@@ -320,25 +325,6 @@ def make_evidence(
     with problems_in(str(file)):
         check_keys(model.compiled, used)
     return read_evidence(used, model.experiment.evidence_reading), tentative
-
-
-def _tentative(model: Model, evidence: Evidence) -> FloatArray | None:
-    """The rule's own answer over lanes, rows summing to one."""
-    values = evidence.likelihoods.get(getattr(model.rule, "TENTATIVE", ""))
-    if values is None or values.shape[1:] != (model.n_lanes,):
-        return None
-    total = values.sum(axis=1, keepdims=True)
-    return np.where(total > 0, values / np.where(total > 0, total, 1), 1 / model.n_lanes)
-
-
-def lateral_offset_by_lines(model: Model) -> Callable[[LineLog], FloatArray | None]:
-    """The lateral offset (T,), lane widths, for graphs that have no RoadPosition.
-
-    Only lane-change events use it.
-    """
-    if "RoadPosition" in model.compiled.values:
-        return lambda log: None
-    return place_finder(model.parameters)
 
 
 def looks_ahead(model: Model, parameters: Mapping[str, Value] | None = None) -> str | None:
@@ -356,7 +342,7 @@ def looks_ahead(model: Model, parameters: Mapping[str, Value] | None = None) -> 
 def why_not_causal(model: Model) -> list[str]:
     """The reasons why a frame's posterior uses later frames: none for a causal model."""
     e, reasons = model.experiment, []
-    if not e.has_causal_filter:
+    if e.filter not in METHODS:
         later = "all later" if e.lag is None else f"the next {e.lag}"
         reasons.append(f"{e.filter}: not causal, a frame's belief uses {later} frames too")
     if why := looks_ahead(model):

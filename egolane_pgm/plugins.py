@@ -32,8 +32,13 @@ CONTRACTS = {
     "detectors": ("STEREO", "start"),
 }
 
-#: Where the package's plugins lie that are not in the folder of their kind's name.
-_FOLDERS = {"detectors": ("vision/detectors", "classic")}
+_PACKAGE = Path(__file__).parent
+
+#: Where the package's plugins of each kind lie.
+_PLACES = {
+    **{folder: [_PACKAGE / folder] for folder in CONTRACTS},
+    "detectors": [_PACKAGE / "vision/detectors", _PACKAGE / "classic"],
+}
 
 #: The beginning of the names of modules of users' own files.
 _OWN = "_egolane_plugin_"
@@ -50,15 +55,11 @@ def plugin_names(folder: str) -> list[str]:
     `__all__` has that name. The files are searched as text, because importing them all is slow.
     """
     names = {entry.name for entry in _entry_points(folder)}
-    for place in _places(folder):
+    for place in _PLACES[folder]:
         names |= {file.stem for file in place.glob("*.py") if _module_of(folder, file.stem)}
         inside = {file.parent.name for file in place.glob("*/*.py")}
         names |= {name for name in inside if _module_of(folder, name)}
     return sorted(names)
-
-
-def _places(folder: str) -> list[Path]:
-    return [Path(__file__).parent / place for place in _FOLDERS.get(folder, (folder,))]
 
 
 def _entry_points(folder: str) -> list[EntryPoint]:
@@ -69,11 +70,11 @@ def _entry_points(folder: str) -> list[EntryPoint]:
 def _module_of(folder: str, name: str) -> str | None:
     """The module of a plugin of the package, None for a name that is none."""
     first = CONTRACTS[folder][0]
-    for place in _places(folder) if name.isidentifier() else ():
+    for place in _PLACES[folder] if name.isidentifier() else ():
         file, package = place / f"{name}.py", place / name / "__init__.py"
         is_file = file.is_file() and _defines(file.read_text(encoding="utf-8"), first)
         if is_file or (package.is_file() and f'"{first}"' in package.read_text("utf-8")):
-            inside = place.relative_to(Path(__file__).parent)
+            inside = place.relative_to(_PACKAGE)
             return ".".join(("egolane_pgm", *inside.parts, name))
     return None
 
@@ -167,14 +168,6 @@ def plugin_place(module: ModuleType) -> str:
         offered = [entry for folder in CONTRACTS for entry in _entry_points(folder)]
         return next(entry.name for entry in offered if entry.module == module.__name__)
     return module.__name__.rpartition(".")[2]
-
-
-def load_rule_and_graph(evidence: str, graph: str, source: str) -> tuple[ModuleType, ModuleType]:
-    """Import an experiment's evidence rule and graph. Raises InputError, naming the YAML file
-    `source` and its key, for one that cannot be used."""
-    rule = load_plugin("evidence", evidence, f"{source}: evidence")
-    module = load_plugin("graphs", graph, f"{source}: graph")
-    return rule, module
 
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:

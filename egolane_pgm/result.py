@@ -34,7 +34,7 @@ from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.memory import lines_of
 from egolane_pgm.recordings.select import fill_missing
-from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, event_scores
+from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, score_events
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
 from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.tools.files import (
@@ -158,7 +158,9 @@ class Result:
 
     def node(self, name: str) -> FloatArray:
         """(T, k): the posterior of a node."""
-        return node_of(self.frames, name, self.run["values"][name])
+        columns = [f"{name}_{value}" for value in self.run["values"][name]]
+        found: FloatArray = self.frames[columns].to_numpy(np.float64)
+        return found
 
     @cached_property
     def beliefs(self) -> Beliefs:
@@ -399,17 +401,12 @@ def identity(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
 # --- the table of frames -------------------------------------------------------------------------
 
 
-def node_of(frames: pd.DataFrame, node: str, values: Sequence[Any]) -> FloatArray:
-    """(T, k): the columns of a node."""
-    columns = [f"{node}_{value}" for value in values]
-    found: FloatArray = frames[columns].to_numpy(np.float64)
-    return found
-
-
 def lanes_of(frames: pd.DataFrame, node: str = "Lane") -> FloatArray:
     """(T, n): the posterior over lanes; with `detector`, the evidence rule's own answer."""
     n_lanes = sum(column.startswith("Lane_") for column in frames)
-    return node_of(frames, node, range(1, n_lanes + 1))
+    columns = [f"{node}_{lane}" for lane in range(1, n_lanes + 1)]
+    found: FloatArray = frames[columns].to_numpy(np.float64)
+    return found
 
 
 def truth_of(frames: pd.DataFrame) -> pd.DataFrame | None:
@@ -477,10 +474,10 @@ def score(frames: pd.DataFrame, frame_rate: float, lag: int | None = None) -> di
     column = "line_crossing_probability"
     crossing = kept[column].to_numpy() if column in kept else None
     if len(events) == 1:
-        scores["events"] = event_scores(events[0][0], crossing, truth, frame_rate)
+        scores["events"] = score_events(events[0][0], truth, frame_rate, crossing)
     else:
         parts = [found for found, _ in events], [part for _, part in by_drive(kept)]
-        scores["events"] = event_scores(*_on_one_timeline(*parts, crossing, frame_rate), frame_rate)
+        scores["events"] = score_events(*_on_one_timeline(*parts, frame_rate), frame_rate, crossing)
     return scores
 
 
@@ -525,10 +522,9 @@ def _stability_over_drives(frames: pd.DataFrame, answers: str, frame_rate: float
 def _on_one_timeline(
     events: Sequence[pd.DataFrame],
     parts: Sequence[pd.DataFrame],
-    crossing: FloatArray | None,
     frame_rate: float,
-) -> tuple[pd.DataFrame, FloatArray | None, pd.DataFrame]:
-    """Lane changes, line crossing probability and truth of several drives, one after the other.
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Lane changes and truth of several drives, one after the other.
 
     The gap between two drives is longer than any tolerance. Lanes are renumbered so that the true
     lane is the same before and after a gap: a border between drives is no lane change.
@@ -552,7 +548,7 @@ def _on_one_timeline(
         truths.append((ids + move, truth["true_lane"] + added, truth["is_crossing"]))
         start = ids[-1] + move + gap
     ids, lane, is_crossing = (np.concatenate(each) for each in zip(*truths, strict=True))
-    return pd.concat(shifted), crossing, lane_truth(ids, lane, is_crossing)
+    return pd.concat(shifted), lane_truth(ids, lane, is_crossing)
 
 
 # --- from drives to a result ---------------------------------------------------------------------
@@ -586,7 +582,7 @@ def make_result(
             " they keep their prediction"
         )
     data = digests(experiment)
-    widest = max(drives, key=lambda drive: drive.n_lanes).model
+    widest = max(drives, key=lambda drive: drive.model.n_lanes).model
     reasons = why_not_causal(model)
     scores = score(frames, rate, e.lag)
     run = {

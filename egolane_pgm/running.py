@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import Drive, drive_names, read_drives
+from egolane_pgm.evidence.line_geometry.scale import place_finder
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.inference.filtering import step
@@ -23,7 +24,6 @@ from egolane_pgm.inference.smoothing import infer_beliefs, lag_rest, lag_step
 from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.model import (
     Model,
-    lateral_offset_by_lines,
     looks_ahead,
     make_evidence,
     online_rule,
@@ -49,13 +49,23 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
     one. With `filter: fixed_lag` columns come one frame at a time, `lag` frames late. Smoothers and
     evidence rules that look ahead need the whole drive: they raise InputError for anything else.
     """
+    e = model.experiment
+    # A graph with RoadPosition tells the place in the lane itself.
+    knows_place = "RoadPosition" in model.compiled.values
+    places_of = None if knows_place else place_finder(model.parameters)
     if isinstance(logs, LineLog):
-        yield _infer_whole(model, logs)
+        evidence, tentative = make_evidence(model, whole_rule(model), logs)
+        beliefs = infer_beliefs(model.compiled, evidence, e.filter, e.lag, frame_id=logs.frame_id)
+        offset = None if places_of is None else places_of(logs)
+        columns = _columns_of(model, logs, beliefs, tentative, offset)
+        if e.decode == "viterbi":
+            path = viterbi(model.compiled, evidence, frame_id=logs.frame_id)
+            columns["assigned_lane"] = path.lane
+        yield columns
         return
     _check_causal(model)
-    e = model.experiment
     recording, max_lri = e.recording, float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
-    rule, offset_of = online_rule(model), lateral_offset_by_lines(model)
+    rule = online_rule(model)
     last: LineLog | None = None
     state: Any = None
     waiting: deque[tuple[LineLog, FloatArray | None, FloatArray | None]] = deque()
@@ -64,7 +74,7 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
         due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
         last = log.take(slice(-1, None))
         evidence, tentative = make_evidence(model, rule, due)
-        offset = offset_of(due)
+        offset = None if places_of is None else places_of(due)
         if e.lag is None:
             state, beliefs = step(model.compiled, state, evidence, e.filter)
             yield _columns_of(model, due, beliefs, tentative, offset)
@@ -80,18 +90,6 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
         rest = lag_rest(model.compiled, state)
         for t, (frame, answer, place) in enumerate(waiting):
             yield _columns_of(model, frame, rest.take(slice(t, t + 1)), answer, place)
-
-
-def _infer_whole(model: Model, log: LineLog) -> Columns:
-    """The columns of a whole drive; its smoothers and rules may look ahead."""
-    e = model.experiment
-    evidence, tentative = make_evidence(model, whole_rule(model), log)
-    beliefs = infer_beliefs(model.compiled, evidence, e.filter, e.lag, frame_id=log.frame_id)
-    columns = _columns_of(model, log, beliefs, tentative, lateral_offset_by_lines(model)(log))
-    if e.decode == "viterbi":
-        path = viterbi(model.compiled, evidence, frame_id=log.frame_id)
-        columns["assigned_lane"] = path.lane
-    return columns
 
 
 def _columns_of(
@@ -173,9 +171,9 @@ def concat_drives(drives: Sequence[Drive], tables: Sequence[pd.DataFrame]) -> pd
         return tables[0]
     named = [t.assign(drive=n) for t, n in zip(tables, drive_names(drives), strict=True)]
     frames = pd.concat(named)
-    if len({drive.n_lanes for drive in drives}) > 1:
-        lanes = [np.full(len(t), d.n_lanes) for d, t in zip(drives, tables, strict=True)]
-        widest = max(drives, key=lambda drive: drive.n_lanes).model
+    if len({drive.model.n_lanes for drive in drives}) > 1:
+        lanes = [np.full(len(t), d.model.n_lanes) for d, t in zip(drives, tables, strict=True)]
+        widest = max(drives, key=lambda drive: drive.model.n_lanes).model
         nodes = tuple(f"{node}_" for node in ("detector", *widest.values))
         values = [c for c in frames if c.startswith(nodes) and c != "detector_lane"]
         frames[values] = frames[values].fillna(0.0)

@@ -93,7 +93,13 @@ def open_input(
             [lines] = given.lines.values()
             truth = given.truth if truth is None else truth
         given = found
-    changes = load_overrides(overrides, recording, truth)
+    options: dict[str, Any] = {}
+    if of_recording := {key: value for key, value in (recording or {}).items() if value}:
+        options["recording"] = of_recording
+    name = os.fspath(truth) if isinstance(truth, (str, os.PathLike)) else None
+    if name is not None:
+        options["ground_truth"] = None if name == "none" else {"path": name}
+    changes = merge(options, parse_overrides(overrides))
     if lines is None and (experiment is not None or is_lines(given)):
         lines = given
         loaded = load_experiment(
@@ -107,22 +113,7 @@ def open_input(
         loaded = with_graph(loaded, graph_named(graph, loaded))
     in_memory = None if isinstance(lines, (str, os.PathLike)) else lines
     # A file is in the experiment; "none" also drops the truth that a simulated drive has.
-    is_file = isinstance(truth, (str, os.PathLike)) and truth != "none"
-    return Input(loaded, in_memory, None if is_file else truth)
-
-
-def load_overrides(
-    overrides: Overrides, recording: Mapping[str, Any] | None, truth: Any
-) -> Mapping[str, Any] | Sequence[str]:
-    """Overrides together with the keys that have arguments of their own."""
-    changes: dict[str, Any] = {"recording": {k: v for k, v in (recording or {}).items() if v}}
-    if isinstance(truth, (str, os.PathLike)):
-        name = os.fspath(truth)
-        changes["ground_truth"] = None if name == "none" else {"path": name}
-    changes = {key: value for key, value in changes.items() if value != {}}
-    if not changes:
-        return overrides or {}
-    return merge({**changes}, parse_overrides(overrides)) if overrides else changes
+    return Input(loaded, in_memory, truth if name in (None, "none") else None)
 
 
 def is_lines(given: Any) -> bool:

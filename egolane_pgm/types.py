@@ -373,10 +373,6 @@ class LineLog:
             None if self.clip is None else self.clip[frames],
         )
 
-    def pieces(self) -> list[slice]:
-        """The frames of each clip, in order; of a recording that is one drive, all T frames."""
-        return pieces_of(self.clip, len(self))
-
     def to_pandas(self) -> pd.DataFrame:
         """A row per line; the index is `frame_id` and `line`, from 1. `ego.run` takes it as it is.
 

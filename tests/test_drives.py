@@ -279,7 +279,7 @@ def test_a_lane_of_the_truth_that_ends_some_metres_later_is_no_error(tmp_path: P
     save(road_rows([4] * 5 + [3] * 5), tmp_path / "road.parquet")
     path = write_experiment(tmp_path / "e.yaml", road="road.parquet", n_lanes="map")
     first, second = open_input(path).drives()
-    assert (first.n_lanes, second.n_lanes) == (4, 3)
+    assert (first.model.n_lanes, second.model.n_lanes) == (4, 3)
     assert (second.true_lane[:10] == 4).all()
     assert run(path).scores["model"]["frames_scored"] == 100
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.evidence import counting
-from egolane_pgm.graphs.shared_parameters import WOR_LEVELS
+from egolane_pgm.graphs.sensor_failure import WOR_LEVELS
 from egolane_pgm.parameters import Parameter, Parameters
 from egolane_pgm.types import Evidence, FloatArray, LineLog
 

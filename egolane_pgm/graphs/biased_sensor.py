@@ -20,7 +20,7 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.graphs.shared_parameters import f_table
+from egolane_pgm.graphs.sensor_failure import f_table
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN

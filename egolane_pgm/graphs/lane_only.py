@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs.shared_parameters import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
+from egolane_pgm.graphs.sensor_failure import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
 from egolane_pgm.parameters import Parameters
 
 HIDDEN = ("Lane",)

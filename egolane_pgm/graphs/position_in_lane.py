@@ -34,7 +34,7 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.graphs.shared_parameters import P1, P2
+from egolane_pgm.graphs.sensor_failure import P1, P2
 from egolane_pgm.parameters import Parameter, Parameters, Value, number
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import FloatArray, IntArray

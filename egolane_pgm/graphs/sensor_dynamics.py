@@ -10,7 +10,7 @@ import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform
-from egolane_pgm.graphs.shared_parameters import f_table
+from egolane_pgm.graphs.sensor_failure import f_table
 from egolane_pgm.parameters import Parameter, Parameters
 
 HIDDEN = sensor_failure.HIDDEN

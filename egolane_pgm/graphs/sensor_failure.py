@@ -13,28 +13,67 @@ from egolane_pgm.graphs.cpds import (
     binary,
     builder,
     dynamics,
+    lane_normals,
     previous,
     prior,
     uniform,
     within,
 )
-from egolane_pgm.graphs.shared_parameters import (
-    LANE_WIDTHS,
-    NORMAL,
-    P1,
-    P2,
-    P3,
-    P4,
-    SIGMA1,
-    SIGMA2,
-    f_table,
+from egolane_pgm.parameters import Parameter, Parameters, number, per_lane
+from egolane_pgm.types import FloatArray
+
+SIGMA1 = Parameter(
+    "sigma1", "sigma", 0.4, "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`"
 )
-from egolane_pgm.parameters import Parameters, number
+SIGMA2 = Parameter(
+    "sigma2",
+    "sigma",
+    0.5,
+    "standard deviation of the detector output when the sensor works, lanes; Table"
+    " `tab:cptdetlane`",
+)
+P1 = Parameter(
+    "p1", "probability", 0.9, "P(SensorState OK at t+1 | OK at t); Table `tab:cptsensor`"
+)
+P2 = Parameter(
+    "p2", "probability", 0.9, "P(SensorState BAD at t+1 | BAD at t); Table `tab:cptsensor`"
+)
+P3 = Parameter("p3", "probability", 0.6, "P(WOR OK | SensorState OK); Table `tab:cptri`")
+P4 = Parameter("p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`")
+WOR_LEVELS = Parameter(
+    "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2, highest=100
+)
+NORMAL = Parameter(
+    "normal",
+    "choice",
+    "density",
+    "how F makes a table of a normal: `density` at the lane centres (the authors'), `integral`"
+    " across each lane (the text)",
+    choices=("density", "integral"),
+)
+LANE_WIDTHS = Parameter(
+    "lane_widths",
+    "positive",
+    1.0,
+    "width of each lane in units of the nominal lane (one number, or one per lane)",
+    search=None,
+    per_lane=True,
+)
 
 HIDDEN = ("Lane", "SensorState")
 OBSERVED = ("DetectorOutput", "WOR")
 VALUES = {"SensorState": ("OK", "BAD"), "WOR": ("OK", "BAD")}
 PARAMETERS = (SIGMA1, SIGMA2, P1, P2, P3, P4, NORMAL, LANE_WIDTHS)
+
+
+def f_table(sigma: str, n_lanes: int, parameters: Parameters, shift: float = 0.0) -> FloatArray:
+    """F(N(lane + shift, sigma^2)) for each lane: (n, n), a row per lane.
+
+    - sigma: name of the parameter that holds the standard deviation
+    - shift: nominal lanes, positive to the right
+    """
+    normal, widths = str(parameters["normal"]), per_lane(parameters, "lane_widths", n_lanes)
+    return lane_normals(number(parameters, sigma), n_lanes, normal, widths, shift)
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:

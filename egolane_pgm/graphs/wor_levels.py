@@ -14,7 +14,7 @@ import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, builder, within
-from egolane_pgm.graphs.shared_parameters import WOR_LEVELS
+from egolane_pgm.graphs.sensor_failure import WOR_LEVELS
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray
 

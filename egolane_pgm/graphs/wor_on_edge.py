@@ -14,7 +14,7 @@ import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import Table, binary, builder, within
-from egolane_pgm.graphs.shared_parameters import P3, P4
+from egolane_pgm.graphs.sensor_failure import P3, P4
 from egolane_pgm.parameters import Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN

@@ -11,7 +11,7 @@ So events of causal beliefs are causal, too. The definition:
   still believed when the time is over, the change back is reported then.
 
 The lateral offset, from a node RoadPosition or from the lines alone
-(`model.lateral_offset_by_lines`), shows whether the car crosses a line, whichever lane it is in,
+(`place_finder`), shows whether the car crosses a line, whichever lane it is in,
 and an event is one crossing of one line:
 
 - A lane that is believed while the car stays inside its lane (it is further than BEYOND from the
@@ -338,7 +338,7 @@ def across_lanes(
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """The line crossing probability and the lateral offset, (T,) each, of posteriors by node.
 
-    - by_lines (T,): the offset for graphs without RoadPosition (`model.lateral_offset_by_lines`).
+    - by_lines (T,): the offset for graphs without RoadPosition (`place_finder`).
 
     The line crossing probability is P(RoadPosition at most HALF_CAR from a line between two lanes);
     a cell that is only partly so near counts in part. None without a RoadPosition (cells from left

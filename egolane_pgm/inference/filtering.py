@@ -98,8 +98,9 @@ def step(
     begins[:1] = state is None
     index = joint_input(compiled, evidence)
     done = []
-    size = piece_frames(compiled)
-    # A remainder is done with the piece before it.
+    # A drive that is cut at a multiple of this gives the same beliefs to the last digit, but for
+    # less than half of it at the end: a remainder is done with the piece before it.
+    size = max(1, PIECE // compiled.n_states)
     starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
     for piece in map(slice, starts, starts[1:]):
         likelihood = state_likelihood(compiled, evidence, piece)
@@ -124,12 +125,6 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
         largest = flat.max(axis=1, keepdims=True)
         hard[key] = (flat >= largest * (1 - 1e-9)).astype(np.float64).reshape(values.shape)
     return Evidence(hard, evidence.inputs)
-
-
-def piece_frames(compiled: Compiled) -> int:
-    """The number of frames that the filter takes at once. A drive that is cut at a multiple of this
-    gives the same beliefs to the last digit, but for less than half of it at the end."""
-    return max(1, PIECE // compiled.n_states)
 
 
 def state_likelihood(

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.kernels.banded import Band, find_band
+from egolane_pgm.inference.kernels.banded import MIN_STATES, Band, find_band
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 
@@ -70,7 +70,7 @@ def layout(compiled: Compiled) -> Layout:
         tuple(emissions),
         tuple(only),
         shapes,
-        find_band(compiled),
+        find_band(compiled) if compiled.n_states >= MIN_STATES else None,
     )
 
 

@@ -10,7 +10,8 @@ import pandas as pd
 
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.result import Result, by_drive, lanes_of, truth_of
-from egolane_pgm.scoring.events import TOLERANCES_S, changes_of, is_judged, match_events
+from egolane_pgm.scoring import stability
+from egolane_pgm.scoring.events import TOLERANCES_S, is_judged, match_events
 from egolane_pgm.types import SIDES, FloatArray
 from egolane_pgm.views.answers import is_known, true_lane
 
@@ -77,7 +78,8 @@ def _changes_of_drive(result: Result, frames: pd.DataFrame) -> Iterator[dict[str
         matched = match_events(events, truth, result.frame_rate, max(TOLERANCES_S))
         outcome[is_judged(events, truth)] = "false"
         outcome[matched >= 0] = "correct"
-        true, time_s = changes_of(truth), frames["time_s"].loc[truth.index].to_numpy()
+        true = stability.lane_changes(truth["true_lane"], truth["is_crossing"])
+        time_s = frames["time_s"].loc[truth.index].to_numpy()
         for k in set(range(len(true))) - set(matched):
             begin, end = time_s[true.start[k]], time_s[true.end[k]]
             place = {"begin_s": begin + shift, "end_s": end + shift, "to_lane": 0}

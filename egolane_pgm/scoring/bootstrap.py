@@ -164,16 +164,14 @@ def score_counts(
     belief: ArrayLike,
     lane: ArrayLike,
     is_crossing: ArrayLike,
-    unassigned_below: float = 0.0,
     assigned: ArrayLike | None = None,
 ) -> dict[str, NDArray[np.generic]]:
     """Per score that has an interval, what it sums over in each frame; for `score_intervals`.
 
-    belief (T, n), lane (T,), is_crossing (T,). unassigned_below, assigned: as in
-    `score_all`.
+    belief (T, n), lane (T,), is_crossing (T,). assigned: as in `score_all`.
     """
     if assigned is None:
-        assigned = assigned_lane(belief, unassigned_below)
+        assigned = assigned_lane(belief)
     cells = confusion_counts(assigned, lane, is_crossing, np.shape(belief)[1])
     losses = log_loss_per_frame(belief, lane)
     return {

@@ -42,23 +42,6 @@ TOLERANCES_S = (0.5, 1.0, 2.0)
 WARNED = 0.5
 
 
-def event_scores(
-    events: pd.DataFrame, crossing: FloatArray | None, truth: pd.DataFrame, frame_rate: float
-) -> dict[str, Any]:
-    """What scores.json says of lane changes: `score_events`, and under `crossing` what
-    `score_crossing` gives, or None.
-
-    - crossing: (K,) of the annotated frames, see `inference.events.crossing_probability`.
-    """
-    warning = None if crossing is None else score_crossing(crossing, truth, frame_rate)
-    return {**score_events(events, truth, frame_rate), "crossing": warning}
-
-
-def changes_of(truth: pd.DataFrame) -> LaneChanges:
-    """The true lane changes."""
-    return lane_changes(truth["true_lane"], truth["is_crossing"])
-
-
 def match_events(
     events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float, tolerance_s: float
 ) -> IntArray:
@@ -67,7 +50,7 @@ def match_events(
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
     """
-    changes = changes_of(truth)
+    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
     reach = tolerance_s * frame_rate
     first = truth.index.to_numpy()[changes.start] - reach
     last = truth.index.to_numpy()[changes.end] + reach
@@ -96,7 +79,8 @@ def event_delays(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     """(E,): seconds from the end of the true crossing to the report; NaN for an event that is not
     right within the largest tolerance."""
     matched = match_events(events, truth, frame_rate, max(TOLERANCES_S))
-    ends = truth.index.to_numpy()[changes_of(truth).end]
+    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
+    ends = truth.index.to_numpy()[changes.end]
     delay = np.full(len(events), np.nan)
     is_right = matched >= 0
     delay[is_right] = (
@@ -105,17 +89,24 @@ def event_delays(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     return delay
 
 
-def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -> dict[str, Any]:
+def score_events(
+    events: pd.DataFrame,
+    truth: pd.DataFrame,
+    frame_rate: float,
+    crossing: FloatArray | None = None,
+) -> dict[str, Any]:
     """The scores of lane-change events, ready for JSON; None where a score is undefined.
 
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
+    - crossing (K,): the line crossing probability, see `inference.events.across_lanes`.
 
     Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
     annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
-    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
+    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}, `crossing` (see
+    `score_crossing`; None without a probability).
     """
-    changes = changes_of(truth)
+    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
     hours = len(truth) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
     for tolerance in TOLERANCES_S:
@@ -137,6 +128,7 @@ def score_events(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
         "hours": hours,
         "within": within,
         "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
+        "crossing": None if crossing is None else score_crossing(crossing, truth, frame_rate),
     }
 
 
@@ -155,7 +147,7 @@ def score_crossing(crossing: ArrayLike, truth: pd.DataFrame, frame_rate: float) 
     ids = truth.index.to_numpy()
     begin, end = np.array(runs_of(is_warned), dtype=np.int64).reshape(-1, 2).T
     end = end - 1
-    changes = changes_of(truth)
+    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
     lead = _leads(begin, end, changes, truth) / frame_rate
     crossing_id = ids[is_crossing]
     reach = max(TOLERANCES_S) * frame_rate

@@ -23,15 +23,14 @@ def score_all(
     is_crossing: ArrayLike,
     frame_id: ArrayLike,
     frame_rate: float,
-    unassigned_below: float = 0.0,
     assigned: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """All scores, ready for JSON: plain numbers and lists, None where a score is undefined.
 
     belief (T, n), rows sum to 1; truth_lane (T,), 1..n; is_crossing (T,); frame_id (T,), strictly
-    increasing; frame_rate in frames per second. unassigned_below: see `assigned_lane`; it changes
-    the answers, not the scores of the belief itself (log-loss, Brier, calibration). assigned (T,):
-    the answers where they are not those of the belief, 1..n or UNASSIGNED.
+    increasing; frame_rate in frames per second. assigned (T,): the answers where they are not those
+    of the belief, 1..n or UNASSIGNED; they do not change the scores of the belief itself (log-loss,
+    Brier, calibration).
 
     Keys: `precision`, `recall`, `f1` (means over the lanes), `accuracy`, `log_loss` (over all
     frames), `brier`, `expected_calibration_error`, `coverage`, `false_switches_per_minute`,
@@ -42,7 +41,7 @@ def score_all(
     values, lane, crossing = map(np.asarray, (belief, truth_lane, is_crossing))
     n_frames, n_lanes = values.shape
     if assigned is None:
-        assigned = assigned_lane(values, unassigned_below)
+        assigned = assigned_lane(values)
     scores = scores_from_confusion(confusion(assigned, lane, crossing, n_lanes))
     delay = delay_after_lane_change(assigned, lane, crossing, frame_id)
     found = {
@@ -80,15 +79,13 @@ def score_with_intervals(
     belief: ArrayLike,
     truth: pd.DataFrame,
     frame_rate: float,
-    unassigned_below: float = 0.0,
     assigned: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """`score_all` of a belief (T, n) over the frames of the ground truth, and `intervals`: 95 %
     block-bootstrap intervals [low, high] of `accuracy` and `f1`, None for a short drive."""
     lane, is_crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
-    answers = (unassigned_below, assigned)
-    scores = score_all(belief, lane, is_crossing, truth.index, frame_rate, *answers)
-    found = score_intervals([score_counts(belief, lane, is_crossing, *answers)])
+    scores = score_all(belief, lane, is_crossing, truth.index, frame_rate, assigned)
+    found = score_intervals([score_counts(belief, lane, is_crossing, assigned)])
     intervals = {name: found[name] for name in ("accuracy", "f1")}
     bounds = {k: None if i.low is None else [i.low, i.high] for k, i in intervals.items()}
     return {**scores, "intervals": bounds}

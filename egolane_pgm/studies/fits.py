@@ -178,7 +178,7 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     """
     model = drives[0].model
     options, source = learning_of(model.experiment), model.experiment.source
-    n_lanes = sorted({drive.n_lanes for drive in drives})
+    n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
             f"{source}: n_lanes: tables are learned from drives on roads of one number of lanes;"

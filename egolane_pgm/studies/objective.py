@@ -10,7 +10,7 @@ import numpy as np
 
 from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.experiment import Experiment
-from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.model import make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring import confusion as confusions
@@ -55,7 +55,7 @@ def check_objective(name: str, where: str = "objective") -> str:
 
 def check_filter(experiment: Experiment) -> None:
     """Raise InputError for a filter that looks ahead."""
-    if not experiment.has_causal_filter:
+    if experiment.filter not in METHODS:
         raise InputError(
             f"{experiment.source}: filter: a search takes assumed_density or exact, not"
             f" {experiment.filter}; search with one of these"

@@ -153,7 +153,7 @@ def starting_points(given: Studied) -> list[dict[str, Any]]:
         for values in known_parameters(drive.experiment):
             kept = {name: value for name, value in values.items() if name in known}
             merged = {**drive.experiment.parameters, **kept}
-            starts.append(resolve_parameters(specs, merged, drive.n_lanes))
+            starts.append(resolve_parameters(specs, merged, drive.model.n_lanes))
         starts.append(dict(model.parameters))
     tuning = given.drives[0].experiment.tuning
     if tuning is not None and "detector" in tuning.search:

@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 from egolane_pgm.scoring.events import (
     TOLERANCES_S,
     event_delays,
-    event_scores,
     match_events,
     roc_auc,
     score_crossing,
@@ -193,7 +192,7 @@ def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
     drive: tuple[pd.DataFrame, pd.DataFrame],
 ) -> None:
     events, truth = drive
-    scores = event_scores(events, np.linspace(0, 1, len(truth)), truth, 10.0)
+    scores = score_events(events, truth, 10.0, np.linspace(0, 1, len(truth)))
     json.dumps(scores, allow_nan=False)
     right = [found["right"] for found in scores["within"].values()]
     assert right == sorted(right)
@@ -250,7 +249,7 @@ def test_a_probability_that_is_the_flag_has_no_error() -> None:
     found = score_crossing(ONE["is_crossing"].astype(float), ONE, 10.0)
     assert (found["auc"], found["precision"], found["recall"]) == (1.0, 1.0, 1.0)
     assert score_crossing(np.zeros(200), ONE, 10.0)["precision"] is None
-    assert event_scores(events_at(), None, ONE, 10.0)["crossing"] is None
+    assert score_events(events_at(), ONE, 10.0)["crossing"] is None
 
 
 @given(

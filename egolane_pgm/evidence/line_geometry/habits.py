@@ -20,7 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.types import BoolArray, FloatArray, LineLog
+from egolane_pgm.evidence.line_geometry import kernels
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 
 #: The LRI of a well tracked line, on the paper's scale.
 FULL_LRI = 10.0
@@ -32,6 +33,11 @@ FULL_SHARE = 0.95
 #: The shares of lines with a flag between which the flag is used. In the paper's recordings at
 #: least two thirds of the lines are valid, and of these a fifth or none are continuous.
 LEAST_VALID, LEAST_CONTINUOUS, MOST_CONTINUOUS = 0.1, 0.01, 0.9
+
+#: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI; 2 valid with a
+#: lower LRI; 3 not valid with LRI >= LEAST_LRI.
+N_CLASSES = 4
+STRONG_LRI, LEAST_LRI = 6.0, 3.0
 
 #: An offset nearer to 0 than this is a placeholder of a detector that has not measured yet.
 PLACEHOLDER_M = 1e-6
@@ -199,3 +205,22 @@ def translated_recording(log: LineLog, *, say: bool = True) -> tuple[LineLog, Ha
         for note in detector.notes:
             warnings.warn(note, UserWarning, stacklevel=2)
     return translated(log, detector), detector
+
+
+def line_classes(log: LineLog) -> tuple[IntArray, BoolArray]:
+    """The class of each line, (T, L), -1 where there is none; and whether its place is reliable,
+    (T, L). With an unknown LRI, a valid line counts as reliable and any other as tracked."""
+    kind = np.empty(log.offset_m.shape, dtype=np.int64)
+    is_strong = np.empty(kind.shape, dtype=bool)
+    kernels.classify(
+        log.offset_m,
+        log.is_valid,
+        log.is_continuous,
+        log.lri,
+        STRONG_LRI,
+        LEAST_LRI,
+        PLACEHOLDER_M,
+        kind,
+        is_strong,
+    )
+    return kind, is_strong

@@ -63,8 +63,8 @@ def follow_width(
     """Fills width_m (T, K) with quantiles of the lane width before each frame; the belief `steady`,
     `wandering`, `pairs`, `counts` becomes that after the last one.
 
-    Belief and prior are those of `scale.WidthBelief`, the tables those of `scale._GapTables`,
-    rates those of `scale.RATES`. least_double: a gap of less than this share of the frame's largest
+    Belief and prior are those of `scale.WidthBelief`, the tables and rates are
+    constants of `scale`. least_double: a gap of less than this share of the frame's largest
     one is a line reported twice.
     """
     moves, moves_wandering, another, returns, may_wander, changes = rates[:6]

@@ -22,7 +22,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from egolane_pgm.evidence.line_geometry.model import line_classes
+from egolane_pgm.evidence.line_geometry.habits import line_classes
 from egolane_pgm.types import BoolArray, FloatArray, LineLog
 
 #: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.

@@ -21,15 +21,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.habits import PLACEHOLDER_M
+from egolane_pgm.evidence.line_geometry.habits import N_CLASSES
 from egolane_pgm.parameters import Value, number
-from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
-
-#: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI; 2 valid with a
-#: lower LRI; 3 not valid with LRI >= LEAST_LRI.
-N_CLASSES = 4
-STRONG_LRI, LEAST_LRI = 6.0, 3.0
+from egolane_pgm.types import FloatArray
 
 #: The lane width that lines are scaled to, whatever the detector's: all metres here are those of a
 #: road with such lanes.
@@ -56,25 +50,6 @@ SHOULDER_DISTANCE = 0.9
 
 #: The lowest intensity, so that no report of a detector is impossible.
 LEAST_INTENSITY = 1e-9
-
-
-def line_classes(log: LineLog) -> tuple[IntArray, BoolArray]:
-    """The class of each line, (T, L), -1 where there is none; and whether its place is reliable,
-    (T, L). With an unknown LRI, a valid line counts as reliable and any other as tracked."""
-    kind = np.empty(log.offset_m.shape, dtype=np.int64)
-    is_strong = np.empty(kind.shape, dtype=bool)
-    kernels.classify(
-        log.offset_m,
-        log.is_valid,
-        log.is_continuous,
-        log.lri,
-        STRONG_LRI,
-        LEAST_LRI,
-        PLACEHOLDER_M,
-        kind,
-        is_strong,
-    )
-    return kind, is_strong
 
 
 @dataclass(frozen=True)

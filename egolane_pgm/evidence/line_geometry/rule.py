@@ -41,13 +41,13 @@ import numpy as np
 
 from egolane_pgm.evidence.line_geometry import habits, kernels, reading
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
+from egolane_pgm.evidence.line_geometry.habits import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
     LANE_M,
     REACH_M,
     TABLE_STEP_M,
     LineModel,
-    line_classes,
     line_model,
 )
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief

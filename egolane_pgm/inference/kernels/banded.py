@@ -43,10 +43,7 @@ class Band(NamedTuple):
 
 
 def find_band(compiled: Compiled) -> Band | None:
-    """The banded form of a network's transition, or None where it has none, or is too small to
-    gain by it."""
-    if compiled.n_states < MIN_STATES:
-        return None
+    """The banded form of a network's transition, or None where it has none."""
     sizes = [compiled.cardinality[name] for name in compiled.state_nodes]
     n_wide, n_others = sizes[-1], math.prod(sizes[:-1])
     n_inputs = len(compiled.transition)

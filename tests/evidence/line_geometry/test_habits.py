@@ -28,8 +28,8 @@ from egolane_pgm.evidence.line_geometry.habits import (
     count_lines,
     habits_of,
     is_placed,
+    line_classes,
 )
-from egolane_pgm.evidence.line_geometry.model import line_classes
 from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane

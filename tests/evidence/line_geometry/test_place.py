@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import egolane_pgm as ego
-from egolane_pgm.evidence.line_geometry.place import place_finder
+from egolane_pgm.evidence.line_geometry.scale import place_finder
 from egolane_pgm.scoring.events import score_events
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import FloatArray, LineLog

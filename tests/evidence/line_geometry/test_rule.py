@@ -21,12 +21,12 @@ from egolane_pgm import paper
 from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
+from egolane_pgm.evidence.line_geometry.habits import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     GENERIC,
     LANE_M,
     TABLE_STEP_M,
     generic_model,
-    line_classes,
     line_model,
     places,
 )

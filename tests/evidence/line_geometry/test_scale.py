@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.evidence.line_geometry import scale
-from egolane_pgm.evidence.line_geometry.scale import N_QUANTILES, WidthBelief, follow, grid
+from egolane_pgm.evidence.line_geometry.scale import GRID, N_QUANTILES, WidthBelief, follow
 from egolane_pgm.types import BoolArray, FloatArray
 from tests.reference import line_geometry as reference
 
@@ -71,8 +71,8 @@ def assert_is_belief(belief: WidthBelief) -> None:
 def assert_are_quantiles(widths: FloatArray) -> None:
     assert np.isfinite(widths).all()
     assert (np.diff(widths, axis=1) >= 0).all()
-    assert (widths > 0.999 * grid()[0]).all()
-    assert (widths < 1.001 * grid()[-1]).all()
+    assert (widths > 0.999 * GRID[0]).all()
+    assert (widths < 1.001 * GRID[-1]).all()
 
 
 # --- one step ------------------------------------------------------------------------------------
@@ -80,8 +80,8 @@ def assert_are_quantiles(widths: FloatArray) -> None:
 
 def likelihood_of_gap(gap: float) -> FloatArray:
     """Of each width: 40 % of gaps are 1 to 4 lanes, within 6 % of a lane."""
-    found = np.full(len(grid()), 0.6)
-    for j, width in enumerate(grid()):
+    found = np.full(len(GRID), 0.6)
+    for j, width in enumerate(GRID):
         for lanes in (1, 2, 3, 4):
             if max(1, round(gap / width)) == lanes:
                 away = (gap / width - lanes) / 0.06
@@ -92,15 +92,15 @@ def likelihood_of_gap(gap: float) -> FloatArray:
 @pytest.mark.parametrize("steps", [(170, 0), (165, 171), (140, 200)])
 def test_a_step_is_that_of_two_hidden_markov_models(steps: tuple[int, int]) -> None:
     """Two gaps, or a single one; widths and gaps are points of the grid."""
-    neighbours = [float(grid()[k]) for k in steps if k]
+    neighbours = [float(GRID[k]) for k in steps if k]
     lines = np.cumsum([-2.0, *neighbours])
     gaps = [*neighbours, sum(neighbours)] if len(neighbours) == 2 else neighbours
     if len(gaps) == 3:
         # The gap between every other line is rounded to the grid.
-        gaps[2] = float(grid()[round(math.log(gaps[2] / grid()[0]) / math.log(grid()[1] / 0.1))])
+        gaps[2] = float(GRID[round(math.log(gaps[2] / GRID[0]) / math.log(GRID[1] / 0.1))])
     widths, belief = widths_of(lines[None])
 
-    prior = np.array([1 / (1 + (math.log(w / EXPECTED) / 0.1) ** 2) for w in grid()])
+    prior = np.array([1 / (1 + (math.log(w / EXPECTED) / 0.1) ** 2) for w in GRID])
     prior /= prior.sum()
     n = len(prior)
     steady, wandering, around = prior.copy(), prior.copy(), np.zeros(n)
@@ -119,7 +119,7 @@ def test_a_step_is_that_of_two_hidden_markov_models(steps: tuple[int, int]) -> N
     wandering /= wandering.sum()
     share = scale.MAY_WANDER
     below = np.cumsum(share * wandering + (1 - share) * steady)
-    expected = [grid()[np.flatnonzero(below >= (k + 0.5) / 7)[0]] for k in range(7)]
+    expected = [GRID[np.flatnonzero(below >= (k + 0.5) / 7)[0]] for k in range(7)]
     np.testing.assert_allclose(widths[0], expected, rtol=1e-12)
 
     says = np.prod([likelihood_of_gap(gap) for gap in gaps], axis=0)
@@ -132,7 +132,7 @@ def test_a_step_is_that_of_two_hidden_markov_models(steps: tuple[int, int]) -> N
     np.testing.assert_allclose(belief.wandering, wandering / wandering.sum(), rtol=1e-9)
     assert belief.counts[1] == len(gaps) // 3
     if len(gaps) == 3:
-        is_pair = np.abs(gaps[2] / grid() - 2) < 0.15
+        is_pair = np.abs(gaps[2] / GRID - 2) < 0.15
         np.testing.assert_array_equal(belief.pairs, is_pair)
 
 
@@ -148,7 +148,7 @@ def test_the_kernel_equals_its_twin(seed: int, n_lines: int, far: float) -> None
     for each in (belief, twin):
         if seed % 2:
             each.counts[:] = 0.4, 2500
-            each.pairs[:] = np.random.default_rng(seed).uniform(0, 150, len(grid()))
+            each.pairs[:] = np.random.default_rng(seed).uniform(0, 150, len(GRID))
     widths = follow(belief, offset, strong)
     with reference.plain():
         plain = follow(twin, offset, strong)
