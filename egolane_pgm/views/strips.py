@@ -56,8 +56,8 @@ def draw_strips(result: Result, file: str | Path) -> Path:
 def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
     """Draw the posterior over time, errors below each strip, lane changes and the ground truth.
 
-    - first, last: frame ids, both included; the whole drive by default. Several drives whose frame
-      ids overlap are drawn one after the other, with frames numbered from 0.
+    - first, last: frame ids, both included; the whole drive by default. Several drives are drawn
+      one after the other, with frames numbered from 0.
 
     A long range continues in further rows. Raises InputError for a range without frames.
     """
@@ -104,23 +104,18 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
 
 
 def _on_one_axis(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The frames and lane changes of all drives with unique frame ids, and each outcome."""
+    """The frames and lane changes of all drives, numbered from 0 if there are several drives, and
+    the outcome of each change."""
     frames, events = result.frames, result.events
     if "drive" not in frames:
         return frames, events.assign(outcome=outcomes(events, frames))
-    is_unique = frames.index.is_unique and frames.index.is_monotonic_increasing
-    tables, found, start = [], [], 0
+    found, start = [], 0
     for name, part in by_drive(frames):
         mine = events[events["drive"] == name]
-        mine = mine.assign(outcome=outcomes(mine, part))
-        if not is_unique:
-            place = pd.Series(np.arange(start, start + len(part)), part.index)
-            mine = mine.assign(detected_frame_id=place.reindex(mine["detected_frame_id"]).array)
-            part = part.set_index(place.to_numpy())
-        tables.append(part)
-        found.append(mine)
+        place = start + part.index.get_indexer(mine["detected_frame_id"])
+        found.append(mine.assign(outcome=outcomes(mine, part), detected_frame_id=place))
         start += len(part)
-    return pd.concat(tables), pd.concat(found)
+    return frames.reset_index(drop=True), pd.concat(found)
 
 
 def frame_range(frames: pd.DataFrame, first: int | None, last: int | None) -> tuple[int, int]:
