@@ -37,6 +37,17 @@ def scored(result: Result) -> pd.DataFrame:
     return frames
 
 
+def frames_between(frames: pd.DataFrame, first: int | None, last: int | None) -> pd.DataFrame:
+    """The frames with these ids, both included. Raises InputError if there are none."""
+    chosen = frames.loc[first:last]
+    if chosen.empty:
+        ids = frames.index
+        raise InputError(
+            f"frames: no frame from {first} to {last}; the result has {ids[0]} to {ids[-1]}"
+        )
+    return chosen
+
+
 def answers(frames: pd.DataFrame) -> dict[str, tuple[FloatArray, IntArray]]:
     """Posterior (T, n) and assigned lane (T,) of "Detector", if it has an answer, and "Model"."""
     both = {}

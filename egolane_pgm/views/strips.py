@@ -20,8 +20,15 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.result import Result, by_drive
-from egolane_pgm.types import FloatArray, InputError, runs_of
-from egolane_pgm.views.answers import answers, is_known, outcomes, title_of, true_lane
+from egolane_pgm.types import FloatArray, runs_of
+from egolane_pgm.views.answers import (
+    answers,
+    frames_between,
+    is_known,
+    outcomes,
+    title_of,
+    true_lane,
+)
 from egolane_pgm.views.style import (
     CROSSING,
     DETECTOR_COLOUR,
@@ -62,7 +69,7 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     A long range continues in further rows. Raises InputError for a range without frames.
     """
     frames, events = _on_one_axis(result)
-    low, high = frame_range(frames, first, last)
+    low, high = frames_between(frames, first, last).index[[0, -1]].tolist()
     n_frames = high - low + 1
     n_rows = min(MAX_ROWS, -(-n_frames // MAX_COLUMNS))
     each = -(-n_frames // (n_rows * MAX_COLUMNS))
@@ -116,18 +123,6 @@ def _on_one_axis(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
         found.append(mine.assign(outcome=outcomes(mine, part), detected_frame_id=place))
         start += len(part)
     return frames.reset_index(drop=True), pd.concat(found)
-
-
-def frame_range(frames: pd.DataFrame, first: int | None, last: int | None) -> tuple[int, int]:
-    """The first and the last frame id to draw. Raises InputError for a range without frames."""
-    ids = frames.index
-    low = int(ids[0]) if first is None else max(first, int(ids[0]))
-    high = int(ids[-1]) if last is None else min(last, int(ids[-1]))
-    if not ((ids >= low) & (ids <= high)).any():
-        raise InputError(
-            f"frames: no frame from {first} to {last}; the result has {ids[0]} to {ids[-1]}"
-        )
-    return low, high
 
 
 def strip_cells(frames: pd.DataFrame, low: int, high: int, each: int = 1) -> dict[str, FloatArray]:
