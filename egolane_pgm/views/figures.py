@@ -63,7 +63,9 @@ def _measured(result: Result, measure: Callable[..., T]) -> dict[str, T]:
 
 def confusions(result: Result) -> dict[str, IntArray]:
     """The confusion matrices (n + 1, n) of the answers."""
-    return _measured(result, lambda _, *lanes: confusion(*lanes, result.n_lanes))
+    return _measured(
+        result, lambda _, lane, truth, crossing: confusion(lane, truth, crossing, result.n_lanes)
+    )
 
 
 def confusion_figure(result: Result) -> Figure:
