@@ -101,7 +101,13 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
         _draw_changes(ax, events, top + 0.5)
         ax.set(xlim=(left, left + each * per_row), ylim=(total - 0.3, 0))
         _draw_ticks(ax, frames, left, right)
-    axes[0].text(0.5, 1, "frame\n", transform=axes[0].transAxes, ha="center", va="bottom")
+    place: dict[str, Any] = {
+        "transform": axes[0].transAxes,
+        "ha": "center",
+        "va": "bottom",
+        "linespacing": 1.6,
+    }
+    axes[0].text(0.5, 1, "frame\n", **place)
     axes[-1].set_xlabel("time (s)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
     if result.run["config"].get("road"):
@@ -220,11 +226,10 @@ def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> No
     else:
         ax.set_xticks([])  # Each drive has a clock of its own.
     ax.tick_params(axis="x", length=2.5, pad=1.5)
-    marks = [(x, 0.0) for x in _ticks(left, right)]
-    ax.plot(*np.reshape(marks, (-1, 2)).T, "|", ms=5, color=INK, mew=0.8, clip_on=False)
-    for x, y in marks:
-        name = f"{x:.12g}"
-        ax.annotate(name, (x, y), (0, 4), textcoords="offset points", ha="center", fontsize=8)
+    marks, above = _ticks(left, right), ax.secondary_xaxis("top")
+    above.set_xticks(marks, [f"{x:.12g}" for x in marks])
+    above.tick_params(length=2.5, pad=1.5)
+    above.spines[:].set_visible(False)
 
 
 def _ticks(low: float, high: float) -> FloatArray:
