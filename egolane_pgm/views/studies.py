@@ -201,7 +201,7 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     """
     score, sign = _score(document)
     importance = importances(trials, document["settings"])
-    names = list(importance) or list(document["settings"]["searched"])
+    names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
     gain = sign * trials["score"]
     best, good = trials.loc[gain.idxmax()], trials[gain >= gain.max() - TOLERANCE]
     columns = min(4, len(names))
@@ -222,7 +222,7 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
         folds = [fold[name] for fold in document["folds"] or () if name in fold]
         if folds:
             ax.plot(folds, [low] * len(folds), "|", color=INK, ms=12, label="best of a fold")
-        share = f": {importance[name]:.0%}" if importance else ""
+        share = f": {importance.get(name, 0):.0%}" if importance else ""
         ax.set_title(f"{name}{share}")
         ax.set_ylim(low, high)
     axes[0, 0].set_ylabel(score.replace("_", " "))
