@@ -393,7 +393,7 @@ def rule_parts(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def parameters_table(parameters: Sequence[Mapping[str, Any]]) -> str:
-    """Kind, default, range of a search, meaning with unit, and source of each parameter."""
+    """Kind, default, range of a search, and meaning with unit of each parameter."""
     if not parameters:
         return "It has no parameters."
     rows = []
@@ -408,13 +408,8 @@ def parameters_table(parameters: Sequence[Mapping[str, Any]]) -> str:
         if isinstance(default, tuple) and len(default) > 8:
             default = f"{len(default)} numbers"
         meaning = escaped(each["meaning"])
-        rows.append(
-            [f"`{each['name']}`", kind, as_code(default), searched, meaning, each["source"] or ""]
-        )
-    header = ["parameter", "kind", "default", "in a search", "meaning", "source"]
-    if not any(row[5] for row in rows):
-        header, rows = header[:5], [row[:5] for row in rows]
-    return markdown(header, rows)
+        rows.append([f"`{each['name']}`", kind, as_code(default), searched, meaning])
+    return markdown(["parameter", "kind", "default", "in a search", "meaning"], rows)
 
 
 def shortened(values: Sequence[str]) -> str:

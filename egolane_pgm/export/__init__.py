@@ -6,6 +6,7 @@ import pandas as pd
 
 from egolane_pgm.result import Result
 from egolane_pgm.types import InputError
+from egolane_pgm.views.answers import frames_between
 
 
 def chosen_frames(result: Result, frames: tuple[int, int] | None) -> pd.DataFrame:
@@ -17,13 +18,4 @@ def chosen_frames(result: Result, frames: tuple[int, int] | None) -> pd.DataFram
     """
     if "drive" in result.frames:
         raise InputError(f"{result.directory or result.name}: has several drives; run one of them")
-    if frames is None:
-        return result.frames
-    ids = result.frames.index
-    chosen = result.frames[(ids >= frames[0]) & (ids <= frames[1])]
-    if chosen.empty:
-        raise InputError(
-            f"{result.directory or result.name}: has no frame from {frames[0]} to {frames[1]}; its"
-            f" frames are {ids[0]} to {ids[-1]}"
-        )
-    return chosen
+    return frames_between(result.frames, *(frames or (None, None)))

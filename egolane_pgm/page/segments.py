@@ -11,9 +11,9 @@ import pandas as pd
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.result import Result, by_drive, lanes_of, truth_of
 from egolane_pgm.scoring import stability
-from egolane_pgm.scoring.events import TOLERANCES_S, is_judged, match_events
+from egolane_pgm.scoring.events import TOLERANCES_S, match_events
 from egolane_pgm.types import SIDES, FloatArray
-from egolane_pgm.views.answers import is_known, true_lane
+from egolane_pgm.views.answers import is_known, outcomes, true_lane
 
 #: Wrong segments that are closer to each other are joined, seconds.
 JOIN_S = 1.0
@@ -73,11 +73,8 @@ def _changes_of_drive(result: Result, frames: pd.DataFrame) -> Iterator[dict[str
     if name:
         events = events[events["drive"] == name["drive"]]
     shift = frames["x_s"].iloc[0] - frames["time_s"].iloc[0]
-    outcome = np.full(len(events), "not annotated", dtype=object)
     if truth is not None:
         matched = match_events(events, truth, result.frame_rate, max(TOLERANCES_S))
-        outcome[is_judged(events, truth)] = "false"
-        outcome[matched >= 0] = "correct"
         true = stability.lane_changes(truth["true_lane"], truth["is_crossing"])
         time_s = frames["time_s"].loc[truth.index].to_numpy()
         for k in set(range(len(true))) - set(matched):
@@ -86,7 +83,7 @@ def _changes_of_drive(result: Result, frames: pd.DataFrame) -> Iterator[dict[str
             place |= {"direction": 0, **name}
             lanes = f"{true.from_lane[k]} → {true.to_lane[k]}"
             yield {**place, "time (s)": f"{begin:.1f}", "lanes": lanes, "outcome": "missed"}
-    for event, found in zip(events.to_dict("records"), outcome, strict=True):
+    for event, found in zip(events.to_dict("records"), outcomes(events, frames), strict=True):
         place = {"begin_s": event["time_s"] + shift, "end_s": event["detected_time_s"] + shift}
         place |= {"to_lane": event["to_lane"], "direction": event["direction"], **name}
         lanes = f"{event['from_lane']} → {event['to_lane']}"

@@ -9,12 +9,10 @@ process that is killed leaves the hidden folder behind.
 from __future__ import annotations
 
 import contextlib
-import csv
 import hashlib
-import io
 import json
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -74,13 +72,6 @@ def write_bytes(path: str | Path, content: bytes) -> None:
     """Write a whole file. Raises InputError where it cannot be written."""
     with atomic(path) as temporary:
         temporary.write_bytes(content)
-
-
-def as_csv(header: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table as comma-separated values."""
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([header, *rows])
-    return text.getvalue()
 
 
 def write_text(path: str | Path, text: str) -> None:

@@ -59,9 +59,7 @@ def text(done: Reproduction | None, style: str, wide: bool) -> str:
     if done is None:
         return ""
     document = done.document
-    parts: list[str | Table] = [
-        Table(*reproduction_rows(document, load_published()), labels=2, leaves_out=True)
-    ]
+    parts: list[str | Table] = [Table(*reproduction_rows(document, load_published()), labels=2)]
     if done.matrices:
         parts += [
             confusion_table(entry[kind]["confusion"], f"run {entry['run']}, {kind}")

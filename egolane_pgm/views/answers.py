@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.result import Result, lanes_of
+from egolane_pgm.result import Result, lanes_of, truth_of
+from egolane_pgm.scoring.events import is_judged
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 
@@ -37,6 +38,17 @@ def scored(result: Result) -> pd.DataFrame:
     return frames
 
 
+def frames_between(frames: pd.DataFrame, first: int | None, last: int | None) -> pd.DataFrame:
+    """The frames with these ids, both included. Raises InputError if there are none."""
+    chosen = frames.loc[first:last]
+    if chosen.empty:
+        ids = frames.index
+        raise InputError(
+            f"frames: no frame from {first} to {last}; the result has {ids[0]} to {ids[-1]}"
+        )
+    return chosen
+
+
 def answers(frames: pd.DataFrame) -> dict[str, tuple[FloatArray, IntArray]]:
     """Posterior (T, n) and assigned lane (T,) of "Detector", if it has an answer, and "Model"."""
     both = {}
@@ -54,9 +66,8 @@ def true_lane(frames: pd.DataFrame) -> FloatArray:
 
 def outcomes(events: pd.DataFrame, frames: pd.DataFrame) -> list[str]:
     """The outcome of each lane change of one drive: "correct", "false" or "not annotated"."""
-    if "delay_s" not in events:
+    truth = truth_of(frames)
+    if truth is None or "delay_s" not in events:
         return ["not annotated"] * len(events)
-    is_right = events["delay_s"].notna()
-    known = frames["true_lane"].reindex(events["detected_frame_id"]).notna()
-    names = np.where(is_right, "correct", np.where(known, "false", "not annotated"))
-    return [str(name) for name in names]
+    names = np.where(is_judged(events, truth), "false", "not annotated")
+    return [str(name) for name in np.where(events["delay_s"].notna(), "correct", names)]

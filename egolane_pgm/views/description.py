@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import re
 from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
@@ -14,7 +13,7 @@ import pandas as pd
 
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.parameters import Parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.views.network import structure_of
 from egolane_pgm.views.tables import page, table, wrapped
@@ -24,9 +23,6 @@ MAX_PRINTED = 1000
 
 #: The suffix of a parent in the previous frame.
 _BEFORE = " before"
-
-#: The end of a parameter's meaning that names its place in the paper.
-_SOURCE = re.compile(r"(?:; |, )?((?:\w+ of )?(?:Tables?|Figure|equation|section) [`\"].*)$")
 
 
 # --- as data -------------------------------------------------------------------------------------
@@ -99,22 +95,18 @@ def _table(frames: str, table: Table, numbers: bool) -> dict[str, Any]:
 
 
 def _parameters(module: ModuleType) -> list[dict[str, Any]]:
-    return [_parameter(spec) for spec in getattr(module, "PARAMETERS", ())]
-
-
-def _parameter(spec: Parameter) -> dict[str, Any]:
-    source = _SOURCE.search(spec.doc)
-    return {
-        "name": spec.name,
-        "kind": spec.kind,
-        "default": spec.default,
-        "choices": list(spec.choices),
-        "per_lane": spec.per_lane,
-        "range": spec.search_range if spec.is_searched else None,
-        "is_searched": spec.is_searched,
-        "meaning": spec.doc[: source.start()] if source else spec.doc,
-        "source": source[1] if source else None,
-    }
+    return [
+        {
+            "name": spec.name,
+            "kind": spec.kind,
+            "default": spec.default,
+            "choices": list(spec.choices),
+            "per_lane": spec.per_lane,
+            "range": spec.search_range if spec.is_searched else None,
+            "meaning": spec.doc,
+        }
+        for spec in getattr(module, "PARAMETERS", ())
+    ]
 
 
 # --- as text -------------------------------------------------------------------------------------
@@ -207,8 +199,8 @@ def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
     for each in parameters:
         facts = [each["kind"] + (" (or one per lane)" if each["per_lane"] else "")]
         facts.append(f"default {_short(each['default'])}")
-        facts.append(f"searched {_short(each['range'])}" if each["is_searched"] else "not searched")
-        text = "; ".join(filter(None, (each["meaning"], each["source"])))
+        facts.append(f"searched {_short(each['range'])}" if each["range"] else "not searched")
+        text = each["meaning"]
         if each["choices"]:
             number = "" if each["kind"] == "choice" else "a number or "
             text = f"{number}{' or '.join(each['choices'])}: {text}"

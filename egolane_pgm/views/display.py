@@ -11,7 +11,7 @@ import pandas as pd
 from egolane_pgm.inference.events import CONFIDENT, SURE
 from egolane_pgm.result import Result, by_drive, lanes_of
 from egolane_pgm.views.answers import is_known
-from egolane_pgm.views.events import event_lines, event_table, segments_text
+from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
 from egolane_pgm.views.tables import (
     TUNED_ON,
     TUNED_ON_SHORT,
@@ -22,9 +22,6 @@ from egolane_pgm.views.tables import (
     table,
     with_interval,
 )
-
-#: Number of drives in a table.
-LISTED = 20
 
 #: The parameters of a held-out block, by the experiment's `fit`.
 _FITS = {
@@ -98,13 +95,9 @@ def result_text(result: Result, style: str, wide: bool) -> str:
         last = result.node("Lane")[-1]
         at_the_end = f"at the end lane {last.argmax() + 1} is the most probable ({last.max():.2f})"
         parts.append(f"{segments_text(result.segments)}; {at_the_end}")
-    parts += [sure_text(scores), *event_parts(result)]
+    share = f"{100 * scores['sure']:.1f} % of the frames"
+    parts += [f"sure (a belief of at least {SURE:g}) in {share}", *event_parts(result)]
     return page(["\n".join(first), *parts], style, wide)
-
-
-def sure_text(scores: Any) -> str:
-    """The share of frames with a sure lane. scores: scores.json."""
-    return f"sure (a belief of at least {SURE:g}) in {100 * scores['sure']:.1f} % of the frames"
 
 
 def drive_parts(result: Result) -> list[str | Table]:

@@ -11,8 +11,8 @@ from egolane_pgm.inference.events import CONFIDENT
 from egolane_pgm.types import DATED_S, UNASSIGNED
 from egolane_pgm.views.tables import Table, cell, table
 
-#: Number of lane changes in a table.
-LISTED = 10
+#: Number of rows of a table of drives or lane changes, and of segments in words.
+LISTED = 20
 
 #: The times of a shorter drive have a decimal, seconds.
 SHORT_S = 60.0

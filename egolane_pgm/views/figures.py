@@ -5,8 +5,8 @@ All raise InputError for a result without ground truth.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -23,7 +23,7 @@ from egolane_pgm.scoring.probabilistic import (
     coverage_curve,
     expected_calibration_error,
 )
-from egolane_pgm.types import BoolArray, IntArray
+from egolane_pgm.types import IntArray
 from egolane_pgm.views.answers import answers, scored, title_of, title_with_frames
 from egolane_pgm.views.style import (
     ANSWER_STYLE,
@@ -38,6 +38,8 @@ from egolane_pgm.views.style import (
     text_colour,
 )
 
+T = TypeVar("T")
+
 #: Reliability bins with fewer frames are drawn hollow and not connected: mostly chance.
 FEW_FRAMES = 30
 
@@ -48,18 +50,22 @@ MARKED, LEAST_COVERAGE = (0.5, 0.9, 0.99), 0.01
 LABELLED = 0.04
 
 
-def _truth(frames: pd.DataFrame) -> tuple[IntArray, BoolArray]:
-    """The true lane of scored frames, and that none is crossing."""
-    return frames["true_lane"].to_numpy(np.int64), np.zeros(len(frames), dtype=bool)
+def _measured(result: Result, measure: Callable[..., T]) -> dict[str, T]:
+    """A score of "Detector", if it has an answer, and "Model".
+
+    - measure: called with beliefs, assigned and true lanes of the scored frames, and that none is
+      crossing.
+    """
+    frames = scored(result)
+    truth = frames["true_lane"].to_numpy(np.int64), np.zeros(len(frames), dtype=bool)
+    return {name: measure(*answer, *truth) for name, answer in answers(frames).items()}
 
 
 def confusions(result: Result) -> dict[str, IntArray]:
-    """The confusion matrices (n + 1, n) of "Detector", if it has an answer, and "Model"."""
-    frames = scored(result)
-    return {
-        name: confusion(assigned, *_truth(frames), result.n_lanes)
-        for name, (_, assigned) in answers(frames).items()
-    }
+    """The confusion matrices (n + 1, n) of the answers."""
+    return _measured(
+        result, lambda _, lane, truth, crossing: confusion(lane, truth, crossing, result.n_lanes)
+    )
 
 
 def confusion_figure(result: Result) -> Figure:
@@ -101,13 +107,14 @@ def confusion_figure(result: Result) -> Figure:
 
 
 def reliabilities(result: Result) -> dict[str, tuple[CalibrationCurve, float]]:
-    """The calibration curve and expected calibration error of "Detector", if there, and "Model"."""
-    frames = scored(result)
-    truth = _truth(frames)
-    return {
-        name: (calibration_curve(belief, *truth), expected_calibration_error(belief, *truth))
-        for name, (belief, _) in answers(frames).items()
-    }
+    """The calibration curves of the answers, and their expected calibration errors."""
+    return _measured(
+        result,
+        lambda belief, _, *truth: (
+            calibration_curve(belief, *truth),
+            expected_calibration_error(belief, *truth),
+        ),
+    )
 
 
 def reliability_figure(result: Result) -> Figure:
@@ -148,10 +155,8 @@ def reliability_figure(result: Result) -> Figure:
 
 
 def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
-    """The coverage curves of "Detector", if it has an answer, and "Model"."""
-    frames = scored(result)
-    truth = _truth(frames)
-    return {name: coverage_curve(belief, *truth) for name, (belief, _) in answers(frames).items()}
+    """The coverage curves of the answers."""
+    return _measured(result, lambda belief, _, *truth: coverage_curve(belief, *truth))
 
 
 def coverage_figure(result: Result) -> Figure:

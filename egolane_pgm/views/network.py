@@ -93,9 +93,8 @@ def write_network(compiled: Compiled, path: str | Path) -> None:
     """Write a network as a picture, or both slices with their tables as BIF (.bif).
 
     Virtual-evidence nodes, which have no numbers of their own, are not in a BIF file. Raises
-    InputError as `check_ending`, and for a file that cannot be written.
+    InputError for a file that cannot be written.
     """
-    check_ending(path)
     if Path(path).suffix.lower() == ".bif":
         write_text(path, bif(compiled.tables.values(), compiled.values))
     else:

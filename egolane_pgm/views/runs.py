@@ -32,7 +32,7 @@ def runs_text(summary: pd.DataFrame, style: str, wide: bool) -> str:
     counts = [c for c in ("frames", "frames_scored") if c in shown]
     shown = shown.astype(dict.fromkeys(counts, "Int64"))
     names = {tag: str(tag).removeprefix(TAG) for tag in tags}
-    printed = table(shown.rename(columns=names | _COLUMNS), {"seconds": 1}, leaves_out=True)
+    printed = table(shown.rename(columns=names | _COLUMNS), {"seconds": 1})
     if style == "csv":
         printed = table(summary)
     return page([printed], style, wide)

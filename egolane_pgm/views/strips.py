@@ -20,8 +20,15 @@ from matplotlib.patches import Patch, Rectangle
 from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.result import Result, by_drive
-from egolane_pgm.types import FloatArray, InputError, runs_of
-from egolane_pgm.views.answers import answers, is_known, outcomes, title_of, true_lane
+from egolane_pgm.types import FloatArray, runs_of
+from egolane_pgm.views.answers import (
+    answers,
+    frames_between,
+    is_known,
+    outcomes,
+    title_of,
+    true_lane,
+)
 from egolane_pgm.views.style import (
     CROSSING,
     DETECTOR_COLOUR,
@@ -56,13 +63,13 @@ def draw_strips(result: Result, file: str | Path) -> Path:
 def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
     """Draw the posterior over time, errors below each strip, lane changes and the ground truth.
 
-    - first, last: frame ids, both included; the whole drive by default. Several drives whose frame
-      ids overlap are drawn one after the other, with frames numbered from 0.
+    - first, last: frame ids, both included; the whole drive by default. Several drives are drawn
+      one after the other, with frames numbered from 0.
 
     A long range continues in further rows. Raises InputError for a range without frames.
     """
     frames, events = _on_one_axis(result)
-    low, high = frame_range(frames, first, last)
+    low, high = frames_between(frames, first, last).index[[0, -1]].tolist()
     n_frames = high - low + 1
     n_rows = min(MAX_ROWS, -(-n_frames // MAX_COLUMNS))
     each = -(-n_frames // (n_rows * MAX_COLUMNS))
@@ -94,7 +101,13 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
         _draw_changes(ax, events, top + 0.5)
         ax.set(xlim=(left, left + each * per_row), ylim=(total - 0.3, 0))
         _draw_ticks(ax, frames, left, right)
-    axes[0].text(0.5, 1, "frame\n", transform=axes[0].transAxes, ha="center", va="bottom")
+    place: dict[str, Any] = {
+        "transform": axes[0].transAxes,
+        "ha": "center",
+        "va": "bottom",
+        "linespacing": 1.6,
+    }
+    axes[0].text(0.5, 1, "frame\n", **place)
     axes[-1].set_xlabel("time (s)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
     if result.run["config"].get("road"):
@@ -104,35 +117,18 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
 
 
 def _on_one_axis(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The frames and lane changes of all drives with unique frame ids, and each outcome."""
+    """The frames and lane changes of all drives, numbered from 0 if there are several drives, and
+    the outcome of each change."""
     frames, events = result.frames, result.events
     if "drive" not in frames:
         return frames, events.assign(outcome=outcomes(events, frames))
-    is_unique = frames.index.is_unique and frames.index.is_monotonic_increasing
-    tables, found, start = [], [], 0
+    found, start = [], 0
     for name, part in by_drive(frames):
         mine = events[events["drive"] == name]
-        mine = mine.assign(outcome=outcomes(mine, part))
-        if not is_unique:
-            place = pd.Series(np.arange(start, start + len(part)), part.index)
-            mine = mine.assign(detected_frame_id=place.reindex(mine["detected_frame_id"]).array)
-            part = part.set_index(place.to_numpy())
-        tables.append(part)
-        found.append(mine)
+        place = start + part.index.get_indexer(mine["detected_frame_id"])
+        found.append(mine.assign(outcome=outcomes(mine, part), detected_frame_id=place))
         start += len(part)
-    return pd.concat(tables), pd.concat(found)
-
-
-def frame_range(frames: pd.DataFrame, first: int | None, last: int | None) -> tuple[int, int]:
-    """The first and the last frame id to draw. Raises InputError for a range without frames."""
-    ids = frames.index
-    low = int(ids[0]) if first is None else max(first, int(ids[0]))
-    high = int(ids[-1]) if last is None else min(last, int(ids[-1]))
-    if not ((ids >= low) & (ids <= high)).any():
-        raise InputError(
-            f"frames: no frame from {first} to {last}; the result has {ids[0]} to {ids[-1]}"
-        )
-    return low, high
+    return frames.reset_index(drop=True), pd.concat(found)
 
 
 def strip_cells(frames: pd.DataFrame, low: int, high: int, each: int = 1) -> dict[str, FloatArray]:
@@ -230,11 +226,10 @@ def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> No
     else:
         ax.set_xticks([])  # Each drive has a clock of its own.
     ax.tick_params(axis="x", length=2.5, pad=1.5)
-    marks = [(x, 0.0) for x in _ticks(left, right)]
-    ax.plot(*np.reshape(marks, (-1, 2)).T, "|", ms=5, color=INK, mew=0.8, clip_on=False)
-    for x, y in marks:
-        name = f"{x:.12g}"
-        ax.annotate(name, (x, y), (0, 4), textcoords="offset points", ha="center", fontsize=8)
+    marks, above = _ticks(left, right), ax.secondary_xaxis("top")
+    above.set_xticks(marks, [f"{x:.12g}" for x in marks])
+    above.tick_params(length=2.5, pad=1.5)
+    above.spines[:].set_visible(False)
 
 
 def _ticks(low: float, high: float) -> FloatArray:

@@ -107,7 +107,7 @@ def _best_table(
 def draw_study(
     directory: str | Path, target: str | Path | None = None, style: str = "png"
 ) -> list[Path]:
-    """Draw the history, the profile and, with enough trials, the importances of a study.
+    """Draw the history and the profile of a study.
 
     - directory: as `Study.save` writes it. target: default `figures/` in it.
     - style: png, pdf or svg.
@@ -117,13 +117,10 @@ def draw_study(
     place = Path(directory)
     document, trials = read_trials(place)
     name = f"{document['name']}: {len(trials)} trials"
-    importance = importances(trials, document["settings"])
     figures: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials, document, name),
         "profile": lambda: profile_figure(trials, document, name),
     }
-    if importance:
-        figures["importances"] = lambda: importances_figure(importance, name)
     return write_figures(figures, Path(target or place / "figures"), style)
 
 
@@ -137,18 +134,12 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
             f"{directory}: is not the directory of a search; draw the results of another study with"
             f" `egolane plot {directory / 'held_out'}`"
         )
-    try:
-        document = json.loads((directory / "study.json").read_text())
-        trials = pd.read_parquet(directory / "trials.parquet")
-        trials = trials[trials["state"] == "COMPLETE"]
-        score = document["settings"]["objectives"][0]
-        parameters = list(document["settings"]["searched"])
-        trials = trials[["number", score, *parameters]].rename(columns={score: "score"})
-    except (OSError, ValueError, KeyError) as error:
-        raise InputError(
-            f"{directory}: is not the directory of a search ({type(error).__name__}: {error}); make"
-            " one with `egolane tune`"
-        ) from error
+    document = json.loads((directory / "study.json").read_text())
+    trials = pd.read_parquet(directory / "trials.parquet")
+    trials = trials[trials["state"] == "COMPLETE"]
+    settings = document["settings"]
+    score = settings["objectives"][0]
+    trials = trials[["number", score, *settings["searched"]]].rename(columns={score: "score"})
     if trials.empty:
         raise InputError(f"{directory}: has no complete trial to draw")
     return document, trials.sort_values("number", ignore_index=True)
@@ -204,9 +195,13 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
 
 
 def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
-    """Draw the score over each parameter, the range of the best trials, and the folds' best."""
+    """Draw the score over each parameter, the range of the best trials, and the folds' best.
+
+    With enough trials the most important parameter is the first, and titles have the importances.
+    """
     score, sign = _score(document)
-    names = [name for name in trials if name not in ("number", "score")]
+    importance = importances(trials, document["settings"])
+    names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
     gain = sign * trials["score"]
     best, good = trials.loc[gain.idxmax()], trials[gain >= gain.max() - TOLERANCE]
     columns = min(4, len(names))
@@ -227,22 +222,18 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
         folds = [fold[name] for fold in document["folds"] or () if name in fold]
         if folds:
             ax.plot(folds, [low] * len(folds), "|", color=INK, ms=12, label="best of a fold")
-        ax.set_title(name)
+        share = f": {importance.get(name, 0):.0%}" if importance else ""
+        ax.set_title(f"{name}{share}")
         ax.set_ylim(low, high)
     axes[0, 0].set_ylabel(score.replace("_", " "))
-    figure.legend(*axes[0, 0].get_legend_handles_labels(), loc="outside lower left", ncols=4)
-    return figure
-
-
-def importances_figure(importance: Mapping[str, float], title: str) -> Figure:
-    """Draw the importance of each parameter as bars, the most important one at the top."""
-    figure = new_figure(6, 1 + 0.25 * len(importance), title)
-    ax = figure.subplots()
-    bars = ax.barh(list(importance), list(importance.values()), color=MODEL_COLOUR)
-    ax.bar_label(bars, [f"{share:.0%}" for share in importance.values()], padding=3)
-    ax.invert_yaxis()
-    ax.set_xlim(0, 1.12 * max(importance.values()))
-    ax.set_xlabel("share in what sets the best tenth of the trials apart (PED-ANOVA)")
+    note = "in titles: share in what sets the best tenth of the trials apart (PED-ANOVA)"
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(),
+        loc="outside lower left",
+        ncols=4,
+        title=note if importance else None,
+        alignment="left",
+    )
     return figure
 
 

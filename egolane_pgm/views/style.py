@@ -123,7 +123,10 @@ def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:
     extension = path.suffix.lower()
     if extension not in FORMATS:
         raise InputError(f"{path}: unknown format; a figure ends in {', '.join(FORMATS)}")
-    write_bytes(path, figure_bytes(make, extension))
+    content = io.BytesIO()
+    with own_style():
+        make().savefig(content, format=extension[1:], **FORMATS[extension])
+    write_bytes(path, content.getvalue())
     return path
 
 
@@ -133,14 +136,6 @@ def write_figures(
     """Write figures, by name, into a folder, which is made. style: png, pdf or svg."""
     make_directory(folder)
     return [write_figure(make, folder / f"{name}.{style}") for name, make in makes.items()]
-
-
-def figure_bytes(make: Callable[[], Figure], extension: str) -> bytes:
-    """The content of the file that `write_figure` writes. extension: one of FORMATS."""
-    content = io.BytesIO()
-    with own_style():
-        make().savefig(content, format=extension[1:], **FORMATS[extension])
-    return content.getvalue()
 
 
 def inline_figure(make: Callable[[], Figure]) -> Figure:

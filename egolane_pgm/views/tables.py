@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.tools.files import as_csv
 from egolane_pgm.types import InputError, LineLog
 
 #: The words for `tuned_on` next to a score.
@@ -47,25 +46,19 @@ class Table(NamedTuple):
 
     - header, rows: a cell of the header for each cell of a row.
     - labels: number of columns at the left that name the rows.
-    - leaves_out: whether columns that do not fit are left out and named below; otherwise they
-      continue in a further table.
     - frame: the numbers, for CSV.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     labels: int = 1
-    leaves_out: bool = False
     frame: pd.DataFrame | None = None
 
 
-def table(
-    frame: pd.DataFrame, digits: Mapping[Any, int | str] | None = None, *, leaves_out: bool = False
-) -> Table:
+def table(frame: pd.DataFrame, digits: Mapping[Any, int | str] | None = None) -> Table:
     """Return a DataFrame as a table; the levels of its index name the rows.
 
     - digits: decimals (3 by default), or a format such as "+.3f", by column or row.
-    - leaves_out: see `Table`.
 
     A column `x` with columns `x_low` and `x_high` becomes one cell, `0.85 [0.81, 0.89]`. CSV keeps
     the three columns, with all digits.
@@ -90,7 +83,7 @@ def table(
             cells.append(with_interval(row[name], bounds, forms.get(label, forms.get(name, 3))))
         rows.append([*labels, *cells])
     header = [*map(str, frame.index.names), *(str(name).replace("_", " ") for name in shown)]
-    return Table(header, rows, n_labels, leaves_out, frame)
+    return Table(header, rows, n_labels, frame)
 
 
 def cell(value: Any, form: int | str = 3) -> str:
@@ -131,9 +124,10 @@ def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = Fal
 
 
 def _csv(found: Table) -> str:
-    if found.frame is None:
-        return as_csv(found.header, found.rows).rstrip("\n")
-    return str(found.frame.to_csv(lineterminator="\n")).rstrip("\n")
+    frame = found.frame
+    if frame is None:
+        frame = pd.DataFrame(found.rows, columns=list(found.header)).set_index(found.header[0])
+    return str(frame.to_csv(lineterminator="\n")).rstrip("\n")
 
 
 def terminal_width() -> int:
@@ -165,29 +159,37 @@ def wrapped(text: str, hanging: int = 0) -> str:
 
 
 def _drawn(table: Table, wide: bool) -> str:
-    """A Markdown table, in pieces that fit the terminal unless `wide`."""
-    cells = [[_escaped(str(c)) for c in row] for row in (table.header, *table.rows)]
-    room, n = terminal_width(), table.labels
-    columns = [list(column) for column in zip(*cells, strict=True)]
-    if wide or not table.rows or 1 + sum(map(_width, columns)) <= room:
-        return _lines(cells)
+    """A Markdown table; unless `wide`, columns that do not fit continue in further tables."""
+    columns, n = _columns(table.header, table.rows), table.labels
+    labels, others, room = columns[:n], columns[n:], terminal_width() - 1
+    if wide or sum(map(_width, columns)) <= room:
+        return _lines(columns)
     # The labels leave room for one more column.
-    for_labels = room - 1 - min(max(map(_width, columns[n:]), default=0), room // 2)
-    if sum(map(_width, columns[:n])) > for_labels:
-        columns[:n] = [_cut(column, for_labels // n - 3) for column in columns[:n]]
-    start = used = 1 + sum(map(_width, columns[:n]))
-    pieces = [columns[:n]]
-    for column in (_cut(column, room - start - 3) for column in columns[n:]):
+    for_labels = room - min(max(map(_width, others), default=0), room // 2)
+    if sum(map(_width, labels)) > for_labels:
+        labels = [_cut(column, for_labels // n) for column in labels]
+    start = used = sum(map(_width, labels))
+    pieces = [[*labels]]
+    for column in (_cut(column, room - start) for column in others):
         if used > start and used + _width(column) > room:
-            pieces.append(columns[:n])
+            pieces.append([*labels])
             used = start
         pieces[-1].append(column)
         used += _width(column)
-    drawn = [_lines(list(zip(*piece, strict=True))) for piece in pieces]
-    rest = ", ".join(dict.fromkeys(column[0] for piece in pieces[1:] for column in piece[n:]))
-    if table.leaves_out and rest:
-        return drawn[0] + "\n\n" + wrapped(f"Wide tables add: {rest}.")
-    return "\n\n".join(drawn)
+    return "\n\n".join(map(_lines, pieces))
+
+
+def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table, aligned to be read as plain text; the first column is aligned left."""
+    return _lines(_columns(header, rows))
+
+
+def _columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[str]]:
+    """The columns of a table, the header first; an underscore inside a word needs no escape."""
+    return [
+        [re.sub(r"[\\|<`]|(?<!\w)_|_(?!\w)", r"\\\g<0>", " ".join(str(c).split())) for c in column]
+        for column in zip(header, *rows, strict=True)
+    ]
 
 
 def _width(column: Sequence[str]) -> int:
@@ -195,33 +197,20 @@ def _width(column: Sequence[str]) -> int:
     return 3 + max(1, *map(len, column))
 
 
-def _cut(column: Sequence[str], most: int) -> list[str]:
+def _cut(column: Sequence[str], width: int) -> list[str]:
+    most = width - 3
     return [each if len(each) <= most else each[: most - 1] + "\u2026" for each in column]
 
 
-def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table, aligned to be read as plain text; the first column is aligned left."""
-    return _lines([[_escaped(str(c)) for c in row] for row in (header, *rows)])
-
-
-def _escaped(text: str) -> str:
-    """Escape a cell for Markdown; an underscore inside a word needs no escape."""
-    return re.sub(r"[\\|<`]|(?<!\w)_|_(?!\w)", r"\\\g<0>", " ".join(text.split()))
-
-
-def _lines(cells: Sequence[Sequence[str]]) -> str:
-    """A Markdown table of escaped cells, the header first."""
-    width = [max(1, *map(len, column)) for column in zip(*cells, strict=True)]
-
-    def line(row: Sequence[str]) -> str:
-        padded = [
-            c.ljust(w) if k == 0 else c.rjust(w)
-            for k, (c, w) in enumerate(zip(row, width, strict=True))
-        ]
-        return f"| {' | '.join(padded)} |"
-
-    rule = ["-" * w if k == 0 else "-" * (w - 1) + ":" for k, w in enumerate(width)]
-    return "\n".join([line(cells[0]), f"| {' | '.join(rule)} |", *map(line, cells[1:])])
+def _lines(columns: Sequence[Sequence[str]]) -> str:
+    """A Markdown table of escaped columns."""
+    padded = []
+    for k, column in enumerate(columns):
+        width = _width(column) - 3
+        rule = "-" * width if k == 0 else "-" * (width - 1) + ":"
+        cells = (column[0], rule, *column[1:])
+        padded.append([c.rjust(width) if k else c.ljust(width) for c in cells])
+    return "\n".join(f"| {' | '.join(row)} |" for row in zip(*padded, strict=True))
 
 
 _LATEX = str.maketrans(
@@ -230,9 +219,6 @@ _LATEX = str.maketrans(
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
-        "|": r"\textbar{}",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
     }
 )
 
@@ -318,15 +304,11 @@ def box_text(log: LineLog, frame_id: int) -> str:
     A row per line, `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m`, with `--` for an
     unknown LRI or offset. Raises InputError, with the nearest frame, if the log lacks the frame.
     """
-    if not len(log):
-        raise InputError(f"{log.source}: has no frames")
-    first, last = int(log.frame_id[0]), int(log.frame_id[-1])
-    at = int(np.argmin(np.abs(log.frame_id - min(max(frame_id, first), last))))
-    if log.frame_id[at] != frame_id:
-        raise InputError(
-            f"{log.source}: has no frame {frame_id}; the nearest is {int(log.frame_id[at])}"
-            f" (frames {first} to {last})"
-        )
+    ids = log.frame_id.tolist()
+    if frame_id not in ids:
+        nearest = min(ids, key=lambda each: abs(each - frame_id), default="none")
+        raise InputError(f"{log.source}: has no frame {frame_id}; the nearest is {nearest}")
+    at = ids.index(frame_id)
     offset, lri = log.offset_m[at], log.lri[at]
     valid, continuous = log.is_valid[at], log.is_continuous[at]
     # Slots without any value are padding.

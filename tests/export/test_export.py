@@ -162,7 +162,7 @@ def test_what_is_missing_is_left_out_with_a_warning(result: Result, tmp_path: Pa
 @pytest.mark.parametrize(
     ("change", "frames", "message"),
     [
-        ({}, (500, 600), "has no frame from 500 to 600; its frames are 0 to 199"),
+        ({}, (500, 600), "no frame from 500 to 600; the result has 0 to 199"),
         ({"drive": "a"}, None, "has several drives"),
         ({"time_s": 3.0}, None, "frame 1 is at 3 s, before 0 or not after"),
     ],

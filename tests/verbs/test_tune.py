@@ -55,7 +55,7 @@ def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path:
     assert best.scores["model"]["accuracy"] == trials["accuracy"].max()
     assert load_result(out / "held_out").scores == document["held_out"]
     figures = {path.name for path in (out / "figures").iterdir()}
-    assert figures == {"history.png", "profile.png", "importances.png"}
+    assert figures == {"history.png", "profile.png"}
     other = done("run", tmp_path / "lines.csv", "--experiment", out / "best.yaml", "--n-lanes", 3,
                  "--out", tmp_path / "same", "--no-figures")  # fmt: skip
     assert "no ground truth" in other.stdout

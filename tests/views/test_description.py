@@ -58,12 +58,9 @@ def test_a_graph_is_described_by_nodes_edges_tables_and_parameters() -> None:
         "choices": [],
         "per_lane": False,
         "range": (0.0, 3.0),
-        "is_searched": True,
-        "meaning": "standard deviation of the lane dynamics, lanes",
-        "source": "Table `tab:cptlane`",
+        "meaning": "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`",
     }
-    assert (normal["choices"], normal["is_searched"]) == (["density", "integral"], False)
-    assert normal["source"] is None
+    assert (normal["choices"], normal["range"]) == (["density", "integral"], None)
 
 
 def test_an_input_is_given_and_has_no_table() -> None:

@@ -75,7 +75,7 @@ def test_the_lane_over_time_is_said_in_words() -> None:
         "lane 3 from 0:00 to 1:12, lane unknown from 1:12 to 1:01:40"
     )
     assert segments_text([(1, 0.04, 59.98)]) == "lane 1 from 0:00.0 to 1:00.0"
-    assert segments_text([(1, k, k + 1.0) for k in range(30)]).endswith(", and 20 more")
+    assert segments_text([(1, k, k + 1.0) for k in range(30)]).endswith(", and 10 more")
     assert segments_text([]) == "no lane has a probability of at least 0.67 in any frame"
     assert clock(1.5e9 + 1) == "2:40:01"
 

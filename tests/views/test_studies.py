@@ -48,7 +48,7 @@ def test_a_study_has_scores_in_sample_beside_held_out_and_the_best_parameters(
 def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> None:
     assert study.directory is not None
     files = draw_study(study.directory, tmp_path, "svg")
-    assert [file.name for file in files] == ["history.svg", "profile.svg", "importances.svg"]
+    assert [file.name for file in files] == ["history.svg", "profile.svg"]
     assert all(file.stat().st_size > 1000 for file in files)
     document, trials = read_trials(study.directory)
     assert len(trials) == 24
@@ -58,7 +58,8 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     assert study.held_out is not None
     assert set(np.asarray(lines[-1].get_ydata())) == {study.held_out.scores["model"]["accuracy"]}
     panels = profile_figure(trials, document, "").axes
-    assert [ax.get_title() for ax in panels] == list(document["settings"]["searched"])
+    found = importances(trials, document["settings"])
+    assert [ax.get_title() for ax in panels] == [f"{k}: {v:.0%}" for k, v in found.items()]
 
 
 def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
