@@ -98,7 +98,7 @@ def paper_log(run: int) -> tuple[LineLog, pd.DataFrame, int]:
     frame = np.arange(len(rows))
     log = replace(drive.log.take(rows), frame_id=frame, time_s=frame / RATE)
     truth = lane_truth(frame, drive.true_lane[rows], drive.is_crossing[rows])
-    return log, truth, drive.n_lanes
+    return log, truth, drive.model.n_lanes
 
 
 @lru_cache(maxsize=len(DONORS))

@@ -354,7 +354,7 @@ def paper_drive(run: int) -> Drive:
     table = experiments_folder() / "paper" / "recordings.csv"
     given = table_inputs("zero_label", table, {"parameters.lane_width_m": "auto"})[run - 1]
     [drive] = given.drives()
-    log, model, n_lanes = drive.log, drive.model, drive.n_lanes
+    log, model, n_lanes = drive.log, drive.model, drive.model.n_lanes
     label = np.where(drive.is_crossing, 0, drive.true_lane)
     lane = label.copy()
     lane[drive.rows[~drive.is_trusted]] = 0

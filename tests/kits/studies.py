@@ -53,7 +53,7 @@ def with_labels(drive: Drive, frames: IntArray, lane: Any) -> Drive:
 
 def scrambled(drive: Drive, frames: IntArray, seed: int = 0) -> Drive:
     """The drive with random lanes in some annotated frames."""
-    lane = np.random.default_rng(seed).integers(1, drive.n_lanes + 1, size=len(frames))
+    lane = np.random.default_rng(seed).integers(1, drive.model.n_lanes + 1, size=len(frames))
     return with_labels(drive, frames, lane)
 
 

@@ -57,7 +57,7 @@ def learned(one: Drive, train: Any = None) -> Fitted:
 def mirrored(one: Drive) -> Drive:
     """The drive seen in a mirror."""
     log = replace(one.log, offset_m=-one.log.offset_m)
-    lane = np.where(one.true_lane > 0, one.n_lanes + 1 - one.true_lane, 0)
+    lane = np.where(one.true_lane > 0, one.model.n_lanes + 1 - one.true_lane, 0)
     return replace(one, log=log, true_lane=lane)
 
 

@@ -126,7 +126,7 @@ def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() ->
     drive = quickstart()
     rows = drive.rows
     changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
-    belief = np.tile(np.eye(drive.n_lanes)[changes.from_lane[0] - 1], (len(drive), 1))
+    belief = np.tile(np.eye(drive.model.n_lanes)[changes.from_lane[0] - 1], (len(drive), 1))
     used = np.arange(len(drive)) < changes.until[0]
     assert objective.belief_score(drive, belief, used, "share_missed") == 1
     assert objective.belief_score(drive, belief, used, "delay") == objective.UNDEFINED
