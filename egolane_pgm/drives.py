@@ -27,7 +27,6 @@ from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read
 from egolane_pgm.recordings.ground_truth import read_ground_truth
 from egolane_pgm.recordings.memory import lines_of, truth_of
 from egolane_pgm.recordings.select import (
-    clip_lri,
     fill_missing,
     join,
     rate_of,
@@ -115,11 +114,10 @@ class Drive:
 
     @property
     def is_trusted(self) -> BoolArray:
-        """(K,): marks the annotated frames whose labels may be fitted to (`tuning.never_fit`)."""
+        """(K,): marks the annotated frames that are not in `fit.untrusted_frames`."""
         frame_id = self.log.frame_id[self.rows]
         trusted = np.ones(len(frame_id), dtype=bool)
-        tuning = self.experiment.tuning
-        for first, stop in () if tuning is None else tuning.never_fit:
+        for first, stop in self.experiment.fit.untrusted_frames:
             last = np.inf if stop is None else stop
             trusted &= (frame_id < first) | (frame_id >= last)
         return trusted
@@ -334,8 +332,6 @@ def make_drive(
     """
     recording = model.experiment.recording
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
-    if recording.lri == "clip":
-        log = clip_lri(log, max_lri)
     notes = recording_warnings(log, model.n_lanes, max_lri, recording.frame_rate)
     lane = np.full(len(log), NOT_ANNOTATED)
     crossing = np.zeros(len(log), dtype=bool)
@@ -404,7 +400,7 @@ def data_files(experiment: Experiment) -> list[Path]:
     recording, truth = experiment.recording, experiment.ground_truth
     named = [recording.path, recording.right, recording.camera, truth and truth.path]
     named += [experiment.road, experiment.evidence, experiment.graph]
-    named += [recording.format, recording.detector, *recording.detector_parameters.values()]
+    named += [recording.format, recording.detector, *experiment.detector_parameters.values()]
     return [Path(name) for name in named if isinstance(name, str) and os.path.isabs(name)]
 
 

@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 import os
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from pydantic import (
@@ -16,19 +17,23 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    SerializerFunctionWrapHandler,
+    TypeAdapter,
     ValidationError,
     ValidationInfo,
     field_validator,
-    model_serializer,
     model_validator,
+    with_config,
 )
 from pydantic_core import ErrorDetails
+from typing_extensions import TypedDict, is_typeddict
 
 from egolane_pgm.types import MAX_LANES, InputError, not_one_of, suggestion
 
 #: What an experiment keeps for `n_lanes: map`.
 FROM_MAP = 0
+
+#: The key of the detector's parameters.
+DETECTOR = "detector"
 
 
 class FrozenDict(dict[str, Any]):
@@ -73,16 +78,6 @@ def _or_one(schema: dict[str, Any]) -> None:
     schema["anyOf"] = [several["items"], several]
 
 
-def _or_from_frame(schema: dict[str, Any]) -> None:
-    """Ranges of frames may be all from one on."""
-    ranges = {key: schema.pop(key) for key in ("type", "items")}
-    from_frame = {"from_frame": {"type": "integer"}}
-    schema["anyOf"] = [
-        ranges,
-        {"type": "object", "properties": from_frame, "additionalProperties": False},
-    ]
-
-
 #: A number greater than 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -100,56 +95,60 @@ class Section(BaseModel):
         return super().model_copy(update=frozen(update or {}), deep=deep)
 
 
-AnySection = TypeVar("AnySection", bound=Section)
+AnySection = TypeVar("AnySection")
 
 
 #: A column of a table, or one for each line in a table with a row per frame.
 _Theirs = str | tuple[str, ...]
 
 
-class Columns(Section):
-    """The columns of a table, or the fields of messages, by our names, where theirs are other ones;
-    and how they are written."""
+@with_config(ConfigDict(extra="forbid"))
+class Columns(TypedDict, total=False):
+    """The columns of a table, or the fields of messages, by our names, and their units."""
 
-    frame_id: str | None = Field(
-        default=None, description="number of the frame; null: frames are numbered by their times"
-    )
-    time_s: str | None = Field(default=None, description="when the frame was seen")
-    line: str | None = Field(default=None, description="number of the line, from 1 or from 0")
-    offset_m: _Theirs | None = Field(
-        default=None,
-        description="where the line passes the car; a list of columns, from left to right, in a"
-        " table with a row per frame",
-        examples=["lateral", ["left", "right"]],
-    )
-    is_valid: _Theirs | None = Field(
-        default=None, description="whether the detector trusts the line: true or false, 1 or 0"
-    )
-    is_continuous: _Theirs | None = Field(
-        default=None, description="whether the line is not dashed, as `is_valid`"
-    )
-    lri: _Theirs | None = Field(default=None, description="the line reliability index")
-    left_positive: bool = Field(
-        default=False, description="whether offsets are positive to the left (ISO 8855, ROS)"
-    )
-    unit: Literal["m", "cm", "mm"] = Field(default="m", description="unit of the offsets")
-    time_unit: Literal["s", "ms", "us", "ns"] = Field(default="s", description="unit of the times")
+    frame_id: Annotated[
+        str | None, Field(description="frame number; null: frames are numbered by their times")
+    ]
+    time_s: Annotated[
+        str | None, Field(description="time of the frame; null: frame id over frame rate")
+    ]
+    line: Annotated[str, Field(description="number of the line, from 1 or from 0")]
+    offset_m: Annotated[
+        _Theirs,
+        Field(
+            description="lateral offset of the line; a list of columns, from left to right, for a"
+            " table with a row per frame",
+            examples=["lateral", ["left", "right"]],
+        ),
+    ]
+    is_valid: Annotated[
+        _Theirs,
+        Field(description="whether the detector trusts the line: true or false, 1 or 0"),
+    ]
+    is_continuous: Annotated[
+        _Theirs, Field(description="whether the line is not dashed, as `is_valid`")
+    ]
+    lri: Annotated[_Theirs, Field(description="line reliability index")]
+    left_positive: Annotated[
+        bool, Field(description="whether offsets are positive to the left (ISO 8855, ROS)")
+    ]
+    unit: Annotated[Literal["m", "cm", "mm"], Field(description="unit of the offsets")]
+    time_unit: Annotated[Literal["s", "ms", "us", "ns"], Field(description="unit of the times")]
 
-    @model_serializer(mode="wrap")
-    def said(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """The keys that are not left out."""
-        return {key: value for key, value in dump(self).items() if key in self.model_fields_set}
 
-    @model_validator(mode="after")
-    def _one_column_per_line(self) -> Columns:
-        n_lines = len(self.offset_m) if isinstance(self.offset_m, tuple) else None
-        for name in ("is_valid", "is_continuous", "lri"):
-            theirs = getattr(self, name)
-            if theirs is not None and n_lines != (
-                len(theirs) if isinstance(theirs, tuple) else None
-            ):
-                raise ValueError(f"{name}: needs as many columns as offset_m")
-        return self
+def _columns_per_line(columns: Columns) -> Columns:
+    """Refuse columns of which some are given per line and others are not."""
+    offset = columns.get("offset_m")
+    n_lines = len(offset) if isinstance(offset, tuple) else None
+    for name in ("is_valid", "is_continuous", "lri"):
+        theirs = columns.get(name)
+        if theirs is not None and n_lines != (len(theirs) if isinstance(theirs, tuple) else None):
+            raise ValueError(f"{name}: needs as many columns as offset_m")
+    return frozen(columns)  # type: ignore[no-any-return]
+
+
+#: Columns, checked.
+CheckedColumns = Annotated[Columns, AfterValidator(_columns_per_line)]
 
 
 class Recording(Section):
@@ -183,11 +182,6 @@ class Recording(Section):
         description="what is put in for frame ids that the recording lacks: nothing (`skip`), the"
         " frame before (`hold`), or a frame without evidence (`predict`)",
     )
-    lri: Literal["as_recorded", "clip"] = Field(
-        default="as_recorded",
-        description="whether a line's reliability index is used as recorded or clipped to its"
-        " range",
-    )
     simulate: str | None = Field(
         default=None,
         description="name of a simulated drive (`egolane show`)",
@@ -204,11 +198,6 @@ class Recording(Section):
         description="name or file of the detector that looks at the video or pictures of `path`",
         examples=["ml", "./my_detector.py"],
     )
-    detector_parameters: _Keys = Field(
-        default_factory=FrozenDict,
-        description="values of the detector's parameters (`egolane show DETECTOR`)",
-        examples=[{"every": 2}],
-    )
     right: str | None = Field(
         default=None,
         description="the pictures of the second camera of a stereo pair, as `path`",
@@ -219,7 +208,7 @@ class Recording(Section):
         description="further options of the format's reader",
         examples=[{"valid": "always"}],
     )
-    columns: Columns | None = Field(
+    columns: CheckedColumns | None = Field(
         default=None,
         description="the columns of a table, or the fields of a topic's messages, by our names",
         examples=[{"offset_m": "lateral", "left_positive": True}],
@@ -248,48 +237,53 @@ class GroundTruth(Section):
     )
 
 
-class Tuning(Section):
-    """The settings of `egolane tune`; options of the command override them."""
+class FitSettings(Section):
+    """How parameters or tables are fitted: the settings of `tune`, `learn` and held-out runs."""
 
-    search: tuple[Literal["graph", "evidence", "detector"], ...] = Field(
-        default=("graph", "evidence"),
-        min_length=1,
-        description="whose parameters are searched; the detector's are named detector.NAME",
+    method: Literal["none", "learn", "tune"] = Field(
+        default="none",
+        description="how a held-out run fits the model to the other blocks: not at all, as `learn`"
+        " or as `tune` does",
+    )
+    folds: int = Field(
+        default=5, ge=2, description="number of blocks of the drive, held out in turn"
+    )
+    untrusted_frames: tuple[tuple[int, int | None], ...] = Field(
+        default=(),
+        description="ranges of frame ids (first, the one after the last or null) whose labels are"
+        " not fitted to",
+        examples=[[[0, 100], [9577, None]]],
     )
     objective: tuple[str, ...] = Field(
         default=("accuracy",),
-        description="the score that is to be best, or several of them",
+        min_length=1,
+        description="tune: the score to optimise, or several",
         examples=["accuracy", ["accuracy", "log_loss"]],
         json_schema_extra=_or_one,
     )
     sampler: str | None = Field(
         default=None,
-        description="what proposes the trials; left out, the one that suits the number of scores",
+        description="tune: the sampler; by default `evolution`, or `nsga2` for several scores",
         examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
     )
     trials: int | None = Field(
-        default=None, ge=1, le=10**7, description="number of trials in all", examples=[3000]
+        default=None, ge=1, le=10**7, description="tune: total number of trials", examples=[3000]
     )
-    seed: int = Field(default=0, ge=0, description="random seed of the sampler")
-    blocks: int = Field(
-        default=5,
-        ge=2,
-        description="parts of the drive; each is scored with parameters found without it",
-    )
-    from_scratch: bool = Field(
-        default=False, description="whether values that are known are not tried first"
-    )
+    seed: int = Field(default=0, ge=0, description="tune: random seed of the sampler")
     parameters: _Keys = Field(
         default_factory=FrozenDict,
-        description="per name [low, high], the names of a choice, or one value that is kept",
+        description="tune: by name [low, high], the names of a choice, or one value to keep; if"
+        " parameters of the detector (detector.NAME) are among them, only what is named is"
+        " searched",
         examples=[{"sigma1": [0.1, 1], "p1": 0.9}],
     )
-    never_fit: tuple[tuple[int, int | None], ...] = Field(
-        default=(),
-        description="ranges of frame ids (first, the one after the last or null) whose labels no"
-        " held-out study looks at; or `{from_frame: 9577}`",
-        examples=[[[0, 100]], {"from_frame": 9577}],
-        json_schema_extra=_or_from_frame,
+    labels: bool = Field(
+        default=True, description="learn: whether tables are learned from annotated lanes, too"
+    )
+    strength: Positive = Field(
+        default=100.0,
+        le=1e9,
+        description="learn: weight of the starting tables, in frames per row",
     )
 
     @field_validator("objective", mode="before")
@@ -297,39 +291,21 @@ class Tuning(Section):
     def _one_or_several(cls, value: Any) -> Any:
         return (value,) if isinstance(value, str) else value
 
-    @field_validator("never_fit", mode="before")
+    @field_validator("untrusted_frames")
     @classmethod
-    def _ranges(cls, value: Any) -> Any:
-        if isinstance(value, dict):
-            for key in value:
-                if key != "from_frame":
-                    raise ValueError(f"unknown key '{key}'{suggestion(str(key), ['from_frame'])}")
-            return ((value.get("from_frame"), None),)
+    def _not_empty(cls, value: tuple[tuple[int, int | None], ...]) -> Any:
+        for first, stop in value:
+            if stop is not None and first >= stop:
+                raise ValueError(f"[{first}, {stop}] is an empty range")
         return value
 
-    @model_validator(mode="after")
-    def _not_empty(self) -> Tuning:
-        if not self.objective:
-            raise ValueError("objective needs at least one score, e.g. accuracy")
-        for first, stop in self.never_fit:
-            if stop is not None and first >= stop:
-                raise ValueError(f"never_fit: [{first}, {stop}] is an empty range")
-        return self
-
-
-class Learning(Section):
-    """The settings of learning the tables of a graph by EM."""
-
-    labels: bool = Field(default=True, description="whether the annotated lanes are looked at")
-    strength: Positive = Field(
-        default=100.0, le=1e9, description="weight of the starting tables, in frames per row"
-    )
-    tables: tuple[str, ...] | None = Field(
-        default=None,
-        description="nodes whose tables are learned; left out, all that can be",
-        examples=[["Lane", "SensorState"]],
-    )
-    iterations: int = Field(default=200, ge=1, le=10**6, description="largest number of EM steps")
+    @field_validator("parameters", mode="before")
+    @classmethod
+    def _of_detector(cls, value: Any) -> Any:
+        if not isinstance(value, Mapping) or not isinstance(value.get(DETECTOR), Mapping):
+            return value
+        flat = {f"{DETECTOR}.{name}": each for name, each in value[DETECTOR].items()}
+        return {**{k: v for k, v in value.items() if k != DETECTOR}, **flat}
 
 
 class Experiment(Section):
@@ -371,11 +347,11 @@ class Experiment(Section):
         description="the network: a name (`egolane show`) or a file of your own",
         examples=["position_in_lane", "./my_graph.py"],
     )
-    filter: Literal["assumed_density", "exact", "smoothed", "fixed_lag"] = Field(
+    filter: Literal["assumed_density", "exact", "smoothed", "viterbi", "fixed_lag"] = Field(
         default="assumed_density",
-        description="how beliefs are carried on: as in the paper, each node for itself"
-        " (`assumed_density`); jointly (`exact`); with all frames, later ones too (`smoothed`); or"
-        " with the frames up to `lag` later (`fixed_lag`)",
+        description="inference method: `assumed_density` (product of marginals, as in the paper),"
+        " `exact` (joint filter), `smoothed` (forward-backward), `viterbi` (smoothed; the answer is"
+        " the most probable path), `fixed_lag` (`lag` frames of look-ahead)",
     )
     lag: int | None = Field(
         default=None,
@@ -384,47 +360,38 @@ class Experiment(Section):
         description="frames that fixed_lag waits before it answers",
         examples=[10],
     )
-    decode: Literal["marginal", "viterbi"] = Field(
-        default="marginal",
-        description="the lane that is answered: the most probable one in each frame, or that of the"
-        " most probable path through all frames (with filter smoothed)",
-    )
     start_lane: int | tuple[float, ...] | None = Field(
         default=None,
         description="what is known of the lane in which the drive begins: its number, or how"
         " probable each of the n lanes is",
         examples=[3, [0, 0, 1, 1]],
     )
-    evidence_reading: Literal["soft", "hard"] = Field(
+    evidence_mode: Literal["soft", "hard"] = Field(
         default="soft",
-        description="how the evidence of a frame is read: as a likelihood (`soft`), or by its most"
-        " probable value alone (`hard`)",
+        description="use of the evidence of a frame: the whole likelihood (`soft`), or its most"
+        " probable value only (`hard`)",
     )
-    unassigned_below: float = Field(
+    min_confidence: float = Field(
         default=0.0,
         ge=0,
         lt=1,
         allow_inf_nan=False,
-        description="no lane is answered where the largest probability is less",
-    )
-    fit: Literal["none", "learn", "tune"] = Field(
-        default="none", description="how `compare` finds parameters without the block it scores"
-    )
-    learning: Learning | None = Field(
-        default=None, description="settings of `egolane learn` and of fit: learn"
+        description="frames whose most probable lane is less probable get no lane",
     )
     parameters: _Keys = Field(
         default_factory=FrozenDict,
-        description="values of the parameters of graph and evidence rule (`egolane show GRAPH`);"
-        " those that are left out keep their defaults",
-        examples=[{"sigma1": 0.35, "bonus_value": 9}],
+        description="values of the parameters of graph and evidence rule (`egolane show GRAPH`),"
+        " and in `detector` of the detector; others keep their defaults",
+        examples=[{"sigma1": 0.35, "bonus_value": 9}, {"detector": {"every": 2}}],
     )
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
         default="unknown",
-        description="what the parameters have seen, which stands next to every score: the frames"
+        description="frames that the parameters were tuned on, printed with every score: the frames"
         " that are scored (`same_frames`: in-sample), others only, or none",
     )
-    tuning: Tuning | None = Field(default=None, description="settings of `egolane tune`")
+    fit: FitSettings = Field(
+        default=FitSettings(), description="settings of `tune`, `learn` and held-out runs"
+    )
 
     @field_validator("n_lanes", mode="before")
     @classmethod
@@ -467,18 +434,18 @@ class Experiment(Section):
             raise ValueError(f"only filter fixed_lag waits, filter {chosen} has no lag")
         return value
 
-    @field_validator("decode")
+    @field_validator("parameters")
     @classmethod
-    def _path_of_all_frames(cls, value: str, info: ValidationInfo) -> str:
-        if value == "viterbi" and info.data.get("filter", "smoothed") != "smoothed":
-            raise ValueError("viterbi knows the whole drive, as filter smoothed does; say both")
+    def _detector_has_keys(cls, value: FrozenDict) -> FrozenDict:
+        if not isinstance(value.get(DETECTOR, {}), Mapping):
+            raise ValueError("detector: needs keys and values")
         return value
 
-    @field_validator("unassigned_below")
+    @field_validator("min_confidence")
     @classmethod
-    def _path_always_answers(cls, value: float, info: ValidationInfo) -> float:
-        if value and info.data.get("decode") == "viterbi":
-            raise ValueError("a path has a lane in every frame; goes with decode marginal only")
+    def _path_has_every_lane(cls, value: float, info: ValidationInfo) -> float:
+        if value and info.data.get("filter") == "viterbi":
+            raise ValueError("filter viterbi gives every frame a lane")
         return value
 
     _source: str = "experiment"
@@ -487,6 +454,17 @@ class Experiment(Section):
     def source(self) -> str:
         """The YAML file, for messages."""
         return self._source
+
+    @property
+    def detector_parameters(self) -> Mapping[str, Any]:
+        """The values of the parameters of the detector."""
+        found: Mapping[str, Any] = self.parameters.get(DETECTOR, {})
+        return found
+
+    @property
+    def model_parameters(self) -> dict[str, Any]:
+        """The values of the parameters of graph and evidence rule."""
+        return {name: value for name, value in self.parameters.items() if name != DETECTOR}
 
 
 def make_experiment(content: Mapping[str, Any], source: str) -> Experiment:
@@ -500,52 +478,65 @@ def make_experiment(content: Mapping[str, Any], source: str) -> Experiment:
     return experiment
 
 
-def validated(model: type[AnySection], content: Mapping[str, Any], source: str) -> AnySection:
+@functools.cache
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def validated(kind: type[AnySection], content: Mapping[str, Any], source: str) -> AnySection:
     """Make a section from some keys. Raises InputError for the first one that does not fit."""
     try:
-        return model.model_validate(content)
+        made: AnySection = _adapter(kind).validate_python(content)  # type: ignore[arg-type]
+        return made
     except ValidationError as error:
-        raise InputError(f"{source}: {_first_problem(error, model)}") from None
+        raise InputError(f"{source}: {_first_problem(error, kind)}") from None
     except RecursionError:
         raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
 
 
-#: Keys that configure fits. A resolved experiment has the parameters themselves.
-FITTING = {"tuning", "fit", "learning"}
-
-
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """All keys that have a value, defaults included, as plain types for YAML or JSON."""
-    content = experiment.model_dump(mode="json", exclude=FITTING, exclude_none=True)
+    """All keys that have a value, defaults included, as plain types for YAML or JSON.
+
+    `fit` is omitted: a resolved experiment has the fitted parameters themselves.
+    """
+    content = experiment.model_dump(mode="json", exclude={"fit"}, exclude_none=True)
     if experiment.n_lanes == FROM_MAP:
         content["n_lanes"] = "map"
     content["parameters"] = {
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())
     }
+    if experiment.detector_parameters:
+        content["parameters"][DETECTOR] = dict(experiment.detector_parameters)
     return content
 
 
-def _first_problem(error: ValidationError, model: type[Section]) -> str:
+def _first_problem(error: ValidationError, kind: Any) -> str:
     """pydantic's first complaint. An unknown key goes before others, with a suggestion."""
     problems = error.errors(include_url=False)
     for problem in problems:
         if problem["type"] == "extra_forbidden":
             *above, key = problem["loc"]
             prefix = f"{'.'.join(map(str, above))}: " if above else ""
-            known = _section_at(model, problem["loc"])
+            known = _keys_at(kind, problem["loc"])
             return f"{prefix}unknown key '{key}'{suggestion(str(key), known)}"
     return _problem(problems[0])
 
 
-def _section_at(model: type[Section], loc: Sequence[int | str]) -> Iterable[str]:
+def _keys_at(kind: Any, loc: Sequence[int | str]) -> Iterable[str]:
     """The keys of the section that a key is in."""
     for part in loc[:-1]:
-        given = model.model_fields[part].annotation if part in model.model_fields else None
-        for kind in (given, *get_args(given)):
-            if isinstance(kind, type) and issubclass(kind, Section):
-                model = kind
-    return model.model_fields
+        inside = _sections_in(get_type_hints(kind, include_extras=True).get(str(part)))
+        kind = next(inside, kind)
+    return get_type_hints(next(_sections_in(kind)))
+
+
+def _sections_in(kind: Any) -> Iterator[Any]:
+    """The sections in a type such as `Section | None`."""
+    if isinstance(kind, type) and (issubclass(kind, Section) or is_typeddict(kind)):
+        yield kind
+    for part in get_args(kind):
+        yield from _sections_in(part)
 
 
 #: What pydantic says of a Python type, as one says it of YAML.

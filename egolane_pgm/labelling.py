@@ -139,7 +139,7 @@ def label_input(given: Input, below: float = BELOW) -> Labels:
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
-    changes = {"filter": "smoothed", "lag": None, "decode": "marginal", "unassigned_below": 0.0}
+    changes = {"filter": "smoothed", "lag": None, "min_confidence": 0.0}
     smoothed = load_experiment(given.experiment, changes)
     run = run_input(given._replace(experiment=smoothed))
     if len(run.lines) > 1:

@@ -211,7 +211,7 @@ def absolute(content: Mapping[str, Any], folder: Path, prefix: str = "") -> dict
     found: dict[str, Any] = {}
     for key, value in content.items():
         name = f"{prefix}{key}"
-        is_plugin = name in PLUGINS or name.startswith("recording.detector_parameters.")
+        is_plugin = name in PLUGINS or name.startswith("parameters.detector.")
         if isinstance(value, Mapping):
             found[key] = absolute(value, folder, f"{name}.")
         elif not isinstance(value, (str, os.PathLike)) or value == IN_MEMORY:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import FROM_MAP, Experiment
+from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment
 from egolane_pgm.graphs.from_pgmpy import node_names
 from egolane_pgm.inference.compile import (
     Compiled,
@@ -94,8 +94,8 @@ def compile_model(experiment: Experiment) -> Model:
     rule = load_plugin("evidence", e.evidence, f"{source}: evidence")
     graph = load_plugin("graphs", e.graph, f"{source}: graph")
     declared = declared_parameters(rule, graph)
-    specs = looking_back(declared) if e.filter == "smoothed" else declared
-    parameters = resolve_parameters(specs, e.parameters, e.n_lanes, f"{source}: parameters")
+    specs = looking_back(declared) if e.filter in ("smoothed", "viterbi") else declared
+    parameters = resolve_parameters(specs, e.model_parameters, e.n_lanes, f"{source}: parameters")
     with problems_in(f"{source}: graph {e.graph}"):
         compiled, unused = compile_graph(rule, graph, e.n_lanes, parameters)
         lanes = compiled.cardinality.get("Lane")
@@ -222,7 +222,9 @@ def with_graph(experiment: Experiment, graph: str) -> Experiment:
     evidence = matching_evidence_rule(module, experiment.n_lanes, experiment.evidence, where)
     rule = load_plugin("evidence", evidence, where)
     known = {spec.name for spec in declared_parameters(rule, module)}
-    kept = {name: value for name, value in experiment.parameters.items() if name in known}
+    kept = {
+        name: value for name, value in experiment.parameters.items() if name in known | {DETECTOR}
+    }
     changes = {"graph": graph, "evidence": evidence, "parameters": kept}
     learned = getattr(module, "LEARNED_FROM", None)
     if learned is not None:
@@ -324,7 +326,7 @@ def make_evidence(
     used = Evidence(likelihoods, given.inputs)
     with problems_in(str(file)):
         check_keys(model.compiled, used)
-    return read_evidence(used, model.experiment.evidence_reading), tentative
+    return read_evidence(used, model.experiment.evidence_mode), tentative
 
 
 def looks_ahead(model: Model, parameters: Mapping[str, Value] | None = None) -> str | None:

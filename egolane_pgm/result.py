@@ -25,7 +25,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import Drive, digests, drive_names, with_rate
-from egolane_pgm.experiment import FITTING, Experiment, resolved
+from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events, lane_segments
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
@@ -67,7 +67,7 @@ COLUMNS = {
     "NODE_VALUE": "posterior: Lane_1, ..., SensorState_OK, ...",
     "line_crossing_probability?": "probability of straddling the line between two lanes",
     "lateral_offset?": "offset from the lane centre in lane widths, positive to the right",
-    "assigned_lane": "the answer; 0 for none (a tie, or less than unassigned_below)",
+    "assigned_lane": "the answer; 0 for none (a tie, or less than min_confidence)",
     "detector_LANE?": "the evidence rule's own answer",
     "detector_lane?": "its most probable lane; 0 for none",
     "log_evidence": "natural logarithm",
@@ -390,7 +390,7 @@ def identity(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
 
     The location of the files does not count: a moved file is the same data.
     """
-    config = experiment.model_dump(mode="json", exclude=FITTING - {"fit"})
+    config = experiment.model_dump(mode="json", exclude={"fit"}) | {"fit": experiment.fit.method}
     names = {entry["path"]: entry["sha256"] for entry in data}
     text = json.dumps(config, sort_keys=True)
     for path, sha256 in sorted(names.items(), reverse=True):

@@ -29,7 +29,7 @@ from egolane_pgm.model import (
     online_rule,
     whole_rule,
 )
-from egolane_pgm.recordings.select import clip_lri, fill_after
+from egolane_pgm.recordings.select import fill_after
 from egolane_pgm.result import Result, make_result
 from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.tools.progress import bar
@@ -55,22 +55,22 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
     places_of = None if knows_place else place_finder(model.parameters)
     if isinstance(logs, LineLog):
         evidence, tentative = make_evidence(model, whole_rule(model), logs)
-        beliefs = infer_beliefs(model.compiled, evidence, e.filter, e.lag, frame_id=logs.frame_id)
+        method = "smoothed" if e.filter == "viterbi" else e.filter
+        beliefs = infer_beliefs(model.compiled, evidence, method, e.lag, frame_id=logs.frame_id)
         offset = None if places_of is None else places_of(logs)
         columns = _columns_of(model, logs, beliefs, tentative, offset)
-        if e.decode == "viterbi":
+        if e.filter == "viterbi":
             path = viterbi(model.compiled, evidence, frame_id=logs.frame_id)
             columns["assigned_lane"] = path.lane
         yield columns
         return
     _check_causal(model)
-    recording, max_lri = e.recording, float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
+    recording = e.recording
     rule = online_rule(model)
     last: LineLog | None = None
     state: Any = None
     waiting: deque[tuple[LineLog, FloatArray | None, FloatArray | None]] = deque()
     for log in logs:
-        log = clip_lri(log, max_lri) if recording.lri == "clip" else log
         due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
         last = log.take(slice(-1, None))
         evidence, tentative = make_evidence(model, rule, due)
@@ -113,7 +113,7 @@ def _columns_of(
         columns["line_crossing_probability"] = crossing
     if offset is not None:
         columns["lateral_offset"] = offset
-    columns["assigned_lane"] = assigned_lane(beliefs.lane, model.experiment.unassigned_below)
+    columns["assigned_lane"] = assigned_lane(beliefs.lane, model.experiment.min_confidence)
     if tentative is not None:
         columns |= {f"detector_{k}": column for k, column in enumerate(tentative.T, start=1)}
         columns["detector_lane"] = assigned_lane(tentative)
@@ -129,7 +129,7 @@ def _rows(values: FloatArray | None, frames: slice) -> FloatArray | None:
 def _check_causal(model: Model) -> None:
     """Raise InputError for a model that needs the whole drive at once."""
     e = model.experiment
-    if e.filter == "smoothed" or e.decode != "marginal":
+    if e.filter in ("smoothed", "viterbi"):
         raise InputError(
             f"{e.source}: filter: {e.filter} needs the whole drive; frames as they come need"
             " fixed_lag, exact or assumed_density"

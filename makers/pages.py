@@ -88,7 +88,7 @@ def paper() -> None:
 
 def searched() -> None:
     """Write results/graphs/graphs.md and graphs.png: graphs with searched parameters."""
-    changes = {"filter": "exact", "tuning.trials": 420}
+    changes = {"filter": "exact", "fit.trials": 420}
     folders = [on_recordings(f"searched/{g}", "paper_tuned", changes, g) for g in SEARCHED]
     ego.compare(folders, of="folder", out=RESULTS / "graphs/graphs.png")
     heading = (
@@ -100,13 +100,13 @@ def searched() -> None:
 
 def learned() -> None:
     """Write results/graphs/learned.md: graphs with learned tables, and those of the start."""
-    name, not_learned = "learned_tables", {"fit": "none"}
+    name, not_learned = "learned_tables", {"fit.method": "none"}
     folders = [on_recordings(f"learned/{graph}", name, (), graph) for graph in LEARNED]
     folders.append(on_recordings("learned/start", name, not_learned))
     own = [
         on_recordings("tables/start", name, {**AS_PAPER, **not_learned}),
         on_recordings("tables/labels", name, AS_PAPER),
-        on_recordings("tables/no_labels", name, {**AS_PAPER, "learning.labels": False}),
+        on_recordings("tables/no_labels", name, {**AS_PAPER, "fit.labels": False}),
     ]
     heading = "# Tables learned by EM, held out\n\nMade by `make graphs`; filter `exact`, bonus 9."
     second = "## The paper's graph and filter, bonus 1: from labels, and from lines alone"
@@ -117,7 +117,7 @@ def learned() -> None:
 def beyond() -> None:
     """Write results/beyond/runs.md: position in lane and the paper's graph."""
     folders = [on_recordings("beyond/zero_label", "zero_label")]
-    folders.append(on_recordings("beyond/learned", "zero_label", {"fit": "learn"}))
+    folders.append(on_recordings("beyond/learned", "zero_label", {"fit.method": "learn"}))
     folders.append(on_recordings("beyond/paper_tuned", "paper_tuned"))
     heading = "# Position in lane and the paper's graph, held out\n\nMade by `make beyond`; causal."
     write_text(RESULTS / "beyond/runs.md", compared(heading, folders, events=True) + "\n")

@@ -117,7 +117,7 @@ def test_the_detector_is_a_side_of_its_own(results: list[Result]) -> None:
 
 
 def test_untrusted_labels_are_not_compared(results: list[Result]) -> None:
-    first, second = sides(0, fit="learn", tuning={"never_fit": {"from_frame": 900}})
+    first, second = sides(0, fit={"method": "learn", "untrusted_frames": [[900, None]]})
     opened = [open_input(each.experiment) for each in (first, second)]
     held_out = [run_input(each, n_blocks=3) for each in opened]
     found = compare(held_out, of="graph")

@@ -74,20 +74,6 @@ def test_a_range_of_frames_is_read_as_if_there_were_no_others(tmp_path: Path) ->
         one(path, {"recording.frames": [500, 900]})
 
 
-def test_a_rule_with_its_own_largest_lri_clips_at_that(tmp_path: Path) -> None:
-    (tmp_path / "r.py").write_text(
-        "from egolane_pgm.evidence.counting import *\n"
-        "from egolane_pgm.evidence import counting\n"
-        "from egolane_pgm.parameters import Parameter\n"
-        "TENTATIVE = 'DetectorOutput'\n"
-        "PARAMETERS = tuple(p for p in counting.PARAMETERS if p.name != 'max_lri') + (\n"
-        "    Parameter('max_lri', 'positive', 4, 'x'),)\n"
-    )
-    drive = one(write_drive(tmp_path, evidence="./r.py", recording__lri="clip"))
-    assert np.nanmax(short_drive().log.lri) > 4
-    assert np.nanmax(drive.log.lri) == 4
-
-
 # --- pictures ------------------------------------------------------------------------------------
 
 
@@ -180,7 +166,9 @@ def test_masked_labels_are_crossing_frames_in_lane_1(tmp_path: Path) -> None:
 
 def test_frames_that_are_never_fitted_are_frame_ids(tmp_path: Path) -> None:
     path = write_drive(tmp_path)
-    drive = one(path, {"tuning.never_fit": [[30, 40], [120, None]]}, ground_truth=lanes().iloc[20:])
+    drive = one(
+        path, {"fit.untrusted_frames": [[30, 40], [120, None]]}, ground_truth=lanes().iloc[20:]
+    )
     trusted = drive.log.frame_id[drive.rows[drive.is_trusted]]
     np.testing.assert_array_equal(trusted, [*range(20, 30), *range(40, 120)])
 
@@ -248,7 +236,7 @@ def on_road(tmp_path_factory: pytest.TempPathFactory) -> Path:
     [
         {},
         {"graph": "position_in_lane", "evidence": "line_geometry", "filter": "exact"},
-        {"filter": "smoothed", "decode": "viterbi", "evidence_reading": "hard"},
+        {"filter": "viterbi", "evidence_mode": "hard"},
     ],
     ids=["paper", "position", "path"],
 )

@@ -153,7 +153,7 @@ def test_a_study_on_run_5(recordings: Path, sampler: str) -> None:
 @pytest.mark.parametrize("fit", ["none", "learn", "tune"])
 def test_held_out_accuracy_of_quickstart(fit: str) -> None:
     """Five blocks, each with what was fitted on the others (tune: 30 trials each)."""
-    overrides = {"fit": fit, "tuning.trials": 30}
+    overrides = {"fit.method": fit, "fit.trials": 30}
     result = ego.run("quickstart", overrides=overrides, held_out=True, blocks=5)
     assert_frozen(result.scores["model"]["accuracy"], FROZEN["held_out_quickstart"][fit])
 

@@ -145,7 +145,7 @@ def test_a_labeller_looks_back() -> None:
 
 
 def test_a_graph_without_a_place_in_the_lane_labels_every_frame(tmp_path: Path) -> None:
-    labels = labelled(write_drive(tmp_path), {"unassigned_below": 0.5})
+    labels = labelled(write_drive(tmp_path), {"min_confidence": 0.5})
     assert "RoadPosition" not in labels.run.run["values"]
     assert labels.frames["lane"].min() >= 1
     assert labels.frames["is_crossing"].any()

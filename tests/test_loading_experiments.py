@@ -123,9 +123,9 @@ def test_the_model_of_an_experiment_is_put_on_other_lines(tmp_path: Path) -> Non
         tuned_on="same_frames",
         parameters={"sigma1": 0.3},
     )
-    new = load_experiment(old, {"recording.lri": "clip"}, lines=lines)
+    new = load_experiment(old, {"recording.format": "table"}, lines=lines)
     # Nothing of the old recording is left.
-    assert new.recording.model_dump(exclude_unset=True) == {"path": lines, "lri": "clip"}
+    assert new.recording.model_dump(exclude_unset=True) == {"path": lines, "format": "table"}
     assert (new.ground_truth, new.tuned_on) == (None, "other_frames")
     assert (new.parameters, new.n_lanes) == ({"sigma1": 0.3}, 3)
     assert load_experiment(old, lines="/d/a.bag").tuned_on == "same_frames"
@@ -152,7 +152,7 @@ def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"recording.lry": "clip", "n_lanes": 3.5}, "recording: unknown key 'lry' (did you mean"),
+        ({"recording.topik": "x", "n_lanes": 3.5}, "recording: unknown key 'topik' (did you mean"),
         ({"recording.frame_rate": -1}, "recording.frame_rate: input should be greater than 0"),
         (
             {"recording.missing_frames": "hol"},
@@ -167,15 +167,11 @@ def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) ->
         ({"filter": "fixed_lag"}, "lag: filter fixed_lag needs a number of frames to wait, e.g."),
         ({"filter": "fixed_lag", "lag": -1}, "lag: input should be greater than or equal to 0"),
         ({"lag": 3}, "lag: only filter fixed_lag waits, filter assumed_density has no lag (got 3)"),
-        ({"decode": "viterbi"}, "decode: viterbi knows the whole drive"),
-        (
-            {"filter": "smoothed", "decode": "viterbi", "unassigned_below": 0.5},
-            "a path has a lane",
-        ),
+        ({"filter": "viterbi", "min_confidence": 0.5}, "filter viterbi gives every frame a lane"),
         ({"start_lane": 5}, "start_lane: the road has lanes 1 (leftmost) to 3 (got 5)"),
         ({"start_lane": [1, 0]}, "start_lane: needs a lane, or a number for each of the 3 lanes"),
         ({"start_lane": [0, 0, 0]}, "start_lane: the lanes' probabilities are not negative, and"),
-        ({"tuning": {"blocks": 1}}, "tuning.blocks: input should be greater than or equal to 2"),
+        ({"fit": {"folds": 1}}, "fit.folds: input should be greater than or equal to 2"),
         ({"parameters": [0.3]}, "parameters: needs keys and values"),
         ({"n_lanes": "map"}, "n_lanes: map needs a road table"),
         ({"road": "road.parquet"}, "n_lanes: a road table gives the number of lanes"),
@@ -270,10 +266,13 @@ def test_sources_are_checked_without_reading_them(tmp_path: Path) -> None:
 def rich() -> Experiment:
     """An experiment with something nested in every key that may have it."""
     return made(
-        recording={"path": "a", "options": {"x": [1, {"y": [2]}]}, "detector_parameters": {"a": 1}},
-        parameters={"lane_widths": [1, 2, 1], "table": {"rows": [[1, 2], [3, 4]]}},
-        tuning={"parameters": {"p1": [0.5, 0.9]}},
-        learning={"tables": ["Lane"]},
+        recording={"path": "a", "options": {"x": [1, {"y": [2]}]}},
+        parameters={
+            "detector": {"a": 1},
+            "lane_widths": [1, 2, 1],
+            "table": {"rows": [[1, 2], [3, 4]]},
+        },
+        fit={"parameters": {"p1": [0.5, 0.9]}},
     )
 
 

@@ -43,7 +43,7 @@ def experiment(drive: Path) -> Experiment:
     [
         ("skip", {}),
         ("hold", {"filter": "exact"}),
-        ("predict", {"evidence_reading": "hard", "recording__lri": "clip"}),
+        ("predict", {"evidence_mode": "hard"}),
         ("hold", {"filter": "fixed_lag", "lag": 3}),
         ("predict", {"filter": "fixed_lag", "lag": 500}),
         ("predict", POSITION),

@@ -49,8 +49,8 @@ POSITION: dict[str, Any] = {
 #: Experiments that need no later frames, or only a few.
 CAUSAL: dict[str, dict[str, Any]] = {
     "paper": {},
-    "exact": {"filter": "exact", "evidence_reading": "hard", "unassigned_below": 0.7},
-    "hold": {"recording": {"missing_frames": "hold", "lri": "clip"}},
+    "exact": {"filter": "exact", "evidence_mode": "hard", "min_confidence": 0.7},
+    "hold": {"recording": {"missing_frames": "hold"}},
     "predict": {"filter": "exact", "recording": {"missing_frames": "predict"}},
     "lag 0": {"filter": "fixed_lag", "lag": 0},
     "lag 7": {"filter": "fixed_lag", "lag": 7, "recording": {"missing_frames": "predict"}},
@@ -96,7 +96,7 @@ def test_a_run_gives_what_plain_numpy_gives(drive: Path, choice: str) -> None:
 
 
 def test_hard_evidence_has_the_most_probable_value_only(drive: Path) -> None:
-    hard, soft = run(drive, {"evidence_reading": "hard"}), run(drive)
+    hard, soft = run(drive, {"evidence_mode": "hard"}), run(drive)
     for node, values in hard.evidence.likelihoods.items():
         best = soft.evidence.likelihoods[node].max(axis=1, keepdims=True)
         is_best = soft.evidence.likelihoods[node] >= best * (1 - 1e-9)
@@ -133,7 +133,7 @@ def test_smoothers_are_those_of_the_inference_and_not_causal(drive: Path) -> Non
 
 
 def test_a_decoded_run_answers_the_most_probable_path(drive: Path) -> None:
-    found = run(drive, {"filter": "smoothed", "decode": "viterbi"})
+    found = run(drive, {"filter": "viterbi"})
     path = viterbi(found.model.compiled, found.evidence)
     np.testing.assert_array_equal(found.frames["assigned_lane"], path.lane)
     truth = truth_of(found.frames)
@@ -160,7 +160,7 @@ def test_missing_frames_are_held_as_if_the_frame_before_came_again(tmp_path: Pat
 
 @pytest.mark.parametrize("reading", ["soft", "hard"])
 def test_missing_frames_are_predicted_by_the_model_alone(tmp_path: Path, reading: str) -> None:
-    keys = {"recording__missing_frames": "predict", "evidence_reading": reading}
+    keys = {"recording__missing_frames": "predict", "evidence_mode": reading}
     found = run(with_gaps(tmp_path, **keys))
     assert len(found) == N_FRAMES
     sigma1, p1, p2 = (float(found.model.parameters[k]) for k in ("sigma1", "p1", "p2"))  # type: ignore[arg-type]

@@ -329,7 +329,7 @@ _INTRODUCTIONS = {
         "# Graphs",
         "What `graph:` names. Tables and sizes are those of three lanes and of the default values;"
         " `egolane show GRAPH --tables` prints the numbers. A search moves a parameter within its"
-        " range; `tuning.parameters` gives it another one.",
+        " range; `fit.parameters` gives it another one.",
     ),
     "evidence": (
         "# Evidence rules",

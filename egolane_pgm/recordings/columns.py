@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from egolane_pgm.experiment import Columns, validated
+from egolane_pgm.experiment import CheckedColumns, Columns, validated
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, near_word
 
@@ -69,8 +69,6 @@ def column_keys(given: ColumnsGiven) -> dict[str, Any]:
     >>> column_keys("offset_m=[left, right],left_positive=true")
     {'offset_m': ['left', 'right'], 'left_positive': True}
     """
-    if isinstance(given, Columns):
-        return given.model_dump()
     if isinstance(given, Mapping):
         return dict(given)
     keys: dict[str, Any] = {}
@@ -89,7 +87,7 @@ def column_keys(given: ColumnsGiven) -> dict[str, Any]:
 
 def columns_of(given: ColumnsGiven, where: str) -> Columns:
     """What a caller gives as a section. Raises InputError for keys that do not fit."""
-    return validated(Columns, column_keys(given), f"{where}: columns")
+    return validated(CheckedColumns, column_keys(given), f"{where}: columns")
 
 
 def lines_of_columns(
@@ -141,7 +139,7 @@ def lines_of_columns(
     )
     if "time_s" in frames:
         log = replace(log, time_s=frames["time_s"][starts])
-    if row is None and table.said.offset_m is None:
+    if row is None and table.said.get("offset_m") is None:
         known = {*(COLUMNS if table.named("offset_m") else _OF_FRAME)} - table.used
         unused = [name + near_word(name, known) for name in columns if name not in table.used]
         if any(unused):
@@ -166,9 +164,7 @@ class _Table:
 
     def named(self, ours: str) -> Any:
         """What the table calls a column of ours: a name, several, or None where it has none."""
-        if ours in self.said.model_fields_set:
-            return getattr(self.said, ours)
-        return ours if ours in self.columns else None
+        return self.said.get(ours, ours if ours in self.columns else None)
 
     def column(self, ours: str, theirs: str) -> Any:
         """A column. Raises InputError where it is not there."""
@@ -232,14 +228,14 @@ def _lines_of(table: _Table, at: IntArray) -> dict[str, NDArray[Any]]:
     is_long = isinstance(table.named("offset_m"), str)
     for number, names in enumerate(_slots(table), start=1):
         cells = {ours: table.cells(ours, theirs) for ours, theirs in names.items()}
-        offset = cells["offset_m"] / _PER_METRE[table.said.unit]
+        offset = cells["offset_m"] / _PER_METRE[table.said.get("unit", "m")]
         is_empty = np.isnan(offset)
         cells = {
             "is_valid": np.where(is_empty, 0.0, 1.0),
             "is_continuous": np.zeros(len(rows)),
             "lri": np.full(len(rows), np.nan),
             **cells,
-            "offset_m": -offset if table.said.left_positive else offset,
+            "offset_m": -offset if table.said.get("left_positive", False) else offset,
         }
         if not is_long:
             # A line that is said to be valid is there, and without an offset it is a mistake.
@@ -296,7 +292,7 @@ def _frames_of(table: _Table, first: int) -> Cells:
 
 def _seconds(table: _Table, theirs: str) -> FloatArray:
     """A column as times in seconds, (N,): numbers of a unit, or dates."""
-    values, unit = arrow_column(table.column("time_s", theirs)), table.said.time_unit
+    values, unit = arrow_column(table.column("time_s", theirs)), table.said.get("time_unit", "s")
     per = _PER_SECOND[unit]
     if pa.types.is_timestamp(values.type):
         values, per = values.cast(pa.timestamp("ns", values.type.tz)).cast(pa.int64()), 10**9

@@ -100,11 +100,6 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
     return fill_missing(LineLog.joined([last, log]), policy, frame_rate).take(slice(1, None))
 
 
-def clip_lri(log: LineLog, max_lri: float) -> LineLog:
-    """The log with every LRI clipped to 0..max_lri; unknown ones (NaN) stay unknown."""
-    return replace(log, lri=np.clip(log.lri, 0.0, max_lri))
-
-
 def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     """Frames per second, to four digits, by the frame ids and times (T,) of a recording; None for a
     single frame, and where time stands still."""
@@ -143,7 +138,7 @@ def recording_warnings(
     is_absurd = log.is_valid & (np.abs(log.offset_m) > ABSURD_OFFSET_M)
     has_many = log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1
     kinds = {
-        f"valid line(s) have an LRI outside 0..{max_lri:g} (`lri: clip` clips them)": is_odd_lri,
+        f"valid line(s) have an LRI outside 0..{max_lri:g}": is_odd_lri,
         f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m": is_absurd,
         f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s)": has_many,
     }

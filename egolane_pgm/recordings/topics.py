@@ -101,17 +101,19 @@ def read_topic(
     path = Path(path)
     table, row = table_of(fields_of(path, topic))
     said = columns or Columns()
-    if said.offset_m is None and {"line", "way_id"} <= table.keys():
+    if said.get("offset_m") is None and {"line", "way_id"} <= table.keys():
         is_ros1 = path.suffix == ".bag"
-        said = Columns(**{**_PUBLISHED, "is_valid": _VALID[is_ros1], **said.model_dump()})
+        published: Any = {**_PUBLISHED, "is_valid": _VALID[is_ros1], **said}
+        said = published
         begins = np.flatnonzero(np.diff(row, prepend=-1))
-        if said.frame_id in table:
-            if (np.diff(np.asarray(table[said.frame_id])[begins]) == 0).any():
+        frame_id = said.get("frame_id")
+        if frame_id in table:
+            if (np.diff(np.asarray(table[frame_id])[begins]) == 0).any():
                 raise InputError(
-                    f"{path}: {said.frame_id} stays the same from message to message; `columns:"
+                    f"{path}: {frame_id} stays the same from message to message; `columns:"
                     " {frame_id: null}` numbers frames by their times"
                 )
-            if is_ros1 and said.time_s is None:
+            if is_ros1 and said.get("time_s") is None:
                 # The stamps of the published ROS 1 bags say when they were processed, jump by
                 # minutes or are all zero: time is frame id over frame rate there.
                 table = {name: each for name, each in table.items() if name != "time_s"}
@@ -170,7 +172,8 @@ def _lines_of(
 ) -> LineLog:
     if "line" in columns and columns["line"].null_count == len(row):
         # Of lists that are always empty the fields may not be known.
-        names = [getattr(said, name, None) or name for name in ("offset_m", *OF_LINE)]
+        given: Mapping[str, Any] = said or {}
+        names = [given.get(name) or name for name in ("offset_m", *OF_LINE)]
         columns = {**dict.fromkeys(names, pa.nulls(len(row))), **columns}
     return lines_of_columns(columns, said, path, frame_rate, first=first, row=row)
 

@@ -26,20 +26,20 @@ from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, FloatArray, InputError, IntArray
 
 
-def assigned_lane(belief: ArrayLike, unassigned_below: float = 0.0) -> IntArray:
+def assigned_lane(belief: ArrayLike, min_confidence: float = 0.0) -> IntArray:
     """The most probable lane of each frame, 1..n, or UNASSIGNED (0) where it is not unique.
 
     belief (T, n): non-negative; need not be normalised (a tentative vector will do). The maximum
         is not unique when the runner-up is within TIE_TOLERANCE of it, relative; so a row of zeros
         is Unassigned. One lane (n = 1) is always lane 1.
-    unassigned_below: a row whose maximum is less than this is Unassigned too (the reject option,
+    min_confidence: a row whose maximum is less than this is Unassigned too (the reject option,
         for normalised beliefs; 0 for none).
 
     Returns (T,).
     """
     values = np.ascontiguousarray(belief, dtype=np.float64)
     lane = np.empty(len(values), dtype=np.int64)
-    _assign(values, unassigned_below, lane)
+    _assign(values, min_confidence, lane)
     return lane
 
 

@@ -138,10 +138,10 @@ class CoverageCurve:
         """(K,): share of the answers that are right (not of all frames)."""
         return np.asarray(self.right / self.answered, dtype=np.float64)
 
-    def at(self, unassigned_below: float) -> tuple[float, float]:
+    def at(self, min_confidence: float) -> tuple[float, float]:
         """(coverage, accuracy of the answers) with that reject option; accuracy is NaN where
         nothing is answered."""
-        k = int(np.count_nonzero(self.threshold >= unassigned_below)) - 1
+        k = int(np.count_nonzero(self.threshold >= min_confidence)) - 1
         if k < 0:
             return 0.0, float("nan")
         return float(self.coverage[k]), float(self.accuracy[k])

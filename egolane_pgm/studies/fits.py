@@ -20,12 +20,12 @@ import optuna
 import pandas as pd
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Experiment, Learning, Tuning
+from egolane_pgm.experiment import DETECTOR, Experiment, FitSettings
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.model import Model, make_evidence, whole_rule, with_parameters
-from egolane_pgm.parameters import Value, resolve_parameters
+from egolane_pgm.parameters import Parameter, Value, held_fixed, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies.em import Training, fit_tables_pooled, with_learned
 from egolane_pgm.studies.objective import (
@@ -56,7 +56,7 @@ from egolane_pgm.studies.space import (
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
 from egolane_pgm.tools.files import plain
-from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
+from egolane_pgm.types import BoolArray, InputError, IntArray
 
 
 class Fitted(dict[str, Value]):
@@ -70,6 +70,9 @@ class Fitted(dict[str, Value]):
 
 
 Fit = Callable[[Sequence[Drive], Sequence[IntArray], int | None], Fitted]
+
+#: The largest number of EM steps.
+ITERATIONS = 200
 
 #: The prefix of a learned table: `tables.Lane.next`; without a suffix if a node has one table.
 TABLES = "tables."
@@ -128,19 +131,13 @@ def learns_rule(model: Model) -> bool:
 def needs_labels(experiment: Experiment, model: Model, method: str) -> bool:
     """Whether a fit (none, learn, tune) needs ground truth."""
     is_by_em = method == "learn" and not learns_rule(model)
-    return method != "none" and not (is_by_em and not learning_of(experiment).labels)
+    return method != "none" and not (is_by_em and not experiment.fit.labels)
 
 
 def check_learnable(model: Model) -> None:
     """Raise InputError, naming the YAML key, if nothing can be learned."""
-    experiment = model.experiment
     if not learns_rule(model):
         learnable_tables(model)
-    elif experiment.learning is not None:
-        raise InputError(
-            f"{experiment.source}: learning: applies to the tables of a graph; the evidence rule"
-            f" {experiment.evidence} learns its own parameters from labels"
-        )
 
 
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
@@ -174,10 +171,10 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
 def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     """The tables of the graph, by EM over all drives.
 
-    With `learning.labels` the lane of a labelled frame is known, except while crossing.
+    With `fit.labels` the lane of a labelled frame is known, except while crossing.
     """
     model = drives[0].model
-    options, source = learning_of(model.experiment), model.experiment.source
+    options, source = model.experiment.fit, model.experiment.source
     n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
@@ -200,7 +197,7 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         training,
         nodes={name for name, _ in learnable_tables(model)},
         strength=options.strength,
-        iterations=options.iterations,
+        iterations=ITERATIONS,
     )
     impossible = int(fitted.is_impossible.sum())
     if impossible == len(fitted.is_impossible):
@@ -213,20 +210,14 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             f"{source}: graph {model.experiment.graph} does not allow {impossible} frame(s) to"
             " learn from; they are left out"
         )
-    if len(fitted.log_posterior) > options.iterations:
+    if len(fitted.log_posterior) > ITERATIONS:
         notes.append(
-            f"{source}: learning stopped after {options.iterations} iterations, before it converged"
-            " (learning.iterations)"
+            f"{source}: learning stopped after {ITERATIONS} iterations, before it converged"
         )
     for note in notes:
         warnings.warn(note, UserWarning, stacklevel=2)
     tables = _by_name(start, fitted.tables).items()
     return Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
-
-
-def learning_of(experiment: Experiment) -> Learning:
-    """The experiment's settings of learning, or the defaults."""
-    return experiment.learning or Learning()
 
 
 def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
@@ -251,7 +242,7 @@ def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
 
 
 def learnable_tables(model: Model) -> dict[SliceNode, Table]:
-    """The tables that can be learned, as far as `learning.tables` names them."""
+    """The tables that can be learned: those that are neither certain nor selected by an input."""
     source = model.experiment.source
     tables = {
         node: table
@@ -263,14 +254,7 @@ def learnable_tables(model: Model) -> dict[SliceNode, Table]:
             f"{source}: nothing to learn: all tables of graph {model.experiment.graph} are certain"
             " or selected by an input; search parameters with `egolane tune`"
         )
-    wanted, names = learning_of(model.experiment).tables, {name for name, _ in tables}
-    for name in () if wanted is None else wanted:
-        if name not in names:
-            raise InputError(
-                f"{source}: learning.tables: '{name}' has no table to learn"
-                f"{suggestion(name, names)}"
-            )
-    return {node: t for node, t in tables.items() if wanted is None or node[0] in wanted}
+    return tables
 
 
 def start_of_learning(model: Model) -> Model:
@@ -332,7 +316,7 @@ def fit_tune(
     train: Sequence[IntArray],
     fold: int | None,
     *,
-    tuning: Tuning,
+    tuning: FitSettings,
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
@@ -354,7 +338,7 @@ def fit_tune(
     score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, spaces[0], storage)
-        if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
+        if fold is None and not study.get_trials(deepcopy=False):
             own = current_values(drives[0].model, tuning)
             points = (to_point(spaces[0], {**own, **each}) for each in starts)
             with quiet():
@@ -383,9 +367,9 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Settings:
+def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit") -> Settings:
     """The settings of a study, checked. Each fold has its own seed, or all would share its luck."""
-    where = f"{source}: tuning"
+    where = f"{source}: fit"
     names = tuple(check_objective(name, f"{where}.objective") for name in tuning.objective)
     if len(set(names)) < len(names):
         raise InputError(f"{where}.objective: a score is named twice")
@@ -396,7 +380,7 @@ def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning")
     return Settings(names, sampler, tuning.trials or TRIALS, seed)
 
 
-def search_spaces(drives: Sequence[Drive], tuning: Tuning) -> list[SearchSpace]:
+def search_spaces(drives: Sequence[Drive], tuning: FitSettings) -> list[SearchSpace]:
     """The search space of each drive; they may differ in the fixed values only."""
     spaces = [search_space(drive.model, tuning) for drive in drives]
     for drive, space in zip(drives, spaces, strict=True):
@@ -409,28 +393,27 @@ def search_spaces(drives: Sequence[Drive], tuning: Tuning) -> list[SearchSpace]:
     return spaces
 
 
-def search_space(model: Model, tuning: Tuning) -> SearchSpace:
+def search_space(model: Model, tuning: FitSettings) -> SearchSpace:
     """The search space of a model."""
     experiment = model.experiment
-    # A parameter that both declare belongs to the graph, as in `declared_parameters`.
-    of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
-    specs = [
-        spec
-        if ("graph" if spec.name in of_graph else "evidence") in tuning.search
-        else replace(spec, search=None)
-        for spec in declared_parameters(model.rule, model.graph)
-    ]
-    if "detector" in tuning.search:
-        specs += searched_of_detector(experiment)[0]
+    specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
+    if searches_detector(tuning):
+        specs = held_fixed([*specs, *searched_of_detector(experiment)[0]])
     current = current_values(model, tuning)
-    where = f"{experiment.source}: tuning.parameters"
+    where = f"{experiment.source}: fit.parameters"
     return make_space(specs, current, tuning.parameters, model.n_lanes, where)
 
 
-def current_values(model: Model, tuning: Tuning) -> dict[str, Value]:
+def current_values(model: Model, tuning: FitSettings) -> dict[str, Value]:
     """The values of all parameters of a model; those of its detector too, if they are searched."""
-    of_detector = searched_of_detector(model.experiment)[1] if "detector" in tuning.search else {}
-    return {**model.parameters, **of_detector}
+    if not searches_detector(tuning):
+        return dict(model.parameters)
+    return {**model.parameters, **searched_of_detector(model.experiment)[1]}
+
+
+def searches_detector(tuning: FitSettings) -> bool:
+    """Whether parameters of the detector are searched; then all others are kept unless named."""
+    return any(name.startswith(f"{DETECTOR}.") for name in tuning.parameters)
 
 
 def objective(
@@ -498,5 +481,5 @@ def drive_digest(drive: Drive, train: IntArray) -> str:
         # A user's own file is part of the model; it may have moved.
         file = Path(plugin)
         found.update(file.read_bytes() if file.is_absolute() else plugin.encode())
-    found.update(f"{e.filter} {e.evidence_reading} {e.unassigned_below}".encode())
+    found.update(f"{e.filter} {e.evidence_mode} {e.min_confidence}".encode())
     return found.hexdigest()[:16]

@@ -67,7 +67,7 @@ def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[
     InputError for a recording without one."""
     from egolane_pgm.vision.detectors.pictures import detector_of
 
-    detector = detector_of(experiment, "tuning.search: detector")
+    detector = detector_of(experiment, "fit.parameters: detector")
     specs = getattr(detector.module, "PARAMETERS", ())
     values = {DETECTOR + name: value for name, value in detector.parameters.items()}
     return [replace(spec, name=DETECTOR + spec.name) for spec in specs], values
@@ -82,8 +82,8 @@ def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, 
 
 def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Experiment:
     """Return the experiment with other parameters of its detector."""
-    recording = experiment.recording.model_copy(update={"detector_parameters": dict(parameters)})
-    return experiment.model_copy(update={"recording": recording})
+    changed = {**experiment.parameters, "detector": dict(parameters)}
+    return experiment.model_copy(update={"parameters": changed})
 
 
 def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
@@ -139,7 +139,7 @@ def scores_of(
     for k, (drive, posterior, used) in enumerate(zip(drives, posteriors, is_used, strict=True)):
         rows = drive.rows
         lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
-        assigned = assigned_lane(posterior, drive.experiment.unassigned_below)
+        assigned = assigned_lane(posterior, drive.experiment.min_confidence)
         counts = confusions.confusion(assigned, lane, crossing | ~used, posterior.shape[1])
         matrices.append(counts)
         for j, name in enumerate(objectives):
@@ -177,7 +177,7 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
         if name == "log_loss":
             return min(probabilistic.log_loss(used, lane), UNDEFINED)
         return min(float(getattr(probabilistic, name)(used, lane, crossing)), UNDEFINED)
-    assigned = assigned_lane(belief, drive.experiment.unassigned_below)
+    assigned = assigned_lane(belief, drive.experiment.min_confidence)
     if name == "false_switches_per_minute":
         false, counted = stability.false_switch_frames(assigned, lane, crossing)
         counted[1:] &= is_used[1:] & is_used[:-1]

@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import Drive, digests, drive_key, read_drives, with_rate
-from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
+from egolane_pgm.experiment import Experiment, FitSettings, resolved, validated
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
@@ -32,7 +32,6 @@ from egolane_pgm.studies.fits import (
     fit_learn,
     fit_nothing,
     fit_tune,
-    learning_of,
     needs_labels,
     search_spaces,
     settings_of,
@@ -52,7 +51,7 @@ if TYPE_CHECKING:
 #: The default number of blocks.
 N_BLOCKS = 5
 
-#: Trials per fold of `run --held-out` with `fit: tune`; a study of its own has more.
+#: Trials per fold of `run --held-out` with `fit.method: tune`; a study of its own has more.
 TRIALS_PER_FOLD = 300
 
 #: The file that makes the directory of a study complete.
@@ -147,7 +146,9 @@ def fit_fold(
     used = [k for k, train in enumerate(fold.train) if len(train)]
     if not used and fit is not fit_nothing:
         which = "" if number is None else f"block {number + 1}: "
-        raise InputError(f"{which}no frame is left to fit to; exclude fewer frames (never_fit)")
+        raise InputError(
+            f"{which}no frame is left to fit to; exclude fewer frames (fit.untrusted_frames)"
+        )
     train = [fold.train[k] for k in used]
     with noting() as notes:
         fitted = fit([drives[k].mask_labels(fold.train[k]) for k in used], train, number)
@@ -294,11 +295,11 @@ class Study:
         """The keys of the fitted experiment, without learned tables."""
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
         fitted = with_rate(first, self.in_sample.frame_rate)
-        detector = self.model.experiment.recording.detector_parameters
+        detector = self.model.experiment.detector_parameters
         if detector:
             fitted = with_detector(fitted, detector)
         content: dict[str, Any] = plain(resolved(fitted, self.model.parameters))
-        how = "lines alone" if not learning_of(first).labels else "labels and lines"
+        how = "lines alone" if not first.fit.labels else "labels and lines"
         how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
         content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
@@ -392,9 +393,9 @@ def run_held_out(
     jobs: int = 1,
     progress: bool | None = False,
 ) -> Result:
-    """Infer each block of some drives with a fit (`fit` of the experiment) to the other blocks."""
+    """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
     begin, experiment = time.perf_counter(), drives[0].experiment
-    method = experiment.fit
+    method = experiment.fit.method
     check_labels(drives, method)
     tuning = tuning_of(experiment, trials=None, default=TRIALS_PER_FOLD)
     fits: dict[str, Fit] = {
@@ -416,7 +417,7 @@ def run_study(
     *,
     name: str | None = None,
     experiments: Sequence[Experiment] | None = None,
-    tuning: Tuning | None = None,
+    tuning: FitSettings | None = None,
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
     directory: Path | None = None,
@@ -507,10 +508,10 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
     """Raise InputError for a drive without the ground truth that a fit needs."""
     for drive in drives:
         e = drive.experiment
-        if e.decode != "marginal":
+        if e.filter == "viterbi":
             raise InputError(
-                f"{e.source}: decode: {e.decode} is for `egolane run`; fits and held-out scores"
-                " need decode: marginal"
+                f"{e.source}: filter: viterbi is for `egolane run`; fits and held-out scores need"
+                " another one"
             )
         if not needs_labels(e, drive.model, method):
             continue
@@ -521,15 +522,15 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
             raise InputError(f"{e.source}: every annotated frame is a crossing, nothing to score")
 
 
-def tuning_of(experiment: Experiment, *, default: int | None = None, **changes: Any) -> Tuning:
-    """The `tuning` section of an experiment, with changes; `parameters` are added to its own.
+def tuning_of(experiment: Experiment, *, default: int | None = None, **changes: Any) -> FitSettings:
+    """The `fit` section of an experiment, with changes; `parameters` are added to its own.
 
     - default: the number of trials if none is given.
     """
-    content = (experiment.tuning or Tuning()).model_dump(exclude_unset=True)
+    content = experiment.fit.model_dump(exclude_unset=True)
     given = {key: value for key, value in changes.items() if value is not None}
     parameters = {**content.get("parameters", {}), **given.pop("parameters", {})}
     content |= {**given, "parameters": parameters}
     if default is not None:
         content.setdefault("trials", default)
-    return validated(Tuning, content, f"{experiment.source}: tuning")
+    return validated(FitSettings, content, f"{experiment.source}: fit")

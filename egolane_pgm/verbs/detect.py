@@ -91,7 +91,7 @@ def detect(
     given = keys_of(parameters, "parameters", "{'lri_frames': 5}")
     found = find_detector(
         path_of(detector, "detector"),
-        {key.removeprefix("detector_parameters."): value for key, value in given.items()},
+        given,
         Path.cwd(),
         "detector",
         "parameters",

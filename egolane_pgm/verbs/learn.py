@@ -25,7 +25,7 @@ from egolane_pgm.verbs.studied import says as says
 
 EXAMPLES = (
     "egolane learn drive/experiment.yaml",
-    "egolane learn experiments/quickstart.yaml --set learning.labels=false",
+    "egolane learn experiments/quickstart.yaml --set fit.labels=false",
 )
 
 
@@ -50,13 +50,13 @@ def learn(
 
     An evidence rule that can learn (line_geometry) learns its parameters from the labels; with any
     other the tables of the graph are learned by EM, from lines and labels, or from lines alone
-    (learning.labels=false). Each block is scored with a fit to the frames of the other blocks.
+    (fit.labels=false). Each block is scored with a fit to the frames of the other blocks.
 
     - experiments: one, or a list: experiments, results, or lines.
     - n_lanes: number of lanes of the road.
     - ground_truth: a DataFrame with frame_id, lane and crossing, or a file.
     - graph: another graph; in Python also a module or a pgmpy network.
-    - overrides: override a key of the YAML, e.g. learning.labels=false.
+    - overrides: override a key of the YAML, e.g. fit.labels=false.
     - out: directory of the study. A `*` in it is the experiment's name.
     - blocks: blocks held out in turn, 0 for none; of a table parts of its drives.
     - table: table of runs: columns are YAML keys (recording.path, n_lanes) and tag.X.
@@ -70,7 +70,7 @@ def learn(
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 600]})
-    >>> study = ego.learn(experiment, overrides={"learning.labels": False}, blocks=2)
+    >>> study = ego.learn(experiment, overrides={"fit.labels": False}, blocks=2)
     >>> study.held_out
     Result('quickstart': 600 frames, accuracy 0.880 ...; held out, causal)
     >>> sorted(study.fitted)[:1]

@@ -12,7 +12,7 @@ import pandas as pd
 from annotated_types import Ge
 
 from egolane_pgm.drives import check_sources
-from egolane_pgm.experiment import FROM_MAP
+from egolane_pgm.experiment import FROM_MAP, FitSettings
 from egolane_pgm.loading import IN_MEMORY, ExperimentLike, Overrides, load_experiment
 from egolane_pgm.model import compile_model
 from egolane_pgm.recordings.columns import column_keys
@@ -188,12 +188,12 @@ def check_input(given: Input) -> str:
         # The number of lanes is known after reading only: any number shows whether plugins fit.
         experiment = load_experiment(experiment, {"road": None}, n_lanes=2)
     model = compile_model(experiment)
-    if experiment.tuning is not None:
+    if experiment.fit != FitSettings():
         # Optuna is loaded for this only.
         from egolane_pgm.studies.fits import search_space, settings_of
 
-        settings_of(experiment.tuning, source=experiment.source)
-        search_space(model, experiment.tuning)
+        settings_of(experiment.fit, source=experiment.source)
+        search_space(model, experiment.fit)
     return (
         f"{given.experiment.source}: ok ({model.n_lanes} lanes,"
         f" {model.compiled.n_states} joint states)"

@@ -5,7 +5,7 @@ A list of experiments may be a file:
     name: italy_all
     description: one parameter set for all detectors in Italy
     experiments: [../paper/run01_italy_ml.yaml, ../paper/run02_italy_sl.yaml]
-    tuning: {trials: 3000, parameters: {p1: 0.9}}
+    fit: {trials: 3000, parameters: {p1: 0.9}}
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 from pydantic import Field
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Experiment, Section, Tuning, validated
+from egolane_pgm.experiment import Experiment, FitSettings, Section, validated
 from egolane_pgm.loading import experiment_path, load_experiment, load_yaml
 from egolane_pgm.running import noting
 from egolane_pgm.runs import is_lines, open_input, table_inputs
@@ -37,7 +37,7 @@ class TuningFile(Section):
         examples=["all_italy"],
     )
     description: str = Field(default="", description="what it is, in a line")
-    tuning: Tuning = Field(default=Tuning(), description="settings of the search")
+    fit: FitSettings = Field(default=FitSettings(), description="settings of the search")
     experiments: tuple[str, ...] = Field(
         min_length=1,
         description="YAML files of experiments, relative to this one",
@@ -65,7 +65,7 @@ def open_studied(
     """Read the drives of some experiments, or of a table of runs, and make the folds.
 
     - blocks: number of blocks of each drive, of parts of a table, or 0 for no folds; by default
-      `tuning.blocks` of the first experiment.
+      `fit.folds` of the first experiment.
     - options: as `runs.open_input` takes them.
     """
     given = several_of(experiments)
@@ -75,8 +75,8 @@ def open_studied(
     if listed is not None:
         file, folder = listed
         given = [folder / name for name in file.experiments]
-        tuning = file.tuning.model_dump(exclude_unset=True)
-        given = [load_experiment(each, {"tuning": tuning}) for each in given]
+        fit = file.fit.model_dump(exclude_unset=True)
+        given = [load_experiment(each, {"fit": fit}) for each in given]
     inputs = [open_input(each, **options) for each in given]
     name = inputs[0].experiment.name if listed is None else listed[0].name
     if by_tag is not None and table is None:
@@ -88,7 +88,7 @@ def open_studied(
     with noting() as notes:
         drives = [drive for each in inputs for drive in each.drives()]
     if blocks is None:
-        blocks = (inputs[0].experiment.tuning or Tuning()).blocks
+        blocks = inputs[0].experiment.fit.folds
     folds: Sequence[Fold] = []
     if blocks == 1:
         raise InputError("blocks: 1 leaves nothing to fit to; 0 holds out nothing")

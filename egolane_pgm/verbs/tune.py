@@ -152,13 +152,7 @@ def starting_points(given: Studied) -> list[dict[str, Any]]:
         known = {spec.name for spec in specs}
         for values in known_parameters(drive.experiment):
             kept = {name: value for name, value in values.items() if name in known}
-            merged = {**drive.experiment.parameters, **kept}
+            merged = {**drive.experiment.model_parameters, **kept}
             starts.append(resolve_parameters(specs, merged, drive.model.n_lanes))
         starts.append(dict(model.parameters))
-    tuning = given.drives[0].experiment.tuning
-    if tuning is not None and "detector" in tuning.search:
-        from egolane_pgm.studies.objective import searched_of_detector
-
-        of_detector = searched_of_detector(given.drives[0].experiment)[1]
-        starts = [{**each, **of_detector} for each in starts]
     return starts

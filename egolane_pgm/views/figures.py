@@ -43,7 +43,7 @@ T = TypeVar("T")
 #: Reliability bins with fewer frames are drawn hollow and not connected: mostly chance.
 FEW_FRAMES = 30
 
-#: The values of `unassigned_below` that are marked on coverage curves, and where these begin.
+#: The values of `min_confidence` that are marked on coverage curves, and where these begin.
 MARKED, LEAST_COVERAGE = (0.5, 0.9, 0.99), 0.01
 
 #: The smallest share with a number in its part of a bar.
@@ -162,7 +162,7 @@ def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
 def coverage_figure(result: Result) -> Figure:
     """Draw the share of correct answers over the share of frames with an answer.
 
-    Some values of `unassigned_below`, the least probability of an answer, are marked.
+    Some values of `min_confidence`, the least probability of an answer, are marked.
     """
     curves = coverage_curves(result)
     figure = new_figure(5, 4, title_with_frames(result))
@@ -187,7 +187,7 @@ def coverage_figure(result: Result) -> Figure:
     ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))
     ax.set_xlabel("coverage: share of frames with an answer")
     ax.set_ylabel("share of answers that are correct")
-    figure.legend(loc="outside lower center", ncols=2, title="marked: unassigned_below")
+    figure.legend(loc="outside lower center", ncols=2, title="marked: min_confidence")
     return figure
 
 

@@ -47,11 +47,11 @@ NOT_RUN = {
 QUICKER = (
     (r"^(egolane run .*)--held-out", r"\1--held-out --blocks 2"),
     (r"experiments/paper/recordings.csv", "examples/two_runs.csv"),
-    (r"(egolane run paper_tuned .*)", r"\1 --set tuning.trials=2"),
+    (r"(egolane run paper_tuned .*)", r"\1 --set fit.trials=2"),
     (r"--jobs \d+", "--jobs 1"),
     (r"--trials 3000\b", "--trials 6"),
     (r"--trials (300|40|20)\b", "--trials 3"),
-    (r"tuning.trials=20\b", "tuning.trials=3"),
+    (r"fit.trials=20\b", "fit.trials=3"),
     (r"^egolane reproduce(?! --runs)", "egolane reproduce --runs 5"),
 )
 

@@ -20,7 +20,7 @@ QUIET = {"PYTHONWARNINGS": "ignore::FutureWarning:pgmpy.estimators", "TQDM_DISAB
 
 
 #: The searches of a notebook, and shorter ones for a test.
-SHORTER = (('"trials": 150', '"trials": 25'), ('"tuning.trials": 100', '"tuning.trials": 12'))
+SHORTER = (('"trials": 150', '"trials": 25'), ('"fit.trials": 100', '"fit.trials": 12'))
 
 
 def shorter(source: str) -> str:

@@ -26,5 +26,5 @@ def test_the_table_of_the_papers_recordings_is_that_of_its_experiments() -> None
 
     for run, given in enumerate(table_inputs("zero_label", RECORDINGS), start=1):
         ours, papers = given.experiment, ego.load_experiment(paper_experiment(run))
-        for key in ("name", "recording", "ground_truth", "n_lanes", "tuning"):
+        for key in ("name", "recording", "ground_truth", "n_lanes", "fit"):
             assert getattr(ours, key) == getattr(papers, key), (run, key)

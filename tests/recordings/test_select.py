@@ -9,7 +9,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.recordings.select import (
-    clip_lri,
     fill_missing,
     join,
     recording_warnings,
@@ -101,14 +100,6 @@ def test_ids_that_cannot_be_frame_numbers_are_not_filled() -> None:
         fill_missing(log, "hold", 10.0)
 
 
-def test_clipping_moves_only_what_is_outside_and_leaves_the_unknown() -> None:
-    log = make_log([1], n_lines=5)
-    lri = np.array([[-2147483648.0, -1.0, 4.0, 11.0, np.nan]])
-    odd = LineLog(log.frame_id, log.time_s, log.offset_m, log.is_valid, log.is_continuous, lri)
-    np.testing.assert_array_equal(clip_lri(odd, 10).lri, [[0, 0, 4, 10, np.nan]])
-    np.testing.assert_array_equal(odd.lri, lri)
-
-
 def test_the_join_is_by_frame_id() -> None:
     in_log, in_truth = join(make_log([1, 2, 5, 8]), make_truth([0, 2, 3, 5, 8, 9]))
     np.testing.assert_array_equal(in_log, [1, 2, 3])
@@ -136,8 +127,7 @@ def test_each_oddity_is_one_line_with_its_count_and_first_frame() -> None:
     )
     said = recording_warnings(log, n_lanes=2)
     assert said == [
-        "odd.bag: 3 valid line(s) have an LRI outside 0..10 (`lri: clip` clips them), first in"
-        " frame 4",
+        "odd.bag: 3 valid line(s) have an LRI outside 0..10, first in frame 4",
         "odd.bag: 1 valid line(s) have an offset beyond 100 m, first in frame 5",
         "odd.bag: 1 frame(s) have more valid lines than the 3 of 2 lane(s), first in frame 3",
     ]

@@ -76,7 +76,7 @@ def test_every_point_of_the_curve_is_what_the_reject_option_gives(
 
 
 def test_a_run_rejects_the_models_answers_only(drive: Path) -> None:
-    plain, careful = run(drive), run(drive, {"unassigned_below": 0.9})
+    plain, careful = run(drive), run(drive, {"min_confidence": 0.9})
     assert careful.scores["detector"] == plain.scores["detector"]
     before, after = plain.scores["model"], careful.scores["model"]
     assert after["coverage"] < before["coverage"]

@@ -8,7 +8,7 @@ import numpy as np
 import optuna
 import pytest
 
-from egolane_pgm.experiment import Tuning
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.simulation import simulate
 from egolane_pgm.studies.black_box import objective
@@ -23,7 +23,7 @@ QUICKSTART = "quickstart"
 def test_optuna_finds_with_it_what_our_own_search_finds() -> None:
     score = objective(QUICKSTART)
     drive = drive_of(load_experiment(QUICKSTART))
-    tuning = Tuning(trials=45, seed=1, from_scratch=True)
+    tuning = FitSettings(trials=45, seed=1)
     ours = fit_tune([drive], [np.arange(len(drive))], None, tuning=tuning).trials
     assert ours is not None
     study = optuna.create_study(direction=score.direction, sampler=Shade(1, score.distributions))

@@ -58,7 +58,7 @@ def test_blocks_are_contiguous_complete_and_of_nearly_equal_length(n: int, more:
 
 
 def test_untrusted_frames_are_tested_but_never_trained_on() -> None:
-    one = drive(tuning={"never_fit": [[100, 150], [900, None]]})
+    one = drive(fit={"untrusted_frames": [[100, 150], [900, None]]})
     untrusted = np.flatnonzero(~one.is_trusted)
     folds = block_folds([one])
     assert len(folds) == 5
@@ -133,7 +133,7 @@ def test_a_fit_sees_no_label_but_those_of_its_training_frames() -> None:
 
 
 def test_a_fold_without_a_training_frame_is_refused() -> None:
-    one = drive(tuning={"never_fit": {"from_frame": 0}})
+    one = drive(fit={"untrusted_frames": [[0, None]]})
     with pytest.raises(InputError, match="block 1: no frame is left to fit to; exclude fewer"):
         fit_fold([one], lambda *_: Fitted(), (0, block_folds([one])[0]))
 

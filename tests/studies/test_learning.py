@@ -19,7 +19,6 @@ from egolane_pgm.model import make_evidence, whole_rule
 from egolane_pgm.studies.fits import (
     Fitted,
     apply_fit,
-    check_learnable,
     fit_learn,
     fit_tables,
     seen_before,
@@ -67,7 +66,7 @@ def mirrored(one: Drive) -> Drive:
 @pytest.mark.parametrize("labels", [True, False])
 def test_the_training_frames_alone_are_used(labels: bool) -> None:
     """Neither the labels nor the lines of the other frames, nor the labels of crossing ones."""
-    one = drive(learning={"labels": labels})
+    one = drive(fit={"labels": labels})
     train = np.arange(600)
     others = np.union1d(np.arange(600, len(one)), np.flatnonzero(one.is_crossing[one.rows]))
     changed = scrambled(one, others)
@@ -140,7 +139,7 @@ def test_a_rule_that_looks_back_has_the_frames_before_the_training_frames(tmp_pa
         "says = np.where(np.arange(len(log)) < 10, 0, 2);"
         " return Evidence({'DetectorOutput': np.eye(n_lanes)[says] + 1e-3})"
     )
-    one = with_rule(tmp_path, body, learning={"labels": False})
+    one = with_rule(tmp_path, body, fit={"labels": False})
     first = np.asarray(learned(one, np.arange(40, 100))["tables.Lane.first"])
     assert first[2] > first[0]
 
@@ -203,7 +202,7 @@ def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
 
 @pytest.mark.parametrize("labels", [True, False])
 def test_a_learned_experiment_is_run_from_its_files(tmp_path: Path, labels: bool) -> None:
-    one = drive_of(load_experiment(write_drive(tmp_path, 600, learning={"labels": labels})))
+    one = drive_of(load_experiment(write_drive(tmp_path, 600, fit={"labels": labels})))
     out = tmp_path / "out"
     study = run_study([one], "learn", block_folds([one], 3), directory=out)
     content = yaml.safe_load((out / "best.yaml").read_text())
@@ -230,23 +229,8 @@ def test_without_ground_truth_the_evidence_alone_is_learned_from(tmp_path: Path)
     path = write_drive(tmp_path, 300, ground_truth=None)
     with pytest.raises(InputError, match="ground_truth: is missing, learning needs it"):
         run_study([drive_of(load_experiment(path))], "learn", [])
-    one = drive_of(load_experiment(path, {"learning.labels": False}))
+    one = drive_of(load_experiment(path, {"fit.labels": False}))
     study = run_study([one], "learn", block_folds([one]))
     assert study.held_out is not None
     assert len(study.held_out) == len(short_drive(300).log)
     assert "model" not in study.held_out.scores
-
-
-@pytest.mark.parametrize(
-    ("changes", "said"),
-    [
-        ({"learning": {"tables": ["Lan"]}}, r"learning.tables: 'Lan' has no table .*mean 'Lane'"),
-        (
-            {"evidence": "line_geometry", "graph": "position_in_lane", "learning": {}},
-            "learning: applies to the tables of a graph; the evidence rule line_geometry learns",
-        ),
-    ],
-)
-def test_what_cannot_be_learned_is_refused(changes: dict[str, Any], said: str) -> None:
-    with pytest.raises(InputError, match=said):
-        check_learnable(drive(**changes).model)

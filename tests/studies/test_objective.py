@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Tuning
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
 from egolane_pgm.scoring.stability import lane_changes
@@ -37,7 +37,7 @@ def everything() -> Any:
 @cache
 def posteriors(n: int) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Some parameter sets, and the posterior (K, lanes) of each."""
-    space = search_space(quickstart().model, Tuning())
+    space = search_space(quickstart().model, FitSettings())
     units = np.random.default_rng(0).random((n, len(space.dimensions)))
     sets = [to_parameters(space, point) for point in points_at(space, units)]
     posterior_at = objective.posterior_at(quickstart())
@@ -133,20 +133,20 @@ def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() ->
 
 
 def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
-    given = load_experiment("quickstart", {"evidence_reading": "hard", "filter": "exact"})
+    given = load_experiment("quickstart", {"evidence_mode": "hard", "filter": "exact"})
     drive = drive_of(given)
     posterior = objective.posterior_at(drive)(drive.model.parameters)
     np.testing.assert_allclose(posterior, run(given).node("Lane"), rtol=0, atol=1e-12)
 
 
 def test_settings_that_do_not_fit_are_refused() -> None:
-    assert settings_of(Tuning(objective="f1")).objectives == ("f1",)
+    assert settings_of(FitSettings(objective="f1")).objectives == ("f1",)
     for given, said in (
-        (["acuracy"], r"tuning.objective: unknown score 'acuracy' \(did you mean 'accuracy'\?\)"),
-        (["f1", "f1"], "tuning.objective: a score is named twice"),
+        (["acuracy"], r"fit.objective: unknown score 'acuracy' \(did you mean 'accuracy'\?\)"),
+        (["f1", "f1"], "fit.objective: a score is named twice"),
     ):
         with pytest.raises(InputError, match=said):
-            settings_of(Tuning(objective=given))
+            settings_of(FitSettings(objective=given))
     ahead = load_experiment("quickstart", {"filter": "smoothed"})
     with pytest.raises(InputError, match="a search takes assumed_density or exact, not smoothed"):
         objective.check_filter(ahead)

@@ -26,7 +26,7 @@ CURRENT = resolve_parameters(SPECS, {}, 3)
 
 
 def space(**given: Any) -> SearchSpace:
-    return make_space(SPECS, CURRENT, given, 3, "x.yaml: tuning.parameters")
+    return make_space(SPECS, CURRENT, given, 3, "x.yaml: fit.parameters")
 
 
 PAPER = {"sigma1", "sigma2", "p1", "p2", "p3", "p4"}
@@ -141,7 +141,7 @@ def test_bounds_that_make_no_sense_are_refused_with_their_name(
 ) -> None:
     with pytest.raises(InputError, match=message) as caught:
         space(**given)
-    assert str(caught.value).startswith("x.yaml: tuning.parameters")
+    assert str(caught.value).startswith("x.yaml: fit.parameters")
     assert "\n" not in str(caught.value)
 
 

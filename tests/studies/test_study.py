@@ -17,7 +17,7 @@ import yaml
 from pandas.testing import assert_frame_equal
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Tuning
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import with_parameters
 from egolane_pgm.result import Result, is_result, load_result
@@ -40,7 +40,7 @@ pytestmark = needs_compiler
 FEW = {"trials": 12}
 FITS = pytest.mark.parametrize(
     "keys",
-    [{"fit": "learn"}, {"fit": "tune", "tuning": FEW}],
+    [{"fit": {"method": "learn"}}, {"fit": {"method": "tune", **FEW}}],
     ids=["tables", "tune"],
 )
 
@@ -53,7 +53,7 @@ def _some_blocks_lack_a_lane() -> Iterator[None]:
 
 
 def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any) -> Study:
-    tuning = Tuning(trials=trials, **options.pop("tuning", {}))
+    tuning = FitSettings(trials=trials, **options.pop("tuning", {}))
     return run_study(drives, "tune", list(folds), tuning=tuning, **options)
 
 
@@ -63,11 +63,11 @@ def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any)
 @pytest.mark.parametrize(
     "experiment",
     [
-        simulated(fit="learn"),
-        simulated(fit="learn", learning={"labels": False}),
-        geometry(fit="learn"),
-        simulated(fit="tune", tuning=FEW),
-        simulated(fit="tune", tuning={**FEW, "objective": ["log_loss", "delay"]}),
+        simulated(fit={"method": "learn"}),
+        simulated(fit={"method": "learn", "labels": False}),
+        geometry(fit={"method": "learn"}),
+        simulated(fit={"method": "tune", **FEW}),
+        simulated(fit={"method": "tune", **FEW, "objective": ["log_loss", "delay"]}),
     ],
     ids=["tables", "evidence", "rule", "tune", "front"],
 )
@@ -84,7 +84,7 @@ def test_poisoned_labels_of_a_block_change_nothing_of_what_is_inferred_in_it(
         truth = ["true_lane", "is_crossing"]
         assert_frame_equal(ours.drop(columns=truth), theirs.drop(columns=truth))
         assert before.run["fitted"][2] == after.run["fitted"][2]
-    if experiment.learning is None and experiment.tuning is None:
+    if experiment.fit.method == "none":
         # The other folds see them.
         assert before.run["fitted"] != after.run["fitted"]
     assert (before.run["tuned_on"], before.run["blocks"]) == ("other_frames", 5)
@@ -94,8 +94,8 @@ def test_poisoned_labels_of_a_block_change_nothing_of_what_is_inferred_in_it(
 
 @FITS
 def test_untrusted_labels_are_never_fitted_and_scored_apart(keys: dict[str, Any]) -> None:
-    tuning = {**keys.get("tuning", {}), "never_fit": {"from_frame": 1000}}
-    drive = drive_of(simulated(**{**keys, "tuning": tuning}))
+    fit = {**keys["fit"], "untrusted_frames": [[1000, None]]}
+    drive = drive_of(simulated(**{**keys, "fit": fit}))
     untrusted = np.flatnonzero(~drive.is_trusted)
     before, after = (run_held_out([each]) for each in (drive, scrambled(drive, untrusted)))
     np.testing.assert_array_equal(before.node("Lane"), after.node("Lane"))
@@ -114,7 +114,7 @@ def test_a_whole_drive_is_held_out_without_being_seen(method: str) -> None:
     poisoned = [drives[0], scrambled(drives[1], np.arange(len(drives[1])))]
     found = []
     for given in (drives, poisoned):
-        study = run_study(given, method, folds, tuning=Tuning(trials=8))
+        study = run_study(given, method, folds, tuning=FitSettings(trials=8))
         assert study.held_out is not None
         found.append(study)
     one, other = (study.held_out for study in found)
@@ -138,12 +138,10 @@ def test_values_of_the_experiment_are_not_told_to_a_study_of_a_fold() -> None:
     # The study on everything tries them first.
     assert second.trials["sigma1"][0] == 0.123
     assert first.trials["sigma1"][0] == drive.model.parameters["sigma1"]
-    scratch = tuned([drive], tuning={"from_scratch": True})
-    assert scratch.trials["sigma1"][0] != drive.model.parameters["sigma1"]
 
 
 def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 600, fit="learn")
+    path = write_drive(tmp_path, 600, fit={"method": "learn"})
     found = run_input(open_input(path), n_blocks=3)
     again = load_result(found.save(tmp_path / "out"))
     assert_frame_equal(again.frames, found.frames)
@@ -155,9 +153,9 @@ def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
-        ({"fit": "learn"}, "ground_truth: is missing, learning needs it"),
-        ({"fit": "tune"}, "ground_truth: is missing, a search needs it"),
-        ({"filter": "smoothed", "decode": "viterbi"}, "decode: viterbi is for `egolane run`; fits"),
+        ({"fit": {"method": "learn"}}, "ground_truth: is missing, learning needs it"),
+        ({"fit": {"method": "tune"}}, "ground_truth: is missing, a search needs it"),
+        ({"filter": "viterbi"}, "filter: viterbi is for `egolane run`; fits"),
     ],
 )
 def test_what_cannot_be_held_out_is_refused(
@@ -172,7 +170,7 @@ def test_what_cannot_be_held_out_is_refused(
 
 
 def test_a_study_has_in_sample_and_held_out_scores_and_is_saved(tmp_path: Path) -> None:
-    drive = drive_of(simulated(tuning={"never_fit": {"from_frame": 1100}}))
+    drive = drive_of(simulated(fit={"untrusted_frames": [[1100, None]]}))
     out = tmp_path / "out"
     study = tuned([drive], block_folds([drive], 3), trials=20, directory=out)
     assert study.held_out is not None
@@ -267,21 +265,21 @@ def test_each_trial_detects_with_its_own_parameters(tmp_path: Path) -> None:
         name="seen",
         recording={"path": "images", "camera": "camera.yaml", "detector": "ml"},
         n_lanes=4,
-        tuning={"search": ["detector"], "objective": "log_loss", "parameters": bounds},
+        fit={"objective": "log_loss", "parameters": bounds},
     )
     drive = drive_of(load_experiment(path))
-    tuning = {"search": ("detector",), "objective": "log_loss", "parameters": bounds}
+    tuning = {"objective": "log_loss", "parameters": bounds}
     study = tuned([drive], trials=3, tuning=tuning)
     names = ["least_rise", "least_score"]
     assert study.trials["log_loss"].nunique() > 1
     for _, row in study.trials.iterrows():
-        values = {f"recording.detector_parameters.{n}": row[f"detector.{n}"] for n in names}
+        values = {f"parameters.detector.{n}": row[f"detector.{n}"] for n in names}
         found: Result = run(path, values)
         assert found.scores["model"]["log_loss"] == pytest.approx(row["log_loss"])
     best = study.trials.loc[study.trials["log_loss"].idxmin()]
-    kept = study.experiment()["recording"]["detector_parameters"]
+    kept = study.experiment()["parameters"]["detector"]
     assert [kept[n] for n in names] == [best[f"detector.{n}"] for n in names]
     assert set(study.fitted) == set(bounds)
     lines = drive_of(simulated())
-    with pytest.raises(InputError, match=r"tuning\.search: detector: the recording has none"):
-        tuned([lines], tuning={"search": ("detector",)})
+    with pytest.raises(InputError, match=r"fit\.parameters: detector: the recording has none"):
+        tuned([lines], tuning={"parameters": bounds})

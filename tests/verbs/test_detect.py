@@ -82,7 +82,7 @@ def test_detect_writes_a_recording_that_run_takes(
 
 def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_path: Path) -> None:
     target = tmp_path / "l.csv"
-    words = ("--set", "lri_frames=3", "--set", "detector_parameters.side_m=8", "--frames", 4, 9)
+    words = ("--set", "lri_frames=3", "--set", "side_m=8", "--frames", 4, 9)
     detected(place / "drive.avi", place / "cam.yaml", target, *words)
     log = read_lines(target)
     assert log.frame_id.tolist() == [4, 5, 6, 7, 8]

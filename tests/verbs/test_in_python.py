@@ -117,7 +117,7 @@ def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_pa
 
 
 def test_a_learned_network_counts_as_in_sample_on_its_own_frames(drive: Path) -> None:
-    study = ego.learn(drive, overrides={"learning.labels": False}, blocks=0)
+    study = ego.learn(drive, overrides={"fit.labels": False}, blocks=0)
     assert study.held_out is None
     other = {"name": "other", "recording": {"simulate": "quickstart", "seed": 5}, "n_lanes": 3}
     found = [ego.run(each, graph=study.network).run["tuned_on"] for each in (drive, other)]

@@ -82,8 +82,8 @@ GOOD = {
         ("graph", "./my_graph.py"),
         ("graph", "position_in_lane"),
         ("evidence", "my_evidence.py"),
-        ("tuning", {"objective": "accuracy", "never_fit": {"from_frame": 9}}),
-        ("tuning", {"objective": ["accuracy", "log_loss"], "never_fit": [[0, 9], [20, None]]}),
+        ("fit", {"objective": "accuracy", "untrusted_frames": [[9, None]]}),
+        ("fit", {"objective": ["accuracy", "log_loss"], "untrusted_frames": [[0, 9], [20, None]]}),
         ("recording", {"simulate": "quickstart"}),
         ("ground_truth", None),
     ],
@@ -101,8 +101,8 @@ def test_what_the_program_takes_the_schema_takes(key: str, value: Any) -> None:
         ("filter", "exakt"),
         ("recording", {"path": "drive.csv", "frame_rat": 10}),
         ("recording", {"simulate": "quickstar"}),
-        ("tuning", {"never_fit": {"from": 9}}),
-        ("unassigned_below", 1.5),
+        ("fit", {"untrusted_frames": {"from": 9}}),
+        ("min_confidence", 1.5),
     ],
 )
 def test_what_the_program_refuses_the_schema_refuses(key: str, value: Any) -> None:

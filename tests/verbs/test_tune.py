@@ -64,7 +64,7 @@ def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path:
 
 def test_options_go_before_the_yaml(tmp_path: Path) -> None:
     tuning = {"trials": 3, "seed": 3, "parameters": {"p1": [0.5, 0.9], "p2": 0.7}}
-    path = rewritten(QUICKSTART, tmp_path / "x.yaml", tuning=tuning)
+    path = rewritten(QUICKSTART, tmp_path / "x.yaml", fit=tuning)
     words = (path, "--blocks", 0, "--out", tmp_path / "o", "-p", "p1=[0.6,0.7]", "--trials", 4)
     done("tune", *words, "--no-figures")
     document = study_of(tmp_path / "o")
@@ -96,7 +96,7 @@ def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) ->
 def test_a_list_of_experiments_has_one_parameter_set(tmp_path: Path) -> None:
     for k in (1, 2):
         rewritten(QUICKSTART, tmp_path / f"{k}.yaml", name=f"drive{k}", recording__seed=k)
-    group = {"name": "both", "experiments": ["1.yaml", "2.yaml"], "tuning": {"trials": 3}}
+    group = {"name": "both", "experiments": ["1.yaml", "2.yaml"], "fit": {"trials": 3}}
     (tmp_path / "group.yaml").write_text(yaml.safe_dump(group))
     out = tmp_path / "o" / "*"
     done("tune", tmp_path / "group.yaml", "--blocks", 2, "--out", out, "--no-figures")
@@ -123,10 +123,10 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--objective acuracy", "tuning.objective: unknown score 'acuracy' (did you mean"),
+        ("--objective acuracy", "fit.objective: unknown score 'acuracy' (did you mean"),
         ("-p sigma1", "--parameter: sigma1: write it as key=value, e.g. p1=[0.5,1] or p1=0.9"),
         ("-p sigma=1", "unknown parameter 'sigma'"),
-        ("--sampler tpee", "tuning.sampler: unknown sampler 'tpee' (did you mean 'tpe'?)"),
+        ("--sampler tpee", "fit.sampler: unknown sampler 'tpee' (did you mean 'tpe'?)"),
         ("--blocks 5000", "--blocks: 5000 is not between 2 and the 1"),
         ("--blocks 1", "--blocks: 1 leaves nothing to fit to; 0 holds out nothing"),
         ("--trials 0", "'--trials'"),
@@ -149,8 +149,8 @@ def test_what_cannot_be_searched_is_one_line_and_leaves_nothing(
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("experiments: [x.yaml]\ntuning: {trails: 3}\n", "unknown key 'trails' (did you mean"),
-        ("experiments: [x.yaml]\ntunning: {}\n", "unknown key 'tunning' (did you mean 'tuning'?)"),
+        ("experiments: [x.yaml]\nfit: {trails: 3}\n", "unknown key 'trails' (did you mean"),
+        ("experiments: [x.yaml]\nfitt: {}\n", "unknown key 'fitt' (did you mean 'fit'?)"),
         ("experiments: [x.yaml]\n", "x.yaml: cannot be read"),
     ],
 )
@@ -199,7 +199,7 @@ def test_every_shipped_list_of_experiments_is_sound(path: Path, recordings: Path
         path, table=None, by_tag=None, blocks=0, overrides={"recording.frames": [3000, 3200]}
     )
     assert found.name == path.stem
-    assert {drive.experiment.tuning.objective for drive in found.drives if drive.experiment.tuning}
+    assert {drive.experiment.fit.objective for drive in found.drives}
 
 
 def test_the_published_parameters_are_tried_first(recordings: Path, tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_the_published_parameters_are_tried_first(recordings: Path, tmp_path: Pa
 
 
 def test_a_study_scores_the_reject_option_as_a_run_does(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, unassigned_below=0.9)
+    path = write_drive(tmp_path, min_confidence=0.9)
     out = tmp_path / "o"
     name = "false_switches_per_minute"
     words = ("--objective", name, "--trials", 5, "--blocks", 0, "--no-figures", "--out", out)
@@ -254,8 +254,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
             "allows none of the 150 frames to",
         ),
         ({"ground_truth": None}, "", "ground_truth: is missing"),
-        ({}, "--set learning.tables=[Lan]", "learning.tables: 'Lan' has no table to learn"),
-        ({}, "--set learning.strength=0", "learning.strength: input should be greater than 0"),
+        ({}, "--set fit.strength=0", "fit.strength: input should be greater than 0"),
         ({}, "--table gone.csv", "gone.csv: cannot be read as a table"),
         ({}, "--n-lanes 51", "n_lanes: input should be less than or equal to 50"),
     ],

@@ -102,7 +102,7 @@ def detector_of(experiment: Experiment, key: str) -> Detector:
             " recording.detector"
         )
     where = f"{source}: recording.detector"
-    given = recording.detector_parameters
+    given = experiment.detector_parameters
     return find_detector(recording.detector, given, Path(), where)
 
 
