@@ -1,9 +1,8 @@
-"""The containers that pass between the parts, and the conventions that hold everywhere.
+"""The containers that pass between the parts, and conventions.
 
-Lane 1 is the leftmost lane. Offsets are metres, negative to the left of the vehicle. Frames are
-counted by their recorded frame id, which strictly increases; time is frame id over frame rate, or,
-of a recording that has true ones, its time stamps (seconds since 1970).
-In arrays over lanes, index 0 is lane 1.
+Lane 1 is the leftmost lane. Offsets are metres, negative to the left of the vehicle. A frame is
+identified by its recorded frame id; ids strictly increase. Time is frame id over frame rate, or the
+recording's time stamp (seconds since 1970). In arrays over lanes, index 0 is lane 1.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
@@ -30,15 +29,13 @@ BoolArray = NDArray[np.bool_]
 #: The key of an evidence array: one observed node, or several that are observed jointly.
 Observed = str | tuple[str, ...]
 
-#: Maxima that differ by less than this, relative to the larger one, are a tie: then no lane is
-#: assigned.
+#: Maxima whose relative difference is less are a tie: no lane is assigned.
 TIE_TOLERANCE = 1e-9
 
-#: The largest number of lanes that is accepted. The widest roads have about half as many; far more
-#: is a typing error.
+#: The largest number of lanes that is accepted.
 MAX_LANES = 50
 
-#: Times from here on, seconds, are since 1970: it is in March 1973, and no drive takes three years.
+#: Times from here on, seconds, are dates (since 1970).
 DATED_S = 1e8
 
 #: The assigned lane of a frame without a unique most probable lane.
@@ -47,15 +44,15 @@ UNASSIGNED = 0
 #: The true lane of a frame that is not annotated.
 NOT_ANNOTATED = 0
 
-#: The longest line that says what is wrong, in letters.
+#: The largest number of letters of a message.
 LONGEST = 2000
 
-#: What a warning begins with that only says what was found or done: nobody needs to act on it.
+#: The prefix of a warning that needs no action.
 NOTE = "note: "
 
 
 class InputError(ValueError):
-    """An error in what the user gave (a file, a YAML key, an option), in one line.
+    """An error in the user's input (a file, a YAML key, an option), in one line.
 
     >>> import egolane_pgm as ego
     >>> try:
@@ -69,13 +66,12 @@ class InputError(ValueError):
         super().__init__(in_one_line(problem))
 
     def _render_traceback_(self) -> list[str]:
-        # What a notebook shows: the line that helps, without the calls that led here.
+        # A notebook shows this line without a traceback.
         return [f"InputError: {self}"]
 
 
 def in_one_line(problem: object) -> str:
-    """What is wrong as it can be printed, whatever stands in the file that it quotes: in one line,
-    without what steers a terminal, the middle left out where it is long."""
+    """Format a problem as one printable line; a long one is shortened in the middle."""
     text = " ".join(line.strip() for line in str(problem).splitlines())
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
     return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
@@ -83,7 +79,7 @@ def in_one_line(problem: object) -> str:
 
 @contextlib.contextmanager
 def problems_in(where: str) -> Iterator[None]:
-    """Begin an InputError that the block raises with `where`."""
+    """Prefix an InputError raised in the block with `where`."""
     try:
         yield
     except InputError as error:
@@ -91,38 +87,35 @@ def problems_in(where: str) -> Iterator[None]:
 
 
 def suggestion(word: str, known: Iterable[str]) -> str:
-    """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`, or the
-    list of the known words if none is near."""
+    """End a message with `" (did you mean 'x'?)"`, or with the known words if none is near."""
     names = sorted(known)
     return near_word(word, names) or (f" (known: {', '.join(names)})" if names else "")
 
 
 def not_one_of(value: object, choices: Sequence[str]) -> str:
-    """`"'x' is not one of a, b"`, with the choice that a word is near to."""
+    """Return `"'x' is not one of a, b"`, with the nearest choice."""
     meant = near_word(value, choices) if isinstance(value, str) else ""
     return f"{value!r} is not one of {', '.join(choices)}{meant}"
 
 
 def near_word(word: str, known: Iterable[str]) -> str:
-    """The end of a message: `" (did you mean 'x'?)"` with the known word nearest to `word`; empty
-    where none is near."""
+    """End a message with `" (did you mean 'x'?)"`; empty if no known word is near."""
     close = difflib.get_close_matches(word, sorted(known), n=1)
     return f" (did you mean '{close[0]}'?)" if close else ""
 
 
 def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
-    """The runs of marked rows, (T,): the first row of each, and the one after its last."""
+    """Return the runs of marked rows (T,): first row, and the one after the last."""
     edge = np.diff(np.concatenate([[0], marked.astype(np.int64), [0]]))
     starts, stops = np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
 
 
 def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple[int, int]]:
-    """The runs of marked rows, (T,), those within `within_s` seconds of each other together: the
-    first row of each, and the one after its last."""
+    """Return the runs of marked rows (T,), merged if at most `within_s` seconds apart."""
     found: list[tuple[int, int]] = []
     for start, stop in runs_of(marked):
-        # A clock that jumps back does not bring stretches together.
+        # Runs before and after a jump back of the clock stay apart.
         if found and 0 <= time_s[start] - time_s[found[-1][1] - 1] <= within_s:
             found[-1] = (found[-1][0], stop)
         else:
@@ -131,7 +124,10 @@ def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple
 
 
 def pieces_of(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
-    """The frames of each clip. clip: the name of each frame's, (T,), or None: all are one drive."""
+    """Return the frames of each clip.
+
+    - clip (T,): the name of each frame's clip, or None for one drive.
+    """
     if clip is None:
         return [slice(0, n_frames)]
     starts = [0, *(np.flatnonzero(clip[1:] != clip[:-1]) + 1).tolist(), n_frames]
@@ -139,8 +135,7 @@ def pieces_of(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
 
 
 def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
-    """Concatenate arrays (T_k, L_k) along the frames, after filling up the narrower ones with
-    `blank`."""
+    """Concatenate arrays (T_k, L_k) along the frames, padded with `blank` to one width."""
     width = max(part.shape[1] for part in parts)
     return np.concatenate(
         [
@@ -151,13 +146,13 @@ def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
 
 
 def _span(frame_id: IntArray) -> str:
-    """How many frames there are, and from where to where."""
+    """Describe frame ids: number, first and last."""
     ends = f", ids {int(frame_id[0])} to {int(frame_id[-1])}" if len(frame_id) else ""
     return f"{len(frame_id)} frames{ends}"
 
 
 def _node(key: Observed, shape: tuple[int, ...]) -> str:
-    """A node, or several observed jointly, and how many values there are."""
+    """Describe a node, or several observed jointly, with their cardinalities."""
     return f"{key if isinstance(key, str) else ', '.join(key)} ({' x '.join(map(str, shape))})"
 
 
@@ -175,36 +170,28 @@ def _check_lengths(rows: Mapping[Any, Any]) -> None:
 
 
 def _indices(node: str, given: Iterable[Any], names: Sequence[str]) -> IntArray:
-    """The index of a node's value in each frame, (T,), -1 where it is missing."""
-    # pandas knows what is missing; it is imported only for such evidence.
+    """Return the index of a node's value in each frame (T,), -1 if missing."""
+    # pandas is imported only for such evidence.
     import pandas as pd
 
     if isinstance(given, str) or not np.iterable(given):
         raise InputError(f"evidence for {node}: needs a value for each frame, e.g. [{given!r}]")
     column = pd.Series(list(given), dtype=object)
-    found = np.full(len(column), -1, dtype=np.int64)
-    for t in np.flatnonzero(column.notna()).tolist():
-        value = column[t].item() if isinstance(column[t], np.generic) else column[t]
-        if isinstance(value, float) and value.is_integer() and str(value) not in names:
-            value = int(value)  # Whole numbers become floats in a column where some are missing.
-        index = int(value) if isinstance(value, int) and 0 <= value < len(names) else -1
-        found[t] = names.index(str(value)) if str(value) in names else index
-        where = f"evidence for {node}: row {t}: {value!r} is"
-        if found[t] < 0:
-            raise InputError(
-                f"{where} neither the name of a value nor an index, 0 to {len(names) - 1}"
-                f"{suggestion(str(value), names)}"
-            )
-        if index not in (-1, found[t]):
-            raise InputError(
-                f"{where} the name of one value and the index of another, {names[index]!r}; give"
-                " names, as text"
-            )
-    return found
+    # An index that is also the name of another value is ambiguous, and refused.
+    numbers = {k: k for k, name in enumerate(names) if str(k) == name or str(k) not in names}
+    index = column.map({name: k for k, name in enumerate(names)} | numbers)
+    unknown = index.isna() & column.notna()
+    if unknown.any():
+        t = int(unknown.argmax())
+        raise InputError(
+            f"evidence for {node}: row {t}: {column[t]!r} is neither the name of a"
+            f" value, as text, nor an index{suggestion(str(column[t]), names)}"
+        )
+    return np.asarray(index.fillna(-1), dtype=np.int64)
 
 
 def check_frame_ids(frame_id: IntArray, what: str) -> None:
-    """Raise InputError for frame ids that do not strictly increase. what: for messages."""
+    """Raise InputError, prefixed with `what`, for frame ids that do not strictly increase."""
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
     if len(frame_id) < 2 or (frame_id[1:] > frame_id[:-1]).all():
@@ -225,16 +212,14 @@ class LineLog:
     """The output of a line detector: T frames of at most L lines each, padded.
 
     - frame_id (T,): strictly increasing; gaps are allowed and kept.
-    - time_s (T,): seconds: frame id over frame rate, or the recording's own time stamps.
+    - time_s (T,): seconds: frame id over frame rate, or the recording's time stamps.
     - offset_m (T, L): lateral offset of each line, metres, negative left; NaN in padding.
-    - is_valid (T, L): marks the lines that the detector vouches for; False in padding.
-    - is_continuous (T, L): marks the lines that are not dashed; all False for detectors that cannot
-      tell.
-    - lri (T, L): line reliability index, as recorded; NaN where unknown.
-    - is_missing (T,): marks frames that were not recorded but put in (`missing_frames: predict`).
+    - is_valid (T, L): lines that the detector trusts; False in padding.
+    - is_continuous (T, L): lines that are not dashed; False if unknown.
+    - lri (T, L): line reliability index as recorded; NaN if unknown.
+    - is_missing (T,): frames that were filled in (`missing_frames: predict`).
     - source: the file, for messages.
-    - clip (T,): of a recording of several clips the name of each frame's; the frames of a clip
-      stand together. None where the recording is one drive.
+    - clip (T,): the name of each frame's clip; None for a recording of one drive.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -303,15 +288,9 @@ class LineLog:
 
         Raises InputError for a valid line without an offset.
         """
-        return cls(
-            np.array([frame_id], dtype=np.int64),
-            np.array([frame_id / frame_rate]),
-            np.array([offset_m], dtype=np.float64),
-            np.array([is_valid], dtype=np.bool_),
-            np.array([is_continuous], dtype=np.bool_),
-            np.array([lri], dtype=np.float64),
-            source=source,
-        )
+        ids, row_frame = np.array([frame_id], dtype=np.int64), np.zeros(np.size(offset_m), int)
+        values = map(np.asarray, (offset_m, is_valid, is_continuous, lri))
+        return cls.from_rows(ids, frame_rate, row_frame, *values, source=source)
 
     @classmethod
     def from_rows(
@@ -328,14 +307,14 @@ class LineLog:
         is_missing: BoolArray | None = None,
         source: str = "line log",
     ) -> LineLog:
-        """Make a log of N lines that are given one after the other, frame by frame.
+        """Make a log from N lines, frame by frame.
 
-        - frame_id (T,): the ids of all frames, also of those without lines.
+        - frame_id (T,): the ids of all frames, including those without lines.
         - frame_rate: frames per second.
         - row_frame (N,): the index of each line's frame, 0 to T - 1, never decreasing.
         - offset_m, is_valid, is_continuous, lri (N,): the values of the log.
         - row_line (N,): the column of each line in its frame, from 0; by default 0, 1, 2, ...
-        - is_missing (T,): by default False everywhere.
+        - is_missing (T,): by default all False.
 
         Raises InputError for frame ids that do not increase and for a valid line without an offset.
         """
@@ -360,32 +339,23 @@ class LineLog:
         )
 
     def take(self, frames: slice | IntArray | BoolArray) -> LineLog:
-        """The log of some frames, in order."""
-        return LineLog(
-            self.frame_id[frames],
-            self.time_s[frames],
-            self.offset_m[frames],
-            self.is_valid[frames],
-            self.is_continuous[frames],
-            self.lri[frames],
-            self.is_missing[frames],
-            self.source,
-            None if self.clip is None else self.clip[frames],
-        )
+        """Return the log of some frames, in order."""
+        rows = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source"}
+        return replace(self, **{k: v[frames] for k, v in rows.items() if v is not None})
 
     def to_pandas(self) -> pd.DataFrame:
-        """A row per line; the index is `frame_id` and `line`, from 1. `ego.run` takes it as it is.
+        """Return a table with a row per line, as `ego.run` takes it.
 
-        Columns: `time_s`, `offset_m` (negative left), `is_valid`, `is_continuous`, `lri`. A frame
-        without lines has one row, without `line` and offset.
+        The index is `frame_id` and `line`, from 1; columns `time_s`, `offset_m` (negative left),
+        `is_valid`, `is_continuous`, `lri`. A frame without lines has one row with empty cells.
         """
         rows = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
         return rows.set_index(["frame_id", "line"])
 
     def rows(self, is_line: BoolArray) -> pd.DataFrame:
-        """A row per line, and one without `line` per frame without lines; see `to_pandas`.
+        """Return the rows of `to_pandas`, without an index.
 
-        - is_line (T, L): marks what is no padding.
+        - is_line (T, L): False in padding.
         """
         # pandas is imported for tables only.
         import pandas as pd
@@ -412,7 +382,7 @@ class LineLog:
 
     @classmethod
     def joined(cls, parts: Sequence[LineLog]) -> LineLog:
-        """One log of the frames of several, one after the other, named as the last."""
+        """Concatenate logs; the source is that of the last."""
         clips = [part.clip for part in parts if part.clip is not None]
         return cls(
             np.concatenate([part.frame_id for part in parts]),
@@ -429,13 +399,13 @@ class LineLog:
 
 @dataclass(frozen=True)
 class Evidence:
-    """Soft evidence, frame by frame.
+    """Soft evidence of T frames.
 
-    - likelihoods: per observed node (or tuple of nodes observed jointly) an array, or lists,
-      (T, *cardinalities) of non-negative, finite likelihoods, which need not sum to one.
+    - likelihoods: per observed node, or tuple of nodes observed jointly, an array or lists
+      (T, *cardinalities): non-negative, finite, need not sum to one.
     - inputs: per input node the index of its value in each frame (T,).
 
-    Observed values themselves, their names or indices, are made evidence by `hard`.
+    `hard` makes evidence from observed values.
 
     >>> import egolane_pgm as ego
     >>> ego.Evidence({"DetectorOutput": [[0.9, 0.1, 0.0], [0.3, 0.4, 0.3]]})
@@ -474,13 +444,13 @@ class Evidence:
 
     @classmethod
     def hard(cls, rows: Mapping[str, Iterable[Any]] | pd.DataFrame, compiled: Compiled) -> Evidence:
-        """What was observed for certain, with likelihoods of one and zero.
+        """Make evidence from observed values: likelihoods of one and zero.
 
-        - rows: per node its value in each of T frames: a name of its values (as text), or its
-          index; None, NaN or pd.NA where it is missing. A DataFrame with a column per node will do.
+        - rows: a DataFrame with a column per node, or per node its value in each frame: a name (as
+          text) or an index; None, NaN or pd.NA if missing.
 
-        An observed node that is not given is missing in all frames. An input node must be given,
-        in every frame. Soft evidence about another node is added:
+        An observed node without a column is missing in all frames; an input node is needed in every
+        frame. Soft evidence for another node can be added:
         `Evidence({**hard.likelihoods, "Noise": likelihood}, hard.inputs)`.
 
         Raises InputError, naming node and row, for a node that is neither observed nor an input,
@@ -521,7 +491,7 @@ class Evidence:
 
     @classmethod
     def joined(cls, parts: Sequence[Evidence]) -> Evidence:
-        """The evidence of some frames and then that of others, of the same kind."""
+        """Concatenate evidence about the same nodes."""
         if len(parts) == 1:
             return parts[0]
         first = parts[0]
@@ -531,7 +501,7 @@ class Evidence:
         )
 
     def take(self, frames: slice | IntArray | BoolArray) -> Evidence:
-        """The evidence of some frames, in order."""
+        """Return the evidence of some frames, in order."""
         return Evidence(
             {node: values[frames] for node, values in self.likelihoods.items()},
             {node: values[frames] for node, values in self.inputs.items()},
@@ -540,17 +510,17 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Beliefs:
-    """The beliefs of a filter after each frame, given the evidence so far.
+    """The posterior of a filter after each frame.
 
     - frame_id (T,).
     - marginals: per hidden node P(node | evidence so far), (T, cardinality).
-    - log_evidence (T,): natural log of P(evidence of the frame | frames before), the likelihoods
-      as given; 0 in impossible frames.
-    - is_impossible (T,): marks frames whose evidence had joint likelihood zero; the belief is the
-      prediction there.
-    - values: the names of the nodes' values; a node without names counts them from 0, Lane from 1.
+    - log_evidence (T,): natural log of P(evidence of the frame | earlier frames); 0 in impossible
+      frames.
+    - is_impossible (T,): frames whose evidence has joint likelihood zero; the belief there is the
+      prediction.
+    - values: the names of the nodes' values; by default numbers from 0, for Lane from 1.
 
-    `beliefs["Gear"]` is the belief about one node.
+    `beliefs["Gear"]` is the posterior of one node.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -585,7 +555,7 @@ class Beliefs:
 
     @classmethod
     def joined(cls, parts: Sequence[Beliefs]) -> Beliefs:
-        """The beliefs about some frames and then those about others, of the same nodes."""
+        """Concatenate beliefs about the same nodes."""
         if len(parts) == 1:
             return parts[0]
         return cls(
@@ -597,7 +567,7 @@ class Beliefs:
         )
 
     def take(self, frames: slice | IntArray | BoolArray) -> Beliefs:
-        """The beliefs of some frames, in order."""
+        """Return the beliefs of some frames, in order."""
         return Beliefs(
             self.frame_id[frames],
             {node: values[frames] for node, values in self.marginals.items()},
@@ -608,15 +578,14 @@ class Beliefs:
 
     @property
     def lane(self) -> FloatArray:
-        """(T, n): the belief over lanes. Raises InputError where the network has no node Lane."""
+        """(T, n): the posterior over lanes. Raises InputError without a node Lane."""
         if "Lane" not in self.marginals:
             nodes = ", ".join(self.marginals)
             raise InputError(f"the network has no node Lane, it has {nodes}: take beliefs[node]")
         return self.marginals["Lane"]
 
     def to_pandas(self) -> pd.DataFrame:
-        """A row per frame, with a column `Node=value` for each value, those of Lane first; the
-        index is `frame_id`."""
+        """Return a table with a row per frame and a column `Node=value` per value, Lane first."""
         # pandas is imported only for a table.
         import pandas as pd
 
@@ -629,7 +598,7 @@ class Beliefs:
 
     @property
     def mean_log_evidence(self) -> float:
-        """The mean of the log evidence over the frames that are not impossible; NaN if all are."""
+        """The mean log evidence of the frames that are not impossible; NaN if all are."""
         kept = ~self.is_impossible
         return float(self.log_evidence[kept].mean()) if kept.any() else float("nan")
 
@@ -641,11 +610,11 @@ SIDES = {-1: "to the left", 1: "to the right"}
 def lane_truth(
     frame_id: Any, lane: Any, is_crossing: Any, source: str = "ground truth"
 ) -> pd.DataFrame:
-    """The ground truth of K annotated frames, a row each; the index is `frame_id`.
+    """Make the ground truth of K annotated frames: a row each, with index `frame_id`.
 
     - frame_id (K,): strictly increasing.
     - lane (K,): 1 (leftmost) to n; the column `true_lane`.
-    - is_crossing (K,): marks frames in which the car changes lanes: their label is ambiguous.
+    - is_crossing (K,): frames in which the car changes lanes: their label is ambiguous.
     - source: the file, for messages; kept in `attrs`.
 
     Raises InputError for frame ids that do not increase.

@@ -198,12 +198,12 @@ def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
     [
         (
             {"Rpm": ["fast", "fats"], "Hill": [0, 0]},
-            "evidence for Rpm: row 1: 'fats' is neither the name of a value nor an index, 0 to 1"
+            "evidence for Rpm: row 1: 'fats' is neither the name of a value, as text, nor an index"
             " (did you mean 'fast'?)",
         ),
         (
             {"Rpm": [0, 2], "Hill": [0, 0]},
-            "evidence for Rpm: row 1: 2 is neither the name of a value nor an index, 0 to 1"
+            "evidence for Rpm: row 1: 2 is neither the name of a value, as text, nor an index"
             " (known: fast, slow)",
         ),
         (
@@ -233,7 +233,7 @@ def test_a_number_that_is_one_value_s_name_and_another_s_index_is_refused() -> N
     counted = compiled(values={"Rpm": ["1", "2"]})
     rows = {"Rpm": ["1", "2"], "Hill": [0, 0]}
     assert Evidence.hard(rows, counted).likelihoods["Rpm"].tolist() == [[1, 0], [0, 1]]
-    with pytest.raises(InputError, match="row 0: 1 is the name of one value and the index of"):
+    with pytest.raises(InputError, match="row 0: 1 is neither the name of a value, as text"):
         Evidence.hard({"Rpm": [1, 2], "Hill": [0, 0]}, counted)
 
 
