@@ -66,7 +66,7 @@ paper: .venv/.run
 graphs: .venv/.run
 	$(BIN)/python -m makers.pages searched learned
 
-# results/tuning/runs.md: the paper's parameters searched for each run (a quarter of an hour of
+# results/tuning/runs.md: the paper's parameters searched for each run (three minutes of
 # two cores).
 tuned: .venv/.run
 	$(BIN)/python -m makers.pages tuned
