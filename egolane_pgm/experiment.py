@@ -436,9 +436,12 @@ class Experiment(Section):
 
     @field_validator("parameters")
     @classmethod
-    def _detector_has_keys(cls, value: FrozenDict) -> FrozenDict:
+    def _goes_with_a_detector(cls, value: FrozenDict, info: ValidationInfo) -> FrozenDict:
+        recording = info.data.get("recording")
         if not isinstance(value.get(DETECTOR, {}), Mapping):
-            raise ValueError("detector: needs keys and values")
+            raise ValueError(f"{DETECTOR}: needs keys and values")
+        if value.get(DETECTOR) and recording is not None and recording.detector is None:
+            raise ValueError(f"{DETECTOR}: the recording has no detector")
         return value
 
     @field_validator("min_confidence")

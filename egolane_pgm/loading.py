@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.experiment import Experiment, frozen, make_experiment
+from egolane_pgm.experiment import DETECTOR, Experiment, frozen, make_experiment
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
@@ -148,6 +148,8 @@ def _on_lines(
     kept = {key: value for key, value in content.items() if key not in RECORDING_KEYS}
     if kept.get("tuned_on") == "same_frames" and path != recording.get("path"):
         kept["tuned_on"] = "other_frames"
+    own = kept.get("parameters") or {}
+    kept["parameters"] = {key: value for key, value in own.items() if key != DETECTOR}
     return {**kept, "name": name, "recording": {"path": path}}
 
 

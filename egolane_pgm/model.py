@@ -1,4 +1,4 @@
-"""A model: the evidence rule and the graph of an experiment, with their parameters, compiled."""
+"""A model: evidence rule, graph and parameters of an experiment, compiled."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class Model:
     """An experiment, ready for inference.
 
     - rule, graph: modules of the evidence rule and the graph.
-    - parameters: the value of every parameter that they declare.
+    - parameters: the value of every declared parameter.
     - compiled: the graph with these values.
     - unused: evidence of the rule that the graph does not observe.
     """
@@ -70,7 +70,7 @@ class Model:
         return self.compiled.network
 
     def __getstate__(self) -> dict[str, Any]:
-        # Modules cannot be pickled; their names or files can.
+        # Modules are pickled by name or file.
         return {**vars(self), "rule": plugin_place(self.rule), "graph": plugin_place(self.graph)}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -88,8 +88,8 @@ def compile_model(experiment: Experiment) -> Model:
     e, source = experiment, experiment.source
     if e.n_lanes == FROM_MAP:
         raise InputError(
-            f"{source}: n_lanes: map: a road with several numbers of lanes is run as several"
-            " drives; here give one number (road: null, n_lanes: 3)"
+            f"{source}: n_lanes: map gives several drives, one model needs one number of lanes"
+            " (road: null, n_lanes: 3)"
         )
     rule = load_plugin("evidence", e.evidence, f"{source}: evidence")
     graph = load_plugin("graphs", e.graph, f"{source}: graph")
@@ -114,7 +114,7 @@ def compile_model(experiment: Experiment) -> Model:
 def compile_graph(
     rule: ModuleType, graph: ModuleType, n_lanes: int, parameters: Mapping[str, Value]
 ) -> tuple[Compiled, frozenset[Observed]]:
-    """The compiled graph, and the evidence of the rule that it does not observe.
+    """Compile a graph; return it and the evidence of the rule that it does not observe.
 
     A graph that defines `tables`, HIDDEN and OBSERVED is compiled without pgmpy.
     """
@@ -134,7 +134,7 @@ def compile_graph(
         observed, unused = graph.OBSERVED, _unused(graph, provides)
         inputs = getattr(graph, "INPUTS", ())
     else:
-        # A plain pgmpy network observes all evidence that it has nodes for.
+        # A plain pgmpy network observes all evidence about its nodes.
         nodes = node_names(network)
         observed = observed_under(rule, network)
         unused = frozenset(provides).difference(observed)
@@ -146,7 +146,7 @@ def compile_graph(
                 f" {', '.join(sorted(nodes))}"
             )
     with warnings.catch_warnings():
-        # Such a network has no virtual-evidence nodes either.
+        # A plain network has no virtual-evidence nodes.
         warnings.simplefilter("ignore", UserWarning)
         hidden = getattr(graph, "HIDDEN", None)
         compiled = compile(network, hidden=hidden, observed=observed, inputs=inputs, values=values)
@@ -156,7 +156,7 @@ def compile_graph(
 def build_network(
     graph: ModuleType, n_lanes: int, parameters: Mapping[str, Value]
 ) -> DynamicBayesianNetwork:
-    """Declare a graph in pgmpy. Raises InputError if `build` returns anything else."""
+    """Declare a graph in pgmpy. Raises InputError if `build` does not return a network."""
     with plugin_errors(graph, "graph"):
         network = graph.build(n_lanes, parameters)
     if not hasattr(network, "get_cpds"):
@@ -165,7 +165,7 @@ def build_network(
 
 
 def observed_under(rule: ModuleType, network: Any) -> tuple[Observed, ...]:
-    """The evidence of a rule whose nodes are in the network."""
+    """Return the evidence of a rule whose nodes are in the network."""
     nodes, provides = node_names(network), getattr(rule, "PROVIDES", ())
     return tuple(k for k in provides if nodes.issuperset([k] if isinstance(k, str) else k))
 
@@ -181,17 +181,17 @@ def _unused(graph: ModuleType, provides: tuple[Observed, ...]) -> frozenset[Obse
         for key in provides:
             if key not in graph.OBSERVED and key not in unused:
                 raise InputError(
-                    f"does not observe {key}, which the evidence rule gives; if that is meant, list"
-                    " it in the graph's UNUSED"
+                    f"does not observe {key}, which the evidence rule gives; add it to the graph's"
+                    " UNUSED to ignore it"
                 )
     return unused
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
-    """The model with other parameters, all of them given.
+    """Return the model with other values of all parameters.
 
-    Only the tables are made again, unless a whole number or a text of the graph has changed, which
-    may change the shape of the network.
+    Only the tables are computed again, unless an integer or text parameter of the graph changed:
+    these may change the shape of the network.
     """
     specs = getattr(model.graph, "PARAMETERS", ())
     shapes = [spec.name for spec in specs if spec.kind in ("integer", "text")]
@@ -211,11 +211,11 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
 
 
 def with_graph(experiment: Experiment, graph: str) -> Experiment:
-    """The experiment with another graph, a name or a file.
+    """Return the experiment with another graph, a name or a file.
 
     It keeps the parameters that the new plugins declare, and its evidence rule if that fits the
-    graph; otherwise the first rule that does. Of a graph whose tables were learned, `tuned_on`
-    is what the graph declares.
+    graph; otherwise it gets the first rule that fits. `tuned_on` follows a graph with learned
+    tables.
     """
     where = f"{experiment.source}: graph"
     module = load_plugin("graphs", graph, where)
@@ -233,14 +233,14 @@ def with_graph(experiment: Experiment, graph: str) -> Experiment:
 
 
 def tuned_on(experiment: Experiment, learned_from: str) -> str:
-    """Whether an experiment is run on the recording that its graph was learned from."""
+    """Return the value of `tuned_on` for a graph that was learned from a recording."""
     if learned_from in ("", "unknown"):
         return "unknown"
     return "same_frames" if learned_from == recording_key(experiment) else "other_frames"
 
 
 def recording_key(experiment: Experiment) -> str:
-    """A text that identifies the recording of an experiment and its frames."""
+    """Return a text that identifies the recording of an experiment."""
     recording = experiment.recording
     if recording.simulate is not None:
         return f"{recording.simulate}, seed {recording.seed}, {experiment.n_lanes} lanes"
@@ -248,10 +248,10 @@ def recording_key(experiment: Experiment) -> str:
 
 
 def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: str) -> str:
-    """The name of the evidence rule that fits a graph: it provides exactly what the graph observes.
+    """Return the evidence rule that provides what a graph observes, preferably `first`.
 
-    `first` is preferred. Of several the one that declares most of the whole numbers that shape the
-    graph is taken; for a plain pgmpy network the one whose evidence it observes most of.
+    Of several rules the one that declares most of the graph's integer parameters is taken; for a
+    plain pgmpy network the one of whose evidence it observes most.
     """
     names = dict.fromkeys([first, *plugin_names("evidence")])
     rules = {name: load_plugin("evidence", name, where) for name in names}
@@ -274,14 +274,14 @@ def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: s
 
 
 def whole_rule(model: Model) -> EvidenceRule:
-    """The evidence rule for a whole drive."""
+    """Return the evidence rule for a whole drive."""
     return lambda log: model.rule.evidence(log, model.n_lanes, model.parameters)
 
 
 def online_rule(model: Model) -> EvidenceRule:
-    """The evidence rule for frames as they come; it may remember those before.
+    """Return the evidence rule for frames as they come; it may have a memory.
 
-    A rule without a memory is called for each log separately, with its warnings suppressed.
+    A rule without `online` is called for each log separately, without its warnings.
     """
     if hasattr(model.rule, "online"):
         with plugin_errors(model.rule, "evidence"):
@@ -299,10 +299,10 @@ def online_rule(model: Model) -> EvidenceRule:
 def make_evidence(
     model: Model, rule: EvidenceRule, log: LineLog
 ) -> tuple[Evidence, FloatArray | None]:
-    """Make the evidence of T frames, and the rule's own answer (T, n_lanes) if it has one.
+    """Make the evidence of T frames, and the detector's answer (T, n_lanes) or None.
 
-    Frames that were filled in (`missing_frames: predict`) get a likelihood of one everywhere.
-    Raises InputError, naming the rule's file, for anything but evidence of T frames.
+    Filled-in frames (`missing_frames: predict`) get a likelihood of one everywhere. Raises
+    InputError, naming the rule's file, if the rule does not return evidence of T frames.
     """
     file = model.rule.__file__
     with plugin_errors(model.rule, "evidence"):
@@ -329,20 +329,17 @@ def make_evidence(
     return read_evidence(used, model.experiment.evidence_mode), tentative
 
 
-def looks_ahead(model: Model, parameters: Mapping[str, Value] | None = None) -> str | None:
-    """Why the evidence of a frame uses later frames, None if it does not.
-
-    - parameters: in place of the model's.
-    """
+def looks_ahead(model: Model) -> str | None:
+    """Return the reason if the evidence of a frame uses later frames, otherwise None."""
     if not hasattr(model.rule, "looks_ahead"):
         return None
     with plugin_errors(model.rule, "evidence"):
-        why: str | None = model.rule.looks_ahead(parameters or model.parameters)
+        why: str | None = model.rule.looks_ahead(model.parameters)
     return why
 
 
 def why_not_causal(model: Model) -> list[str]:
-    """The reasons why a frame's posterior uses later frames: none for a causal model."""
+    """Return the reasons why posteriors use later frames; empty for a causal model."""
     e, reasons = model.experiment, []
     if e.filter not in METHODS:
         later = "all later" if e.lag is None else f"the next {e.lag}"

@@ -1,4 +1,4 @@
-"""The filter as it runs in a car: lines of a frame in, its lane out, at once."""
+"""The online filter: lines of a frame in, its lane out."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class _Line(_Strict):
 
 
 class _Message(_Strict):
-    """The lines of a frame. Whole numbers up to 2**53 are exact as floating-point times."""
+    """The lines of a frame. Frame ids are exact as floating-point times up to 2**53."""
 
     frame_id: Annotated[int, Field(ge=-(2**53), le=2**53)] | None = None
     time_s: float | None = None
@@ -53,11 +53,11 @@ def online(
     - logs: one frame each.
     - nodes: hidden nodes whose posterior is part of the answer.
 
-    An answer has frame_id, time_s, lane (0: none), probability (of that lane, or of the most
-    probable one), line_crossing_probability (None if the graph has no RoadPosition),
-    is_impossible, events (the lane changes since the answer before) and beliefs (by node and
-    value). With filter fixed_lag it comes `lag` frames late. With `n_lanes: map` the filter starts
-    from the prior wherever the number of lanes changes.
+    An answer has frame_id, time_s, lane (0: unassigned), probability (of that lane, or of the most
+    probable one), line_crossing_probability (None without RoadPosition), is_impossible, events
+    (lane changes since the last answer) and beliefs (by node and value). With filter fixed_lag it
+    comes `lag` frames late. With `n_lanes: map` the filter starts from the prior if the number of
+    lanes changes.
 
     Raises InputError for an unknown node, for frames that do not follow each other, and for a
     model that needs the whole drive.
@@ -95,7 +95,7 @@ def _online(
             when = columns["frame_id"][here], columns["time_s"][here]
             state, _, found = next_events(state, posterior[here], *when, place)
             events += _event_rows(found)
-            # Frames that were filled in have no answer of their own.
+            # Filled-in frames have no answer.
             if columns["frame_id"][t] == recorded[0]:
                 recorded.popleft()
                 yield _answer(model, columns, t, posterior[t], events, nodes)
@@ -110,7 +110,7 @@ def _answer(
     events: list[dict[str, Any]],
     nodes: Sequence[str],
 ) -> dict[str, Any]:
-    """The answer for row t of some columns. lane (n,): the posterior over lanes."""
+    """Return the answer for row t of the columns; lane (n,) is its posterior over lanes."""
     assigned = int(columns["assigned_lane"][t])
     crossing = columns.get("line_crossing_probability")
     return {
@@ -129,7 +129,7 @@ def _answer(
 
 
 def _event_rows(events: Mapping[str, NDArray[Any]]) -> list[dict[str, Any]]:
-    """Lane-change events, a dict each; None for what is unknown."""
+    """Return lane-change events as dicts; unknown values are None."""
     names = ("from_lane", "to_lane", "direction", "time_s", "probability")
     columns = [events[name].tolist() for name in names]
     return [
@@ -146,8 +146,8 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 
     A message is `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous":
     false, "lri": 10}, ...]}`. `is_valid` is true by default, `is_continuous` false, `lri` unknown.
-    `time_s`, seconds, is optional; a message that has it may omit the frame id, which then is the
-    one after the last. `recording.columns` gives other names of these fields.
+    `time_s`, seconds, is optional; with it the frame id may be omitted, and is the last one plus 1.
+    `recording.columns` gives other names of these fields.
 
     Raises InputError, naming the message, for one that cannot be used.
     """
@@ -163,9 +163,9 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 def parse_message(
     text: str, where: str, frame_rate: float, after: int = 0, columns: Columns | None = None
 ) -> LineLog:
-    """One message as a LineLog of one frame; see `read_messages`.
+    """Parse one message into a LineLog of one frame; see `read_messages`.
 
-    - after: the id of a frame without one.
+    - after: the frame id of a message without one.
     - columns: other names of the fields.
     """
     try:
@@ -173,11 +173,11 @@ def parse_message(
     except ValueError as error:
         raise InputError(f"{where}: is not JSON: {error}") from error
     if columns is not None:
-        # Bags are read with it, too, which takes long to load.
+        # The reader of bags is slow to import.
         from egolane_pgm.recordings.topics import lines_of_messages
 
         if not isinstance(content, dict):
-            raise InputError(f"{where}: is no JSON object")
+            raise InputError(f"{where}: is not a JSON object")
         return lines_of_messages([content], columns, where, frame_rate, after)
     message = validated(_Message, content, where)
     lines, time_s = message.lines, message.time_s

@@ -1,4 +1,4 @@
-"""Parameters that a graph, an evidence rule or a detector declares: checked, and resolved."""
+"""Declared parameters of graphs, evidence rules and detectors, checked and resolved."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ Value = float | int | str | tuple[float, ...]
 Parameters = Mapping[str, Value]
 
 
-#: No number is larger: the products and squares of such numbers are still numbers.
+#: The largest number; its square is still finite.
 LARGEST = 1e100
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """A parameter that a graph, an evidence rule or a detector declares.
+    """A parameter of a graph, an evidence rule or a detector.
 
     - kind: "sigma" (> 0), "probability" (0 to 1), "positive" (> 0), "non_negative", "integer"
-      (>= 0), "choice" (one of `choices`) or "text", which the plugin itself reads
-    - doc: what it means and its unit
-    - search: the bounds of a parameter search; "auto" for those that follow from the kind (see
-      `search_range`); None where a search leaves it as it is
-    - choices: for another kind than "choice", names that may stand for a number (`auto`)
-    - per_lane: a list of n values is allowed as well as one value
-    - lowest, highest: the smallest and the largest number, both allowed; none is above LARGEST
-    - shape: for a parameter that is a table, its shape for n lanes. The numbers may be given as
-      nested lists or as one row; the value is one row, the last axis fastest.
-    - smoothed: the default where the filter is `smoothed`; None for the same
+      (>= 0), "choice" (one of `choices`) or "text", parsed by the plugin.
+    - doc: meaning and unit.
+    - search: the bounds of a search; "auto" for those of the kind (see `search_range`); None for a
+      parameter that is searched only if the user gives bounds.
+    - choices: for a kind other than "choice", names allowed in place of a number (`auto`).
+    - per_lane: whether a list of n values is allowed, too.
+    - lowest, highest: the smallest and the largest number, inclusive.
+    - shape: the shape of a table for n lanes. It may be given as nested lists or as one row; the
+      value is one row, the last axis fastest.
+    - smoothed: the default with `filter: smoothed`; None for `default`.
 
     >>> import egolane_pgm as ego
     >>> ego.Parameter("p1", "probability", 0.9, "how often a working sensor stays so").search_range
@@ -57,12 +57,11 @@ class Parameter:
 
     @property
     def search_range(self) -> tuple[float, float] | None:
-        """The bounds (low, high) of a search: those that are declared, or what follows from kind,
-        default, `lowest` and `highest`.
+        """The bounds (low, high) of a search, declared or derived from the kind.
 
-        A probability goes from 0 to 1, a sigma from 0 to 3, or to ten times a larger default; any
-        other number from a tenth of its default to ten times that, and from 0 to 1 where the
-        default is 0. None for choices, for whole numbers, which shape a network, and for tables.
+        A probability has 0 to 1, a sigma 0 to 3, or to ten times a larger default; other numbers a
+        tenth of the default to ten times that, or 0 to 1 for a default of 0. None for choices,
+        tables and whole numbers, which shape a network.
         """
         if isinstance(self.search, (tuple, list)):
             return (self.search[0], self.search[1])
@@ -82,17 +81,17 @@ class Parameter:
 
     @property
     def is_searched(self) -> bool:
-        """Whether a search moves it where no bounds are given to the search."""
+        """Whether a search moves it if the user gives no bounds."""
         return self.search is not None and self.search_range is not None
 
     def check(self, value: object, n_lanes: int, where: str) -> Value:
-        """The value, converted to its type.
+        """Return the value, converted to its type.
 
-        Raises InputError, starting with `where`, for a value of another type or out of range.
+        Raises InputError, prefixed with `where`, for another type or a value out of range.
         """
         if self.kind == "text":
             if not isinstance(value, str):
-                raise InputError(f"{where}: {value!r} is no text")
+                raise InputError(f"{where}: {value!r} is not text")
             return value
         if self.kind == "choice":
             if not isinstance(value, str) or value not in self.choices:
@@ -150,24 +149,24 @@ class Parameter:
 
 
 def held_fixed(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The same parameters, which a search leaves as they are unless the user gives it bounds."""
+    """Return the parameters as searched only if the user gives bounds."""
     return tuple(replace(spec, search=None) for spec in specs)
 
 
 def looking_back(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The same parameters with the defaults that hold where the filter is `smoothed`."""
+    """Return the parameters with their defaults for `filter: smoothed`."""
     return tuple(s if s.smoothed is None else replace(s, default=s.smoothed) for s in specs)
 
 
 def number(parameters: Parameters, name: str) -> float:
-    """The value of a parameter that is one number."""
+    """Return the value of a parameter that is one number."""
     value = parameters[name]
     assert isinstance(value, (int, float))
     return float(value)
 
 
 def per_lane(parameters: Parameters, name: str, n_lanes: int) -> Sequence[float]:
-    """The value of a parameter that is one number or one for each lane, as n numbers."""
+    """Return the value of a parameter as n numbers, one per lane."""
     value = parameters[name]
     return value if isinstance(value, tuple) else (number(parameters, name),) * n_lanes
 
@@ -175,10 +174,9 @@ def per_lane(parameters: Parameters, name: str, n_lanes: int) -> Sequence[float]
 def resolve_parameters(
     specs: Iterable[Parameter], given: Mapping[str, object], n_lanes: int, where: str = "parameters"
 ) -> dict[str, Value]:
-    """Every declared parameter with its given or default value, checked.
+    """Return every declared parameter with its given or default value, checked.
 
-    Raises InputError (`<where>.<name>: ...`) for every unknown name, with a suggestion, and every
-    value out of range.
+    Raises InputError (`<where>.<name>: ...`) for an unknown name and a value out of range.
     """
     known = {spec.name: spec for spec in specs}
     values: dict[str, Value] = {}
@@ -189,8 +187,7 @@ def resolve_parameters(
 
 
 def check_names(known: Iterable[str], given: Iterable[str], where: str) -> None:
-    """Raise InputError for a given name that is not known, with a suggestion. A name without a
-    suggestion may be left over from another graph."""
+    """Raise InputError for an unknown name. One without a near name may be of another graph."""
     names = set(known)
     left = "; `parameters: {}` drops all of another graph" if where.endswith(" parameters") else ""
     for name in given:

@@ -1,10 +1,8 @@
-"""Finds graphs, evidence rules, readers and detectors: those of the package and of other installed
-packages by name, and a user's own file that the YAML names.
+"""Find and import plugins: graphs, evidence rules, readers and detectors.
 
-A plugin is a module that defines the names that its folder's contract asks for (`build`,
-`evidence`, ...). The other modules of such a folder are shared by its plugins. A graph may also be
-a file without a line of ours: one that pgmpy reads, or Python with a pgmpy network at its top
-level, which is then what `build` gives.
+A plugin is a module that defines the names of its folder's contract (`build`, `evidence`, ...): one
+of this package or of another installed one, by name, or a user's file. A graph may also be a file
+that pgmpy reads, or Python with a pgmpy network at its top level, which `build` then returns.
 """
 
 from __future__ import annotations
@@ -34,25 +32,24 @@ CONTRACTS = {
 
 _PACKAGE = Path(__file__).parent
 
-#: Where the package's plugins of each kind lie.
+#: The folders of the package's plugins of each kind.
 _PLACES = {
     **{folder: [_PACKAGE / folder] for folder in CONTRACTS},
     "detectors": [_PACKAGE / "vision/detectors", _PACKAGE / "classic"],
 }
 
-#: The beginning of the names of modules of users' own files.
+#: The prefix of the module names of users' files.
 _OWN = "_egolane_plugin_"
 
-#: The suffixes of users' own files.
+#: The suffixes of users' files.
 OWN_FILES = (".py", ".yaml", ".yml", ".bif", ".xmlbif", ".xml")
 
 
 def plugin_names(folder: str) -> list[str]:
-    """The plugins of a kind, a key of CONTRACTS, in alphabetical order: those of the package and of
-    other packages.
+    """List the plugins of a kind (a key of CONTRACTS), of this and other installed packages.
 
-    A module is a plugin if it defines the first name of the folder's contract, a folder if its
-    `__all__` has that name. The files are searched as text, because importing them all is slow.
+    A module is a plugin if it defines the first name of the contract, a folder if its `__all__` has
+    that name. Files are searched as text, because importing them all is slow.
     """
     names = {entry.name for entry in _entry_points(folder)}
     for place in _PLACES[folder]:
@@ -63,12 +60,12 @@ def plugin_names(folder: str) -> list[str]:
 
 
 def _entry_points(folder: str) -> list[EntryPoint]:
-    """The plugins of a kind that other installed packages offer."""
+    """The plugins of a kind in other installed packages."""
     return list(entry_points(group=f"egolane_pgm.{folder}"))
 
 
 def _module_of(folder: str, name: str) -> str | None:
-    """The module of a plugin of the package, None for a name that is none."""
+    """Return the module of a plugin of this package, or None."""
     first = CONTRACTS[folder][0]
     for place in _PLACES[folder] if name.isidentifier() else ():
         file, package = place / f"{name}.py", place / name / "__init__.py"
@@ -84,12 +81,12 @@ def _defines(text: str, name: str) -> bool:
 
 
 def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, str]:
-    """The kind of plugin of a name or a file, and the name without the kind.
+    """Return the kind of a plugin, and its name without the kind.
 
-    - name: as for `load_plugin`, perhaps with the kind before it: `graph:./mine.py`.
-    - kinds: the folders that are looked in, by what each kind is called.
+    - name: as for `load_plugin`, optionally with its kind: `graph:./mine.py`.
+    - kinds: the folder of each kind.
 
-    Raises InputError for an unknown name, with a suggestion, and for one of several kinds.
+    Raises InputError for an unknown name, and for one of several kinds.
     """
     kind, _, rest = name.partition(":")
     if rest and kind in kinds:
@@ -115,14 +112,14 @@ def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, s
 def load_plugin(folder: str, name: str, where: str) -> ModuleType:
     """Import a plugin.
 
-    - folder: a key of CONTRACTS. name: a plugin of that folder, or a file (.py, for a graph any of
-      OWN_FILES).
-    - where: the beginning of an error's message, e.g. the YAML file and the key.
+    - folder: a key of CONTRACTS.
+    - name: a plugin of that folder, or a file (.py; for a graph any of OWN_FILES).
+    - where: prefix of messages, e.g. the YAML file and the key.
 
-    Raises InputError for an unknown name (with a suggestion), a missing file, a file that cannot be
-    imported and one that lacks what the contract asks for.
+    Raises InputError for an unknown name, a missing file, a file that cannot be imported and one
+    that does not meet the contract.
     """
-    # Not `resolve`, which ends in an error of its own where a link leads to itself.
+    # `resolve` raises for a link to itself.
     file = Path(os.path.realpath(name))
     if name.endswith(OWN_FILES if folder == "graphs" else ".py") and not file.is_file():
         raise InputError(f"{where}: no file {file}")
@@ -131,7 +128,7 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
         if folder == "graphs" and not hasattr(module, "build"):
             _build_from_network(module, f"{where}: {name}")
     elif name.endswith(OWN_FILES) and folder == "graphs":
-        # Above this module in the order of imports, as all graphs are.
+        # Graphs are above this module in the layers.
         is_yaml = name.endswith((".yaml", ".yml"))
         reader = importlib.import_module(
             f"egolane_pgm.graphs.{'yaml_graph' if is_yaml else 'from_pgmpy'}"
@@ -152,16 +149,15 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
             raise InputError(f"{where}: {name} does not define {needed}")
     specs = getattr(module, "PARAMETERS", ())
     if not isinstance(specs, (tuple, list)):
-        raise InputError(f"{where}: {name}: PARAMETERS is no tuple of Parameter")
+        raise InputError(f"{where}: {name}: PARAMETERS is not a tuple of Parameter")
     for spec in specs:
         if not isinstance(spec, Parameter):
-            raise InputError(f"{where}: {name}: PARAMETERS has {spec!r}, which is no Parameter")
+            raise InputError(f"{where}: {name}: PARAMETERS has {spec!r}, not a Parameter")
     return module
 
 
 def plugin_place(module: ModuleType) -> str:
-    """The name by which `load_plugin` loads a plugin again: that of one of the package's, or the
-    whole path of a user's own file."""
+    """Return the name with which `load_plugin` finds a plugin: its name, or a file's path."""
     if module.__name__.startswith(_OWN):
         return str(module.__file__)
     if not module.__name__.startswith("egolane_pgm."):
@@ -171,7 +167,7 @@ def plugin_place(module: ModuleType) -> str:
 
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
-    """The parameters of an evidence rule and a graph; one that both declare is shared."""
+    """Return the parameters of an evidence rule and a graph; a common one is shared."""
     specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
     for p in getattr(graph, "PARAMETERS", ()):
         if p.name in specs and specs[p.name].kind != p.kind:
@@ -181,9 +177,9 @@ def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
 
 
 def _build_from_network(module: ModuleType, where: str) -> None:
-    """Add a `build` that gives the one pgmpy network at the module's top level.
+    """Add a `build` that returns the pgmpy network at the module's top level.
 
-    Raises InputError for a module that has none, or several.
+    Raises InputError for a module with no network or several.
     """
     found = {
         id(value): (name, value)
@@ -209,8 +205,7 @@ def _load_file(path: Path, where: str) -> ModuleType:
     module.__file__ = str(path)
     sys.modules[name] = module
     try:
-        # Python's own import would put __pycache__ beside the file, and take what is in there for a
-        # file that was changed within the same second.
+        # An import would write __pycache__, and miss a change within the same second.
         exec(compile(source, path, "exec"), vars(module))
     except Exception as error:
         del sys.modules[name]
@@ -224,16 +219,17 @@ def _said(error: Exception) -> str:
 
 
 def _line_in(file: str, error: Exception) -> int | None:
-    """The line of the file that an error came from."""
+    """Return the line of the file that raised an error."""
     lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
     return lines[-1] if lines else None
 
 
 @contextlib.contextmanager
 def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
-    """Wrap a call into a plugin: an exception of a file of somebody else's becomes an InputError
-    that starts with `where` and names the file and its line. Exceptions of the package's plugins
-    stay as they are, because they are bugs of ours."""
+    """Turn an exception of a user's plugin into an InputError with its file and line.
+
+    Exceptions of this package's plugins are bugs and pass.
+    """
     try:
         yield
     except Exception as error:

@@ -42,17 +42,17 @@ Columns = dict[str, Any]
 def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
     """Yield the columns of the frames of each log.
 
-    - logs: a LineLog is a whole drive. An iterable yields the chunks of one, or its frames as they
-      come; the columns together equal those computed from the whole drive.
+    - logs: a LineLog for a whole drive, or an iterable of its chunks or frames; the columns are the
+      same.
 
     Frames missing between two logs are filled in (`missing_frames`) and yielded with the second
-    one. With `filter: fixed_lag` columns come one frame at a time, `lag` frames late. Smoothers and
-    evidence rules that look ahead need the whole drive: they raise InputError for anything else.
+    one. With `filter: fixed_lag` columns come one frame at a time, `lag` frames late. Raises
+    InputError for chunks if the filter or the evidence rule needs the whole drive.
     """
     e = model.experiment
-    # A graph with RoadPosition tells the place in the lane itself.
-    knows_place = "RoadPosition" in model.compiled.values
-    places_of = None if knows_place else place_finder(model.parameters)
+    # A graph with RoadPosition has the lateral offset; otherwise it is estimated from the lines.
+    has_offset = "RoadPosition" in model.compiled.values
+    places_of = None if has_offset else place_finder(model.parameters)
     if isinstance(logs, LineLog):
         evidence, tentative = make_evidence(model, whole_rule(model), logs)
         method = "smoothed" if e.filter == "viterbi" else e.filter
@@ -99,10 +99,10 @@ def _columns_of(
     tentative: FloatArray | None,
     by_lines: FloatArray | None,
 ) -> Columns:
-    """The columns of T frames.
+    """Return the columns of T frames.
 
-    - tentative (T, n): the evidence rule's own answer, or None.
-    - by_lines (T,): lateral offset by the lines, or None.
+    - tentative (T, n): the detector's answer, or None.
+    - by_lines (T,): lateral offset estimated from the lines, or None.
     """
     columns: Columns = {"frame_id": log.frame_id, "time_s": log.time_s}
     for node, names in model.values.items():
@@ -131,8 +131,8 @@ def _check_causal(model: Model) -> None:
     e = model.experiment
     if e.filter in ("smoothed", "viterbi"):
         raise InputError(
-            f"{e.source}: filter: {e.filter} needs the whole drive; frames as they come need"
-            " fixed_lag, exact or assumed_density"
+            f"{e.source}: filter: {e.filter} needs the whole drive; use fixed_lag, exact or"
+            " assumed_density"
         )
     if why := looks_ahead(model):
         raise InputError(f"{e.source}: evidence: {why}; it needs the whole drive")
@@ -142,15 +142,15 @@ def _check_causal(model: Model) -> None:
 
 
 def chunks(log: LineLog, frames: int) -> Iterator[LineLog]:
-    """A log in chunks of some frames."""
+    """Split a log into chunks."""
     for start, stop in pairwise([*range(0, len(log), frames), len(log)]):
         yield log.take(slice(start, stop))
 
 
 def frames_of(drive: Drive, chunk_frames: int | None = None) -> pd.DataFrame:
-    """The table of a drive: a row per frame, with its ground truth.
+    """Infer a drive; return a row per frame, with its ground truth.
 
-    - chunk_frames: infer this many frames at a time.
+    - chunk_frames: number of frames to infer at a time.
     """
     logs = drive.log if chunk_frames is None else chunks(drive.log, chunk_frames)
     parts = [pd.DataFrame(columns) for columns in infer(drive.model, logs)]
@@ -163,9 +163,9 @@ def frames_of(drive: Drive, chunk_frames: int | None = None) -> pd.DataFrame:
 
 
 def concat_drives(drives: Sequence[Drive], tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
-    """One table of several drives, with a column `drive`.
+    """Concatenate the tables of several drives, with a column `drive`.
 
-    A lane, or another value, that the road of a drive does not have gets probability 0.
+    Lanes that the road of a drive does not have get probability 0.
     """
     if len(tables) == 1:
         return tables[0]
@@ -192,10 +192,10 @@ def run_experiment(
 ) -> Result:
     """Read the drives of an experiment, infer the lane in each frame, and score it.
 
-    - lines, truth: data in memory, as `read_drives` takes them.
-    - chunk_frames: infer this many frames at a time, to save memory.
+    - lines, truth: data in memory, as for `read_drives`.
+    - chunk_frames: number of frames to infer at a time, to save memory.
     - tags: labels to group results by.
-    - progress: whether a bar counts the drives; None for in a terminal.
+    - progress: whether a bar counts the drives; by default in a terminal.
     """
     begin = time.perf_counter()
     with noting() as notes:
@@ -207,9 +207,9 @@ def run_experiment(
 
 @contextlib.contextmanager
 def noting() -> Iterator[list[str]]:
-    """Collect user warnings, each different one once; the list is filled at the end.
+    """Collect distinct user warnings; the list is filled at the end.
 
-    Files in the current folder are named as the user sees them.
+    Files in the current folder are named by their relative path.
     """
     notes: list[str] = []
     with warnings.catch_warnings(record=True) as caught:

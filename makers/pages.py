@@ -131,7 +131,9 @@ def tuned() -> None:
         assert study.held_out is not None
         study.held_out.save(folders[0] / study.name)
         # Held out, so that it is scored on the same frames: untrusted labels are left out.
-        untrusted = {"untrusted_frames": paper_experiment(run).fit.untrusted_frames}
+        untrusted = {
+            "untrusted_frames": ego.load_experiment(paper_experiment(run)).fit.untrusted_frames
+        }
         best = {**study.experiment(), "name": study.name, "fit": untrusted}
         ego.run(best, held_out=True, out=folders[1] / study.name, figures=False)
     heading = (

@@ -69,7 +69,7 @@ def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path)
     graphs = ["sensor_failure", TUTORIAL, "network.bif"]
     rows = [f"{k},{graph},{{}}" for k, graph in enumerate(graphs)]
     table.write_text("\n".join(["name,graph,parameters", *rows]) + "\n")
-    options = ["--held-out", "--set", "fit=learn", "--blocks", 2, "--out", tmp_path / "runs"]
+    options = ["--held-out", "--set", "fit.method=learn", "--blocks", 2, "--out", tmp_path / "runs"]
     done("run", *words, "--table", table, *options)
     compared = ego.compare(tmp_path / "runs")
     assert list(compared.index) == ["0", "1", "2"]

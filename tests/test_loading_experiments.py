@@ -266,7 +266,7 @@ def test_sources_are_checked_without_reading_them(tmp_path: Path) -> None:
 def rich() -> Experiment:
     """An experiment with something nested in every key that may have it."""
     return made(
-        recording={"path": "a", "options": {"x": [1, {"y": [2]}]}},
+        recording={"path": "a", "detector": "ml", "options": {"x": [1, {"y": [2]}]}},
         parameters={
             "detector": {"a": 1},
             "lane_widths": [1, 2, 1],

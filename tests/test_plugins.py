@@ -133,7 +133,7 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
         (GRAPH.replace("stay = ", "stay = 1 / 0 + "), "g.py, line 7: ZeroDivisionError"),
         (GRAPH.replace("0.9 *", "0.8 *"), "the rows of the table must sum to one"),
         (GRAPH.replace('"Lane"', '"Line"'), "needs a hidden node Lane with 3 values, has none"),
-        (GRAPH + "    PARAMETERS = ('x',)", "PARAMETERS has 'x', which is no Parameter"),
+        (GRAPH + "    PARAMETERS = ('x',)", "PARAMETERS has 'x', not a Parameter"),
     ],
 )  # fmt: skip
 def test_a_graph_file_with_a_fault_is_refused_by_its_name_and_line(

@@ -1,4 +1,4 @@
-"""Packages that only some have: those of the extras in pyproject.toml."""
+"""Optional packages: the extras of pyproject.toml."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from egolane_pgm.types import InputError
 
 @contextlib.contextmanager
 def needed(what: str, extra: str) -> Iterator[None]:
-    """Around imports of an extra's packages. Where one is not installed, this raises InputError:
-    `what` needs the package, and how to install the extra.
+    """Turn a failed import of an extra's package into an InputError with the pip command.
 
     >>> with needed("a page of results", "page"):
     ...     import no_bokeh

@@ -1,9 +1,7 @@
-"""Files: how they are written whole, read as text or YAML, and refused in one line.
+"""Write files atomically; read text, YAML and Parquet, with errors in one line.
 
-A file is written in a hidden folder beside its place, whose random name nobody else uses, and then
-renamed: a file that has the name is whole, a file that was there before stays until then, and two
-programs that write the same file do not damage it. The user's umask decides who may read it. A
-process that is killed leaves the hidden folder behind.
+A file is written in a hidden folder with a random name and then renamed, so that it is either whole
+or absent, and two programs may write the same file. A killed process leaves the hidden folder.
 """
 
 from __future__ import annotations
@@ -25,13 +23,12 @@ from egolane_pgm.types import InputError
 if TYPE_CHECKING:
     import pandas as pd
 
-#: Of the YAML files that the package reads (optional there) and writes. It changes where a key gets
-#: another meaning, so that an old program refuses a new file in one line.
+#: The value of `version` in YAML files; it changes with the meaning of a key.
 YAML_VERSION = 1
 
 
 def file_sha256(path: Path) -> str:
-    """The checksum of a file."""
+    """Return the checksum of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -41,8 +38,7 @@ def file_sha256(path: Path) -> str:
 
 @contextlib.contextmanager
 def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
-    """A new folder in `parent`, or where the system keeps temporary files, which only its owner may
-    read and which is removed when the block ends. Raises OSError where it cannot be made."""
+    """Create a folder, in `parent` or the system's place, and remove it when the block ends."""
     place = None if parent is None else parent.absolute()
     with tempfile.TemporaryDirectory(
         prefix=".egolane-", dir=place, ignore_cleanup_errors=True
@@ -52,11 +48,9 @@ def temporary_folder(parent: Path | None = None) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def atomic(path: str | Path) -> Iterator[Path]:
-    """The name of a file to write, which takes the place of `path` when the block ends well.
+    """Yield a temporary file, which replaces `path` if the block does not raise.
 
-    Folders that are not there yet are made. No file is left where the block does not end well.
-    Raises InputError, naming `path`, for an OSError of the block or where the file cannot be put
-    in its place.
+    Missing folders are created. Raises InputError, naming `path`, for an OSError.
     """
     path = Path(path)
     try:
@@ -69,29 +63,31 @@ def atomic(path: str | Path) -> Iterator[Path]:
 
 
 def write_bytes(path: str | Path, content: bytes) -> None:
-    """Write a whole file. Raises InputError where it cannot be written."""
+    """Write a file. Raises InputError if it cannot be written."""
     with atomic(path) as temporary:
         temporary.write_bytes(content)
 
 
 def write_text(path: str | Path, text: str) -> None:
-    """Write a whole file of text, UTF-8. Raises InputError where it cannot be written."""
+    """Write a text file in UTF-8. Raises InputError if it cannot be written."""
     write_bytes(path, text.encode())
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write JSON. Raises InputError where it cannot be written."""
+    """Write a JSON file. Raises InputError if it cannot be written."""
     write_text(path, json_text(content))
 
 
 def json_text(content: Mapping[str, Any]) -> str:
-    """The text of a JSON file."""
+    """Format as JSON."""
     return json.dumps(plain(content), indent=1) + "\n"
 
 
 def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> None:
-    """Write YAML, keys in their order, innermost lists in one line; the heading, comments, above
-    it. Raises InputError where it cannot be written."""
+    """Write a YAML file, keys in their order. Raises InputError if it cannot be written.
+
+    - heading: comments above the keys.
+    """
     text = dump_yaml({"version": YAML_VERSION, **plain(content)})
     write_text(path, heading + text)
 
@@ -107,7 +103,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        # Its error says in plain words what is wrong with the place.
+        # Its error is clearer than pandas'.
         path.stat()
         with path.open("rb") as file:
             return pd.read_parquet(file)
@@ -119,7 +115,7 @@ def read_parquet(path: Path) -> pd.DataFrame:
 
 
 def plain(value: Any) -> Any:
-    """The same in plain Python types, for JSON and YAML; NaN and infinity become None."""
+    """Convert to plain Python types, for JSON and YAML; NaN and infinity become None."""
     return to_jsonable_python(value, inf_nan_mode="null", fallback=_of_numpy)
 
 
@@ -135,7 +131,7 @@ def _of_numpy(value: Any) -> Any:
 
 
 def make_directory(directory: Path) -> None:
-    """Create a directory and its parents. Raises InputError where that cannot be done."""
+    """Create a directory and its parents. Raises InputError if that fails."""
     try:
         directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -143,12 +139,12 @@ def make_directory(directory: Path) -> None:
 
 
 def check_place(path: Path) -> None:
-    """Raise InputError where no file or directory of that name could be put."""
+    """Raise InputError if nothing can be written at a path."""
     nearest = path.absolute().parent
     try:
         while not nearest.exists():
             nearest = nearest.parent
-        # Permissions alone do not tell (root, read-only file systems); nothing is left behind.
+        # Permissions are not enough (root, read-only file systems).
         with tempfile.TemporaryFile(dir=nearest):
             pass
     except OSError as error:
@@ -158,7 +154,7 @@ def check_place(path: Path) -> None:
 
 
 def check_not_read(file: Path, read: Iterable[Path]) -> None:
-    """Raise InputError where a file to be written is one of those that are read."""
+    """Raise InputError if an output file is one of the input files."""
     if file.exists() and any(other.exists() and other.samefile(file) for other in read):
         raise InputError(f"{file}: is read here; name another file")
 
@@ -167,8 +163,7 @@ def check_not_read(file: Path, read: Iterable[Path]) -> None:
 
 
 def read_text(path: Path) -> str:
-    """The text of a file in UTF-8, without the mark that some editors put before it. Raises
-    InputError where it cannot be read or is no text."""
+    """Read a text file in UTF-8, with or without a byte order mark; InputError if it cannot be."""
     try:
         return path.read_text(encoding="utf-8-sig")
     except OSError as error:
@@ -178,10 +173,11 @@ def read_text(path: Path) -> str:
 
 
 def read_yaml(path: Path, example: str) -> dict[str, Any]:
-    """The keys and values of a YAML file, without its `version`.
+    """Read the keys and values of a YAML file, without `version`.
 
-    Raises InputError where it cannot be read or is no YAML; where it has no keys, with the example
-    of a line that it might have; and for a version that this program does not know.
+    - example: a line of such a file, for the message if it has no keys.
+
+    Raises InputError if it cannot be read, is not YAML or has an unknown version.
     """
     content = parse_yaml(read_text(path), str(path))
     if not isinstance(content, dict):
@@ -190,7 +186,7 @@ def read_yaml(path: Path, example: str) -> dict[str, Any]:
 
 
 def without_version(content: Mapping[str, Any], source: str) -> dict[str, Any]:
-    """The keys without `version`. Raises InputError for a version that is not known here."""
+    """Return the keys without `version`. Raises InputError for an unknown version."""
     content = dict(content)
     version = content.pop("version", YAML_VERSION)
     if version != YAML_VERSION or isinstance(version, bool):

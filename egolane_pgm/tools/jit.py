@@ -1,4 +1,4 @@
-"""Numba's compiler, as every kernel is given to it."""
+"""Compile kernels with numba."""
 
 from __future__ import annotations
 
@@ -10,14 +10,13 @@ from numba import config, njit
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorate a function that numba compiles when it is first called.
+    """Decorate a function that numba compiles at its first call.
 
-    - options: numba's own, as `fastmath`.
+    - options: of numba, e.g. `fastmath`.
 
-    What was compiled is kept for the next process beside the source, or else in the user's cache
-    or in `NUMBA_CACHE_DIR`. Where none of them can be written, each process compiles anew.
-    With NUMBA_DISABLE_JIT the function stays plain Python, and as silent as when compiled: NumPy
-    does not warn of overflows in it.
+    Compiled code is cached next to the source, in the user's cache or in `NUMBA_CACHE_DIR`; if
+    none is writable, each process compiles. With NUMBA_DISABLE_JIT the function stays plain Python,
+    without NumPy's warnings of overflows, as when compiled.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:

@@ -1,7 +1,7 @@
 """Work shared by processes: joblib's on this machine, or those of a Dask cluster.
 
-The work and its items are pickled. On a cluster recordings and results lie where all machines see
-them, and all machines have the same versions of this package.
+The work and its items are pickled. All machines of a cluster need access to the recordings and
+results under the same paths, and the same version of this package.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ _LOCAL = "local:"
 def parallel(
     work: Callable[[T], R], items: Sequence[T], *, jobs: int = 1, cluster: str | None = None
 ) -> Iterator[R]:
-    """Yield what `work` returns for each item, in order.
+    """Yield the results of `work` for each item, in order.
 
-    - jobs: number of processes that share the items, 1 for this process.
-    - cluster: a Dask cluster instead: the address of its scheduler, or `local:N` for N processes
-      that are started here. Dask does the work of a worker that died on another one.
+    - jobs: number of processes; 1 for this one.
+    - cluster: a Dask cluster instead: the address of its scheduler, or `local:N` to start N
+      processes here. Dask repeats the work of a worker that died.
 
     Raises InputError if a process dies.
     """
     if cluster is None and (jobs <= 1 or len(items) <= 1):
         yield from map(work, items)
         return
-    # joblib takes a while to import.
+    # joblib is slow to import.
     from joblib import Parallel, delayed, parallel_config
     from joblib.externals.loky import get_reusable_executor
     from joblib.externals.loky.process_executor import TerminatedWorkerError
@@ -68,19 +68,19 @@ def parallel(
 
 def _begin() -> None:
     """Prepare a process."""
-    # Ctrl-C is for the command, which ends its processes.
+    # The command handles Ctrl-C and ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # Bars share a semaphore by default, of which Python warns if a process is killed.
+    # The default lock is a semaphore, and Python warns of it if a process is killed.
     tqdm.set_lock(threading.RLock())
 
 
 @contextlib.contextmanager
 def _client(address: str) -> Iterator[Any]:
-    """Dask's client of a cluster."""
+    """Connect to a Dask cluster."""
     with needed("a cluster", "cluster"):
         from distributed import Client, LocalCluster
         from distributed.utils import silence_logging_cmgr
-    # Dask logs each worker that it loses with a traceback.
+    # Dask logs a traceback for each lost worker.
     with silence_logging_cmgr(logging.CRITICAL), contextlib.ExitStack() as stack:
         place: Any = address
         try:

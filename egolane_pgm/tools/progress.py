@@ -1,4 +1,4 @@
-"""How far something is, as a bar of tqdm."""
+"""Progress bars of tqdm."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import Any
 
 if "IPython" in sys.modules:
     with warnings.catch_warnings():
-        # Without ipywidgets tqdm asks for them when it is imported first, by Optuna if not here.
+        # tqdm warns at its first import if ipywidgets is missing.
         warnings.simplefilter("ignore")
         import tqdm.auto  # noqa: F401
 
 
 def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
-    """A bar of tqdm.
+    """Make a bar of tqdm.
 
-    - items: that it counts while they are taken; without them it counts by `update`.
-    - progress: whether it is shown; None for in a terminal, and in a notebook.
+    - items: counted as they are taken; without items call `update`.
+    - progress: whether it is shown; by default in a terminal and in a notebook.
     - settings: of tqdm.
     """
     from tqdm import tqdm
@@ -28,11 +28,11 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
     if hasattr(ipython(), "kernel"):
         from tqdm.auto import tqdm as kind
 
-        # None would hide it, as everywhere but in a terminal.
+        # None would hide it.
         shown = {} if progress is None else shown
     return kind(items, leave=False, **shown, **settings)
 
 
 def ipython() -> Any:
-    """The shell of IPython that runs this, or None; a notebook's has a kernel."""
+    """Return the running IPython shell, or None; that of a notebook has a kernel."""
     return sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None

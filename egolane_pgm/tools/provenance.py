@@ -1,4 +1,4 @@
-"""What a result was computed with: versions of packages, and the commit of this checkout."""
+"""Versions of packages, and the commit of this checkout."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-#: The packages that numbers depend on.
+#: Packages that results depend on.
 PACKAGES = (
     "egolane-pgm",
     "numpy",
@@ -25,7 +25,7 @@ PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Versions of Python and of the packages that numbers depend on."""
+    """Return the versions of Python and of the packages that results depend on."""
     return {"python": platform.python_version(), **{name: _version(name) for name in PACKAGES}}
 
 
@@ -39,7 +39,7 @@ def _version(package: str) -> str:
 
 @functools.cache
 def git_state() -> dict[str, Any] | None:
-    """Commit of the package's own checkout, and whether it is dirty; None if it is installed."""
+    """Return commit and whether the checkout is dirty; None for an installed package."""
     folder = Path(__file__).parent
 
     def git(*words: str) -> str | None:

@@ -1,11 +1,8 @@
-"""YAML as this package reads and writes it: the one place that knows the language.
+"""Read and write YAML 1.2, where it differs from PyYAML's 1.1.
 
-It is YAML as its version 1.2 means it, where that differs from what PyYAML takes (1.1):
-
-- A number is decimal (`010` is ten, `0o10` and `0x10` are written out), `1e3` is a number, `1:30`
-  is text.
-- A date is text.
-- A key is the text that stands there: `no: 1` has the key `no`, and a key may stand only once.
+- Numbers are decimal (`010` is ten; `0o10`, `0x10` are octal, hexadecimal), `1e3` is a number,
+  `1:30` and dates are text.
+- Keys are text (`no: 1` has the key `no`) and unique.
 """
 
 from __future__ import annotations
@@ -20,7 +17,7 @@ from egolane_pgm.types import InputError
 
 _TAG = "tag:yaml.org,2002:"
 
-#: The text that a value of each type is recognised by, in this order; any other is a text.
+#: The pattern of the values of each type, in this order; others are text.
 _PLAIN = {
     "null": r"~|null|Null|NULL|",
     "bool": r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF",
@@ -32,8 +29,7 @@ _PLAIN = {
 
 
 def parse_yaml(text: str, source: str) -> Any:
-    """What a text in YAML says. Raises InputError, which begins with `source`, for what is no YAML
-    and for what is refused here; for a key that a mapping has twice."""
+    """Parse YAML. Raises InputError, starting with `source`, for bad YAML and repeated keys."""
     try:
         loader = _Loader(text)
         content = loader.get_single_data()
@@ -50,8 +46,7 @@ def parse_yaml(text: str, source: str) -> Any:
 
 
 def dump_yaml(content: Mapping[str, Any]) -> str:
-    """A text that `parse_yaml` reads as it was; keys in their order, innermost lists in one
-    line."""
+    """Format as YAML, keys in their order, innermost lists in one line."""
     text: str = yaml.dump(
         content,
         Dumper=_Dumper,
@@ -64,8 +59,7 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Takes keys as text, and notes those that a mapping has twice, of which YAML takes the
-    last."""
+    """Takes keys as text and notes repeated ones."""
 
     def __init__(self, text: str) -> None:
         super().__init__(text)
@@ -87,7 +81,7 @@ class _Loader(yaml.SafeLoader):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Writes text in quotes where `_Loader` would take it for something else."""
+    """Quotes text that `_Loader` would read as another type."""
 
 
 _Loader.add_constructor(
@@ -99,7 +93,7 @@ _Loader.add_constructor(
 )
 
 for _class in (_Loader, _Dumper):
-    # Those of YAML 1.1 are left out.
+    # Without those of YAML 1.1.
     _class.yaml_implicit_resolvers = {}
     for _name, _pattern in _PLAIN.items():
         _class.add_implicit_resolver(_TAG + _name, re.compile(rf"(?:{_pattern})\Z"), None)
