@@ -23,7 +23,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erf, erfc
 
 from egolane_pgm.types import FloatArray, InputError, Observed
 
@@ -83,6 +82,21 @@ def discretised_normal(
         mass = np.where(total > 0, mass, nearest)
         total = mass.sum(axis=-1, keepdims=True)
     return np.asarray(mass / total, dtype=np.float64)
+
+
+def erf(z: FloatArray) -> FloatArray:
+    """Return the error function. Importing that of scipy takes longer than most runs use it."""
+    return np.array([math.erf(x) for x in z.flat]).reshape(z.shape)
+
+
+def erfc(z: FloatArray) -> FloatArray:
+    """Return the complementary error function."""
+    return np.array([math.erfc(x) for x in z.flat]).reshape(z.shape)
+
+
+def normal_cdf(z: FloatArray) -> FloatArray:
+    """Return the standard normal distribution function."""
+    return np.asarray(0.5 * erfc(-z / math.sqrt(2.0)))
 
 
 def lane_edges(n: int, widths: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import Field, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
-from scipy.special import ndtr
 
+from egolane_pgm.graphs.cpds import normal_cdf
 from egolane_pgm.parameters import check_names
 from egolane_pgm.simulation.world import (
     NotNegative,
@@ -142,7 +142,7 @@ def _slow_events(
     """Events (T, K) of the given probabilities (T, K) that are correlated over time."""
     noise = slow_noise(rng, len(probability), probability.shape[1], correlation_frames)
     grid = np.linspace(-6.0, 6.0, 1201)
-    return np.asarray(noise < np.interp(probability, ndtr(grid), grid))
+    return np.asarray(noise < np.interp(probability, normal_cdf(grid), grid))
 
 
 def _road_tracks(
