@@ -1,41 +1,34 @@
-"""Lane changes as events, found in beliefs frame by frame.
+"""Lane changes as events, found in posteriors frame by frame.
 
-An event follows from the belief of its frame and those before it; later beliefs do not change it.
-So events of causal beliefs are causal, too. The definition:
+An event depends on the posterior of its frame and earlier ones only, so events of causal posteriors
+are causal. Definition:
 
-- A lane is believed once its probability reaches CONFIDENT, and stays so until another lane is. The
-  first lane that is believed begins the drive. Each lane that is believed after it is a change,
-  reported in the frame in which it is believed first.
-- Within FLICKER_S after a change, a change back into the lane that the car left is reported only if
-  that lane's probability reaches RETURN_CONFIDENT. Otherwise the change stands; if the old lane is
-  still believed when the time is over, the change back is reported then.
+- A lane is confident if its probability reaches CONFIDENT. The first confident lane begins the
+  drive; each later one that differs is a lane change, reported in the frame in which it becomes
+  confident.
+- Within FLICKER_S after a change, the change back is reported only if the old lane reaches
+  RETURN_CONFIDENT. If the old lane is still confident after that time, it is reported then.
 
-The lateral offset, from a node RoadPosition or from the lines alone
-(`place_finder`), shows whether the car crosses a line, whichever lane it is in,
-and an event is one crossing of one line:
+The lateral offset, from a node RoadPosition or estimated from the lines (`place_finder`), shows
+whether the car crosses a line. An event is one crossing of one line:
 
-- A lane that is believed while the car stays inside its lane (it is further than BEYOND from the
-  line on that side) is another number for the same lane, as where a ramp joins; it is no change.
-- Where the mean place is BEYOND a line and no belief told it, a change is told by its direction
-  alone, from and to UNASSIGNED, and the lane begins anew; where the lane is believed for the first
-  time less than FLICKER_S before, with its lanes. Within FLICKER_S after a change none is.
-- Where the place is not known or moves more than a car can (JUMP), and until FLICKER_S later, what
-  is believed counts alone.
+- If another lane becomes confident while the car is further than BEYOND from the line on that side,
+  only the lane number changes (e.g. where a ramp joins); no change is reported.
+- If the offset passes a line by more than BEYOND while the lane has not switched, a change is
+  reported with a direction but without lane numbers, and the lane is reset; with its lanes if the
+  lane became confident less than FLICKER_S ago. Within FLICKER_S after a change none is reported.
+- If the offset is unknown or moves by more than JUMP, only the lane counts until FLICKER_S later.
 
-No constant counts frames, and none was searched:
+The constants do not depend on the frame rate, and none was searched:
 
-- CONFIDENT: to report a change that the car does not make costs two errors, that change and the one
-  back; to miss one that it makes costs one. So with a belief of p a report pays where
-  2 (1 - p) < p, which is p > 2/3.
-- FLICKER_S: a lane change takes 5 to 6 s on average (Toledo and Zohar 2007). A car that is back
-  after half of that has hardly been there.
-- BEYOND: half a car's width is HALF_CAR; less would tell a car that follows the line, and the
-  place is known to about a tenth of a lane.
-- JUMP: a car needs a second for that. Where the place does it from one frame to the next, it may
-  have gone the other way round.
-- RETURN_CONFIDENT: a posterior that goes there and back that fast mostly wavers, and its
-  probabilities are then too large. So the odds have to be ten times those of CONFIDENT (2 to 1),
-  20 to 1.
+- CONFIDENT: a false report costs two errors (the change and the change back), a missed change one,
+  so a report pays if 2 (1 - p) < p, that is p > 2/3.
+- FLICKER_S: a lane change takes 5 to 6 s on average (Toledo and Zohar 2007); this is half of it.
+- BEYOND: half a car's width is HALF_CAR; a smaller value would report a car that follows the line,
+  and the offset is accurate to about a tenth of a lane.
+- JUMP: a car needs a second for that; after a jump in one frame the direction is unknown.
+- RETURN_CONFIDENT: a posterior that returns that fast is usually overconfident, so the odds must be
+  ten times those of CONFIDENT: 20 to 1.
 """
 
 from __future__ import annotations
@@ -60,46 +53,46 @@ from egolane_pgm.types import (
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The probability from which a lane is believed.
+#: The probability from which a lane is confident.
 CONFIDENT = 2 / 3
 
-#: How long after a change the way back has to be sure, seconds.
+#: The time after a change in which the change back needs RETURN_CONFIDENT, seconds.
 FLICKER_S = 3.0
 
-#: The probability that is sure enough for the way back.
+#: The probability from which a fast change back is reported.
 RETURN_CONFIDENT = 20 / 21
 
-#: The probability from which reports call a frame's lane sure.
+#: The probability from which a frame is called sure in reports.
 SURE = 0.95
 
 #: Half the width of a car, in lane widths: about .9 m of 3.6 m.
 HALF_CAR = 0.25
 
-#: How far the mean place moves in a frame at most while it is followed, lane widths.
+#: The largest change of the offset between frames, lane widths.
 JUMP = 0.25
 
-#: How far beyond a line the car's middle is when a change without lanes is reported, and how far
-#: before it at most when one with lanes is, lane widths.
+#: The distance beyond a line at which a change without lanes is reported, and the largest distance
+#: before a line at which one with lanes is, lane widths.
 BEYOND = 0.15
 
-#: A mean place inside the lane counts if it is at least this definite (0 anywhere, 1 one cell).
+#: The smallest length of the mean vector (0 uniform, 1 one cell) for a lateral offset.
 DEFINITE = 0.1
 
-#: Fewer cells in a lane do not show where in it the car is.
+#: The smallest number of cells per lane for a lateral offset.
 FEWEST_CELLS = 4
 
 
 #: The columns of lane-change events.
 COLUMNS = {
-    "frame_id": "since when, up to the report, the new lane was more probable than the old one",
-    "time_s": "the same in seconds",
+    "frame_id": "first frame since which the new lane is more probable than the old one",
+    "time_s": "its time, seconds",
     "from_lane": "1 (leftmost) to n; 0 if the lanes are unknown",
-    "to_lane": "the same",
+    "to_lane": "as from_lane",
     "direction": "-1 to the left, 1 to the right",
-    "probability": "of the new lane when it was reported; missing if the lanes are unknown",
-    "detected_frame_id": "when the change was reported",
-    "detected_time_s": "the same in seconds",
-    "late_s": "from time_s to detected_time_s",
+    "probability": "of the new lane in the report; missing if the lanes are unknown",
+    "detected_frame_id": "frame of the report",
+    "detected_time_s": "its time, seconds",
+    "late_s": "detected_time_s minus time_s",
 }
 
 
@@ -111,14 +104,13 @@ def lane_events(
     time_s: FloatArray | None = None,
     lateral_offset: FloatArray | None = None,
 ) -> pd.DataFrame:
-    """Find the lane changes of a drive: a row each, in the order of their report; see COLUMNS.
+    """Find the lane changes of a drive; return a row per change, see COLUMNS.
 
-    - beliefs: of T frames.
+    - beliefs: posteriors of T frames.
     - frame_rate: frames per second.
-    - lag: number of frames by which each belief is later than its frame (filter `fixed_lag`).
+    - lag: look-ahead of the posteriors in frames (filter `fixed_lag`).
     - time_s: (T,) seconds; by default frame id over frame rate.
-    - lateral_offset: (T,) offset from the lane centre, lane widths; by default from RoadPosition,
-      if the graph has one.
+    - lateral_offset: (T,) offset from the lane centre, lane widths; by default from RoadPosition.
 
     Raises InputError for a frame rate that is not positive.
 
@@ -148,17 +140,15 @@ def lane_events(
 
 
 class EventState(NamedTuple):
-    """The state of the search for lane changes after some frames, to go on with later ones. Lanes
-    are indices, from 0.
+    """The state of the search after some frames. Lanes are indices, from 0.
 
-    here: the lane that is believed, -1 before there is one.
-    before, calm_s: the lane left last, and until when the way back has to be sure.
-    ahead (n,): marks the lanes that are more probable than `here`, ...
-    since_id, since_s (n,): ... and since which frame they are so without a break; seconds.
-    beyond: where the car was last, lane widths right of the middle of the lane that it is in after
-        the changes so far.
-    lost_s: when its place was last not known or jumped.
-    began_s: when `here` was first believed without a change before it.
+    here: the current lane; -1 before the first confident one.
+    before, calm_s: the lane before it, and until when a change back needs RETURN_CONFIDENT.
+    ahead (n,): lanes that are more probable than `here`.
+    since_id, since_s (n,): the frame since which they are, and its time in seconds.
+    beyond: the last lateral offset, in lane widths right of the centre of the current lane.
+    lost_s: the last time at which the offset was unknown or jumped.
+    began_s: the time at which `here` became confident without a change.
     """
 
     here: int
@@ -172,7 +162,7 @@ class EventState(NamedTuple):
     began_s: float = -np.inf
 
 
-#: Before the first frame.
+#: The state before the first frame.
 NO_EVENTS = EventState(
     -1, -1, -np.inf, np.zeros(0, dtype=bool), np.zeros(0, dtype=np.int64), np.zeros(0)
 )
@@ -185,18 +175,18 @@ def next_events(
     time_s: FloatArray,
     lateral_offset: FloatArray | None,
 ) -> tuple[EventState, IntArray, dict[str, NDArray[Any]]]:
-    """Find the lane changes of T more frames. However a drive is cut, they are the same.
+    """Find the lane changes of T more frames.
 
     - lane: (T, n) the posterior over lanes.
-    - frame_id, time_s: (T,) of the frames, seconds.
+    - frame_id, time_s: (T,), seconds.
     - lateral_offset: (T,) lane widths; None if unknown.
 
-    Returns the new state, the rows in which changes are reported (E,), and the columns (E,) of the
-    changes, see COLUMNS (without `late_s`).
+    Returns the new state, the rows of the reports (E,), and the columns (E,) of the changes, see
+    COLUMNS (without `late_s`).
     """
     lane = np.ascontiguousarray(lane)
     place = np.full(len(lane), np.nan) if lateral_offset is None else lateral_offset
-    # A frame has two changes at most.
+    # A frame has at most two changes.
     whole, real = np.empty((5, 2 * len(lane)), dtype=np.int64), np.empty((2, 2 * len(lane)))
     state, n_events = _search(so_far, lane, frame_id, time_s, place, whole, real)
     rows, began_id, from_lane, to_lane, direction = whole[:, :n_events].copy()
@@ -224,10 +214,10 @@ def _search(
     whole: IntArray,
     real: FloatArray,
 ) -> tuple[EventState, int]:
-    """The state after T more frames, and the number of changes in them.
+    """Return the state after T more frames, and the number of changes.
 
-    whole (5, E), real (2, E): written, of each change its row, since which frame, the lanes from
-        and to, from 1, and the direction; since when, and the new lane's probability.
+    Output: whole (5, E), per change its row, frame id, the two lanes (from 1) and direction; real
+    (2, E), its time and the probability of the new lane.
     """
     here, before, calm, _, _, _, beyond, lost, begun = so_far
     n_lanes, n_events = lane.shape[1], 0
@@ -254,7 +244,7 @@ def _search(
                 whole[:, n_events] = t, since_id[k], here + 1, k + 1, side
                 real[:, n_events] = since_s[k], p
                 n_events += 1
-                # The lane that the next change leaves leads now: no search goes past this frame.
+                # The new lane leads now, so the next change begins after this frame.
                 ahead[:] = False
                 before, calm = here, now + FLICKER_S
                 beyond -= side if is_near else round(beyond)
@@ -267,9 +257,9 @@ def _search(
                 if is_known and now < begun + FLICKER_S and 0 <= k - side < n_lanes:
                     before = k - side
                 else:
-                    # No lane is index -1, and UNASSIGNED.
+                    # Index -1 becomes UNASSIGNED.
                     here, before, k, p = -1, -1, -1, np.nan
-                # The place tells when such a change was; no lane led before it.
+                # The time of such a change is that of the offset.
                 whole[:, n_events] = t, frame_id[t], before + 1, k + 1, side
                 real[:, n_events] = now, p
                 n_events += 1
@@ -290,8 +280,7 @@ def _follow(
     since_id: IntArray,
     since_s: FloatArray,
 ) -> None:
-    """Since when each lane has been more probable than `here`, after one more frame; lane (n,), the
-    last three as in `EventState`."""
+    """Update `ahead`, `since_id` and `since_s` of EventState with a frame's posterior lane (n,)."""
     for k in range(len(lane)):
         leads = lane[k] > lane[here]
         if leads and not ahead[k]:
@@ -302,32 +291,30 @@ def _follow(
 def lane_segments(
     lane: FloatArray, events: pd.DataFrame, time_s: FloatArray
 ) -> list[tuple[int, float, float]]:
-    """The lane over time: lane (from 1), and from when to when it was the car's, seconds.
+    """Return the segments of a drive in one lane: lane (from 1), begin and end in seconds.
 
     - lane: (T, n) the posterior over lanes.
+    - events: the lane changes of this posterior; a segment ends at `time_s` of the next one.
     - time_s: (T,) seconds.
-    - events: the lane changes of this posterior. A segment ends when the next lane becomes the
-      more probable one.
 
-    The first segment begins where a lane is first believed; without such a frame there is none. One
-    begins, too, where the belief goes to another lane while the car crosses no line. Lane 0 is a
-    stretch in which the lane is not known, after a change without lanes.
+    The first segment begins at the first confident lane. One also begins if another lane becomes
+    confident without a crossing. Lane 0 is unknown, after a change without lanes.
     """
-    believed = np.flatnonzero(lane.max(axis=1, initial=0) >= CONFIDENT)
-    if not len(believed):
+    confident = np.flatnonzero(lane.max(axis=1, initial=0) >= CONFIDENT)
+    if not len(confident):
         return []
-    lanes = lane[believed].argmax(axis=1) + 1
-    told = events[["time_s", "to_lane", "detected_time_s"]].values.tolist()
+    lanes = lane[confident].argmax(axis=1) + 1
+    changes = events[["time_s", "to_lane", "detected_time_s"]].values.tolist()
     marks, here, calm, e = dict[float, int](), UNASSIGNED, -np.inf, 0
-    for at, k in [*zip(time_s[believed].tolist(), lanes.tolist(), strict=True), (np.inf, 0)]:
-        while e < len(told) and told[e][0] <= at:
-            began, here, now = told[e][0], int(told[e][1]), told[e][2]
+    for at, k in [*zip(time_s[confident].tolist(), lanes.tolist(), strict=True), (np.inf, 0)]:
+        while e < len(changes) and changes[e][0] <= at:
+            began, here, now = changes[e][0], int(changes[e][1]), changes[e][2]
             marks[began] = here
             calm = now + FLICKER_S if here else -np.inf
             e += 1
         if at < np.inf and k != here and at >= calm:
             marks[at] = here = k
-    begin = float(time_s[believed[0]])
+    begin = float(time_s[confident[0]])
     borders = [at for at in sorted(marks) if at >= begin]
     ends = [*borders[1:], float(time_s[-1])]
     return [(marks[at], at, end) for at, end in zip(borders, ends, strict=True)]
@@ -336,19 +323,17 @@ def lane_segments(
 def across_lanes(
     marginals: Mapping[str, FloatArray], by_lines: FloatArray | None = None
 ) -> tuple[FloatArray | None, FloatArray | None]:
-    """The line crossing probability and the lateral offset, (T,) each, of posteriors by node.
+    """Return the line crossing probability and the lateral offset (T,) from posteriors by node.
 
     - by_lines (T,): the offset for graphs without RoadPosition (`place_finder`).
 
-    The line crossing probability is P(RoadPosition at most HALF_CAR from a line between two lanes);
-    a cell that is only partly so near counts in part. None without a RoadPosition (cells from left
-    to right, the same number in each Lane): a posterior over lanes alone says in which of them the
-    car is, never that it is between two. Its motion since half a second before is no substitute:
-    with the paper's model it finds the crossing frames of runs 1, 3, 6 and 8 with an AUC of .55 to
-    .69.
+    The line crossing probability is P(RoadPosition at most HALF_CAR from a line between two lanes),
+    with cells that are partly so near counted in part. It is None without a RoadPosition (cells
+    from left to right, the same number in each lane). The motion of the lane posterior is no
+    substitute: with the paper's model it finds crossing frames with an AUC of .55 to .69.
 
-    The lateral offset from the lane centre is in lane widths, positive to the right, -.5 to .5: the
-    circular mean of RoadPosition over all lanes. NaN if it is not definite.
+    The lateral offset from the lane centre, in lane widths, positive to the right, -.5 to .5, is
+    the circular mean of RoadPosition over all lanes; NaN if it is not definite.
     """
     lane, position = np.ascontiguousarray(marginals["Lane"]), marginals.get("RoadPosition")
     (n_frames, n_lanes), offset = lane.shape, np.empty(len(lane))
@@ -371,8 +356,10 @@ def _read_cells(
     crossing: FloatArray,
     place: FloatArray,
 ) -> bool:
-    """Fills crossing and place (T,) from RoadPosition (T, n, cells), cells from left to right.
-    False where the cells of a lane do not add up to it."""
+    """Fill crossing and place (T,) from RoadPosition (T, n, cells), cells from left to right.
+
+    Returns False if the cells of a lane do not add up to its probability.
+    """
     n_frames, n_lanes, n_cells = cells.shape
     for t in range(n_frames):
         crosses = 0.0
@@ -393,14 +380,14 @@ def _read_cells(
 
 @lru_cache(maxsize=8)
 def _angles(n_cells: int) -> NDArray[np.complex128]:
-    """The places of a lane's cells as angles."""
+    """Return the positions of a lane's cells as unit vectors."""
     return np.asarray(np.exp(2j * np.pi * (np.arange(n_cells) + 0.5) / n_cells))
 
 
 @lru_cache(maxsize=8)
 def _near_lines(n_lanes: int, n_cells: int) -> FloatArray:
-    """How much of each lane's cells is at most half a car's width from a line between lanes."""
-    # The places of the cells' borders, in lane widths from the road's left edge.
+    """Return the share of each lane's cells that is within HALF_CAR of a line between lanes."""
+    # The borders of the cells, in lane widths from the left edge of the road.
     border = np.arange(n_lanes * n_cells + 1) / n_cells
     share = np.zeros(n_lanes * n_cells)
     for line in range(1, n_lanes):
