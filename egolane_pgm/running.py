@@ -171,6 +171,9 @@ def concat_drives(drives: Sequence[Drive], tables: Sequence[pd.DataFrame]) -> pd
         return tables[0]
     named = [t.assign(drive=n) for t, n in zip(tables, drive_names(drives), strict=True)]
     frames = pd.concat(named)
+    if "is_trusted" in frames:
+        # Only drives with untrusted labels have the column.
+        frames["is_trusted"] = frames["is_trusted"].eq(True) | frames["is_trusted"].isna()
     if len({drive.model.n_lanes for drive in drives}) > 1:
         lanes = [np.full(len(t), d.model.n_lanes) for d, t in zip(drives, tables, strict=True)]
         widest = max(drives, key=lambda drive: drive.model.n_lanes).model

@@ -140,6 +140,16 @@ def test_values_of_the_experiment_are_not_told_to_a_study_of_a_fold() -> None:
     assert first.trials["sigma1"][0] == drive.model.parameters["sigma1"]
 
 
+def test_one_of_several_drives_may_have_untrusted_labels() -> None:
+    odd = drive_of(simulated(fit={"untrusted_frames": [[1000, None]]}))
+    drives = [drive_of(simulated()), odd]
+    study = tuned(drives, block_folds(drives, 2))
+    assert study.held_out is not None
+    for frames in (study.in_sample.frames, study.held_out.frames):
+        assert frames["is_trusted"].dtype == bool
+        assert int((~frames["is_trusted"]).sum()) == int((~odd.is_trusted).sum())
+
+
 def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
     path = write_drive(tmp_path, 600, fit={"method": "learn"})
     found = run_input(open_input(path), n_blocks=3)
