@@ -61,7 +61,7 @@ def locate(
         offset_m=offset,
         sure=sure,
         n_lanes=np.where(on, known[segment], 0),
-        untold=np.where(on & unknown[segment], graph.way[segment], 0),
+        unknown_way=np.where(on & unknown[segment], graph.way[segment], 0),
         source=positions.source,
     )
 

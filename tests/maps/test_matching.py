@@ -209,8 +209,8 @@ def test_lanes_that_a_map_does_not_tell_are_guessed_from_the_road(
     places = drive(np.arange(10.0, 3990, 30), 0.0)
     table = locate(road, places)
     np.testing.assert_array_equal(table.n_lanes, np.array(guess)[table.segment])
-    untold = np.where(np.array(n_lanes) == 0, road.way, 0)
-    np.testing.assert_array_equal(table.untold, untold[table.segment])
+    unknown_way = np.where(np.array(n_lanes) == 0, road.way, 0)
+    np.testing.assert_array_equal(table.unknown_way, unknown_way[table.segment])
 
 
 def test_a_number_is_not_guessed_from_a_link() -> None:
