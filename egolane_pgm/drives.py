@@ -7,13 +7,14 @@ with a constant number of lanes (`n_lanes: map`). Everything that runs, fits or 
 from __future__ import annotations
 
 import hashlib
+import mimetypes
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -54,24 +55,8 @@ if TYPE_CHECKING:
 #: Keys of `recording` that identify a drive; the others describe how to read it.
 DRIVE_KEYS = ("simulate", "seed", "frames")
 
-#: Endings of videos, which need a detector.
-VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
-
 #: Advice about a missing file of the public data.
 _FETCH = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
-
-
-class Recording(NamedTuple):
-    """The content of a source.
-
-    - log: T frames, of one drive or of several clips.
-    - truth: the lanes, if the source provides them.
-    - frame_rate: frames per second, if the recording has time stamps.
-    """
-
-    log: LineLog
-    truth: pd.DataFrame | None = None
-    frame_rate: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,47 +126,41 @@ class Drive:
 # --- reading -------------------------------------------------------------------------------------
 
 
-def read_recording(experiment: Experiment, lines: Any = None, truth: Any = None) -> Recording:
-    """Read the lines of an experiment and their ground truth; parameters as `read_drives`."""
+def read_recording(
+    experiment: Experiment, lines: Any = None
+) -> tuple[LineLog, pd.DataFrame | None, float | None]:
+    """Read the lines of an experiment from memory, pictures, a simulation or a file.
+
+    Returns T frames, of one drive or of several clips; the ground truth of a simulation; and the
+    frames per second by time stamps, if there are some.
+    """
     r, source = experiment.recording, experiment.source
     if lines is not None:
         log = lines_of(lines, frame_rate=r.frame_rate, columns=r.columns)
-        found = Recording(log, frame_rate=rate_of(log.frame_id, log.time_s))
-    elif r.path == IN_MEMORY:
-        raise InputError(f"{source}: recording.path: pass the lines that are in memory")
     elif r.detector is not None:
         # OpenCV is imported for pictures only.
         from egolane_pgm.vision.detectors.pictures import read_pictures
 
         log, frame_rate = read_pictures(experiment)
         # With a frame rate in the experiment it has warned of another one in the file.
-        found = Recording(log, None, None if "frame_rate" in r.model_fields_set else frame_rate)
+        return log, None, None if "frame_rate" in r.model_fields_set else frame_rate
     elif r.simulate is not None:
-        # SciPy is imported for simulated drives only.
+        # SciPy is imported for simulations only.
         from egolane_pgm.simulation import simulate
 
         with problems_in(f"{source}: recording"):
             drive = simulate(r.simulate, seed=r.seed, n_lanes=experiment.n_lanes)
-        found = Recording(drive.log, drive.truth)
+        return drive.log, drive.truth, None
+    elif r.path == IN_MEMORY:
+        raise InputError(f"{source}: recording.path: pass the lines that are in memory")
     else:
-        check_file(experiment)
         log = read_file(experiment)
-        found = Recording(log, frame_rate=rate_of(log.frame_id, log.time_s))
-    if isinstance(truth, str) and truth == "none":
-        return found._replace(truth=None)
-    if isinstance(truth, (str, os.PathLike)):
-        return found._replace(truth=read_ground_truth(Path(truth)))
-    if truth is not None:
-        return found._replace(truth=truth_of(truth))
-    if experiment.ground_truth is not None:
-        path = existing(experiment, "ground_truth.path", _FETCH)
-        extra_rows = experiment.ground_truth.extra_rows
-        return found._replace(truth=read_ground_truth(path, extra_rows))
-    return found
+    return log, None, rate_of(log.frame_id, log.time_s)
 
 
 def read_file(experiment: Experiment) -> LineLog:
     """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
+    check_file(experiment)
     r = experiment.recording
     path = Path(str(r.path))
     options = {**r.options, "frame_rate": r.frame_rate}
@@ -223,19 +202,16 @@ def check_sources(experiment: Experiment) -> None:
 def check_file(experiment: Experiment) -> None:
     """Raise InputError for a file of lines that is missing, or whose format is unknown."""
     r, source = experiment.recording, experiment.source
-    if r.format is None and Path(str(r.path)).suffix.lower() in VIDEOS:
+    if r.format is None and (mimetypes.guess_type(str(r.path))[0] or "").startswith("video/"):
         raise InputError(
             f"{source}: recording.path: {r.path} is a video: name a detector"
             " (recording.detector, e.g. ml) and a camera (recording.camera)"
         )
     if r.format is not None and r.format not in FORMATS:
-        known = [*FORMATS, *plugin_names("recordings")]
+        where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
         if r.format not in known and not r.format.endswith(".py"):
-            raise InputError(
-                f"{source}: recording.format: unknown format '{r.format}'"
-                f"{suggestion(r.format, known)}"
-            )
-        load_plugin("recordings", r.format, f"{source}: recording.format")
+            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
+        load_plugin("recordings", r.format, where)
     path = existing(experiment, "recording.path", _FETCH)
     if r.camera is not None:
         existing(experiment, "recording.camera")
@@ -257,16 +233,21 @@ def read_drives(
     """Read the recording of an experiment: one drive, or several.
 
     - lines: a DataFrame or LineLog, for `recording.path: in memory`.
-    - truth: a file, a DataFrame with frame_id, lane and crossing, or "none", in place of the
-      ground truth of the experiment.
+    - truth: a DataFrame with frame_id, lane and crossing, or "none", in place of the ground truth
+      of the experiment.
     - tags: tags of the drives.
 
     Raises InputError for files that cannot be used, and warns of oddities.
     """
     # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
-    log, known, own_rate = read_recording(experiment, lines, truth)
-    recording = experiment.recording
+    log, known, own_rate = read_recording(experiment, lines)
+    recording, annotated = experiment.recording, experiment.ground_truth
+    if truth is not None:
+        known = None if isinstance(truth, str) and truth == "none" else truth_of(truth)
+    elif annotated is not None:
+        path = existing(experiment, "ground_truth.path", _FETCH)
+        known = read_ground_truth(path, annotated.extra_rows)
     if own_rate is not None and "frame_rate" not in recording.model_fields_set:
         experiment = with_rate(experiment, own_rate)
         recording = experiment.recording
@@ -299,7 +280,7 @@ def read_drives(
 def make_drive(
     name: str, model: Model, log: LineLog, truth: pd.DataFrame | None, *, most_lanes: int = 0
 ) -> Drive:
-    """Join a log with its ground truth, and warn of what is odd in it.
+    """Join a log with its ground truth, and warn of oddities.
 
     - most_lanes: for a segment of a longer road, the lanes of the widest segment. A lane may end
       some metres from its position in the map, so the truth may contain a lane that the segment
@@ -385,11 +366,7 @@ def digest(path: Path) -> dict[str, Any]:
     """Path, sha256 and size in bytes of a file, of a folder or of a glob of files."""
     if path.is_file():
         return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
-    files: Sequence[Path]
-    if path.is_dir():
-        files = files_of(path) or sorted(each for each in path.iterdir() if each.is_file())
-    else:
-        files = sorted(path.parent.glob(path.name))
+    files = files_of(path) if path.is_dir() else sorted(path.parent.glob(path.name))
     lines = "".join(f"{file_sha256(file)}  {file.name}\n" for file in files)
     size = sum(file.stat().st_size for file in files)
     sha256 = hashlib.sha256(lines.encode()).hexdigest()
@@ -397,12 +374,10 @@ def digest(path: Path) -> dict[str, Any]:
 
 
 def drive_key(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
-    """A text that is equal for recordings of one drive, such as those of several detectors.
+    """A text that is equal for recordings of one drive, such as those of several detectors: the
+    checksum of the ground truth, else of the recording; or preset and seed of a simulation.
 
     - data: the digests of the experiment's files.
-
-    It is the checksum of the ground truth, else of the recording; the name of a file does not
-    count. For a simulated drive it is the preset and the seed.
     """
     recording, truth = experiment.recording, experiment.ground_truth
     if recording.simulate is not None:

@@ -222,7 +222,7 @@ def test_a_file_that_does_not_fit_is_refused(
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ("quikstart", r"quikstart: is no file, and no experiment .*did you mean 'quickstart'"),
+        ("quikstart", r"quikstart: no such file, nor experiment .*did you mean 'quickstart'"),
         ("experiments/none.yaml", r"^experiments/none\.yaml: cannot be read"),
         (3, "3 is no experiment; give the path of a YAML file"),
         ({**MINIMAL, "lanes": 3}, "^experiment: unknown key 'lanes'"),
