@@ -11,7 +11,7 @@ pytest.importorskip("shapely")
 pytest.importorskip("pyproj")
 
 from egolane_pgm.maps import matching
-from egolane_pgm.maps.lane_graph import LaneGraph, guess_lanes, near
+from egolane_pgm.maps.lane_graph import LaneGraph, assumed_lanes, near
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.matching import lock_on_road, match
 from egolane_pgm.maps.positions import Positions
@@ -205,7 +205,7 @@ def test_lanes_that_a_map_does_not_tell_are_guessed_from_the_road(
 ) -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
     road = lane_map(lines, n_lanes, [(k, k + 1) for k in range(3)])
-    assert guess_lanes(road).tolist() == guess
+    assert assumed_lanes(road).tolist() == guess
     places = drive(np.arange(10.0, 3990, 30), 0.0)
     table = locate(road, places)
     np.testing.assert_array_equal(table.n_lanes, np.array(guess)[table.segment])
@@ -217,4 +217,4 @@ def test_a_number_is_not_guessed_from_a_link() -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(3)]
     road = lane_map([*lines, [(3000.0, 0.0), (5000.0, 0.0)]], [1, 0, 4, 3], [(0, 1)])
     road = replace(road, kind=np.array(["motorway_link", *["motorway"] * 3]))
-    assert guess_lanes(road).tolist() == [1, 3, 4, 3]
+    assert assumed_lanes(road).tolist() == [1, 3, 4, 3]

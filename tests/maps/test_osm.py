@@ -49,7 +49,7 @@ def test_a_way_is_cut_where_another_leaves_from_its_middle(tmp_path: Path) -> No
 def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> None:
     ways = [(10, [1, 7, 2, 3], ROAD), (11, [3, 8], ROAD)]
     path = write_osm(tmp_path / "a.osm", {**NODES, 7: None}, ways)
-    with pytest.warns(UserWarning, match=r"a\.osm: 2 nodes of .* have no coordinates"):
+    with pytest.warns(UserWarning, match=r"a\.osm: left out 2 nodes of .* without coordinates"):
         graph = read_osm(path)
     assert graph.way.tolist() == [10]
     assert graph.first[1] == 3
@@ -64,8 +64,8 @@ def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None
     path = write_osm(tmp_path / "a.osm", NODES, ways)
     with pytest.warns(UserWarning, match="lanes=two|turn:lanes") as said:
         graph = read_osm(path)
-    assert "way 10 and 1 more: lanes=two is no number" in str(said[0].message)
-    assert "way 12: turn:lanes lists 1 lanes of 2, it is ignored" in str(said[1].message)
+    assert "way 10 and 1 more: lanes=two is not a number" in str(said[0].message)
+    assert "way 12: turn:lanes lists 1 lanes of 2; it is ignored" in str(said[1].message)
     assert graph.n_lanes.tolist() == [0, 2]
 
 
