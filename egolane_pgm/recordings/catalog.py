@@ -6,8 +6,8 @@ import functools
 import os
 import sys
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import InputError
@@ -17,36 +17,25 @@ COMMIT = "e35b76afbbd579190ea4194446ef02980289880a"
 BASE_URL = f"https://raw.githubusercontent.com/trigal/rle/{COMMIT}/bag"
 
 
-@dataclass(frozen=True)
-class DataFile:
-    """A public file.
-
-    - size: bytes.
-    - name: path below the base address.
-    """
+class DataFile(NamedTuple):
+    """A public file. size: bytes. name: path below the base address."""
 
     sha256: str
     size: int
     name: str
 
     @property
-    def target(self) -> str:
-        """Path below the download folder, and below `$EGOLANE_DATA`."""
-        return f"rle/{self.name}"
+    def path(self) -> Path:
+        """The file in the first of `data_folders` that has it, else in the download folder."""
+        places = [folder / "rle" / self.name for folder in data_folders()]
+        return next((place for place in places if place.is_file()), places[-1])
 
-
-@dataclass(frozen=True)
-class Outcome:
-    """The outcome of a download or a check of one file.
-
-    - status: "downloaded", "present", "failed", "missing" or "bad" (wrong checksum).
-    - problem: one line, "" if the file is there and has the right checksum.
-    """
-
-    file: DataFile
-    path: Path
-    status: str
-    problem: str = ""
+    @property
+    def status(self) -> str:
+        """ "present", "missing", or "bad" (wrong checksum)."""
+        if not self.path.is_file():
+            return "missing"
+        return "present" if file_sha256(self.path) == self.sha256 else "bad"
 
 
 @functools.cache
@@ -60,6 +49,7 @@ def list_files() -> tuple[DataFile, ...]:
 def data_folders() -> list[Path]:
     """The folders to search for the data set: `$EGOLANE_DATA`, then the user's cache folder, which
     is the download folder (`$XDG_CACHE_HOME` is respected)."""
+    # A dependency of pooch, which takes long to import.
     from platformdirs import user_cache_dir
 
     data = os.environ.get("EGOLANE_DATA", "")
@@ -67,25 +57,8 @@ def data_folders() -> list[Path]:
     return [*named, Path(user_cache_dir("egolane_pgm"))]
 
 
-def verify() -> list[Outcome]:
-    """Check every file of the data set in the first of `data_folders` that has it."""
-    outcomes = []
-    for file in list_files():
-        places = [each / file.target for each in data_folders()]
-        path = next((place for place in places if place.is_file()), places[-1])
-        if not path.is_file():
-            problem = f"{path}: no such file; `egolane data fetch` downloads it"
-            outcomes.append(Outcome(file, path, "missing", problem))
-        elif file_sha256(path) != file.sha256:
-            problem = f"{path}: wrong checksum; `egolane data fetch` downloads it again"
-            outcomes.append(Outcome(file, path, "bad", problem))
-        else:
-            outcomes.append(Outcome(file, path, "present"))
-    return outcomes
-
-
-def fetch() -> list[Outcome]:
-    """Download the files that are missing or bad; one Outcome per file.
+def fetch() -> list[str]:
+    """Download the files that are missing or bad; return a line for each that fails.
 
     Content with a wrong checksum never replaces a file. Raises InputError if the server cannot be
     reached.
@@ -100,21 +73,18 @@ def fetch() -> list[Outcome]:
     # pooch would report each step on standard error.
     pooch.get_logger().setLevel("ERROR")
     loader = pooch.HTTPDownloader(progressbar=sys.stderr.isatty(), timeout=30)
-    outcomes = []
-    for found in verify():
-        file, path = found.file, found.path
-        if found.problem:
-            known = {file.name: f"sha256:{file.sha256}"}
-            store = pooch.create(path.parent, f"{BASE_URL}/", registry=known, retry_if_failed=1)
-            try:
-                store.fetch(file.name, downloader=loader)
-                found = Outcome(file, path, "downloaded")
-            except (requests.ConnectionError, requests.Timeout):
-                raise InputError(f"{BASE_URL}: no connection; is the network up?") from None
-            except (OSError, ValueError) as error:
-                is_io = isinstance(error, OSError)
-                why = " ".join(str(error).split())[:160] if is_io else "wrong checksum"
-                problem = f"{BASE_URL}/{file.name}: not downloaded to {path}: {why}"
-                found = Outcome(file, path, "failed", problem)
-        outcomes.append(found)
-    return outcomes
+    problems = []
+    for file in list_files():
+        if file.status == "present":
+            continue
+        known = {file.name: f"sha256:{file.sha256}"}
+        store = pooch.create(file.path.parent, f"{BASE_URL}/", registry=known, retry_if_failed=1)
+        try:
+            store.fetch(file.name, downloader=loader)
+        except (requests.ConnectionError, requests.Timeout):
+            raise InputError(f"{BASE_URL}: no connection; is the network up?") from None
+        except (OSError, ValueError) as error:
+            is_io = isinstance(error, OSError)
+            why = " ".join(str(error).split())[:160] if is_io else "wrong checksum"
+            problems.append(f"{BASE_URL}/{file.name}: not downloaded to {file.path}: {why}")
+    return problems

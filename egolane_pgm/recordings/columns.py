@@ -31,7 +31,6 @@ COLUMNS = {
     "is_valid": "whether the detector trusts the line; default: true",
     "is_continuous": "whether the line is solid; default: false",
     "lri": "line reliability index: number of the last frames with the line; default: unknown",
-    "is_missing": "marks frames filled in by `missing_frames: predict`",
 }
 
 #: Frames per second of a table without times, unless given.
@@ -44,11 +43,10 @@ MAX_LINES = 1000
 ColumnsGiven = Columns | Mapping[str, Any] | str | Sequence[str]
 
 #: Columns of true or false, and of whole numbers; all others are numbers.
-_FLAGS = ("is_valid", "is_continuous", "is_missing", "is_crossing")
+_FLAGS = ("is_valid", "is_continuous", "is_crossing")
 _WHOLE = ("frame_id", "line", "lane")
 
-#: Columns of a frame, and of a line besides its offset.
-_OF_FRAME = ("frame_id", "time_s", "is_missing")
+#: Columns of a line besides its offset.
 OF_LINE = ("is_valid", "is_continuous", "lri")
 
 #: The offset of a line in a table with a row per frame; `is_valid_1` and so on go with it.
@@ -128,13 +126,12 @@ def lines_of_columns(
         lines["is_continuous"] == 1,
         lines["lri"],
         row_line=lines["line"].astype(np.int64) - 1,
-        is_missing=frames["is_missing"][starts] == 1 if "is_missing" in frames else None,
         source=str(path),
     )
     if "time_s" in frames:
         log = replace(log, time_s=frames["time_s"][starts])
     if row is None and table.columns.offset_m is None:
-        known = {*(COLUMNS if table.name_of("offset_m") else _OF_FRAME)} - table.used
+        known = {*(COLUMNS if table.name_of("offset_m") else ("frame_id", "time_s"))} - table.used
         unused = [name + near_word(name, known) for name in data if name not in table.used]
         if any(unused):
             ignored = f"{path}: ignored column(s) {', '.join(filter(None, unused))}"
@@ -256,11 +253,11 @@ def _lines_of(table: _Table, at: IntArray) -> dict[str, NDArray[Any]]:
 
 
 def _frames_of(table: _Table, first: int) -> dict[str, FloatArray]:
-    """The frame id of each row (N,), and time and is_missing if there are such columns.
+    """The frame id of each row (N,), and its time if there is such a column.
 
     - first: first frame id, if frames are numbered by their times.
     """
-    ids, time, missing = map(table.name_of, _OF_FRAME)
+    ids, time = table.name_of("frame_id"), table.name_of("time_s")
     cells: dict[str, FloatArray] = {}
     if time is not None:
         column, unit = table.column("time_s", time), table.columns.time_unit
@@ -281,8 +278,6 @@ def _frames_of(table: _Table, first: int) -> dict[str, FloatArray]:
             f" table has {', '.join(table.data)}; name yours with `columns: {{frame_id: NAME}}` or"
             " `{time_s: NAME, time_unit: s}`"
         )
-    if missing is not None:
-        cells["is_missing"] = table.numbers("is_missing", missing)
     for name, values in cells.items():
         table.refuse(np.isnan(values), f"{name} is empty")
     return cells

@@ -119,7 +119,7 @@ def _check_names(path: Path, names: list[str]) -> None:
 
 
 def write_table(path: str | Path, log: LineLog) -> None:
-    """Write a log as CSV or Parquet, by extension; `read_table` returns it unchanged.
+    """Write a log as CSV or Parquet, by extension; `read_table` returns its recorded frames.
 
     Raises InputError for a log of several clips, whose borders a table does not keep, for another
     extension, and if the file cannot be written.
@@ -140,8 +140,9 @@ def write_table(path: str | Path, log: LineLog) -> None:
 
 
 def rows_of(log: LineLog) -> pd.DataFrame:
-    """The rows of a log, without time_s if it is frame id over FRAME_RATE, and with is_missing if
-    any frame is."""
+    """The rows of the recorded frames of a log, without time_s if it is frame id over
+    FRAME_RATE."""
+    log = log.take(~log.is_missing)
     # All other cells are padding.
     is_line = log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
     if is_line.size and not is_line[:, -1].any():
@@ -149,6 +150,4 @@ def rows_of(log: LineLog) -> pd.DataFrame:
     rows = log.rows(is_line)
     if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
         del rows["time_s"]
-    if log.is_missing.any():
-        rows["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, rows["frame_id"])]
     return rows

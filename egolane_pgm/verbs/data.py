@@ -14,9 +14,8 @@ def list_files() -> str:
     """List the files of the data set, their folder, and whether their checksums are right."""
     folders = [f"looked in: {folder}" for folder in catalog.data_folders()]
     files = [
-        f"{outcome.status:>10}  {outcome.file.size / 1e6:6.2f} MB"
-        f"  {catalog.BASE_URL}/{outcome.file.name}"
-        for outcome in catalog.verify()
+        f"{file.status:>10}  {file.size / 1e6:6.2f} MB  {catalog.BASE_URL}/{file.name}"
+        for file in catalog.list_files()
     ]
     return "\n".join([*folders, *files])
 
@@ -28,9 +27,8 @@ def fetch() -> str:
 
     Returns the number of good files. Raises InputError if a file is not good.
     """
-    outcomes = catalog.fetch()
-    problems = [each.problem for each in outcomes if each.problem]
-    n_good = f"{len(outcomes) - len(problems)} of {len(outcomes)} files are there and good"
+    problems, n_files = catalog.fetch(), len(catalog.list_files())
+    n_good = f"{n_files - len(problems)} of {n_files} files are there and good"
     if problems:
         for line in problems:
             sys.stderr.write(f"egolane: {line}\n")

@@ -53,7 +53,6 @@ def logs(draw: st.DrawFn) -> LineLog:
         is_valid=draw(booleans) & np.isfinite(offset),
         is_continuous=draw(booleans),
         lri=lri,
-        is_missing=draw(hnp.arrays(np.bool_, len(frames))),
     )
 
 
