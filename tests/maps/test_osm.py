@@ -55,7 +55,7 @@ def test_nodes_without_coordinates_are_left_out_and_counted(tmp_path: Path) -> N
     assert graph.first[1] == 3
 
 
-def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None:
+def test_a_mistake_in_tags_is_warned_of_once_with_a_way(tmp_path: Path) -> None:
     ways = [
         (10, [1, 2], {**ROAD, "lanes": "two"}),
         (11, [2, 3], {**ROAD, "lanes": "two"}),
@@ -76,19 +76,16 @@ def test_what_is_wrong_with_tags_is_said_once_with_a_way(tmp_path: Path) -> None
         ("a.osm", "<osm version='0.6'><node id='1'", "cannot be read as a map"),
         ("a.osm", "<osm version='0.6'><node id='1' lat='north' lon='2'/></osm>", "cannot be read"),
         ("a.osm.pbf", "not at all", "cannot be read as a map"),
+        ("nowhere.osm", None, "no such file"),
         ("a.txt", "not at all", "cannot be read as a map: Could not detect file format"),
     ],
 )
 def test_a_file_without_a_road_is_refused_in_one_line(
-    tmp_path: Path, name: str, content: str, message: str
+    tmp_path: Path, name: str, content: str | None, message: str
 ) -> None:
-    (tmp_path / name).write_text(content)
+    if content is not None:
+        (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message) as error:
         read_osm(tmp_path / name)
     assert str(tmp_path / name) in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_a_map_that_is_not_there_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"nowhere\.osm: no such file"):
-        read_osm(tmp_path / "nowhere.osm")

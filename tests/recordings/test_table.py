@@ -120,15 +120,7 @@ def csv(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def parquet(tmp_path: Path, **columns: object) -> Path:
-    import pyarrow as pa
-    from pyarrow import parquet as pq
-
-    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
-    return tmp_path / "a.parquet"
-
-
-def test_columns_that_a_detector_lacks_have_their_meaning(tmp_path: Path) -> None:
+def test_missing_columns_have_defaults(tmp_path: Path) -> None:
     log = read_table(csv(tmp_path, "frame_id,line,offset_m\n3,1,-1.5\n3,2,2\n5,,\n"), frame_rate=2)
     np.testing.assert_array_equal(log.frame_id, [3, 5])
     np.testing.assert_array_equal(log.time_s, [1.5, 2.5])
@@ -138,11 +130,9 @@ def test_columns_that_a_detector_lacks_have_their_meaning(tmp_path: Path) -> Non
     np.testing.assert_array_equal(log.offset_m, [[-1.5, 2], [np.nan, np.nan]])
 
 
-def test_what_pandas_writes_is_read(tmp_path: Path) -> None:
-    text = (
-        '"line","frame_id","offset_m","is_valid"\r\n1.0,3,-1.5,True\r\n,4,,\r\n 2.0,5,1e1,False\r\n'
-    )
-    log = read_table(csv(tmp_path, "\ufeff" + text))
+def test_a_file_of_pandas_is_read(tmp_path: Path) -> None:
+    rows = "1.0,3,-1.5,True\r\n,4,,\r\n 2.0,5,1e1,False\r\n"
+    log = read_table(csv(tmp_path, '\ufeff"line","frame_id","offset_m","is_valid"\r\n' + rows))
     np.testing.assert_array_equal(log.frame_id, [3, 4, 5])
     np.testing.assert_array_equal(log.is_valid, [[True, False], [False, False], [False, False]])
     np.testing.assert_array_equal(log.offset_m[2], [np.nan, 10.0])
@@ -204,22 +194,6 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
     assert refused(tmp_path / "a.csv").startswith(said)
 
 
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        ({"offset_m": [True, False]}, "column offset_m has type bool, not a number"),
-        ({"offset_m": [[1.0], [2.0]]}, "column offset_m has type list"),
-        ({"is_valid": [1, 7]}, "row 2: is_valid is 7, not true, false, 1 or 0"),
-    ],
-)
-def test_a_parquet_file_that_does_not_fit_is_refused(
-    tmp_path: Path, columns: dict[str, object], said: str
-) -> None:
-    usual: dict[str, object] = {"frame_id": [1, 2], "line": [1, 1], "offset_m": [1.0, 2.0]}
-    given = {name: values for name, values in (usual | columns).items() if values is not None}
-    assert refused(parquet(tmp_path, **given)).startswith(said)
-
-
 def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
     assert refused(tmp_path / "absent.csv") == "no such file"
     (tmp_path / "b.parquet").write_bytes(b"PAR1 this is not one")
@@ -233,12 +207,8 @@ WIDE = "frame_id,offset_1,offset_2,offset_3,lri_1,is_valid_1\n7,-1.8,1.9,,3,true
 
 def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     wide = read_table(csv(tmp_path, WIDE))
-    long = read_table(
-        csv(
-            tmp_path,
-            "frame_id,line,offset_m,lri\n7,1,-1.8,3\n7,2,1.9,\n9,,,\n",
-        )
-    )
+    text = "frame_id,line,offset_m,lri\n7,1,-1.8,3\n7,2,1.9,\n9,,,\n"
+    long = read_table(csv(tmp_path, text))
     for name in ("frame_id", "offset_m", "is_valid", "is_continuous", "lri"):
         np.testing.assert_array_equal(getattr(wide, name), getattr(long, name))
 
@@ -294,6 +264,15 @@ def test_a_frame_is_read_as_its_file(tmp_path: Path, extension: str) -> None:
         ({"frame": [1], "offset_m": [1.0]}, "in memory: no column frame_id (did you"),
         ({"frame_id": [1]}, "in memory: no column offset_m; the table has frame_id"),
         ({"frame_id": [1, 2], "offset_m": ["x", 1]}, "in memory: column offset_m has type mixed"),
+        (
+            {"frame_id": [1], "offset_m": [True]},
+            "in memory: column offset_m has type bool",
+        ),
+        ({"frame_id": [1], "offset_m": [[1.0]]}, "in memory: column offset_m has type list"),
+        (
+            {"frame_id": [1, 2], "offset_m": [1.0, 2.0], "is_valid": [1, 7]},
+            "in memory: row 2: is_valid is 7, not true, false, 1 or 0",
+        ),
         ("drive.csv", "recording: 'drive.csv' is neither a file nor a DataFrame"),
     ],
 )
