@@ -374,8 +374,8 @@ def digest(path: Path) -> dict[str, Any]:
 
 
 def drive_key(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
-    """A text that is equal for recordings of one drive, such as those of several detectors: the
-    checksum of the ground truth, else of the recording; or preset and seed of a simulation.
+    """A text that is equal for several recordings of one drive (by several detectors): the checksum
+    of the ground truth, else of the recording; or preset and seed of a simulation.
 
     - data: the digests of the experiment's files.
     """

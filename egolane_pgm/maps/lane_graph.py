@@ -121,9 +121,9 @@ class LaneGraph:
 def assumed_lanes(graph: LaneGraph) -> IntArray:
     """The number of lanes of each segment, (S,), assumed if it is not in the map.
 
-    It is that of the segment of the same kind before, the widest of several, else of the one after,
-    else the most frequent one of the kind, by length. 0 stays if no segment of the kind has a
-    number.
+    The assumed number comes from the segment of the same kind before (the widest of several), else
+    from the one after, else it is the most frequent one of the kind, by length. 0 stays if no
+    segment of the kind has a number.
     """
     along = graph.kind[graph.before] == graph.kind[graph.after]
     before, after = graph.before[along], graph.after[along]

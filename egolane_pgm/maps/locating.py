@@ -51,7 +51,7 @@ def locate(
     used = np.flatnonzero(matched.segment >= 0)
     if not len(used):
         raise InputError(
-            f"{positions.source}: none of {len(positions)} positions is on a road of the map"
+            f"{positions.source}: no position of {len(positions)} is on a road of the map"
             f" ({_span(positions.latitude, positions.longitude)};"
             f" the map: {_span(*graph.plane.degrees(graph.point).T)})"
         )

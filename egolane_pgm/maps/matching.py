@@ -45,7 +45,7 @@ TOP_SPEED_MPS = 80.0
 #: Below this speed, m/s, or this way between two positions, m, headings are ignored.
 _MOVES_MPS, _MOVES_M = 3.0, 8.0
 
-#: Probability that a heading is wrong.
+#: Probability of a wrong heading.
 _HEADING_WRONG = 0.05
 
 #: This many outliers in a row that agree with each other are inliers.
@@ -166,8 +166,8 @@ def headings(
 
     - place (T, 2): metres east and north.
 
-    The second array has the metres from the used position before if the direction is that of the
-    way from there, because the receiver gives none; NaN otherwise.
+    Without a heading from the receiver it is the direction from the used position before; the
+    second array has the metres from there, NaN otherwise.
     """
     step = np.diff(place[used], axis=0, prepend=place[used[:1]])
     far = np.hypot(*step.T)
@@ -189,8 +189,8 @@ def _fill_transitions(
     block: IntArray,
     transition: FloatArray,
 ) -> None:
-    """Fill transition: log-probabilities from the states of each time to those of the next, row by
-    row; those from t - 1 to t begin at block[t]."""
+    """Fill transition: log-probabilities from the states of each time to the states of the next,
+    row by row; block[t] is the index of the first one from t - 1 to t."""
     leave, come, jump = np.log(LEAVE), np.log(COME), np.log(JUMP)
     reached_in = np.full(len(length), -1, dtype=np.int64)
     way_to = np.empty(len(length))
@@ -336,7 +336,7 @@ _LOCK_SIGMA_M, _LOCK_SIGMA_RAD = 1.0, 0.15
 
 
 def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
-    """The nearest road of each position by itself, as in the paper (`ira_open_street_map`).
+    """The nearest road of each position, independently, as in the paper (`ira_open_street_map`).
 
     Segments within 20 m, else 100 m, else 200 m are scored by distance and, if known, heading,
     normal both. `sure` is the segment's share of the scores of all within the radius.

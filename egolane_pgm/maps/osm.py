@@ -14,9 +14,6 @@ from egolane_pgm.maps.tags import KEYS, KINDS, read_lanes
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
-#: The largest number of warnings about the tags of a map.
-MOST_WARNINGS = 8
-
 #: Segments are not joined if the car would turn by more than this, measured over TURN_M metres: no
 #: car turns back where a road for both directions ends.
 MOST_TURN_DEG, TURN_M = 135.0, 15.0
@@ -39,15 +36,11 @@ def read_ways(path: str | Path) -> LaneGraph:
     """As `read_osm`, with a segment for each way, or several if another way shares a point."""
     raw = _read(path)
     read = [read_lanes(values) for values in raw.tags]
-    mistakes: dict[str, list[int]] = {}
-    for way, tag_set in zip(raw.way.tolist(), raw.tag_set.tolist(), strict=True):
-        for mistake in read[tag_set][1]:
-            mistakes.setdefault(mistake, []).append(way)
-    for mistake, ways in list(mistakes.items())[:MOST_WARNINGS]:
-        others = f" and {len(ways) - 1} more" if len(ways) > 1 else ""
-        _warn(f"{path}: way {ways[0]}{others}: {mistake}")
-    if len(mistakes) > MOST_WARNINGS:
-        _warn(f"{path}: {len(mistakes) - MOST_WARNINGS} more kinds of mistakes in tags")
+    mistakes = [read[tag_set][1] for tag_set in raw.tag_set]
+    bad = [k for k, mistake in enumerate(mistakes) if mistake]
+    if bad:
+        example = f"way {raw.way[bad[0]]}: {'; '.join(mistakes[bad[0]])}"
+        _warn(f"{path}: ignored wrong tags of {len(bad)} way(s), first of {example}")
     return with_joins(_segments(raw, np.array([lanes for lanes, _ in read])))
 
 

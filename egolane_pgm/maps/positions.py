@@ -117,8 +117,8 @@ def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None
     """Read the positions of a drive from a .csv, .parquet or .gpx, or from the
     sensor_msgs/NavSatFix of a bag: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
 
-    - columns: names of a table's columns by those of COLUMNS, as {"latitude": "lat_gps"}; by
-      default the usual names. Of a bag the topic, {"topic": "/fix"}, if several have positions.
+    - columns: other names of a table's columns (keys of COLUMNS), {"latitude": "lat_gps"}; or the
+      topic in a bag, {"topic": "/fix"}, if several have positions.
 
     Raises InputError for a file that cannot be read, for columns that do not go with the format,
     and as `Positions.make`.

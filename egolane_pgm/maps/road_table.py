@@ -88,8 +88,7 @@ def lanes_along(table: RoadTable, log: LineLog) -> IntArray:
 
 
 def lanes_at(table: RoadTable, time_s: FloatArray) -> IntArray:
-    """The number of lanes at T times, (T,), in seconds: that of the last row before which has a
-    number, or of the first such row.
+    """The number of lanes at T times, (T,), in seconds: the last known one, before any the first.
 
     Raises InputError if no row has a number, and for more than MAX_LANES.
     """

@@ -1,6 +1,6 @@
 """Lanes of a way of OpenStreetMap in each direction of travel, from its tags.
 
-Keys and values are those of https://wiki.openstreetmap.org/wiki/Lanes.
+Keys and values: https://wiki.openstreetmap.org/wiki/Lanes.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def _count(tags: dict[str, str], keys: list[str], problems: list[str]) -> int:
         return int(text)
     # Zero lanes are valid in one direction and in the middle.
     if text != "0" or key == "lanes":
-        problems.append(f"{key}={text} is not a number from 1 to {MOST_LANES}; lanes are unknown")
+        problems.append(f"{key}={text} is not a number from 1 to {MOST_LANES}")
     return 0
 
 
@@ -103,7 +103,7 @@ def _or_listed(
     if n_lanes == 0 and len(listed) == 1 and max(listed) <= MOST_LANES and not problems:
         (n_lanes,) = listed
     problems += [
-        f"{name} lists {n} lanes of {n_lanes}; it is ignored"
+        f"{name} lists {n} lanes of {n_lanes}"
         for name, n in found.items()
         if n_lanes and n != n_lanes
     ]

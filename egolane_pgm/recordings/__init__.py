@@ -42,7 +42,7 @@ def read_lines(
 ) -> LineLog:
     """Read a recording of lines, T frames of at most L lines.
 
-    - format: a name of FORMATS; by default that of the extension, or of the files in a folder.
+    - format: a name of FORMATS; by default by extension, also of the files in a folder.
     - camera: a camera or its YAML file, for lines in pixels; lines in metres need none.
     - frame_rate: frames per second of a recording without times; by default the reader's.
     - columns: names and units of a table's columns, or of messages' fields: keys and values of
@@ -86,7 +86,7 @@ def read_lines(
 
 
 def files_of(folder: Path) -> list[Path]:
-    """The files of a folder that is a recording: those of a bag, or all of them."""
+    """The files of a folder that is a recording: all files of a bag, else all files."""
     files = sorted(path for path in folder.iterdir() if path.is_file())
     return [path for path in files if path.suffix in _IN_BAGS] or files
 

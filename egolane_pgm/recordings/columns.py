@@ -1,7 +1,7 @@
 """Columns of a table, or fields of messages, as lines: names, units, signs and cells.
 
-`recording.columns` maps our names, `COLUMNS`, to those of the table; a name that it lacks is our
-own. A row of the table is a line, or a frame with a column for each of its lines.
+`recording.columns` maps our names, `COLUMNS`, to other names; the default is our own name. A row of
+the table is a line, or a frame with a column for each of its lines.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ COLUMNS = {
     "line": "1, 2, ... within the frame, in the detector's order; default: the order of the rows",
     "offset_m": "lateral offset of the line from the car, metres, negative to the left",
     "is_valid": "whether the detector trusts the line; default: true",
-    "is_continuous": "whether the line is solid; default: false",
+    "is_continuous": "true for a solid line; default: false",
     "lri": "line reliability index: number of the last frames with the line; default: unknown",
 }
 
@@ -160,7 +160,7 @@ class _Table:
         return ours if ours in self.data else None
 
     def column(self, ours: str, theirs: str) -> Any:
-        """A column. Raises InputError if there is none of that name."""
+        """A column. Raises InputError for an unknown name."""
         if theirs not in self.data:
             raise InputError(
                 f"{self.path}: columns: {ours}: there is no column"
@@ -305,7 +305,7 @@ def to_seconds(
 ) -> FloatArray:
     """A column as times in seconds, (N,): numbers of some unit, or dates (UTC without a zone).
 
-    Parameters and errors are those of `to_numbers`.
+    Parameters and errors: see `to_numbers`.
     """
     values, per = arrow_column(column), _PER_SECOND[unit]
     if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):

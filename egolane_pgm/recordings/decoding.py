@@ -64,7 +64,7 @@ class Decoder:
         self.bytes = b"".join(raw)
         self.array = np.frombuffer(self.bytes, np.uint8)
         self.end = np.cumsum([len(each) for each in raw])
-        # CDR starts with four bytes, of which the second is the byte order.
+        # CDR starts with four bytes; the second one is the byte order.
         self.start = np.concatenate([[0], self.end[:-1]]) + 4 * is_cdr
         #: Current position in each message.
         self.at = self.start.copy()

@@ -22,7 +22,7 @@ _ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
 
 
 def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> pd.DataFrame:
-    """Read the lane of each annotated frame, and whether the car is crossing into another lane.
+    """Read the lane of each annotated frame, and the flag of a crossing into another lane.
 
     A row is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty rows are
     skipped.
@@ -31,7 +31,7 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
       recording, which its file lacks.
 
     Raises InputError, naming the line, for a malformed row, frames that do not increase, a file
-    without rows, and an extra row of a frame that the file has.
+    without rows, and an extra row whose frame is in the file.
     """
     path = Path(path)
     rows: list[tuple[int, ...]] = []

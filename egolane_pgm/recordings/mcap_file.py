@@ -1,4 +1,4 @@
-"""MCAP files of JSON messages; the functions are those of `recordings.rosbag`."""
+"""MCAP files of JSON messages, with the same functions as `recordings.rosbag`."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ _CURE = (
 @contextmanager
 def opened(path: Path) -> Iterator[AnyReader]:
     """Open a bag. Raises InputError for any error of rosbags, also inside the block."""
-    # ROS 1 bags have their definitions; ROS 2 databases may lack those of ROS itself.
+    # ROS 1 bags have all definitions; ROS 2 databases may lack the standard ones.
     typestore = None if path.suffix == ".bag" else get_typestore(Stores.LATEST)
     with reading(path, "a bag", _CURE), AnyReader([path], default_typestore=typestore) as bag:
         yield bag
@@ -116,7 +116,7 @@ def _seconds(ns: Any) -> Any:
 
 @contextmanager
 def reading(path: Path, what: str, cure: str = "") -> Iterator[None]:
-    """Turn whatever a library raises for damaged bytes into an InputError that names the file.
+    """Turn any error of a library for damaged bytes into an InputError that names the file.
 
     - what: the kind of file. cure: advice, for the message.
     """

@@ -61,8 +61,8 @@ def messages(path: str | Path, topic: str) -> Iterator[Message]:
 
 
 def fields_of(path: Path, topic: str | None = None) -> Fields:
-    """The fields of all messages on a topic, by default that of the lines, and their times `time_s`
-    in seconds. Raises InputError as `messages`."""
+    """The fields of all messages on a topic (by default the one with lines), and their times
+    `time_s` in seconds. Raises InputError as `messages`."""
     library = _library(path)
     with library.opened(path) as file:
         topic = _find_topic(library.topics_of(file), topic)
@@ -88,7 +88,7 @@ def _library(path: Path) -> Any:
 
 
 def _find_topic(there: Topics, topic: str | None) -> str:
-    """Check a topic; by default find that of the lines."""
+    """Check a topic; by default find the one with lines."""
     if topic is None:
         found = [name for name in TOPICS if name in there][:1] or [*there]
         if len(found) == 1:
@@ -116,7 +116,7 @@ def read_topic(
 
     - topic: of the lines; by default one of TOPICS, or the only one.
     - frame_rate: frames per second of messages with frame ids but without times.
-    - columns: names of the fields; by default those of the published recordings, or our own.
+    - columns: names of the fields; by default the published ones, or our own.
 
     Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
     """

@@ -141,7 +141,7 @@ def test_a_tunnel_of_two_minutes_is_bridged_with_a_row_each_second() -> None:
 
 
 def test_a_track_far_from_any_road_is_refused_and_says_where_both_are(graph: LaneGraph) -> None:
-    said = r"none of 200 positions is .*latitude 50\.4.*; the map: latitude 49\.999"
+    said = r"no position of 200 is .*latitude 50\.4.*; the map: latitude 49\.999"
     with pytest.raises(InputError, match=said):
         locate(graph, drive(EASTWARD, 50_000.0))
 
