@@ -105,22 +105,22 @@ class Decoder:
         node, detail = item
         if node == Nodetype.BASE and detail[0] != "string":
             dtype = _dtype(detail[0])
-            self._align(dtype.itemsize, of[counts > 0])
-            begin = self._skip(counts * dtype.itemsize, of)
+            begin = self._skip(counts * dtype.itemsize, of, dtype.itemsize)
             each = zip(counts.tolist(), begin.tolist(), strict=True)
             return _objects(np.frombuffer(self.bytes, dtype, n, at) for n, at in each)
         # Read the first entry of all lists, then the second. One round without any entry gives the
         # names of the fields if all lists are empty.
         row = [np.flatnonzero(counts > k) for k in range(max(1, counts.max()))]
-        if node == Nodetype.BASE:
-            parts = [{"": self._values("string", of[some])} for some in row]
-        else:
-            parts = [self._message(detail, of[some]) for some in row]
+        is_text = node == Nodetype.BASE
+        parts = [
+            {"": self._values("string", of[some])} if is_text else self._message(detail, of[some])
+            for some in row
+        ]
         order = np.argsort(np.concatenate(row), kind="stable")
         # Lists inside the entries of a list are left out.
         names = [name for name, values in parts[0].items() if not isinstance(values, Items)]
         fields = {name: np.concatenate([part[name] for part in parts])[order] for name in names}
-        if node == Nodetype.BASE:
+        if is_text:
             return _objects(map(list, np.split(fields[""], np.cumsum(counts)[:-1])))
         return Items(counts, fields)
 
@@ -133,19 +133,16 @@ class Decoder:
             each = zip(begin.tolist(), (begin + length - self.is_cdr).tolist(), strict=True)
             return _objects(self.bytes[at:end].decode() for at, end in each)
         dtype = _dtype(kind)
-        self._align(dtype.itemsize, of)
-        begin = self._skip(np.full(len(of), dtype.itemsize), of)
+        begin = self._skip(np.full(len(of), dtype.itemsize), of, dtype.itemsize)
         values = self.array[begin[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
         found: NDArray[Any] = values.astype(bool if kind == "bool" else dtype)
         return found
 
-    def _align(self, size: int, of: IntArray) -> None:
-        if self.is_cdr:
-            self.at[of] += -(self.at[of] - self.start[of]) % size
-
-    def _skip(self, size: IntArray, of: IntArray) -> IntArray:
-        """Advance by some bytes, (N,); return the position before."""
+    def _skip(self, size: IntArray, of: IntArray, align: int = 1) -> IntArray:
+        """Advance by some bytes, (N,), to the end of a value; return its begin."""
         begin = self.at[of]
+        if self.is_cdr:
+            begin = begin + np.where(size > 0, (self.start[of] - begin) % align, 0)
         self.at[of] = begin + size
         self._check(self.at[of] > self.end[of], of, "is cut off")
         return begin

@@ -48,7 +48,7 @@ def messages(reader: McapReader, topic: str) -> Iterator[Message]:
                 " cannot be read, only ROS 2 and JSON"
             )
         value = json.loads(message.data)
-        yield Message(time_of(value, message.log_time), value)
+        yield time_of(value, message.log_time), value
 
 
 def fields_of(reader: McapReader, topic: str) -> Fields:

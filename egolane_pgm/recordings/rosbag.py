@@ -9,7 +9,7 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rosbags.highlevel import AnyReader
@@ -23,16 +23,8 @@ from egolane_pgm.types import InputError
 Topics = dict[str, tuple[str, int]]
 
 
-class Message(NamedTuple):
-    """A message of a recording.
-
-    - time_s: time stamp of the message, seconds.
-    - value: its fields: nested dicts and lists of numbers and texts, or NumPy arrays.
-    """
-
-    time_s: float
-    value: Mapping[str, Any]
-
+#: The time of a message, seconds, and its fields: nested dicts and lists, or NumPy arrays.
+Message = tuple[float, Mapping[str, Any]]
 
 #: Advice for a damaged file.
 _CURE = (
@@ -63,7 +55,7 @@ def messages(bag: AnyReader, topic: str) -> Iterator[Message]:
     for connection, logged_ns, raw in bag.messages(_connections(bag, topic)):
         message: Any = bag.deserialize(raw, connection.msgtype)
         value = dataclasses.asdict(message)
-        yield Message(time_of(value, logged_ns), value)
+        yield time_of(value, logged_ns), value
 
 
 def fields_of(bag: AnyReader, topic: str) -> Fields:
