@@ -7,7 +7,6 @@ with a constant number of lanes (`n_lanes: map`). Everything that runs, fits or 
 from __future__ import annotations
 
 import hashlib
-import mimetypes
 import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
@@ -179,7 +178,7 @@ def read_file(experiment: Experiment) -> LineLog:
 
 def check_sources(experiment: Experiment) -> None:
     """Check, without reading any frame, that all files of an experiment are there."""
-    r, source = experiment.recording, experiment.source
+    r = experiment.recording
     if r.detector is not None:
         from egolane_pgm.vision.detectors.pictures import open_pictures
 
@@ -187,13 +186,10 @@ def check_sources(experiment: Experiment) -> None:
     elif r.simulate is None:
         check_file(experiment)
     else:
-        from egolane_pgm.simulation import PRESETS
+        from egolane_pgm.simulation import simulated_road
 
-        if r.simulate not in PRESETS:
-            raise InputError(
-                f"{source}: recording.simulate: unknown preset '{r.simulate}'"
-                f"{suggestion(r.simulate, PRESETS)}"
-            )
+        with problems_in(f"{experiment.source}: recording"):
+            simulated_road(r.simulate, frames=1)
     for key in ("ground_truth.path", "road"):
         if getattr(experiment, key.partition(".")[0]) is not None:
             existing(experiment, key, _FETCH)
@@ -202,20 +198,16 @@ def check_sources(experiment: Experiment) -> None:
 def check_file(experiment: Experiment) -> None:
     """Raise InputError for a file of lines that is missing, or whose format is unknown."""
     r, source = experiment.recording, experiment.source
-    if r.format is None and (mimetypes.guess_type(str(r.path))[0] or "").startswith("video/"):
-        raise InputError(
-            f"{source}: recording.path: {r.path} is a video: name a detector"
-            " (recording.detector, e.g. ml) and a camera (recording.camera)"
-        )
     if r.format is not None and r.format not in FORMATS:
         where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
         if r.format not in known and not r.format.endswith(".py"):
             raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
         load_plugin("recordings", r.format, where)
     path = existing(experiment, "recording.path", _FETCH)
+    format = r.format or format_of(path)
     if r.camera is not None:
         existing(experiment, "recording.camera")
-    elif (r.format or format_of(path)) in IN_PIXELS:
+    elif format in IN_PIXELS:
         raise InputError(
             f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
         )

@@ -113,7 +113,7 @@ def test_a_folder_of_pictures_gives_what_the_video_of_them_gives(place: Path) ->
 @pytest.mark.parametrize(
     ("keys", "said"),
     [
-        ({"path": "drive.avi", "detector": None}, "drive.avi is a video: name a detector"),
+        ({"path": "drive.avi", "detector": None}, "of a video a detector"),
         ({"path": "nowhere"}, "nowhere: no such file"),
         ({"path": "none"}, "none: has no pictures"),
     ],

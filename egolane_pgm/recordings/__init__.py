@@ -111,11 +111,11 @@ def format_of(path: str | Path) -> str:
             return "rosbag"
         raise InputError(
             f"{path}: a folder without a bag ({', '.join(f'*{e}' for e in _IN_BAGS)}); pictures"
-            " need a detector (recording.detector, or detector)"
+            " need a detector (recording.detector)"
         )
     raise InputError(
         f"{path}: unknown extension '{path.suffix}' of a recording ({known_formats()}); name its"
-        " format"
+        " format, or of a video a detector (recording.detector)"
     )
 
 
