@@ -170,7 +170,7 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
         ({"path": "cam.yaml"}, "is no video that can be read"),
         ({"right": "drive.avi"}, "recording.right: detector ml looks at one camera only"),
         ({"format": "table"}, "recording.format: does not go with a detector"),
-        ({"detector": None}, "is a video: name a detector"),
+        ({"detector": None}, "of a video a detector"),
     ],
 )
 def test_what_does_not_fit_is_said_with_its_key_by_validate_and_run(
