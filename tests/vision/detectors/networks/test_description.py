@@ -27,7 +27,7 @@ def folder(tmp_path: Path) -> Path:
     ("keys", "said"),
     [
         ({"sise": [1, 2]}, "unknown key 'sise' (did you mean 'size'?)"),
-        ({"layout": "lane"}, "layout: 'lane' is not one of drivable, lanes, instances,"),
+        ({"layout": "lane"}, "layout: 'lane' is not one of lanes, instances,"),
         ({"classes": None}, "layout lanes needs classes"),
         ({"rows": [1, 2]}, "rows: goes with layout row_anchors or hybrid_anchors only"),
         ({"layout": "row_anchors"}, "layout row_anchors needs rows"),
@@ -36,7 +36,7 @@ def folder(tmp_path: Path) -> Path:
             {"layout": "prototypes", "output": {"box": "x"}},
             "layout prototypes reads boxes, prototypes",
         ),
-        ({"classes": {"solid": [1]}}, "a line of lanes has none; say how many there are"),
+        ({"classes": {"solid": [1]}}, "lines of layout lanes have none; give their number"),
         ({"mean": float("nan")}, "input should be a finite number"),
         ({"cut_top": 1}, "cut_top: input should be less than 1"),
     ],
@@ -69,8 +69,7 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
         ("network", {}, "here_parameters.network: '' is not the name of a .yaml file; it"),
         ("network", {"network": "none"}, "'none' is not the name of a .yaml file"),
         ("network", {"network": "lsrt"}, "(docs/networks.md) (did you mean 'lstr'?)"),
-        ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a .yaml"),
-        ("ml", {"on_rode": "x.yaml"}, "unknown key 'on_rode' (did you mean 'on_road'?)"),
+        ("ml", {"lri_frame": 3}, "unknown key 'lri_frame' (did you mean 'lri_frames'?)"),
     ],
 )
 def test_a_parameter_that_is_no_network_is_refused(

@@ -56,14 +56,6 @@ def place(network: Network, fit: Fit) -> FloatArray:
     return np.array(found)
 
 
-def area(network: Network, fit: Fit) -> FloatArray:
-    """The probability of free road: between the outermost lines, less all paint, (h, w)."""
-    x = place(network, fit)
-    u = np.arange(network.size[0])
-    is_paint = strips(network, fit).max(axis=0) > 0.5
-    return np.where((u > x[0][:, None]) & (u < x[-1][:, None]) & ~is_paint, 0.9, 0.1)
-
-
 def strips(network: Network, fit: Fit) -> FloatArray:
     """The probability of each line's marking, 0.2 m wide and two pixels at least, (lines, h, w)."""
     u, v = np.meshgrid(*(np.arange(float(n)) for n in network.size))
@@ -78,37 +70,29 @@ def two_classes(share: FloatArray) -> FloatArray:
 
 
 def twinlitenet(network: Network, fit: Fit) -> dict[str, FloatArray]:
-    """Logits of two classes."""
-    return {
-        "da": np.log(two_classes(area(network, fit))),
-        "ll": np.log(two_classes(strips(network, fit).max(axis=0))),
-    }
+    """Logits of two classes; the first output is the drivable area."""
+    lanes = np.log(two_classes(strips(network, fit).max(axis=0)))
+    return {"da": np.zeros_like(lanes), "ll": lanes}
 
 
 def yolop(network: Network, fit: Fit) -> dict[str, FloatArray]:
-    """The sigmoid is in the file; the first output is that of vehicles."""
-    return {
-        "det_out": np.zeros((1, 25200, 6)),
-        "drive_area_seg": two_classes(area(network, fit)),
-        "lane_line_seg": two_classes(strips(network, fit).max(axis=0)),
-    }
+    """The sigmoid is in the file; the first outputs are vehicles and the drivable area."""
+    lanes = two_classes(strips(network, fit).max(axis=0))
+    vehicles = np.zeros((1, 25200, 6))
+    return {"det_out": vehicles, "drive_area_seg": np.zeros_like(lanes), "lane_line_seg": lanes}
 
 
 def yolopv2(network: Network, fit: Fit) -> dict[str, FloatArray]:
-    """`driving_area_mask` takes the larger of two channels, `lane_line_mask` rounds the only one;
-    the others are of vehicles. The road has its paint."""
-    x, u = place(network, fit), np.arange(network.size[0])
-    is_road = (u > x[0][:, None]) & (u < x[-1][:, None])
-    return {
-        "seg": two_classes(np.where(is_road, 0.9, 0.1)),
-        "ll": strips(network, fit).max(axis=0)[None, None],
-        **{f"pred{k}": np.zeros((1, 255, 384 // n, 640 // n)) for k, n in enumerate((8, 16, 32))},
-    }
+    """`lane_line_mask` rounds its only channel; the others are the drivable area and vehicles."""
+    lanes = strips(network, fit).max(axis=0)[None, None]
+    vehicles = {f"pred{k}": np.zeros((1, 255, 384 // n, 640 // n)) for k, n in ((0, 8), (1, 16))}
+    return {"seg": np.repeat(lanes, 2, axis=1), "ll": lanes, **vehicles}
 
 
 def hybridnets(network: Network, fit: Fit) -> dict[str, FloatArray]:
-    """Logits of background, road and lane; the first outputs are those of vehicles."""
-    road, lane = area(network, fit), strips(network, fit).max(axis=0)
+    """Logits of background, road and lane; the first outputs are vehicles."""
+    lane = strips(network, fit).max(axis=0)
+    road = np.full_like(lane, 0.05)
     return {
         "regression": np.zeros((1, 46035, 4)),
         "classification": np.zeros((1, 46035, 1)),
@@ -242,13 +226,9 @@ def scnn(network: Network, fit: Fit) -> dict[str, FloatArray]:
 #: What each network that comes along gives.
 GIVES: dict[str, Callable[[Network, Fit], dict[str, FloatArray]]] = {
     "twinlitenet_lanes": twinlitenet,
-    "twinlitenet_road": twinlitenet,
     "yolop_lanes": yolop,
-    "yolop_road": yolop,
     "yolopv2_lanes": yolopv2,
-    "yolopv2_road": yolopv2,
     "hybridnets_lanes": hybridnets,
-    "hybridnets_road": hybridnets,
     "ufld_culane": ultra_fast,
     "ufld_tusimple": ultra_fast,
     "ufldv2_culane": ultra_fast_2,
@@ -289,11 +269,6 @@ def test_each_yaml_reads_what_its_network_writes(tmp_path: Path, name: str) -> N
             assert np.abs(away).max() < 0.3
         return
     above = from_above(view, answer) > 0
-    if network.layout == "drivable":
-        between = (view.y_m > OFFSETS[0]) & (view.y_m < OFFSETS[-1])
-        edge = np.abs(view.y_m[:, None] - OFFSETS[[0, -1]]).min(axis=1) < 0.3
-        assert (above == between)[:, ~edge].all()
-        return
     away = np.abs(view.y_m[:, None] - OFFSETS)
     assert not above[:, away.min(axis=1) > 0.3].any()
     for line in range(len(OFFSETS)):
@@ -305,11 +280,11 @@ def test_each_yaml_reads_what_its_network_writes(tmp_path: Path, name: str) -> N
 
 @pytest.mark.parametrize("name", ready_networks())
 def test_an_onnx_is_known_again_by_its_outputs(tmp_path: Path, name: str) -> None:
-    """The YAML to start from is that of the network, or of its other output or data set."""
+    """The YAML to start from is that of the network."""
     path = written(tmp_path, name)
     said = yaml.safe_load(describe_onnx(read_network(path).files[1]))
     own = yaml.safe_load((READY / path.name).read_text())
-    for key in ("layout", "size", "classes", "inputs") if not name.endswith("_road") else ("size",):
+    for key in ("layout", "size", "classes", "inputs"):
         assert said.get(key) == own.get(key)
 
 
@@ -327,7 +302,7 @@ def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
     load(read_network(tmp_path / "mine.yaml"), Fit(320, 160, 0, 0, 0, 320, 160))
     write_known(file, {"a": np.zeros((1, 3)), "b": np.zeros((2, 2))}, (320, 160))
     assert command("show", file).stdout.endswith(
-        "# layouts that fit: none (docs/networks.md shows what each reads)\n"
+        "# layouts that fit: none (docs/networks.md has the shapes of each)\n"
     )
     file.write_bytes(b"nothing")
     assert refused("show", file).startswith(f"network: {file}: is no ONNX file that can be read")
