@@ -7,12 +7,12 @@ from collections.abc import Callable
 import numpy as np
 
 from egolane_pgm.parameters import Parameters, number
-from egolane_pgm.types import BoolArray, FloatArray
+from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road
-from egolane_pgm.vision.camera.picture import Picture
+from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors import powers
 from egolane_pgm.vision.detectors.networks.description import Network
-from egolane_pgm.vision.detectors.networks.layouts import Answer, Line, answer
+from egolane_pgm.vision.detectors.networks.layouts import Line, answer
 from egolane_pgm.vision.detectors.networks.running import fit_of, load
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look
 from egolane_pgm.vision.detectors.simple.finder import Finder
@@ -33,17 +33,11 @@ _USUAL = np.array([0.0, 0.05**-2, 0.001**-2, 4e-5**-2])
 _NEAR_SD_M, _SD_PER_M = 0.05, 0.01
 
 
-def looker(network: Network, camera: Camera) -> Callable[[Picture], Answer]:
+def looker(network: Network, camera: Camera) -> Callable[[Picture], Image | list[Line]]:
     """Make the function from a picture to the network's answer. Raises InputError as `load`."""
     fit = fit_of(network, camera.width, camera.height)
     run = load(network, fit)
     return lambda picture: answer(network, fit, run(picture.image))
-
-
-def from_above(view: BirdsEye, seen: Answer) -> BoolArray:
-    """Return the pixels, (R, C), of the bird's-eye view in a mask."""
-    assert seen.mask is not None
-    return np.asarray((look(view, seen.mask) > 127) & view.valid)
 
 
 def network_finder(camera: Camera, network: Network, parameters: Parameters) -> Finder:
@@ -52,34 +46,28 @@ def network_finder(camera: Camera, network: Network, parameters: Parameters) -> 
 
     def find(view: BirdsEye, picture: Picture, prior: FloatArray | None) -> Found:
         seen = see(picture)
-        if seen.mask is None:
-            return _fitted(view, network, seen.lines, parameters)
-        mask = from_above(view, seen).astype(np.uint8)
+        if isinstance(seen, list):
+            return _fitted(view, network, seen, parameters)
+        mask = ((look(view, seen) > 127) & view.valid).astype(np.uint8)
         return find_lines(view, picture.image, parameters, prior_shape=prior, mask=mask)
 
     return find
 
 
-def _fitted(
-    view: BirdsEye, network: Network, lines: tuple[Line, ...], parameters: Parameters
-) -> Found:
+def _fitted(view: BirdsEye, network: Network, lines: list[Line], parameters: Parameters) -> Found:
     """Fit each line by least squares over its positions in the view. Of lines nearer to each other
     than `APART_M`, the most probable is kept."""
-    shapes: list[FloatArray] = []
-    kept: list[Line] = []
+    rows: list[FloatArray] = []
     for line in sorted(lines, key=lambda line: -line.probability):
         shape = _shape(view, line, CURVES[str(parameters["curve"])])
         if shape is None or abs(shape[0]) > number(parameters, "side_m"):
             continue
-        gaps = (np.array(shapes).reshape(-1, 4) - shape) @ powers(_COMPARED_M)
-        if (np.abs(gaps) >= APART_M).all():
-            shapes.append(shape)
-            kept.append(line)
-    found = np.array(shapes).reshape(-1, 4)
-    order = np.argsort(found[:, 0], kind="stable")
-    solid = [network.continuous.get(-1 if ln.kind is None else ln.kind, np.nan) for ln in kept]
-    likely = np.array([line.probability for line in kept])[order]
-    return Found(found[order], likely, likely, np.array(solid, dtype=np.float64)[order])
+        if all(abs((row[:4] - shape) @ powers(_COMPARED_M)) >= APART_M for row in rows):
+            solid = network.continuous.get(-1 if line.kind is None else line.kind, np.nan)
+            rows.append(np.array([*shape, line.probability, solid]))
+    found = np.array(rows).reshape(-1, 6)
+    found = found[np.argsort(found[:, 0], kind="stable")]
+    return Found(found[:, :4], score=found[:, 4], likely=found[:, 4], solid=found[:, 5])
 
 
 def _shape(view: BirdsEye, line: Line, n: int) -> FloatArray | None:

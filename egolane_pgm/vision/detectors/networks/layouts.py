@@ -42,24 +42,16 @@ class Line:
     kind: int | None = None
 
 
-@dataclass(frozen=True)
-class Answer:
-    """The result of a network: a mask (H, W) of the picture, 255 on markings; or lines, in pixels
-    of the picture."""
-
-    mask: Image | None
-    lines: tuple[Line, ...] = ()
-
-
-def answer(network: Network, fit: Fit, outputs: Outputs) -> Answer:
-    """Read the outputs of a network."""
+def answer(network: Network, fit: Fit, outputs: Outputs) -> Image | list[Line]:
+    """Read the outputs of a network: a mask (H, W) of the picture, 255 on markings; or lines, in
+    pixels of the picture."""
     if network.layout == "lanes":
-        return Answer(_mask(network, fit, outputs["mask"]))
-    lines = [line for line in _LINES[network.layout](network, outputs) if len(line.points) > 1]
-    if network.continuous:
-        lines = [line for line in lines if line.kind in network.continuous]
-    points = (np.stack(fit.to_picture(*line.points.T), axis=1) for line in lines)
-    return Answer(None, tuple(replace(ln, points=p) for ln, p in zip(lines, points, strict=True)))
+        return _mask(network, fit, outputs["mask"])
+    return [
+        replace(line, points=np.stack(fit.to_picture(*line.points.T), axis=1))
+        for line in _LINES[network.layout](network, outputs)
+        if len(line.points) > 1 and (line.kind in network.continuous or not network.continuous)
+    ]
 
 
 def _probabilities(network: Network, output: FloatArray) -> FloatArray:
@@ -102,32 +94,23 @@ def _middle(network: Network, share: FloatArray, least: float) -> FloatArray:
 
 
 def _prototypes(network: Network, outputs: Outputs) -> list[Line]:
-    """YOLO: each box has a class and coefficients of common masks. The boxes are either
-    (4 + classes + masks, boxes), or suppressed in the file, (boxes, 6 + masks): corners,
-    probability, class."""
-    common, boxes = outputs["prototypes"], outputs["boxes"]
-    n_masks = len(common)
-    if boxes.shape[1] == 6 + n_masks:
-        corners, share, kind = boxes[:, :4], boxes[:, 4], boxes[:, 5].astype(np.int64)
-        kept = np.flatnonzero(share >= network.threshold)
-    else:
-        boxes = boxes.T
-        share, kind = boxes[:, 4:-n_masks].max(axis=1), boxes[:, 4:-n_masks].argmax(axis=1)
-        first, size = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, 2:4]
-        corners = np.concatenate([first, first + size], axis=1)
-        rectangles = np.concatenate([first, size], axis=1).tolist()
-        found = cv2.dnn.NMSBoxesBatched(
-            rectangles, share.tolist(), kind.tolist(), network.threshold, _OVERLAP
-        )
-        kept = np.array(found, dtype=np.int64).ravel()
+    """YOLO: each box has a class and coefficients of common masks."""
+    common, boxes = outputs["prototypes"], outputs["boxes"].T
+    classes, coefficients = np.split(boxes[:, 4:], [-len(common)], axis=1)
+    share, kind = classes.max(axis=1), classes.argmax(axis=1)
+    first, size = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, 2:4]
+    rectangles = np.concatenate([first, size], axis=1).tolist()
+    kept = cv2.dnn.NMSBoxesBatched(
+        rectangles, share.tolist(), kind.tolist(), network.threshold, _OVERLAP
+    )
     height, width = common.shape[1:]
-    scale = np.tile([width, height], 2) / np.tile(network.size, 2)
+    scale = np.array([width, height]) / network.size
     rows, columns = np.mgrid[:height, :width]
     lines = []
-    for k in kept:
-        left, upper, right, lower = corners[k] * scale
+    for k in np.array(kept, dtype=np.int64).ravel():
+        (left, upper), (right, lower) = first[k] * scale, (first[k] + size[k]) * scale
         inside = (columns >= left) & (columns < right) & (rows >= upper) & (rows < lower)
-        mask = expit(np.tensordot(boxes[k, -n_masks:], common, axes=1)) * inside
+        mask = expit(np.tensordot(coefficients[k], common, axes=1)) * inside
         lines.append(Line(_middle(network, mask, _INSIDE), share[k], int(kind[k])))
     return lines
 

@@ -241,7 +241,7 @@ def lengths(
     if numbers is not None and last >= found.get("k", math.inf):
         return None
     a, b, m = (found.get(letter, 0) for letter in "abm")
-    # Boxes that are not suppressed yet outnumber their coefficients.
-    if network.layout == "prototypes" and a and b and m and b != 6 + m and not 5 + m <= a < b:
+    # Boxes outnumber their coefficients.
+    if network.layout == "prototypes" and a and b and m and not 5 + m <= a < b:
         return None
     return found

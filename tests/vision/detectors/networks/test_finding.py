@@ -17,15 +17,17 @@ from tests.kits.tiny_network import write_answers
 def write_segments(folder: Path, lines: Sequence[tuple[float, int, float]], **keys: Any) -> Path:
     """A network that sees straight lines, each with its offset, class and probability."""
     size, n = (CAMERA.width, CAMERA.height), len(lines)
-    masks, boxes = np.full((1, n, *size[::-1]), -9.0), np.zeros((1, n, 6 + n))
+    masks, boxes = np.full((1, n, *size[::-1]), -9.0), np.zeros((1, 4 + 4 + n, 20))
     far = np.linspace(3, 60, 2000)
     for k, (offset, kind, likely) in enumerate(lines):
         u, v = (np.round(at).astype(int) for at in road_to_image(CAMERA, far, offset))
         inside = (u >= 1) & (u < size[0] - 1) & (v >= 0) & (v < size[1])
         for aside in (-1, 0, 1):
             masks[0, k, v[inside], u[inside] + aside] = 9
-        boxes[0, k, :6] = (0, 0, *size, likely, kind)
-        boxes[0, k, 6 + k] = 1
+        left, right = u[inside].min() - 2, u[inside].max() + 2
+        boxes[0, :4, k] = ((left + right) / 2, size[1] / 2, right - left, size[1])
+        boxes[0, 4 + kind, k] = likely
+        boxes[0, 8 + k, k] = 1
     outputs = {"boxes": boxes, "prototypes": masks}
     return write_answers(folder, outputs, layout="prototypes", size=list(size), **keys)
 

@@ -142,7 +142,11 @@ def test_on_an_empty_road_two_cameras_say_what_one_says(mono: str, stereo: str) 
     ("given_", "camera", "message"),
     [
         ({"match_rows": 30}, DRAWN, "match_rows: 30 leaves 656x9 .*, and sgbm needs 64x16"),
-        ({}, replace(DRAWN, fx=6000.0, baseline_m=1.0), "baseline_m: objects 4 m ahead are .* pixels apart"),
+        (
+            {},
+            replace(DRAWN, fx=6000.0, baseline_m=1.0),
+            "baseline_m: objects 4 m ahead are .* pixels apart",
+        ),
         ({}, replace(PAIR, distortion=(0.1, 0.0, 0.0, 0.0, 0.0)), "must be rectified"),
         ({}, replace(PAIR, pitch_deg=40.0), r"camera: only 0 % of the road .*pitch_deg 40"),
     ],
