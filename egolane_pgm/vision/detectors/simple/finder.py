@@ -85,9 +85,8 @@ def follower(
     """As `start`, but return the function from tracks and a picture to tracks, and its rules."""
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curve=curve)
-    for_view = None if on_road is None else on_road(camera, parameters)
     view = view_for(camera, parameters)
-    road = None if for_view is None else for_view(view)
+    road = None if on_road is None else on_road(camera, parameters)(view)
     # With two cameras the plane of the road gives the pitch.
     is_watched = road is None and parameters["camera_drift"] == "correct"
     watch = drift.watch(view, parameters) if is_watched else None

@@ -27,7 +27,6 @@ from egolane_pgm.vision.detectors.simple.markings import (
     NOISE,
     RAIN,
     SMOOTH_ALONG_M,
-    is_nothing_but_noise,
     marking_mask,
     streak_cover,
     without_streaks,
@@ -140,8 +139,6 @@ def find_lines(
     if mask is None:
         cover = streak_cover(image)
         if cover > NOISE:
-            if is_nothing_but_noise(image):
-                return Found(np.zeros((0, 4)), np.zeros(0))
             # Bends and distant markings drown first.
             near = view.x_m <= _STRAIGHT_TO_M
             view = replace(view, valid=view.valid & near[:, None])

@@ -133,11 +133,6 @@ _QUARTILE = 0.25
 #: full of noise (of a standard deviation of 10: 0.16).
 RAIN, NOISE = 0.01, 0.1
 
-#: Noise is averaged over blocks of so many pixels a side. In what is nothing but noise rows beside
-#: each other then differ by more than the second number times as much as those eight apart; on a
-#: road with noise of a standard deviation of 60 by at most 0.79 times.
-_BLOCK, _NOTHING, _APART = 8, 0.85, 8
-
 
 def streak_cover(image: Image) -> float:
     """The share of a picture, (H, W, 3) or (H, W), that thin bright strips cover, in each of three
@@ -160,16 +155,6 @@ def without_streaks(image: Image) -> Image:
     """The picture without the strips that are as thin as streaks."""
     opened = cv2.morphologyEx(image, cv2.MORPH_OPEN, _strip(image))
     return opened.astype(np.uint8, copy=False)
-
-
-def is_nothing_but_noise(image: Image) -> bool:
-    """Whether a picture, (H, W, 3) or (H, W), stays noise if blocks of it are averaged."""
-    share = 1 / _BLOCK
-    small = cv2.resize(image, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    lower = small[small.shape[0] // 2 :].astype(np.int16)
-    rows = lower if lower.ndim == 2 else lower[:, :, 2]
-    apart = float(np.abs(rows[_APART:] - rows[:-_APART]).mean()) if len(rows) > _APART else 0.0
-    return not apart or float(np.abs(rows[1:] - rows[:-1]).mean()) > _NOTHING * apart
 
 
 def _width(image: Image) -> int:

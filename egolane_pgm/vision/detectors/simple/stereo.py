@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, problems_in
-from egolane_pgm.vision.camera.model import Camera, axes, image_to_road
+from egolane_pgm.vision.camera.model import Camera, axes, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.detectors.simple.birdseye import VIEWS, BirdsEye, turned_up
 from egolane_pgm.vision.detectors.simple.finder import OnRoad
@@ -259,17 +259,15 @@ def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameter
 
 def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
     """Return the first row that may show that region at the largest allowed pitch, and one more
-    than the last row that may show its part in view."""
-    u, v = np.meshgrid(np.arange(float(camera.width)), np.arange(0.0, camera.height, 4.0))
-    x, _ = image_to_road(camera, u, v)
-    is_road = _is_road(camera, u, v, parameters)
-    rows = np.flatnonzero(is_road.any(axis=1)) * 4
-    with np.errstate(invalid="ignore"):
-        in_view = np.flatnonzero((is_road & (x >= number(parameters, "x_min_m"))).any(axis=1)) * 4
+    than the last row that may show its part in view; both on a grid of 4 rows before that."""
+    side, near = number(parameters, "side_m"), number(parameters, "x_min_m")
+    y = np.linspace(-side, side, 9)
+    _, above = road_to_image(camera, number(parameters, "x_max_m"), y)
+    _, below = road_to_image(camera, near, y)
     slack = math.tan(math.radians(_MOST_PITCH_DEG)) * camera.fy
-    top = max(int((rows[0] if len(rows) else 0) - slack), 0)
-    last = in_view[-1] + 4 + slack if len(in_view) else camera.height
-    return top, min(int(last), camera.height)
+    top = 4 * np.ceil(np.nanmin(above).clip(0) / 4) - slack
+    bottom = 4 * np.floor(np.nanmax(below).clip(max=camera.height - 1) / 4) + 4 + slack
+    return max(int(top), 0), min(int(bottom), camera.height)
 
 
 def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:

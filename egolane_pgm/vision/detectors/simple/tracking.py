@@ -172,18 +172,30 @@ def _noise_of_clothoids(at: FloatArray) -> FloatArray:
 
 def no_tracks(rule: Rules) -> Tracks:
     """Return the empty tracks before the first frame."""
-    count, nothing, flag = np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0, dtype=bool)
+    return _new_tracks(rule, np.zeros((0, 4)), np.zeros(0), np.zeros(0))
+
+
+def _new_tracks(
+    rule: Rules, shape: FloatArray, coverage: FloatArray, likely: FloatArray, n_started: int = 0
+) -> Tracks:
+    """Make tracks of N lines (N, 4) that were detected for the first time."""
+    n_lines = len(shape)
+    hits = np.zeros((n_lines, rule.lri_frames))
+    hits[:, -1] = likely
+    votes = np.full((n_lines, _VOTE_FRAMES), np.nan)
+    votes[:, -1] = np.where(np.isnan(coverage), np.nan, coverage >= rule.continuous_cover)
     return Tracks(
-        number=count,
-        mean=np.zeros((0, 4)),
-        covariance=np.zeros((0, 4, 4)),
-        hits=np.zeros((0, rule.lri_frames)),
-        excess=nothing,
-        votes=np.zeros((0, _VOTE_FRAMES)),
-        missed=count,
-        is_valid=flag,
-        was_valid=flag,
+        number=n_started + 1 + np.arange(n_lines),
+        mean=shape,
+        covariance=np.repeat(rule.first[None], n_lines, axis=0),
+        hits=hits,
+        excess=np.ones(n_lines),
+        votes=votes,
+        missed=np.zeros(n_lines, dtype=np.int64),
+        is_valid=np.zeros(n_lines, dtype=bool),
+        was_valid=np.zeros(n_lines, dtype=bool),
         motion=np.zeros(4),
+        n_started=n_started + n_lines,
     )
 
 
@@ -215,13 +227,14 @@ def advance(
     matched = _match(tracks, rule, shape)
     tracks = _update(tracks, rule, matched, shape, coverage, likely)
     for found in np.setdiff1d(np.arange(len(shape)), matched):
-        new = _new_track(tracks, rule, shape[found], coverage[found], likely[found])
+        one = slice(found, found + 1)
+        new = _new_tracks(rule, shape[one], coverage[one], likely[one], tracks.n_started)
         is_apart = _gaps(tracks.mean, shape[found], rule) >= _APART_M
         if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
             both: dict[str, Any] = {
                 n: np.concatenate([a, getattr(new, n)]) for n, a in _per_line(tracks).items()
             }
-            tracks = replace(new, **both)
+            tracks = replace(new, motion=tracks.motion, **both)
     # A line becomes valid with an excess of k, which without a miss is the largest LRI (the paper's
     # rule), and stays so until its LRI falls below a share of k.
     k, seen = rule.lri_frames, (tracks.hits > 0).sum(axis=1)
@@ -329,30 +342,6 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
         middle = middle - rule.at[:, 2] * shift[2]
     shift[:2] = rule.to_shift @ middle
     return shift
-
-
-def _new_track(
-    tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float, likely: float
-) -> Tracks:
-    """Make tracks of one line, which was detected for the first time."""
-    hits = np.zeros((1, tracks.hits.shape[1]))
-    hits[0, -1] = likely
-    votes = np.full((1, tracks.votes.shape[1]), np.nan)
-    if np.isfinite(coverage):
-        votes[0, -1] = coverage >= rule.continuous_cover
-    return Tracks(
-        number=np.array([tracks.n_started + 1]),
-        mean=shape[None].astype(np.float64),
-        covariance=rule.first[None],
-        hits=hits,
-        excess=np.ones(1),
-        votes=votes,
-        missed=np.zeros(1, dtype=np.int64),
-        is_valid=np.zeros(1, dtype=bool),
-        was_valid=np.zeros(1, dtype=bool),
-        motion=tracks.motion,
-        n_started=tracks.n_started + 1,
-    )
 
 
 def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
