@@ -1,9 +1,8 @@
-"""Groups marking pixels into contours and keeps those that may belong to a line.
+"""Group marking pixels into contours, and keep those that may belong to a line.
 
 The contours come from Suzuki and Abe's border following (`cv2.findContours`), as in the paper's
 section `section:simple-line-detector`. Small contours are dropped, and so are those that run across
-the road. The latter removes the flanks of vehicles: these stand up from the road, and so the
-bird's-eye view shows them as streaks that point at the camera.
+the road, such as the flanks of vehicles, which are upright and so point at the camera.
 """
 
 from __future__ import annotations
@@ -17,14 +16,14 @@ from numpy.typing import NDArray
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
 
-#: The area of the smallest contour that is kept, square metres, and the steepest one, metres to the
+#: Area of the smallest contour that is kept, square metres, and its largest slope, metres to the
 #: side per metre ahead.
 _LEAST_AREA_M2, _MOST_SLOPE = 0.04, 0.35
 
 
 @dataclass(frozen=True)
 class Strips:
-    """The K contours that are kept, cut into N runs of pixels across the road.
+    """K contours, cut into N runs of pixels across the road.
 
     - row: (N,) the run's row in the view
     - x_m, y_m: (N,) middle of the run, metres
@@ -46,12 +45,11 @@ class Strips:
 
 
 def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
-    """Finds the contours of a mask (R, C) that may be marking. The mask is 0 where there is none;
-    where it is larger, a pixel weighs more."""
+    """Find the contours of a mask (R, C) of marking, whose values are the weights of its pixels."""
     borders, tree = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     if not borders:
-        nothing, none = np.zeros(0), np.zeros(0, dtype=np.int64)
-        return Strips(none, nothing, nothing, nothing, none, nothing, nothing, nothing)
+        empty, no_index = np.zeros(0), np.zeros(0, dtype=np.int64)
+        return Strips(no_index, empty, empty, empty, no_index, empty, empty, empty)
     starts = np.cumsum([0, *map(len, borders)])
     points = np.concatenate(borders)[:, 0].astype(np.int32)
     around = tree[0, :, 3]
@@ -81,12 +79,11 @@ def find_strips(view: BirdsEye, mask: NDArray[np.uint8]) -> Strips:
 def _runs(
     mask: NDArray[np.uint8], points: NDArray[np.int32], starts: IntArray, owner: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, IntArray, IntArray]:
-    """The N runs along the rows of a mask's pixels that are not 0: row, first and last column,
-    contour, and the sum of the pixels, (N,) each.
+    """Return row, first and last column, contour and sum of the pixels, (N,) each, of the runs of
+    non-zero pixels in a mask (R, C).
 
-    - mask: (R, C)
-    - points: (P, 2) column and row of the points of all borders, one border after the other
-    - starts: (B + 1,) where each border begins in `points`, and P
+    - points: (P, 2) column and row of the points of all borders
+    - starts: (B + 1,) index of each border's first point, and P
     - owner: (B,) the contour of each border; for the border of a hole, the contour around it
     """
     n_columns = mask.shape[1]
@@ -106,13 +103,13 @@ def _runs(
 def _directions(
     view: BirdsEye, x: FloatArray, y: FloatArray, width: FloatArray, contour: IntArray, count: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Fits a line through the middles of each contour's runs, weighted by their width. Gives the
-    middle (metres ahead), slope and slope's standard deviation, (count,) each."""
+    """Fit a line through the middles of each contour's runs, weighted by their width; return its
+    middle (metres ahead), slope and the slope's standard deviation, (count,) each."""
 
     def total(values: FloatArray) -> FloatArray:
         return np.bincount(contour, values, count).astype(np.float64)
 
-    # The border of a hole has no runs of its own, so its weight would be 0.
+    # Borders of holes have no runs.
     weight = np.maximum(total(width), 1e-9)
     middle = total(width * x) / weight
     x = x - middle[contour]
