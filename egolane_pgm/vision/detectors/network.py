@@ -7,6 +7,7 @@ docs/networks.md.
 from __future__ import annotations
 
 from egolane_pgm.parameters import Parameters, held_fixed
+from egolane_pgm.types import problems_in
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.detectors import Step
 from egolane_pgm.vision.detectors.networks.description import NetworkFile, read_network
@@ -32,10 +33,8 @@ PARAMETERS = held_fixed(
 
 def start(camera: Camera, parameters: Parameters) -> Step:
     """Start a drive. Raises InputError for a network that cannot be used."""
-    network = read_network(str(parameters["network"]))
-    return finder.start(
-        camera,
-        parameters,
-        curve=str(parameters["curve"]),
-        finder=network_finder(camera, network, parameters),
-    )
+    path = str(parameters["network"])
+    network = read_network(path)
+    with problems_in(path):
+        find = network_finder(camera, network, parameters)
+    return finder.start(camera, parameters, curve=str(parameters["curve"]), finder=find)

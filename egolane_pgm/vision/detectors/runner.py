@@ -16,7 +16,7 @@ from egolane_pgm.types import FloatArray, InputError, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step, as_log
-from egolane_pgm.vision.detectors.networks.description import YAML, network_files
+from egolane_pgm.vision.detectors.networks.description import YAML
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,6 @@ def find_detector(
         if isinstance(value, str) and value.endswith((".py", *YAML)):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
-
-
-def own_files(detector: Detector) -> list[Path]:
-    """The user's own files that the parameters name: programs, networks."""
-    values = detector.parameters.values()
-    programs = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
-    return programs + network_files(detector.parameters)
 
 
 def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:

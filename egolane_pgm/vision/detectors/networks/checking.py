@@ -22,10 +22,6 @@ from egolane_pgm.vision.detectors.networks.running import Shape, lengths, read_o
 #: second number, and masks are wider.
 _POINTS, _MOST_LINES = 72, 12
 
-#: A sort key, lowest for the best fit; a ready network; the output for each role of its layout; the
-#: number of classes.
-_Fit = tuple[tuple[bool, bool, int, int], str, dict[str, str], int | None]
-
 
 def describe_onnx(onnx: Path) -> str:
     """Return a YAML to start from, with the inputs, outputs and layouts that fit as comments.
@@ -33,8 +29,8 @@ def describe_onnx(onnx: Path) -> str:
     Raises InputError for a file that is no ONNX.
     """
     declared = read_onnx(onnx, "network")
-    fits = sorted(_fitting(declared.outputs))
-    layouts = ", ".join(dict.fromkeys(_ready(fit[1])["layout"] for fit in fits))
+    fits = [fit for _, fit in sorted(_fitting(declared.outputs), key=lambda one: one[0])]
+    layouts = ", ".join(dict.fromkeys(keys["layout"] for keys in fits))
     lines = [
         *(f"# {name}: takes {shape_text(shape)}" for name, shape in declared.inputs.items()),
         *(f"# {name}: gives {shape_text(shape)}" for name, shape in declared.outputs.items()),
@@ -42,8 +38,7 @@ def describe_onnx(onnx: Path) -> str:
     ]
     if not fits:
         return "\n".join(lines)
-    _, name, output, n_classes = fits[0]
-    keys = {**_ready(name), "model": onnx.name, "output": output}
+    keys = fits[0] | {"model": onnx.name}
     given = keys.pop("inputs", {})
     picture, *others = sorted(declared.inputs, key=lambda each: each in given)
     shape = declared.inputs[picture] or ()
@@ -51,26 +46,16 @@ def describe_onnx(onnx: Path) -> str:
         keys["size"] = [shape[3], shape[2]]
     if others:
         keys["inputs"] = {each: given.get(each, 0) for each in others}
-    if n_classes and isinstance(keys.get("classes"), int) and n_classes != keys["classes"]:
-        keys["classes"] = n_classes
-        keys.pop("channels", None)
-        if n_classes == 1:
-            keys.pop("activation", None)
-    lines.append(
-        f"# from the ready network {name}: check size, mean, scale, colours, activation and classes"
-    )
+    lines.append("# check size, mean, scale, colours, activation and classes")
     return "\n".join([*lines, yaml.safe_dump(keys, sort_keys=False, default_flow_style=None)])
 
 
-def _ready(name: str) -> dict[str, Any]:
-    return read_yaml(READY / f"{name}.yaml", "model: lanes.onnx")
-
-
-def _fitting(declared: Mapping[str, Shape]) -> Iterator[_Fit]:
-    """Yield the ready networks whose layout fits the outputs of a file. Equal names fit best, then
-    equal lengths, then layouts that read more outputs, then more specific layouts."""
+def _fitting(declared: Mapping[str, Shape]) -> Iterator[tuple[tuple[bool, bool, int, int], Any]]:
+    """Yield the keys of the ready networks whose layout fits the outputs of a file, and a sort key:
+    equal names fit best, then equal lengths, more outputs, more specific layouts."""
     for name in ready_networks():
-        network = Network(**_ready(name))
+        keys = read_yaml(READY / f"{name}.yaml", "model: lanes.onnx")
+        network = Network(**keys)
         own = network.named_outputs
         for names in ((*own.values(),), *permutations(declared, len(own))):
             if not set(names) <= set(declared):
@@ -81,8 +66,12 @@ def _fitting(declared: Mapping[str, Shape]) -> Iterator[_Fit]:
             if sizes is None or _is_another(network, sizes, declared):
                 continue
             differs = lengths(network, shapes, network.numbers) is None
+            n_classes = sizes.get("k")
+            if n_classes and isinstance(network.classes, int) and n_classes != network.classes:
+                left = ("channels", "activation") if n_classes == 1 else ("channels",)
+                keys = {k: v for k, v in keys.items() if k not in left} | {"classes": n_classes}
             order = -list(OUTPUTS).index(network.layout)
-            yield (output != own, differs, -len(own), order), name, output, sizes.get("k")
+            yield (output != own, differs, -len(own), order), keys | {"output": output}
             break
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.parameters import Parameter, Parameters, Value
+from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import InputError, suggestion
 
@@ -49,18 +49,17 @@ ROWS = {
     ),
 }
 
-#: The layouts that some keys are for. Those in brackets are needed there.
+#: The layouts of the keys that some layouts only have, and those that need the key.
 _MASKS, _ANCHORS = ("lanes", "instances"), ("row_anchors", "hybrid_anchors")
-_LAYOUTS_OF = {
-    "classes": (*_MASKS, "row_anchors", "prototypes"),
-    "channels": _MASKS,
-    "activation": _MASKS,
-    "threshold": tuple(layout for layout in OUTPUTS if layout not in _ANCHORS),
-    "rows": _ANCHORS,
-    "length": ("polylines",),
-    "in_pixels": ("polylines",),
+_LAYOUTS = {
+    "classes": ((*_MASKS, "row_anchors", "prototypes"), (*_MASKS, "row_anchors")),
+    "channels": (_MASKS, ()),
+    "activation": (_MASKS, ()),
+    "threshold": ((*_MASKS, "polylines", "prototypes", "lstr_curves"), ()),
+    "rows": (_ANCHORS, _ANCHORS),
+    "length": (("polylines",), ("polylines",)),
+    "in_pixels": (("polylines",), ()),
 }
-_NEEDED = {"classes": (*_MASKS, "row_anchors"), "rows": _ANCHORS, "length": ("polylines",)}
 
 #: The folder of ready YAML files; their ONNX files are the user's.
 READY = Path(__file__).parent / "ready"
@@ -93,17 +92,16 @@ class Network(Section):
     channels: Annotated[tuple[_Class, ...] | None, Field(min_length=1)] = None
     activation: Literal["none", "sigmoid", "softmax"] = "none"
     threshold: Annotated[float, Field(gt=0, lt=1)] = 0.5
-    rows: Literal["tusimple", "culane"] | tuple[FiniteFloat, ...] | None = None
+    rows: Literal["tusimple", "culane"] | None = None
     length: Annotated[int, Field(ge=3)] = 0
     in_pixels: bool = False
-    _files: tuple[Path, Path] = Path(), Path()
 
     @model_validator(mode="after")
     def _fits_its_layout(self) -> Self:
-        for key, layouts in _LAYOUTS_OF.items():
+        for key, (layouts, needed) in _LAYOUTS.items():
             if key in self.model_fields_set and self.layout not in layouts:
                 raise ValueError(f"{key}: goes with layout {' or '.join(layouts)} only")
-            if self.layout in _NEEDED.get(key, ()) and not getattr(self, key):
+            if self.layout in needed and not getattr(self, key):
                 raise ValueError(f"layout {self.layout} needs {key}")
         if self.classes == 1 and self.activation == "softmax":
             raise ValueError("activation: softmax needs several classes; for one take sigmoid")
@@ -113,11 +111,6 @@ class Network(Section):
         if set(self.named_outputs) != set(roles):
             raise ValueError(f"output: layout {self.layout} reads {', '.join(roles)}")
         return self
-
-    @property
-    def files(self) -> tuple[Path, Path]:
-        """The paths of the YAML and of the ONNX."""
-        return self._files
 
     @property
     def named_outputs(self) -> dict[str, str]:
@@ -138,10 +131,8 @@ class Network(Section):
     def numbers(self) -> dict[str, int]:
         """The lengths that the YAML determines, by their letters in OUTPUTS."""
         found = {"k": self.classes} if isinstance(self.classes, int) else {}
-        if self.rows is not None and (
-            self.layout == "row_anchors" or not isinstance(self.rows, str)
-        ):
-            found["r"] = len(ROWS[self.rows] if isinstance(self.rows, str) else self.rows)
+        if self.layout == "row_anchors" and self.rows is not None:
+            found["r"] = len(ROWS[self.rows])
         return found
 
     @property
@@ -161,19 +152,13 @@ def ready_networks() -> list[str]:
 
 def read_network(path: str | Path) -> Network:
     """Read the YAML file of a network. If it does not exist, a ready one of its name is used, with
-    an ONNX file in that folder.
-
-    Raises InputError for a key that does not fit, or if the ONNX file is absent.
-    """
+    an ONNX file in that folder. Raises InputError for a key that does not fit."""
     path = Path(path)
     file = path if path.is_file() else READY / path.name
     if not file.is_file():
         raise InputError(f"{path}: no such file; it describes a network (docs/networks.md)")
     network = validated(Network, read_yaml(file, "model: lanes.onnx"), str(path))
-    network._files = file, path.parent / network.model
-    if not network.files[1].is_file():
-        raise InputError(f"{path}: model: no file {network.files[1]}")
-    return network
+    return network.model_copy(update={"model": str(path.parent / network.model)})
 
 
 class NetworkFile(Parameter):
@@ -191,10 +176,3 @@ class NetworkFile(Parameter):
                 f" (docs/networks.md){hint}"
             )
         return str(value)
-
-
-def network_files(parameters: Parameters) -> list[Path]:
-    """Return the YAML and the ONNX of each network among some parameters. Raises InputError for a
-    network that cannot be read."""
-    paths = [p for p in parameters.values() if isinstance(p, str) and p.endswith(YAML)]
-    return [file for path in paths for file in read_network(path).files]

@@ -124,7 +124,7 @@ def _row_anchors(network: Network, outputs: Outputs) -> list[Line]:
     u = (column + 0.5) * (network.size[0] - 1) / (n_columns - 1)
     is_line = output.argmax(axis=0) < n_columns
     likely = 1 - softmax(output, axis=0)[-1]
-    rows = ROWS[network.rows] if isinstance(network.rows, str) else np.asarray(network.rows)
+    rows = ROWS[str(network.rows)]
     return [
         Line(np.stack([u[at, k], rows[at]], axis=1), float(likely[at, k].mean()))
         for k, at in enumerate(is_line.T)
@@ -150,10 +150,8 @@ def _hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:
         at = (np.tensordot(np.arange(len(cells)), weight, axes=1) + 0.5) / (len(cells) - 1)
         if axis == "col":
             anchors = np.linspace(0, 1, cells.shape[1]) * width - 0.5
-        elif isinstance(network.rows, str):
-            anchors = row_of(np.linspace(*_SHARES[network.rows], cells.shape[1]))
         else:
-            anchors = np.asarray(network.rows)
+            anchors = row_of(np.linspace(*_SHARES[str(network.rows)], cells.shape[1]))
         for line in which:
             seen = is_line[:, line]
             if seen.sum() <= len(seen) * least:

@@ -129,11 +129,10 @@ def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
     Raises InputError for a file that is no ONNX or that OpenCV cannot run, for inputs or outputs
     that differ from the YAML, and, while it runs, for an output that is not finite.
     """
-    file, onnx = network.files
-    declared = read_onnx(onnx, f"{file}: model")
+    declared = read_onnx(Path(network.model), "model")
     names = _output_names(network, declared)
     picture = _picture_input(network, declared)
-    where = f"{file}: model: {onnx.name}: OpenCV {cv2.__version__} cannot"
+    where = f"model: {network.model}: OpenCV {cv2.__version__} cannot"
     with _opencv_errors(f"{where} load it"):
         net = cv2.dnn.readNetFromONNX(np.frombuffer(declared.content, dtype=np.uint8))
     constants = {
@@ -150,7 +149,7 @@ def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
         found = dict(zip(declared.outputs, map(np.asarray, answers), strict=True))
         for name in names.values():
             if not np.isfinite(found[name]).all():
-                raise InputError(f"{file}: output {name}: has numbers that are not finite (NaN)")
+                raise InputError(f"output {name}: has numbers that are not finite (NaN)")
         return {role: found[name].astype(np.float64) for role, name in names.items()}
 
     outputs = run(np.full((fit.height, fit.width, 3), 114, dtype=np.uint8))
@@ -161,8 +160,7 @@ def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
         needs = ", ".join(f"{role} {' x '.join(one.split())}" for role, one in patterns)
         known = "".join(f", {letter} = {n}" for letter, n in network.numbers.items())
         raise InputError(
-            f"{file}: output: {found}; layout {network.layout} needs {needs}{known}"
-            " (docs/networks.md)"
+            f"output: {found}; layout {network.layout} needs {needs}{known} (docs/networks.md)"
         )
     return lambda image: {role: value[0] for role, value in run(image).items()}
 
@@ -185,17 +183,15 @@ def _picture_input(network: Network, declared: Declared) -> str:
     left = [name for name in declared.inputs if name not in network.inputs]
     if len(left) != 1 or len(declared.inputs) != len(network.inputs) + 1:
         raise InputError(
-            f"{network.files[0]}: inputs: {network.model} takes {', '.join(declared.inputs)}; give"
-            f" the constant of each but the picture, e.g. inputs: {{{(left or ['state'])[-1]}: 0}}"
+            f"inputs: the network takes {', '.join(declared.inputs)}; give the constant of each but"
+            f" the picture, e.g. inputs: {{{(left or ['state'])[-1]}: 0}}"
         )
     shape, needed = declared.inputs[left[0]], (1, 3, network.size[1], network.size[0])
-    if shape is not None and not (
-        len(shape) == 4 and all(a in (None, b) for a, b in zip(shape, needed, strict=True))
-    ):
+    known = zip(shape or (), needed, strict=False)
+    if shape is not None and (len(shape) != 4 or any(a not in (None, b) for a, b in known)):
         raise InputError(
-            f"{network.files[0]}: size: {network.model} takes {shape_text(shape)} ({left[0]}), but"
-            f" size {list(network.size)} makes {shape_text(needed)} (pictures, colours, height,"
-            " width)"
+            f"size: the network takes {shape_text(shape)} ({left[0]}), but size"
+            f" {list(network.size)} makes {shape_text(needed)} (pictures, colours, height, width)"
         )
     return left[0]
 
@@ -208,8 +204,8 @@ def _output_names(network: Network, declared: Declared) -> dict[str, str]:
     for name in given.values():
         if name not in names:
             raise InputError(
-                f"{network.files[0]}: output: no output '{name}'{suggestion(name, names)};"
-                f" {network.model} gives {', '.join(names)}"
+                f"output: no output '{name}'{suggestion(name, names)}; the network gives"
+                f" {', '.join(names)}"
             )
     return given
 

@@ -281,7 +281,7 @@ def test_each_yaml_reads_what_its_network_writes(tmp_path: Path, name: str) -> N
 def test_an_onnx_is_known_again_by_its_outputs(tmp_path: Path, name: str) -> None:
     """The YAML to start from is that of the network."""
     path = written(tmp_path, name)
-    said = yaml.safe_load(describe_onnx(read_network(path).files[1]))
+    said = yaml.safe_load(describe_onnx(Path(read_network(path).model)))
     own = yaml.safe_load((READY / path.name).read_text())
     for key in ("layout", "size", "classes", "inputs"):
         assert said.get(key) == own.get(key)
