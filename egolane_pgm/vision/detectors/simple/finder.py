@@ -40,9 +40,6 @@ MONO = (*PARAMETERS, *drift.PARAMETERS)
 #: its pixels (R, C) on the plane of the road.
 OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
 
-#: From a camera and parameters to the function that makes an `OnRoad` for a view.
-MakeOnRoad = Callable[[Camera, Parameters], Callable[[BirdsEye], OnRoad]]
-
 #: From a view, a picture and the predicted lines (P, 4) or None to the lines of the picture.
 Finder = Callable[[BirdsEye, Picture, FloatArray | None], Found]
 
@@ -52,13 +49,13 @@ def start(
     parameters: Parameters,
     *,
     curve: str,
-    on_road: MakeOnRoad | None = None,
+    on_road: Callable[[BirdsEye, Parameters], OnRoad] | None = None,
     finder: Finder | None = None,
 ) -> Step:
     """Start a drive, as the `start` of a detector.
 
     - curve: "line", "parabola" or "clothoid"
-    - on_road: separates the road from the objects on it; without it all pixels count as road
+    - on_road: makes the separation of the road from the objects on it; by default all is road
     - finder: finds the lines of a frame; by default the search in its markings
 
     Raises InputError if the camera does not show the region that the parameters ask for.
@@ -79,14 +76,14 @@ def follower(
     parameters: Parameters,
     *,
     curve: str,
-    on_road: MakeOnRoad | None = None,
+    on_road: Callable[[BirdsEye, Parameters], OnRoad] | None = None,
     finder: Finder | None = None,
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
     """As `start`, but return the function from tracks and a picture to tracks, and its rules."""
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curve=curve)
     view = view_for(camera, parameters)
-    road = None if on_road is None else on_road(camera, parameters)(view)
+    road = None if on_road is None else on_road(view, parameters)
     # With two cameras the plane of the road gives the pitch.
     is_watched = road is None and parameters["camera_drift"] == "correct"
     watch = drift.watch(view, parameters) if is_watched else None

@@ -21,7 +21,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, problems_in
@@ -124,48 +123,49 @@ class Pair:
     match: Match
 
 
-def on_road(camera: Camera, parameters: Parameters) -> Callable[[BirdsEye], OnRoad]:
-    """Make the `on_road` of `finder.start`: from a view to the function that takes a picture of
-    both cameras and returns the view with this frame's pitch and its pixels (R, C) on the road.
+def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
+    """Make the `on_road` of `finder.start`: the function that takes a picture of both cameras and
+    returns the view with this frame's pitch and its pixels (R, C) on the road.
 
     Raises InputError for a camera with lens distortion.
     """
+    camera = view.camera
     if any(camera.distortion):
         raise InputError(
             "distortion: a stereo pair must be rectified, and then has none: rectify the pictures"
             " and set all five numbers to 0"
         )
     pair = make_pair(camera, parameters)
+    turned, n_unsure, is_warned = turned_up(view), 0, False
 
-    def for_view(view: BirdsEye) -> OnRoad:
-        turned, n_unsure, is_warned = turned_up(view), 0, False
+    @lru_cache(maxsize=VIEWS)
+    def pitched(steps: int) -> tuple[BirdsEye, IntArray]:
+        """Return the view with a pitch, and the flat index of the small pixel of each pixel."""
+        seen = turned(steps * _PITCH_STEP_DEG)
+        height, width = pair.u.shape
+        u, v = np.moveaxis(seen.map_uv[0].astype(np.int64), -1, 0)
+        row = np.clip((v - pair.top) // pair.rows, 0, height - 1)
+        return seen, row * width + np.clip(u // _SCALE, 0, width - 1)
 
-        @lru_cache(maxsize=VIEWS)
-        def pitched(steps: int) -> tuple[BirdsEye, IntArray]:
-            seen = turned(steps * _PITCH_STEP_DEG)
-            return seen, _pixels(pair, seen)
+    def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
+        nonlocal n_unsure, is_warned
+        disparity = disparities(pair, *reduced(pair, picture))
+        plane = find_plane(pair, disparity)
+        n_unsure = n_unsure + 1 if plane is None else 0
+        if n_unsure == _UNSURE_AFTER and not is_warned:
+            is_warned = True
+            warnings.warn(
+                f"frame {picture.frame_id}: no road plane found in {_UNSURE_AFTER} frames in a row"
+                " (do the two pictures show the same? are left and right swapped? is the pair"
+                " rectified, baseline_m right?); the calibrated plane is used instead",
+                UserWarning,
+                stacklevel=2,
+            )
+        away = 0.0 if plane is None else float(pose(camera, plane)[1]) - camera.pitch_deg
+        seen, pixels = pitched(round(away / _PITCH_STEP_DEG))
+        return seen, ~off_plane(pair, disparity, plane).ravel()[pixels]
 
-        def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
-            nonlocal n_unsure, is_warned
-            disparity = disparities(pair, *reduced(pair, picture))
-            plane = find_plane(pair, disparity)
-            n_unsure = n_unsure + 1 if plane is None else 0
-            if n_unsure == _UNSURE_AFTER and not is_warned:
-                is_warned = True
-                warnings.warn(
-                    f"frame {picture.frame_id}: no road plane found in {_UNSURE_AFTER} frames in a"
-                    " row (do the two pictures show the same? are left and right swapped? is the"
-                    " pair rectified, baseline_m right?); the calibrated plane is used instead",
-                    UserWarning,
-                    stacklevel=2,
-                )
-            away = 0.0 if plane is None else float(pose(camera, plane)[1]) - camera.pitch_deg
-            seen, pixels = pitched(round(away / _PITCH_STEP_DEG))
-            return seen, ~off_plane(pair, disparity, plane).ravel()[pixels]
-
-        return look
-
-    return for_view
+    return look
 
 
 def make_pair(camera: Camera, parameters: Parameters) -> Pair:
@@ -186,7 +186,10 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
     u, v = np.meshgrid(np.arange(width) * _SCALE + half, np.arange(height) * rows + half_row + top)
     road = ground_plane(camera)
     flat = disparity_at(road, u, v)
-    is_used = _is_road(camera, u, v, parameters) & (u >= flat + _SCALE * _EDGE_PX)
+    x, y = image_to_road(camera, u, v)
+    with np.errstate(invalid="ignore"):
+        is_used = (x < number(parameters, "x_max_m")) & (np.abs(y) <= number(parameters, "side_m"))
+    is_used &= u >= flat + _SCALE * _EDGE_PX
     for left, above, right, below in camera.ignore:
         is_used &= ~((u >= left) & (u < right) & (v >= above) & (v < below))
     every = max(math.ceil(math.sqrt(is_used.sum() / _MOST_POINTS)), 1)
@@ -249,21 +252,12 @@ def _elas() -> Match:
     return match
 
 
-def _is_road(camera: Camera, u: FloatArray, v: FloatArray, parameters: Parameters) -> BoolArray:
-    """Return whether pixels u, v show the region of the road that lines are searched in."""
-    x, y = image_to_road(camera, u, v)
-    with np.errstate(invalid="ignore"):
-        is_near: BoolArray = x < number(parameters, "x_max_m")
-        return is_near & (np.abs(y) <= number(parameters, "side_m"))
-
-
 def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
-    """Return the first row that may show that region at the largest allowed pitch, and one more
-    than the last row that may show its part in view; both on a grid of 4 rows before that."""
-    side, near = number(parameters, "side_m"), number(parameters, "x_min_m")
-    y = np.linspace(-side, side, 9)
+    """Return the first row that may show the searched region of the road at the largest allowed
+    pitch, and one more than the last row; without that pitch they are multiples of 4."""
+    y = np.linspace(-1, 1, 9) * number(parameters, "side_m")
     _, above = road_to_image(camera, number(parameters, "x_max_m"), y)
-    _, below = road_to_image(camera, near, y)
+    _, below = road_to_image(camera, number(parameters, "x_min_m"), y)
     slack = math.tan(math.radians(_MOST_PITCH_DEG)) * camera.fy
     top = 4 * np.ceil(np.nanmin(above).clip(0) / 4) - slack
     bottom = 4 * np.floor(np.nanmax(below).clip(max=camera.height - 1) / 4) + 4 + slack
@@ -338,14 +332,6 @@ def off_plane(pair: Pair, disparity: FloatArray, plane: FloatArray | None) -> Bo
     off = (away > least_px) & (away > least_share * np.abs(disparity))
     grow = 2 * _GROW_PX + 1
     return np.asarray(cv2.dilate(off.astype(np.uint8), np.ones((grow, grow), np.uint8)) > 0)
-
-
-def _pixels(pair: Pair, view: BirdsEye) -> NDArray[np.int64]:
-    """Return for each pixel of the view, (R, C), the flat index of its pixel in the small one."""
-    height, width = pair.u.shape
-    column = np.clip(view.map_uv[0][..., 0] // _SCALE, 0, width - 1).astype(np.int64)
-    row = np.clip((view.map_uv[0][..., 1] - pair.top) // pair.rows, 0, height - 1)
-    return np.asarray(row.astype(np.int64) * width + column)
 
 
 # --- the plane of the road -----------------------------------------------------------------------

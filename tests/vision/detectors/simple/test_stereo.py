@@ -102,7 +102,7 @@ def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> Non
 
     parameters = settled()
     view = _fit.view_for(DRAWN, parameters)
-    seen, is_road = _stereo.on_road(DRAWN, parameters)(view)(frame.picture)
+    seen, is_road = _stereo.on_road(view, parameters)(frame.picture)
     found = _fit.find_lines(seen, frame.image, parameters, on_road=is_road).shape[:, 0]
     near = OFFSETS[np.abs(OFFSETS) < 6]
     assert np.abs(found - near[:, None]).min(axis=1).max() < 0.1
@@ -111,7 +111,7 @@ def test_the_pitch_of_a_frame_is_found_and_its_lines_are_where_they_are() -> Non
 def test_lines_on_flanks_are_dropped() -> None:
     parameters = settled()
     view = _fit.view_for(DRAWN, parameters)
-    look = _stereo.on_road(DRAWN, parameters)(view)
+    look = _stereo.on_road(view, parameters)
     one, two = 0, 0
     for vehicle in (lorry(3.0, -4.1), lorry(5.0, -4.1), car(6.0, 3.75)):
         frame = drawn(vehicles=(vehicle,))
