@@ -33,7 +33,7 @@ from egolane_pgm.result import (
     truth_of,
 )
 from egolane_pgm.running import concat_drives, frames_of
-from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.scoring import score_all
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.tools.provenance import git_state
 from egolane_pgm.types import InputError, LineLog
@@ -98,7 +98,7 @@ def test_the_scores_of_a_drive_are_those_of_its_annotated_frames(result: Result)
     truth = result.truth
     assert truth is not None
     for side, node in (("model", "Lane"), ("detector", "detector")):
-        own = score_with_intervals(lanes_of(result.frames, node), truth, 10.0)
+        own = score_all(lanes_of(result.frames, node), truth, 10.0)
         assert result.scores[side] == json.loads(json.dumps(own))
     assert result.scores["frames_scored"] == (~truth["is_crossing"]).sum()
     sure = (result.node("Lane").max(axis=1) >= SURE).mean()

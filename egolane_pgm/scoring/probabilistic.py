@@ -1,4 +1,4 @@
-"""Scores of the belief itself: log-loss, Brier score, calibration.
+"""Scores of the posterior: log-loss, Brier score, calibration, coverage.
 
 Without any frame to score they are NaN (None in JSON), because 0 would be a perfect score.
 """
@@ -22,7 +22,7 @@ N_BINS = 15
 
 @dataclass(frozen=True)
 class CalibrationCurve:
-    """How often the belief is right, by how sure it is.
+    """The share of correct answers over the largest probability, in bins.
 
     Bin k holds the frames whose largest probability lies in (k / n_bins, (k + 1) / n_bins].
 
@@ -39,29 +39,18 @@ class CalibrationCurve:
 def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
     """(T,): minus the natural log of the probability given to the annotated lane.
 
-    `-ln belief[t, lane[t]]`
+    `log_loss = -(1 / T) sum_t ln belief[t, lane[t]]`
 
-    Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), rows sum to 1;
-    lane (T,).
+    belief (T, n), rows sum to 1; lane (T,). The log-loss is the mean over ALL frames, crossing ones
+    included, as in the paper's tables. Probabilities are clipped below at SMALLEST_PROBABILITY.
     """
     values = np.asarray(belief)
     given = values[np.arange(len(values)), np.asarray(lane) - 1]
     return np.asarray(-np.log(np.maximum(given, SMALLEST_PROBABILITY)))
 
 
-def log_loss(belief: ArrayLike, lane: ArrayLike) -> float:
-    """Mean of `log_loss_per_frame` over ALL frames, crossing ones included (the paper's tables).
-
-    `log_loss = -(1 / T) sum_t ln belief[t, lane[t]]`
-
-    NaN without frames.
-    """
-    losses = log_loss_per_frame(belief, lane)
-    return float(losses.mean()) if losses.size else float("nan")
-
-
 def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
-    """Multi-class Brier score: mean over the non-crossing frames.
+    """Multi-class Brier score, the mean over the non-crossing frames.
 
     `brier = (1 / N) sum_t sum_k (belief[t, k] - [k = lane[t]])^2`, over N frames
 
@@ -79,8 +68,7 @@ def calibration_curve(
 ) -> CalibrationCurve:
     """The calibration curve over the non-crossing frames, equal-width bins of the maximum.
 
-    Arguments as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
-    not go to the lane that happens to come first.
+    Arguments as `brier`. An Unassigned frame counts as wrong, as everywhere.
     """
     is_scored = ~np.asarray(is_crossing)
     values, actual = np.asarray(belief)[is_scored], np.asarray(lane)[is_scored]
@@ -139,8 +127,8 @@ class CoverageCurve:
         return np.asarray(self.right / self.answered, dtype=np.float64)
 
     def at(self, unassigned_below: float) -> tuple[float, float]:
-        """(coverage, accuracy of the answers) with that reject option; accuracy is NaN where
-        nothing is answered."""
+        """(coverage, accuracy of the answers) with that reject option; accuracy is NaN without
+        answers."""
         k = int(np.count_nonzero(self.threshold >= unassigned_below)) - 1
         if k < 0:
             return 0.0, float("nan")

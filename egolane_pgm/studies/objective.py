@@ -13,15 +13,22 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.model import make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.scoring import confusion as confusions
-from egolane_pgm.scoring import probabilistic, stability
-from egolane_pgm.scoring.confusion import assigned_lane
+from egolane_pgm.scoring.confusion import (
+    SCORES,
+    assigned_lane,
+    confusion,
+    on_widest,
+    scores_from_confusion,
+)
+from egolane_pgm.scoring.events import stability_scores
+from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss_per_frame
 from egolane_pgm.types import (
     BoolArray,
     Evidence,
     FloatArray,
     InputError,
     IntArray,
+    lane_truth,
     suggestion,
 )
 
@@ -47,7 +54,7 @@ KEPT_EVIDENCE = 12
 
 def check_objective(name: str, where: str = "objective") -> str:
     """Return the name of a score. Raises InputError for an unknown one, with a suggestion."""
-    known = {*confusions.SCORES, *BELIEF_SCORES}
+    known = {*SCORES, *BELIEF_SCORES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
     return name
@@ -140,11 +147,11 @@ def scores_of(
         rows = drive.rows
         lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
         assigned = assigned_lane(posterior, drive.experiment.unassigned_below)
-        counts = confusions.confusion(assigned, lane, crossing | ~used, posterior.shape[1])
-        matrices.append(counts)
+        matrices.append(confusion(assigned, lane, crossing | ~used, posterior.shape[1]))
+        of_matrix = scores_from_confusion(matrices[k])
         for j, name in enumerate(objectives):
-            if name not in BELIEF_SCORES:
-                values[k, j] = confusions.SCORES[name](counts)
+            if name in SCORES:
+                values[k, j] = of_matrix[name]
                 continue
             value = belief_score(drive, posterior, used, name)
             # The log-loss counts crossing frames as well.
@@ -157,41 +164,34 @@ def scores_of(
     found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
     found[total == 0] = UNDEFINED
     if pooled:
-        added = confusions.on_widest(matrices).sum(axis=0)
+        of_matrix = scores_from_confusion(on_widest(matrices).sum(axis=0))
         for j, name in enumerate(objectives):
-            if name in confusions.SCORES:
-                found[j] = confusions.SCORES[name](added)
+            found[j] = of_matrix[name] if name in SCORES else found[j]
     return found.tolist()  # type: ignore[no-any-return]
 
 
 def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
-    """Compute one score of a belief (K, n) over the frames that are used (K,).
+    """One score of a posterior (K, n) over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
-    are all used. NaN where nothing is counted; an endless score is `UNDEFINED`, a large number.
+    are all used. NaN if nothing is counted; `UNDEFINED`, a large number, if no change is followed.
     """
     rows = drive.rows
     lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
-    if name in ("log_loss", "brier", "expected_calibration_error"):
-        used, lane, crossing = belief[is_used], lane[is_used], crossing[is_used]
-        if name == "log_loss":
-            return min(probabilistic.log_loss(used, lane), UNDEFINED)
-        return min(float(getattr(probabilistic, name)(used, lane, crossing)), UNDEFINED)
+    used, lane_, crossing_ = belief[is_used], lane[is_used], crossing[is_used]
+    if name == "log_loss":
+        losses = log_loss_per_frame(used, lane_)
+        return float(losses.mean()) if losses.size else float("nan")
+    if name in ("brier", "expected_calibration_error"):
+        return {"brier": brier, "expected_calibration_error": expected_calibration_error}[name](
+            used, lane_, crossing_
+        )
+    truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     assigned = assigned_lane(belief, drive.experiment.unassigned_below)
-    if name == "false_switches_per_minute":
-        false, counted = stability.false_switch_frames(assigned, lane, crossing)
-        counted[1:] &= is_used[1:] & is_used[:-1]
-        minutes = counted.sum() / (60 * drive.experiment.recording.frame_rate)
-        return float((false & counted).sum() / minutes) if minutes else float("nan")
-    changes = stability.lane_changes(lane, crossing)
-    delay = stability.delay_after_lane_change(
-        assigned, lane, crossing, drive.log.frame_id[rows]
-    ).delay_frames
-    spans = zip(changes.start, changes.until, strict=True)
-    delay = delay[[bool(is_used[a:b].all()) for a, b in spans]] if len(delay) else delay
-    if not len(delay):
-        return float("nan")
-    followed = delay[~np.isnan(delay)]
-    if name == "share_missed":
-        return 1 - len(followed) / len(delay)
-    return float(np.median(followed)) if len(followed) else UNDEFINED
+    rate = drive.experiment.recording.frame_rate
+    found = stability_scores([(assigned, truth)], rate, [is_used])
+    delay = found["delay"]
+    if name == "delay" and delay["changes"] and delay["median_frames"] is None:
+        return UNDEFINED
+    value = {**found, "delay": delay["median_frames"], **delay}[name]
+    return float("nan") if value is None else float(value)

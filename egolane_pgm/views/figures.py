@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from egolane_pgm.result import Result
-from egolane_pgm.scoring.confusion import accuracy, confusion
+from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import (
     N_BINS,
     CalibrationCurve,
@@ -94,7 +94,9 @@ def confusion_figure(result: Result) -> Figure:
         ax.vlines(np.arange(1, n) - 0.5, -0.5, n + 0.5, FAINT, lw=0.5)
         ax.hlines(np.arange(1, n) - 0.5, -0.5, n - 0.5, FAINT, lw=0.5)
         ax.hlines(n - 0.5, -0.5, n - 0.5, INK, lw=1)
-        ax.set_title(f"{name}: {percent(float(accuracy(counts)))} % correct")
+        ax.set_title(
+            f"{name}: {percent(float(scores_from_confusion(counts)['accuracy']))} % correct"
+        )
         ax.set_xticks(range(n), [f"lane {k + 1}\n{int(t):,}" for k, t in enumerate(total)])
         ax.set_yticks(range(n + 1), [*(f"lane {k + 1}" for k in range(n)), "Unassigned"])
         ax.set_xlabel("true lane, number of frames")

@@ -88,7 +88,7 @@ def test_a_run_rejects_the_models_answers_only(drive: Path) -> None:
     truth = careful.truth
     assert truth is not None
     matrix = confusion(rejected, truth["true_lane"], truth["is_crossing"], 3)
-    assert after["accuracy"] == scores_from_confusion(matrix).accuracy
+    assert after["accuracy"] == scores_from_confusion(matrix)["accuracy"]
 
 
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:

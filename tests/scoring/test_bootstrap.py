@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.scoring.bootstrap import (
+    INTERVAL_STATISTICS,
     bootstrap_interval,
     circular_blocks,
-    confusion_counts,
     on_timeline,
     ratio,
     resampled_sums,
     score_counts,
     score_intervals,
 )
-from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
+from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import InputError
 
 
@@ -34,6 +34,16 @@ def mean_counts(values: np.ndarray, is_counted: np.ndarray | None = None) -> np.
     """Per frame (value, 1), or (0, 0) where it is not counted, for `ratio`."""
     counted = np.ones(len(values)) if is_counted is None else is_counted
     return np.stack([values * counted, counted], axis=1)
+
+
+accuracy, macro_f1 = INTERVAL_STATISTICS["accuracy"], INTERVAL_STATISTICS["f1"]
+
+
+def confusion_counts(
+    assigned: np.ndarray, lane: np.ndarray, is_crossing: np.ndarray, n_lanes: int
+) -> np.ndarray:
+    belief = np.full((len(lane), n_lanes), 1 / n_lanes)
+    return score_counts(belief, lane, is_crossing, assigned)["accuracy"]
 
 
 def a_drive(n_frames: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -68,14 +78,6 @@ def test_sums_over_resamples_equal_indexing_frame_by_frame(
     sums = resampled_sums(values, circular_blocks(n_frames, block, 7, seed), block)
     assert sums.shape == expected.shape
     np.testing.assert_allclose(sums, expected, rtol=1e-12)
-
-
-def test_sums_taken_in_pieces_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = np.random.default_rng(0).integers(0, 9, (100, 4))
-    starts = circular_blocks(100, 7, 50, 0)
-    at_once = resampled_sums(values, starts, 7)
-    monkeypatch.setattr("egolane_pgm.scoring.bootstrap._CHUNK", 1)
-    np.testing.assert_array_equal(resampled_sums(values, starts, 7), at_once)
 
 
 def test_a_frame_counts_in_the_cell_of_its_confusion_and_a_crossing_one_in_none() -> None:
@@ -175,13 +177,16 @@ def test_several_recordings_are_resampled_one_by_one_and_count_alike() -> None:
 def test_the_intervals_of_a_result_are_of_accuracy_f1_and_log_loss() -> None:
     assigned, lane, is_crossing = a_drive(700)
     belief = 0.9 * np.eye(3)[np.maximum(assigned, 1) - 1] + 0.1 / 3
-    sides = [score_counts(b, lane, is_crossing) for b in (belief, np.roll(belief, 1, axis=1))]
+    sides = [
+        score_counts(b, lane, is_crossing, assigned_lane(b))
+        for b in (belief, np.roll(belief, 1, axis=1))
+    ]
     found = score_intervals(sides[:1], sides[1:])
     assert list(found) == ["accuracy", "f1", "log_loss"]
     for name, statistic in (("accuracy", accuracy), ("f1", macro_f1), ("log_loss", ratio)):
         counts = [side[name] for side in sides]
         assert found[name] == bootstrap_interval(counts[:1], statistic, minus=counts[1:])
-    short = score_counts(belief[:599], lane[:599], is_crossing[:599])
+    short = score_counts(belief[:599], lane[:599], is_crossing[:599], assigned[:599])
     for name, interval in score_intervals([sides[0], short], [sides[1], short]).items():
         assert (interval.low, interval.high) == (None, None)
         assert interval.estimate == pytest.approx(found[name].estimate / 2)
@@ -200,7 +205,7 @@ def counts_of(seed: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     belief = rng.dirichlet(np.ones(3), N_COUNTED)
     lane = np.repeat([1, 2, 3], N_COUNTED // 3)
-    return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0)
+    return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0, assigned_lane(belief))
 
 
 def test_frames_that_one_recording_lacks_count_nothing_on_the_timeline_of_the_drive() -> None:

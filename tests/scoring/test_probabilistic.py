@@ -13,7 +13,6 @@ from egolane_pgm.scoring.probabilistic import (
     brier,
     calibration_curve,
     expected_calibration_error,
-    log_loss,
     log_loss_per_frame,
 )
 
@@ -67,7 +66,7 @@ def test_a_tie_counts_as_wrong_in_the_calibration_whichever_lane_is_true() -> No
 def test_crossing_frames_count_in_the_log_loss_and_not_in_the_others() -> None:
     belief = np.array([[0.9, 0.1], [0.2, 0.8]])
     lane, is_crossing = np.array([1, 1]), np.array([False, True])
-    assert log_loss(belief, lane) == pytest.approx(-(math.log(0.9) + math.log(0.2)) / 2)
+    assert log_loss_per_frame(belief, lane) == pytest.approx([-math.log(0.9), -math.log(0.2)])
     assert brier(belief, lane, is_crossing) == brier(belief[:1], lane[:1], is_crossing[:1])
     error = expected_calibration_error(belief, lane, is_crossing)
     assert error == pytest.approx(0.1)
@@ -75,7 +74,6 @@ def test_crossing_frames_count_in_the_log_loss_and_not_in_the_others() -> None:
 
 
 def test_without_a_frame_to_score_the_scores_are_nan_and_not_perfect() -> None:
-    assert math.isnan(log_loss(np.zeros((0, 3)), np.zeros(0, dtype=int)))
     assert math.isnan(brier([[0.5, 0.5]], [1], [True]))
     assert math.isnan(expected_calibration_error([[0.5, 0.5]], [1], [True]))
     assert calibration_curve([[0.5, 0.5]], [1], [True]).count.tolist() == [0] * 15
@@ -100,7 +98,7 @@ def test_the_scores_equal_those_of_plain_loops(drive: Drive) -> None:
         abs(sum(p for p, _ in members) - sum(right for _, right in members))
         for members in bins.values()
     ) / len(squares)
-    assert log_loss(belief, lane) == pytest.approx(sum(losses) / len(losses))
+    assert log_loss_per_frame(belief, lane) == pytest.approx(losses)
     assert brier(belief, lane, is_crossing) == pytest.approx(sum(squares) / len(squares))
     assert expected_calibration_error(belief, lane, is_crossing) == pytest.approx(error)
 
@@ -109,7 +107,7 @@ def test_the_scores_equal_those_of_plain_loops(drive: Drive) -> None:
 def test_reversing_the_lanes_changes_no_score(drive: Drive) -> None:
     belief, lane, is_crossing = drive
     mirrored, other = belief[:, ::-1], belief.shape[1] + 1 - lane
-    assert log_loss(mirrored, other) == pytest.approx(log_loss(belief, lane))
+    assert log_loss_per_frame(mirrored, other) == pytest.approx(log_loss_per_frame(belief, lane))
     for score in (brier, expected_calibration_error):
         assert score(mirrored, other, is_crossing) == pytest.approx(
             score(belief, lane, is_crossing)

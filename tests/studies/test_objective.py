@@ -13,11 +13,11 @@ from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import Tuning
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
-from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.scoring.events import lane_changes
 from egolane_pgm.studies import objective
 from egolane_pgm.studies.fits import search_space, settings_of
 from egolane_pgm.studies.space import to_parameters
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, lane_truth
 from tests.kits.drives import run
 from tests.kits.studies import drive_of, points_at, scrambled
 
@@ -108,8 +108,8 @@ def test_drives_weigh_the_same_whatever_their_length_unless_they_are_pooled() ->
 def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) -> None:
     drive = quickstart()
     rows = drive.rows
-    changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
-    straight = np.arange(len(drive)) < changes.start[0]
+    changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
+    straight = np.arange(len(drive)) < changes["start"][0]
     for _, posterior in posteriors(5):
 
         def found(*used: Any, posterior: Any = posterior) -> list[float]:
@@ -125,9 +125,9 @@ def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) 
 def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() -> None:
     drive = quickstart()
     rows = drive.rows
-    changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
-    belief = np.tile(np.eye(drive.model.n_lanes)[changes.from_lane[0] - 1], (len(drive), 1))
-    used = np.arange(len(drive)) < changes.until[0]
+    changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
+    belief = np.tile(np.eye(drive.model.n_lanes)[changes["from_lane"][0] - 1], (len(drive), 1))
+    used = np.arange(len(drive)) < changes["until"][0]
     assert objective.belief_score(drive, belief, used, "share_missed") == 1
     assert objective.belief_score(drive, belief, used, "delay") == objective.UNDEFINED
 

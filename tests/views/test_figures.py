@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.scoring.confusion import scores_from_confusion
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
@@ -65,7 +65,8 @@ def test_heat_map_texts_are_the_counts_and_the_column_percentages() -> None:
     figure = confusion_figure(a_result())
     assert figure.get_suptitle() == "tiny (in-sample): 4 frames"
     for ax, (name, matrix) in zip(figure.axes, confusions(a_result()).items(), strict=False):
-        assert ax.get_title() == f"{name}: {100 * float(accuracy(matrix)):.1f} % correct"
+        accuracy = 100 * float(scores_from_confusion(matrix)["accuracy"])
+        assert ax.get_title() == f"{name}: {accuracy:.1f} % correct"
         drawn = [t.get_text() for t in ax.texts]
         assert [int(t) for t in drawn[1::2]] == matrix.ravel().tolist()
         shares = [float("nan") if t == "-" else float(t[:-2]) / 100 for t in drawn[::2]]
