@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna import samplers
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.exceptions import ExperimentalWarning
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
@@ -23,7 +24,7 @@ from egolane_pgm.types import InputError, suggestion
 
 SAMPLERS = ("evolution", "tpe", "cma-es", "random", "nsga2")
 
-#: Trials of a study where nothing else is said.
+#: The default number of trials of a study.
 TRIALS = 3000
 
 #: Scores a point: one number per objective.
@@ -67,8 +68,8 @@ def quiet() -> Iterator[None]:
 def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:
     """Return the sampler's name; by default evolution, for several objectives NSGA-II.
 
-    Raises InputError for an unknown one, with a suggestion, for one that searches a single
-    objective where several are given, and for one whose package is not installed.
+    Raises InputError for an unknown one, for one that searches a single objective if several are
+    given, and for one whose package is not installed.
     """
     if name is None:
         return "evolution" if len(objectives) == 1 else "nsga2"
@@ -88,8 +89,8 @@ def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> st
 def make_sampler(settings: Settings, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:
     """Make the sampler of a study.
 
-    - n_trials: trials that the study has already. Shade goes on from them; Optuna's samplers, which
-      keep no state, are seeded anew, so that a resumed study repeats no trial.
+    - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
+      keep no state, get another seed, so that a resumed study repeats no trial.
     """
     if settings.sampler == "evolution":
         return Shade(settings.seed, distributions(space))
@@ -117,7 +118,7 @@ def new_study(settings: Settings, **given: Any) -> optuna.Study:
 
 
 def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Settings) -> None:
-    """Go on with a study until it has its number of complete trials, those of others included."""
+    """Run a study until its number of trials, by all workers, is complete."""
     n_trials = len(study.get_trials(deepcopy=False))
     if n_complete(study) >= settings.trials:
         return
@@ -131,8 +132,8 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Sett
 
 @contextmanager
 def _interruptions() -> Iterator[None]:
-    """Let Ctrl-C come out as itself. Where it meets Optuna while a trial's result is stored, or a
-    journal is locked, Optuna raises an error of its own (UnboundLocalError, RuntimeError)."""
+    """Raise Ctrl-C as KeyboardInterrupt: while Optuna stores a result or locks a journal, it
+    raises UnboundLocalError or RuntimeError instead."""
     try:
         yield
     except Exception as error:
@@ -145,20 +146,19 @@ def _interruptions() -> Iterator[None]:
 
 
 def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:
-    """The point of a trial."""
-    point: dict[str, Any] = {}
-    for d in space.dimensions:
-        if d.choices:
-            point[d.key] = trial.suggest_categorical(d.key, d.choices)
-        elif d.is_integer:
-            point[d.key] = trial.suggest_int(d.key, int(d.low), int(d.high))
-        else:
-            point[d.key] = trial.suggest_float(d.key, d.low, d.high, log=d.is_log)
-    return point
+    """Let the sampler choose the point of a trial."""
+    for key, d in distributions(space).items():
+        if isinstance(d, CategoricalDistribution):
+            trial.suggest_categorical(key, d.choices)
+        elif isinstance(d, IntDistribution):
+            trial.suggest_int(key, d.low, d.high)
+        elif isinstance(d, FloatDistribution):
+            trial.suggest_float(key, d.low, d.high, log=d.log)
+    return trial.params
 
 
 def n_complete(study: optuna.Study) -> int:
-    """How many trials are complete."""
+    """The number of complete trials."""
     return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
 
 
