@@ -13,7 +13,7 @@ from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies import fits
-from egolane_pgm.studies.objective import check_filter, check_objective
+from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.studies.study import check_labels, tuning_of
 from egolane_pgm.types import InputError, not_one_of, suggestion
@@ -119,7 +119,6 @@ def objective(
     chosen = load_experiment(experiment, overrides)
     tuning = tuning_of(chosen)
     name = check_objective(score or tuning.objective[0], "score" if score else "tuning.objective")
-    check_filter(chosen)
     drives = read_drives(chosen, lines, ground_truth)
     check_labels(drives, "tune")
     first, stop = frames
@@ -130,8 +129,8 @@ def objective(
         used.append((ids >= low) & (ids < high))
         if not (used[-1] & ~drive.is_crossing[drive.rows]).any():
             raise InputError(f"{chosen.source}: frames {frames}: contain no frame to score")
-    spaces = fits.search_spaces(drives, tuning)
+    space = fits.search_space([drive.model for drive in drives], tuning)
     values = fits.current_values(drives[0].model, tuning)
-    start = {d.key: d.value_in(values) for d in spaces[0].dimensions}
-    scored = fits.objective(drives, spaces, used, [name])
-    return Objective(name, drives, spaces[0], start, scored)
+    start = {d.key: d.value_in(values) for d in space.dimensions}
+    scored = fits.objective(drives, space, tuning, used, [name])
+    return Objective(name, drives, space, start, scored)

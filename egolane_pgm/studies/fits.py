@@ -27,10 +27,9 @@ from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.model import Model, make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
-from egolane_pgm.studies.em import Training, fit_tables_pooled, with_learned
+from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
     check_filter,
-    check_objective,
     posterior_at,
     scores_of,
     searched_of_detector,
@@ -38,13 +37,12 @@ from egolane_pgm.studies.objective import (
     with_detector,
 )
 from egolane_pgm.studies.search import (
-    TRIALS,
     Settings,
     best_trial,
-    check_sampler,
     new_study,
     quiet,
     search,
+    settings_of,
 )
 from egolane_pgm.studies.space import (
     Point,
@@ -56,14 +54,13 @@ from egolane_pgm.studies.space import (
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
 from egolane_pgm.tools.files import plain
-from egolane_pgm.types import BoolArray, InputError, IntArray, suggestion
+from egolane_pgm.types import BoolArray, Evidence, InputError, IntArray, suggestion
 
 
 class Fitted(dict[str, Value]):
     """Parameters and tables by name; unchanged ones are omitted.
 
-    - trials: a row per trial of a search: number, state, a column per score and per number
-      searched; None of other fits.
+    - trials: a row per trial, see `trials_of`; None without a search.
     """
 
     trials: pd.DataFrame | None = None
@@ -101,7 +98,7 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
             for name, table in _by_name(start, counted_tables(start)).items()
             if name in tables
         }
-        model = replace(model, compiled=with_learned(start, learned))
+        model = replace(model, compiled=em.with_learned(start, learned))
     return model
 
 
@@ -125,14 +122,8 @@ def learns_rule(model: Model) -> bool:
     return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
 
 
-def needs_labels(experiment: Experiment, model: Model, method: str) -> bool:
-    """Whether a fit (none, learn, tune) needs ground truth."""
-    is_by_em = method == "learn" and not learns_rule(model)
-    return method != "none" and not (is_by_em and not learning_of(experiment).labels)
-
-
 def check_learnable(model: Model) -> None:
-    """Raise InputError, naming the YAML key, if nothing can be learned."""
+    """Raise InputError, naming the YAML key, for a model without anything to learn."""
     experiment = model.experiment
     if not learns_rule(model):
         learnable_tables(model)
@@ -144,7 +135,7 @@ def check_learnable(model: Model) -> None:
 
 
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """The parameters that an evidence rule learns; it starts from their defaults."""
+    """Learn the parameters of an evidence rule; it starts from their defaults."""
     model = drives[0].model
     rule, where = model.rule, model.experiment.source
     given = {name: v for name, v in model.parameters.items() if name not in rule.LEARNED}
@@ -172,7 +163,7 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
 
 
 def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """The tables of the graph, by EM over all drives.
+    """Learn the tables of the graph by EM over all drives.
 
     With `learning.labels` the lane of a labelled frame is known, except while crossing.
     """
@@ -181,23 +172,26 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
-            f"{source}: n_lanes: tables are learned from drives on roads of one number of lanes;"
-            f" these have {', '.join(map(str, n_lanes))}"
+            f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
+            f" {', '.join(map(str, n_lanes))}"
         )
     notes = seen_before(model)
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
+    evidence, lanes, begins = zip(*training, strict=True)
+    lane = np.concatenate(lanes)
     if options.labels:
-        lanes = {lane for each in training for lane in np.unique(each.known["Lane"]).tolist()}
         notes += [
             f"{source}: no frame to learn from has lane {k + 1}; it keeps its start"
             for k in range(model.n_lanes)
-            if k not in lanes
+            if k not in lane
         ]
     start = start_of_learning(model).compiled
-    fitted = fit_tables_pooled(
+    fitted = em.fit_tables(
         start,
-        training,
+        Evidence.joined(evidence),
+        {"Lane": lane},
+        np.concatenate(begins),
         nodes={name for name, _ in learnable_tables(model)},
         strength=options.strength,
         iterations=options.iterations,
@@ -205,8 +199,8 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     impossible = int(fitted.is_impossible.sum())
     if impossible == len(fitted.is_impossible):
         raise InputError(
-            f"{source}: graph {model.experiment.graph} allows none of the {impossible} frames to"
-            " learn from; do the evidence rule and the graph fit together?"
+            f"{source}: graph {model.experiment.graph} allows no frame of the {impossible} to learn"
+            " from; do the evidence rule and the graph fit together?"
         )
     if impossible:
         notes.append(
@@ -229,8 +223,10 @@ def learning_of(experiment: Experiment) -> Learning:
     return experiment.learning or Learning()
 
 
-def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
-    """The evidence and known lanes of the training frames of a drive.
+def training_of(
+    drive: Drive, train: IntArray, *, labels: bool
+) -> tuple[Evidence, IntArray, BoolArray]:
+    """The evidence of the training frames of a drive, their known lanes, and where sequences begin.
 
     A frame that is not annotated is used if its annotated neighbours on both sides are.
     """
@@ -244,14 +240,14 @@ def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
     if labels:
         known = rows[train][~drive.is_crossing[rows[train]]]
         lane[known] = drive.true_lane[known] - 1
-    # A rule may look at the frames before: its evidence is made for the whole drive.
+    # A rule may have a memory: its evidence is computed for the whole drive.
     evidence, _ = make_evidence(drive.model, whole_rule(drive.model), drive.log)
     is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
-    return Training(evidence.take(used), {"Lane": lane[used]}, is_first)
+    return evidence.take(used), lane[used], is_first
 
 
 def learnable_tables(model: Model) -> dict[SliceNode, Table]:
-    """The tables that can be learned, as far as `learning.tables` names them."""
+    """The tables that can be learned, limited to `learning.tables` if given."""
     source = model.experiment.source
     tables = {
         node: table
@@ -260,8 +256,8 @@ def learnable_tables(model: Model) -> dict[SliceNode, Table]:
     }
     if not tables:
         raise InputError(
-            f"{source}: nothing to learn: all tables of graph {model.experiment.graph} are certain"
-            " or selected by an input; search parameters with `egolane tune`"
+            f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
+            " input, none can be learned; search parameters with `egolane tune`"
         )
     wanted, names = learning_of(model.experiment).tables, {name for name, _ in tables}
     for name in () if wanted is None else wanted:
@@ -290,7 +286,7 @@ def _defaults(model: Model) -> dict[str, Value]:
 
 
 def seen_before(model: Model) -> list[str]:
-    """Warnings that parameters may have been tuned on the frames that are learned from."""
+    """Warnings for parameters that may have been tuned on the training frames."""
     e = model.experiment
     if e.tuned_on not in ("same_frames", "unknown"):
         return []
@@ -337,40 +333,35 @@ def fit_tune(
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
 ) -> Fitted:
-    """The best parameters of an Optuna study on the training frames.
+    """Search the best parameters on the training frames, in an Optuna study.
 
     - tuning: objective, sampler, number of trials, seed, bounds.
     - storage: a URL as Optuna takes it, or a journal file; None for a study in memory. Each fold
       has its own study in it; an interrupted study is resumed.
-    - starts: parameter sets that the study on everything tries first. A study without a fold starts
+    - starts: parameter sets that the study on everything tries first. The study of a fold starts
       from scratch: known values may have been tuned on the frames that are held out.
     - pooled: whether all frames count alike; otherwise all drives do.
     """
-    for drive in drives:
-        check_filter(drive.experiment)
-    spaces = search_spaces(drives, tuning)
+    space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
+    score = objective(drives, space, tuning, used, settings.objectives, pooled=pooled)
     with storage_errors(storage):
-        study = open_study(drives, train, fold, settings, spaces[0], storage)
+        study = open_study(drives, train, fold, settings, space, storage)
         if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
             own = current_values(drives[0].model, tuning)
-            points = (to_point(spaces[0], {**own, **each}) for each in starts)
+            points = (to_point(space, {**own, **each}) for each in starts)
             with quiet():
                 for point in filter(None, points):
                     study.enqueue_trial(dict(point), skip_if_exists=True)
-        search(study, spaces[0], score, settings)
-    values = to_parameters(spaces[0], best_trial(study).params)
-    found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
-    fitted = Fitted({name: value for name, value in values.items() if name in found})
+        search(study, space, score, settings)
+    fitted = Fitted(searched_values(space, tuning, best_trial(study).params))
     fitted.trials = trials_of(study)
     return fitted
 
 
 def trials_of(study: optuna.Study) -> pd.DataFrame:
     """A row per trial: `number`, `state`, each score (in-sample) and each number searched."""
-    trials = study.get_trials(deepcopy=False)
     rows = [
         {
             "number": trial.number,
@@ -378,64 +369,56 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
             **dict(zip(study.metric_names or (), trial.values or (), strict=False)),
             **trial.params,
         }
-        for trial in trials
+        for trial in study.get_trials(deepcopy=False)
     ]
     return pd.DataFrame(rows)
 
 
-def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Settings:
-    """The settings of a study, checked. Each fold has its own seed, or all would share its luck."""
-    where = f"{source}: tuning"
-    names = tuple(check_objective(name, f"{where}.objective") for name in tuning.objective)
-    if len(set(names)) < len(names):
-        raise InputError(f"{where}.objective: a score is named twice")
-    sampler = check_sampler(tuning.sampler, names, f"{where}.sampler")
-    seed = tuning.seed
-    if fold is not None:
-        seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
-    return Settings(names, sampler, tuning.trials or TRIALS, seed)
+def search_space(models: Sequence[Model], tuning: Tuning) -> SearchSpace:
+    """The search space of a model, or of several whose dimensions are the same.
 
-
-def search_spaces(drives: Sequence[Drive], tuning: Tuning) -> list[SearchSpace]:
-    """The search space of each drive; they may differ in the fixed values only."""
-    spaces = [search_space(drive.model, tuning) for drive in drives]
-    for drive, space in zip(drives, spaces, strict=True):
-        if space.dimensions != spaces[0].dimensions:
+    Raises InputError for models with other parameters or lanes than the first one.
+    """
+    spaces = []
+    for model in models:
+        # A parameter that both declare belongs to the graph, as in `declared_parameters`.
+        of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
+        specs = [
+            spec
+            if ("graph" if spec.name in of_graph else "evidence") in tuning.search
+            else replace(spec, search=None)
+            for spec in declared_parameters(model.rule, model.graph)
+        ]
+        if "detector" in tuning.search:
+            specs += searched_of_detector(model.experiment)[0]
+        current, source = current_values(model, tuning), model.experiment.source
+        where = f"{source}: tuning.parameters"
+        spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
+        if spaces[-1].dimensions != spaces[0].dimensions:
             raise InputError(
-                f"{drive.experiment.source}: has other parameters or lanes than"
-                f" {drives[0].experiment.source}; one set for both needs the same plugins, and a"
-                " parameter with a value per lane cannot be shared between different roads"
+                f"{source}: has other parameters or lanes than {models[0].experiment.source}; one"
+                " set for both needs the same plugins, and a parameter with a value per lane cannot"
+                " be shared between different roads"
             )
-    return spaces
-
-
-def search_space(model: Model, tuning: Tuning) -> SearchSpace:
-    """The search space of a model."""
-    experiment = model.experiment
-    # A parameter that both declare belongs to the graph, as in `declared_parameters`.
-    of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
-    specs = [
-        spec
-        if ("graph" if spec.name in of_graph else "evidence") in tuning.search
-        else replace(spec, search=None)
-        for spec in declared_parameters(model.rule, model.graph)
-    ]
-    if "detector" in tuning.search:
-        specs += searched_of_detector(experiment)[0]
-    current = current_values(model, tuning)
-    where = f"{experiment.source}: tuning.parameters"
-    return make_space(specs, current, tuning.parameters, model.n_lanes, where)
+    return spaces[0]
 
 
 def current_values(model: Model, tuning: Tuning) -> dict[str, Value]:
-    """The values of all parameters of a model; those of its detector too, if they are searched."""
+    """The values of all parameters of a model, and of its detector if they are searched."""
     of_detector = searched_of_detector(model.experiment)[1] if "detector" in tuning.search else {}
     return {**model.parameters, **of_detector}
 
 
+def searched_values(space: SearchSpace, tuning: Tuning, point: Point) -> dict[str, Value]:
+    """The parameters that are searched, or fixed by `tuning.parameters`, at a point."""
+    names = {d.parameter for d in space.dimensions}.union(tuning.parameters)
+    return {name: v for name, v in to_parameters(space, point).items() if name in names}
+
+
 def objective(
     drives: Sequence[Drive],
-    spaces: Sequence[SearchSpace],
+    space: SearchSpace,
+    tuning: Tuning,
     used: Sequence[BoolArray],
     names: Sequence[str],
     *,
@@ -444,12 +427,18 @@ def objective(
     """The scores of a point of the search space; see `objective.scores_of`.
 
     - used: per drive (K,), marks the annotated frames that are scored.
+
+    Raises InputError for a filter that looks ahead.
     """
+    for drive in drives:
+        check_filter(drive.experiment)
     posteriors = [posterior_at(drive) for drive in drives]
+    currents = [current_values(drive.model, tuning) for drive in drives]
 
     def values(point: Point) -> list[float]:
-        pairs = zip(posteriors, spaces, strict=True)
-        found = [posterior(to_parameters(space, point)) for posterior, space in pairs]
+        changed = searched_values(space, tuning, point)
+        pairs = zip(posteriors, currents, strict=True)
+        found = [posterior({**current, **changed}) for posterior, current in pairs]
         return scores_of(drives, found, used, names, pooled=pooled)
 
     return values

@@ -1,4 +1,4 @@
-"""From parameters to a score of some drives: evidence, filter, confusion matrix and others."""
+"""The scores of some drives as a function of parameters: evidence, filter, scores."""
 
 from __future__ import annotations
 
@@ -42,13 +42,13 @@ BELIEF_SCORES = (
     "share_missed",
 )
 
-#: What the names of a detector's parameters begin with in a search.
+#: The prefix of a detector's parameters in a search.
 DETECTOR = "detector."
 
-#: What a score counts as that is endless: the delay where no lane change was followed, say.
+#: The value of an undefined score, such as the delay if no lane change was followed.
 UNDEFINED = 1e6
 
-#: How many evidences of a drive a search keeps; `bonus_value`, which is searched, has 10 values.
+#: The number of cached evidences per drive; `bonus_value`, which is searched, has 10 values.
 KEPT_EVIDENCE = 12
 
 
@@ -70,8 +70,10 @@ def check_filter(experiment: Experiment) -> None:
 
 
 def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[str, Value]]:
-    """The parameters of an experiment's detector, and their values, as a search names them. Raises
-    InputError for a recording without one."""
+    """The parameters of an experiment's detector, and their values, with prefixed names.
+
+    Raises InputError for a recording without a detector.
+    """
     from egolane_pgm.vision.detectors.pictures import detector_of
 
     detector = detector_of(experiment, "tuning.search: detector")
@@ -81,7 +83,7 @@ def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[
 
 
 def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """Separate a parameter set into that of graph and evidence rule, and that of the detector."""
+    """Split a parameter set: graph and evidence rule, and the detector without its prefix."""
     own = {k: v for k, v in parameters.items() if not k.startswith(DETECTOR)}
     detector = {k: v for k, v in parameters.items() if k.startswith(DETECTOR)}
     return own, {name.removeprefix(DETECTOR): v for name, v in detector.items()}
@@ -96,8 +98,8 @@ def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Ex
 def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
     """A function of all parameters: the posterior over lanes in the annotated frames, (K, n).
 
-    It caches the last evidences, since most trials change only the graph. If parameters of the
-    detector are among them, the detector processes all pictures again.
+    The last evidences are cached, since most trials change only the graph. Parameters of the
+    detector make it process all pictures again.
     """
     names = [spec.name for spec in getattr(drive.model.rule, "PARAMETERS", ())]
 
@@ -131,14 +133,14 @@ def scores_of(
 ) -> list[float]:
     """Score a parameter set: per objective the mean over the drives, equal weight each.
 
-    A drive on which a score is undefined, such as one without a lane change for the delay, does
-    not count in it; a score that no drive defines is `UNDEFINED`.
+    Drives with an undefined score are left out of its mean, such as drives without a lane change
+    for the delay; a score that no drive defines is `UNDEFINED`.
 
     - posteriors: per drive (K, n).
     - is_used: per drive (K,), marks the annotated frames that count.
     - objectives: names of scores.
-    - pooled: whether all frames count alike instead: the confusion matrices are added; of other
-      scores it is the mean weighted by frames.
+    - pooled: whether all frames count alike instead: confusion matrices are added, other scores
+      are weighted by frames.
     """
     values = np.zeros((len(drives), len(objectives)))
     weights = np.ones_like(values)
@@ -174,18 +176,18 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     """One score of a posterior (K, n) over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
-    are all used. NaN if nothing is counted; `UNDEFINED`, a large number, if no change is followed.
+    are all used. NaN without any; `UNDEFINED`, a large number, if no change is followed.
     """
     rows = drive.rows
     lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
-    used, lane_, crossing_ = belief[is_used], lane[is_used], crossing[is_used]
+    is_left_out = crossing | ~is_used
     if name == "log_loss":
-        losses = log_loss_per_frame(used, lane_)
+        losses = log_loss_per_frame(belief, lane)[is_used]
         return float(losses.mean()) if losses.size else float("nan")
-    if name in ("brier", "expected_calibration_error"):
-        return {"brier": brier, "expected_calibration_error": expected_calibration_error}[name](
-            used, lane_, crossing_
-        )
+    if name == "brier":
+        return brier(belief, lane, is_left_out)
+    if name == "expected_calibration_error":
+        return expected_calibration_error(belief, lane, is_left_out)
     truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     assigned = assigned_lane(belief, drive.experiment.unassigned_below)
     rate = drive.experiment.recording.frame_rate

@@ -16,7 +16,9 @@ from optuna.exceptions import ExperimentalWarning
 from optuna.study import MaxTrialsCallback
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from egolane_pgm.experiment import Tuning
 from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.tools.extras import needed
@@ -65,25 +67,32 @@ def quiet() -> Iterator[None]:
         optuna.logging.set_verbosity(before)
 
 
-def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:
-    """Return the sampler's name; by default evolution, for several objectives NSGA-II.
+def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Settings:
+    """The settings of a study. Each fold has its own seed, or all would share its luck.
 
-    Raises InputError for an unknown one, for one that searches a single objective if several are
-    given, and for one whose package is not installed.
+    Raises InputError for an unknown score or sampler, a score given twice, a sampler of a single
+    objective for several, and a sampler whose package is not installed.
     """
-    if name is None:
-        return "evolution" if len(objectives) == 1 else "nsga2"
-    if name not in SAMPLERS:
-        raise InputError(f"{where}: unknown sampler '{name}'{suggestion(name, SAMPLERS)}")
-    if len(objectives) > 1 and name in ("evolution", "cma-es"):
+    where = f"{source}: tuning"
+    names = tuple(check_objective(name, f"{where}.objective") for name in tuning.objective)
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}.objective: a score is named twice")
+    sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
+    if sampler not in SAMPLERS:
+        hint = suggestion(sampler, SAMPLERS)
+        raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
+    if len(names) > 1 and sampler in ("evolution", "cma-es"):
         raise InputError(
-            f"{where}: {name} searches one objective; for {', '.join(objectives)} take nsga2, tpe"
-            " or random"
+            f"{where}.sampler: {sampler} searches one objective; for {', '.join(names)} take nsga2,"
+            " tpe or random"
         )
-    if name == "cma-es":
-        with needed(f"{where}: {name}", "cmaes"):
+    if sampler == "cma-es":
+        with needed(f"{where}.sampler: cma-es", "cmaes"):
             import cmaes  # noqa: F401
-    return name
+    seed = tuning.seed
+    if fold is not None:
+        seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
+    return Settings(names, sampler, tuning.trials or TRIALS, seed)
 
 
 def make_sampler(settings: Settings, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:

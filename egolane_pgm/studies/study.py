@@ -33,12 +33,12 @@ from egolane_pgm.studies.fits import (
     fit_nothing,
     fit_tune,
     learning_of,
-    needs_labels,
-    search_spaces,
-    settings_of,
+    learns_rule,
+    search_space,
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
+from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
 from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
@@ -389,7 +389,6 @@ def run_held_out(
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
-    jobs: int = 1,
     progress: bool | None = False,
 ) -> Result:
     """Infer each block of some drives with a fit (`fit` of the experiment) to the other blocks."""
@@ -405,7 +404,7 @@ def run_held_out(
     folds = block_folds(drives, n_blocks)
     numbered = list(enumerate(folds))
     with noting() as found:
-        fitted = fit_folds(drives, fits[method], numbered, jobs=jobs, progress=progress)
+        fitted = fit_folds(drives, fits[method], numbered, progress=progress)
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -450,7 +449,7 @@ def run_study(
     if method == "learn":
         check_learnable(first.model)
     else:
-        space = search_spaces(drives, tuning)[0]
+        space = search_space([drive.model for drive in drives], tuning)
         found = settings_of(tuning, None, first.experiment.source)
         settings = {**plain(found.__dict__), **describe(space)}
         current = [drive.model.parameters for drive in drives] if starts is None else starts
@@ -512,7 +511,8 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
                 f"{e.source}: decode: {e.decode} is for `egolane run`; fits and held-out scores"
                 " need decode: marginal"
             )
-        if not needs_labels(e, drive.model, method):
+        is_by_em = method == "learn" and not learns_rule(drive.model)
+        if method == "none" or (is_by_em and not learning_of(e).labels):
             continue
         if not drive.has_truth:
             what = "a search needs it" if method == "tune" else "learning needs it"

@@ -190,10 +190,11 @@ def check_input(given: Input) -> str:
     model = compile_model(experiment)
     if experiment.tuning is not None:
         # Optuna is loaded for this only.
-        from egolane_pgm.studies.fits import search_space, settings_of
+        from egolane_pgm.studies.fits import search_space
+        from egolane_pgm.studies.search import settings_of
 
         settings_of(experiment.tuning, source=experiment.source)
-        search_space(model, experiment.tuning)
+        search_space([model], experiment.tuning)
     return (
         f"{given.experiment.source}: ok ({model.n_lanes} lanes,"
         f" {model.compiled.n_states} joint states)"

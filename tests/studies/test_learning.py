@@ -95,12 +95,11 @@ def test_frames_between_two_training_frames_are_used_others_are_not() -> None:
         ([0, 1], [0, 1, 2]),
         ([2, 3, 4], [5, 6, 7, 8]),
     ):
-        found = training_of(one, np.array(train), labels=True)
-        for node, values in found.evidence.likelihoods.items():
+        evidence, _, is_first = training_of(one, np.array(train), labels=True)
+        for node, values in evidence.likelihoods.items():
             np.testing.assert_array_equal(values, everything.likelihoods[node][frames])
         begins = np.flatnonzero(np.diff(frames, prepend=-2) > 1)
-        assert found.is_first is not None
-        assert np.flatnonzero(found.is_first).tolist() == begins.tolist()
+        assert np.flatnonzero(is_first).tolist() == begins.tolist()
 
 
 def test_a_block_that_is_left_out_is_no_step_from_before_to_after_it() -> None:
@@ -194,7 +193,7 @@ def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
     with pytest.warns(UserWarning, match=r"sensor_failure does not allow \d+ frame\(s\) to learn"):
         learned(one)
     nothing = "return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})"
-    with pytest.raises(InputError, match="graph lane_only allows none of the 100 frames to learn"):
+    with pytest.raises(InputError, match="graph lane_only allows no frame of the 100 to learn"):
         learned(with_rule(tmp_path, nothing))
 
 

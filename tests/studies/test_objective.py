@@ -15,7 +15,8 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
 from egolane_pgm.scoring.events import lane_changes
 from egolane_pgm.studies import objective
-from egolane_pgm.studies.fits import search_space, settings_of
+from egolane_pgm.studies.fits import search_space
+from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import to_parameters
 from egolane_pgm.types import InputError, lane_truth
 from tests.kits.drives import run
@@ -37,7 +38,7 @@ def everything() -> Any:
 @cache
 def posteriors(n: int) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Some parameter sets, and the posterior (K, lanes) of each."""
-    space = search_space(quickstart().model, Tuning())
+    space = search_space([quickstart().model], Tuning())
     units = np.random.default_rng(0).random((n, len(space.dimensions)))
     sets = [to_parameters(space, point) for point in points_at(space, units)]
     posterior_at = objective.posterior_at(quickstart())

@@ -9,13 +9,14 @@ import optuna
 import pytest
 from optuna.trial import TrialState
 
+from egolane_pgm.experiment import Tuning
 from egolane_pgm.studies.search import (
     SAMPLERS,
     Settings,
     best_trial,
-    check_sampler,
     new_study,
     search,
+    settings_of,
 )
 from egolane_pgm.types import InputError
 from tests.kits.studies import bowl, plain_space, search_in_memory, tried
@@ -84,9 +85,9 @@ def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
 
 
 def test_a_sampler_that_does_not_fit_is_refused() -> None:
-    assert check_sampler(None, ["accuracy"], "x") == "evolution"
-    assert check_sampler(None, ["accuracy", "log_loss"], "x") == "nsga2"
-    with pytest.raises(InputError, match=r"x: unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
-        check_sampler("tpee", ["accuracy"], "x")
-    with pytest.raises(InputError, match="x: evolution searches one objective; for accuracy, f1"):
-        check_sampler("evolution", ["accuracy", "f1"], "x")
+    assert settings_of(Tuning()).sampler == "evolution"
+    assert settings_of(Tuning(objective=("accuracy", "log_loss"))).sampler == "nsga2"
+    with pytest.raises(InputError, match=r"unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
+        settings_of(Tuning(sampler="tpee"))
+    with pytest.raises(InputError, match="evolution searches one objective; for accuracy, f1"):
+        settings_of(Tuning(objective=("accuracy", "f1"), sampler="evolution"))
