@@ -1,7 +1,7 @@
 """Studies: fit on some frames, infer and score the others.
 
 `fit_folds` and `test_frames` are the only engine. `run --held-out`, `tune`, `learn` and transfer
-from some drives to others differ in the fit and in the folds.
+between drives differ in the fit and in the folds.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 #: The default number of blocks.
 N_BLOCKS = 5
 
-#: Trials per fold of `run --held-out` with `fit: tune`; a study of its own has more.
+#: Trials per fold of `run --held-out` with `fit: tune`; `tune` has more.
 TRIALS_PER_FOLD = 300
 
 #: The file that makes the directory of a study complete.
@@ -111,28 +111,28 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
     Recordings of one drive are held out together. Raises InputError if nothing would be left.
     """
     keys = [drive_key(drive.experiment, digests(drive.experiment)) for drive in drives]
-    first = {key: k for k, key in reversed(list(enumerate(keys)))}
-    if tag is not None:
+    groups: list[Any]
+    if tag is None:
+        unique = list(dict.fromkeys(keys))
+        parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
+        part_of = {unique[k]: p for p, part in enumerate(parts) for k in part}
+        groups = [part_of[key] for key in keys]
+        which = "blocks: all rows are of one drive"
+    else:
         known = {name for drive in drives for name in drive.tags}
         groups = [drive.tags.get(tag) for drive in drives]
+        which = f"by_tag: all have one {tag}"
         for drive, key, group in zip(drives, keys, groups, strict=True):
+            first = keys.index(key)
             if group is None:
                 raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
-            if group != groups[first[key]]:
+            if group != groups[first]:
                 raise InputError(
-                    f"{drive.name}: is the same drive as {drives[first[key]].name}, with another"
-                    f" tag.{tag}: the one would give the other's labels away"
+                    f"{drive.name}: is the same drive as {drives[first].name} with another"
+                    f" tag.{tag}; held-out labels would leak"
                 )
-    else:
-        unique = list(first)[::-1]
-        parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
-        part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
-        groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
-        which = (
-            "blocks: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
-        )
-        raise InputError(f"{which}, so none can be held out; with blocks 0 none is")
+        raise InputError(f"{which}, so nothing would be left to fit to; blocks 0 holds out nothing")
     return group_folds(drives, groups)
 
 
@@ -192,18 +192,25 @@ def test_frames(
                 continue
             frames = next((f for known, f in inferred if known == fitted[b]), None)
             if frames is None:
-                frames = frames_of(fitted_drive(drive, fitted[b]))
+                frames = inferred_frames(fitted_drive(drive, fitted[b]))
                 inferred.append((fitted[b], frames))
             parts.append(frames.iloc[drive.rows[fold.test[k]]].assign(block=b))
-        table = pd.concat(parts).sort_index()
-        if not drive.is_trusted.all():
-            table["is_trusted"] = drive.is_trusted
-        tables.append(table)
+        tables.append(pd.concat(parts).sort_index())
     return concat_drives(drives, tables)
 
 
+def inferred_frames(drive: Drive) -> pd.DataFrame:
+    """The table of all frames of a drive; with `is_trusted` if some labels are not."""
+    frames = frames_of(drive)
+    if not drive.is_trusted.all():
+        trusted = np.ones(len(frames), dtype=bool)
+        trusted[drive.rows] = drive.is_trusted
+        frames["is_trusted"] = trusted
+    return frames
+
+
 def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
-    """The drive with a fit in its model; with other detector parameters its lines are made anew."""
+    """The drive with a fit in its model; other detector parameters detect its lines again."""
     model = apply_fit(drive.model, fitted)
     if model.experiment.recording == drive.experiment.recording:
         return replace(drive, model=model)
@@ -231,16 +238,16 @@ class Study:
     """A fit to some drives, with scores on held-out frames.
 
     - name: of the experiment, or of a list of them.
-    - experiments: the experiments that were fitted.
+    - experiments: the fitted experiments.
     - method: learn or tune.
-    - model: with everything fitted to all trusted frames.
-    - fitted: these parameters and tables by name.
+    - model: with the final fit, to all trusted frames.
+    - fitted: its parameters and tables by name.
     - in_sample: the result of the training frames, with `fitted`.
     - held_out: the result of the test frames of all folds, each with the fit of its fold; None
       without folds.
-    - trials: a row per trial of the search on everything; empty without one.
+    - trials: a row per trial of the final search; empty without one.
     - settings: of the search.
-    - directory: where it is kept; None in memory.
+    - directory: the study directory; None in memory.
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 200]})
@@ -280,14 +287,14 @@ class Study:
 
     @property
     def network(self) -> DynamicBayesianNetwork:
-        """The fitted graph in pgmpy. Handed to `run`, its scores say where it was learned."""
+        """The fitted graph in pgmpy, with its origin for the `tuned_on` of a run."""
         network = self.model.network
         network.learned_from = self.learned_from
         return network
 
     @property
     def learned_from(self) -> str:
-        """The recording that was learned from; empty for several."""
+        """The training recording; empty for several."""
         return recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
 
     def experiment(self) -> dict[str, Any]:
@@ -307,7 +314,7 @@ class Study:
         return content
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
-        """The text that `egolane tune` prints: scores in-sample and held out, and what was found.
+        """The text that `egolane tune` prints: scores in-sample and held out, and fitted values.
 
         - style: one of `views.tables.STYLES`.
         - wide: whether tables may be wider than the terminal.
@@ -428,13 +435,13 @@ def run_study(
     """Fit to everything, and hold out each fold in turn.
 
     - method: learn or tune.
-    - folds: none for no held-out scores.
-    - name: of the study; by default that of the first experiment.
-    - experiments: by default those of the drives.
+    - folds: empty for no held-out scores.
+    - name: of the study; by default the first experiment's.
+    - experiments: by default the experiments of the drives.
     - tuning: the settings of a search.
-    - starts: parameter sets that a search on everything tries first; by default the current ones.
-    - storage: where Optuna keeps a study per fold; by default a journal in `directory`, or memory.
-    - directory: where the study is kept: it is saved there.
+    - starts: parameter sets that the final search tries first; by default the current ones.
+    - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
+    - directory: the study is saved here.
     - pooled: whether all frames count alike in a search; otherwise all drives do.
     """
     begin, first = time.perf_counter(), drives[0]
@@ -470,14 +477,7 @@ def run_study(
             kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
             raise KeyboardInterrupt(kept) from None
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
-        tables = [frames_of(drive) for drive in fitted_drives]
-        for drive, table in zip(drives, tables, strict=True):
-            if not drive.is_trusted.all():
-                # Unlabelled frames are trusted: nothing is known that may be wrong.
-                trusted = np.ones(len(table), dtype=bool)
-                trusted[drive.rows] = drive.is_trusted
-                table["is_trusted"] = trusted
-        frames = concat_drives(fitted_drives, tables)
+        frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
     notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
@@ -524,7 +524,7 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
 def tuning_of(experiment: Experiment, *, default: int | None = None, **changes: Any) -> Tuning:
     """The `tuning` section of an experiment, with changes; `parameters` are added to its own.
 
-    - default: the number of trials if none is given.
+    - default: the number of trials if it is not set.
     """
     content = (experiment.tuning or Tuning()).model_dump(exclude_unset=True)
     given = {key: value for key, value in changes.items() if value is not None}

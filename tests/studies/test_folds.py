@@ -99,9 +99,9 @@ def test_recordings_of_one_drive_are_held_out_together(tmp_path: Path) -> None:
     assert out(drive_folds(tagged, 5, "who")) == [[0, 1, 2, 3], [4, 5]]
     split = [replace(each, tags={"who": f"w{k % 2}"}) for k, each in enumerate(drives)]
     for some, tag, said in (
-        (drives[:2], None, "blocks: all rows are of one drive, so none"),
+        (drives[:2], None, "blocks: all rows are of one drive, so nothing"),
         (tagged, "woh", r"by_tag: x0 has no tag\.woh \(did you mean 'who'\?\)"),
-        (split, "who", r"y0: is the same drive as x0, with another tag\.who"),
+        (split, "who", r"y0: is the same drive as x0 with another tag\.who"),
     ):
         with pytest.raises(InputError, match=said):
             drive_folds(some, 5, tag)
