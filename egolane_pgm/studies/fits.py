@@ -37,7 +37,6 @@ from egolane_pgm.studies.objective import (
     with_detector,
 )
 from egolane_pgm.studies.search import (
-    Settings,
     best_trial,
     new_study,
     quiet,
@@ -345,7 +344,7 @@ def fit_tune(
     space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    score = objective(drives, space, tuning, used, settings.objectives, pooled=pooled)
+    score = objective(drives, space, tuning, used, settings.objective, pooled=pooled)
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, space, storage)
         if fold is None and not tuning.from_scratch and not study.get_trials(deepcopy=False):
@@ -448,7 +447,7 @@ def open_study(
     drives: Sequence[Drive],
     train: Sequence[IntArray],
     fold: int | None,
-    settings: Settings,
+    settings: Tuning,
     space: SearchSpace,
     storage: str | None,
 ) -> optuna.Study:
@@ -458,7 +457,7 @@ def open_study(
     name = drives[0].experiment.name + ("" if fold is None else f" without fold {fold + 1}")
     study = new_study(settings, storage=open_storage(storage), study_name=name)
     content = {
-        "objective": settings.objectives,
+        "objective": settings.objective,
         "sampler": settings.sampler,
         "seed": settings.seed,
         "space": describe(space),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +12,7 @@ import optuna
 from optuna import samplers
 from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.exceptions import ExperimentalWarning
-from optuna.study import MaxTrialsCallback
+from optuna.study import MaxTrialsCallback, StudyDirection
 from optuna.trial import FrozenTrial, Trial, TrialState
 
 from egolane_pgm.experiment import Tuning
@@ -33,27 +32,6 @@ TRIALS = 3000
 Score = Callable[[Point], Sequence[float]]
 
 
-@dataclass(frozen=True)
-class Settings:
-    """How a study is run.
-
-    - objectives: names of scores.
-    - sampler: one of `SAMPLERS`.
-    - trials: total of complete trials.
-    - seed: of the sampler.
-    """
-
-    objectives: tuple[str, ...] = ("accuracy",)
-    sampler: str = "evolution"
-    trials: int = TRIALS
-    seed: int = 0
-
-    @property
-    def directions(self) -> list[Any]:
-        """Optuna's direction of each objective."""
-        return ["maximize" if is_maximised(name) else "minimize" for name in self.objectives]
-
-
 @contextmanager
 def quiet() -> Iterator[None]:
     """Silence Optuna: its log of every trial, and its warnings of experimental features."""
@@ -67,14 +45,14 @@ def quiet() -> Iterator[None]:
         optuna.logging.set_verbosity(before)
 
 
-def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Settings:
-    """The settings of a study. Each fold has its own seed, or all would share its luck.
+def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning") -> Tuning:
+    """The settings of a study, complete and checked. Each fold has its own seed.
 
     Raises InputError for an unknown score or sampler, a score given twice, a sampler of a single
     objective for several, and a sampler whose package is not installed.
     """
     where = f"{source}: tuning"
-    names = tuple(check_objective(name, f"{where}.objective") for name in tuning.objective)
+    names = [check_objective(name, f"{where}.objective") for name in tuning.objective]
     if len(set(names)) < len(names):
         raise InputError(f"{where}.objective: a score is named twice")
     sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
@@ -92,10 +70,11 @@ def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning")
     seed = tuning.seed
     if fold is not None:
         seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
-    return Settings(names, sampler, tuning.trials or TRIALS, seed)
+    trials = tuning.trials or TRIALS
+    return tuning.model_copy(update={"sampler": sampler, "trials": trials, "seed": seed})
 
 
-def make_sampler(settings: Settings, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:
+def make_sampler(settings: Tuning, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:
     """Make the sampler of a study.
 
     - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
@@ -115,27 +94,30 @@ def make_sampler(settings: Settings, space: SearchSpace, n_trials: int = 0) -> s
         return samplers.RandomSampler(seed=seed)
 
 
-def new_study(settings: Settings, **given: Any) -> optuna.Study:
+def new_study(settings: Tuning, **given: Any) -> optuna.Study:
     """Create a study, in memory unless a storage and a name are given, or load that one."""
+    names = settings.objective
+    up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
+    directions = [up if is_maximised(name) else down for name in names]
     with quiet():
         study = optuna.create_study(
-            directions=settings.directions, load_if_exists="storage" in given, **given
+            directions=directions, load_if_exists="storage" in given, **given
         )
         if not study.metric_names:
-            study.set_metric_names(list(settings.objectives))
+            study.set_metric_names(list(names))
     return study
 
 
-def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Settings) -> None:
+def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Tuning) -> None:
     """Run a study until its number of trials, by all workers, is complete."""
-    n_trials = len(study.get_trials(deepcopy=False))
-    if n_complete(study) >= settings.trials:
+    total, trials = settings.trials or TRIALS, study.get_trials(deepcopy=False)
+    if sum(trial.state == TrialState.COMPLETE for trial in trials) >= total:
         return
-    study.sampler = make_sampler(settings, space, n_trials)
+    study.sampler = make_sampler(settings, space, len(trials))
     with quiet(), _interruptions():
         study.optimize(
             lambda trial: score(suggest(space, trial)),
-            callbacks=[MaxTrialsCallback(settings.trials)],
+            callbacks=[MaxTrialsCallback(total)],
         )
 
 
@@ -166,14 +148,9 @@ def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:
     return trial.params
 
 
-def n_complete(study: optuna.Study) -> int:
-    """The number of complete trials."""
-    return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
-
-
 def best_trial(study: optuna.Study) -> FrozenTrial:
     """The best trial, the first among equals; of a Pareto front the best in the first objective."""
-    sign = 1 if study.directions[0].name == "MAXIMIZE" else -1
+    sign = 1 if study.directions[0] == StudyDirection.MAXIMIZE else -1
     trials = study.best_trials if len(study.directions) > 1 else study.get_trials(deepcopy=False)
     complete = [t for t in trials if t.state == TrialState.COMPLETE]
     return max(complete, key=lambda t: (sign * t.values[0], -t.number))

@@ -218,18 +218,6 @@ def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
     return replace(again, model=model)
 
 
-def lacking_lanes(drives: Sequence[Drive], folds: Sequence[Fold]) -> list[str]:
-    """A warning per lane that no training frame of a fold has, though it is driven."""
-    found = []
-    for drive in drives if len(drives) == 1 else ():
-        rows = drive.rows
-        lane = np.where(drive.is_crossing[rows], 0, drive.true_lane[rows])
-        for b, fold in enumerate(folds):
-            lost = set(lane[fold.test[0]]) - set(lane[fold.train[0]]) - {0}
-            found += [f"{drive.name}: only block {b + 1} has lane {k}" for k in sorted(lost)]
-    return found
-
-
 # --- studies -------------------------------------------------------------------------------------
 
 
@@ -387,7 +375,6 @@ def held_out_result(
     notes = [*notes, *found]
     if fit != "none":
         keys["tuned_on"] = "other_frames"
-        notes += lacking_lanes(drives, folds)
     return make_result(experiment, drives, frames, notes, begin=begin, **keys)
 
 
@@ -458,7 +445,11 @@ def run_study(
     else:
         space = search_space([drive.model for drive in drives], tuning)
         found = settings_of(tuning, None, first.experiment.source)
-        settings = {**plain(found.__dict__), **describe(space)}
+        settings = {
+            "objectives": list(found.objective),
+            **{key: getattr(found, key) for key in ("sampler", "trials", "seed")},
+            **describe(space),
+        }
         current = [drive.model.parameters for drive in drives] if starts is None else starts
         if directory is not None:
             storage = storage or str(directory / JOURNAL_NAME)

@@ -141,7 +141,7 @@ def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
 
 
 def test_settings_that_do_not_fit_are_refused() -> None:
-    assert settings_of(Tuning(objective="f1")).objectives == ("f1",)
+    assert settings_of(Tuning(objective="f1")).objective == ("f1",)
     for given, said in (
         (["acuracy"], r"tuning.objective: unknown score 'acuracy' \(did you mean 'accuracy'\?\)"),
         (["f1", "f1"], "tuning.objective: a score is named twice"),
