@@ -1,8 +1,8 @@
 """Results: one table with a row per frame, its scores and its provenance.
 
-A result directory holds experiment.yaml, run.json, scores.json, beliefs.parquet (`Result.frames` as
-it is), lines.parquet and events.csv. run.json is removed first and written last, so a directory
-that has it is complete.
+A result directory contains experiment.yaml, run.json, scores.json, beliefs.parquet
+(`Result.frames`), lines.parquet and events.csv. run.json is removed first and written last, so a
+directory with it is complete.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib import import_module, metadata
@@ -90,7 +90,7 @@ class Result:
     - run: provenance (run.json).
     - scores: the scores (scores.json).
     - lines: the lines of each drive, by name.
-    - directory: where it was read or written; None in memory.
+    - directory: the result directory; None in memory.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
@@ -201,11 +201,10 @@ class Result:
     def network(
         self, *, evidence: bool = False, first: int | None = None, last: int | None = None
     ) -> DynamicBayesianNetwork | Unrolled:
-        """The graph in pgmpy: by itself, or some frames of it with their evidence.
+        """The graph in pgmpy, or some frames of it with their evidence.
 
         - evidence: False for the declared network of two slices, whose virtual-evidence tables
-          (`WOR_ve`) are placeholders; True for frames unrolled with the run's evidence, together
-          with the evidence as pgmpy's queries take it.
+          (`WOR_ve`) are placeholders; True for unrolled frames and the run's evidence in them.
         - first, last: with evidence: frame ids, both included; all by default. pgmpy takes seconds
           for hundreds of frames.
         """
@@ -223,10 +222,6 @@ class Result:
         for part in key.split("."):
             found = found.get(part) if isinstance(found, Mapping) else None
         return found
-
-    def take(self, frames: Any) -> Result:
-        """Select frames by position; the scores are not recomputed."""
-        return replace(self, frames=self.frames.iloc[frames], lines={})
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
@@ -255,7 +250,7 @@ class Result:
 
         Raises InputError if it cannot be written.
         """
-        # The page is a wing: it is imported by name, so that nothing here depends on it.
+        # The page is a wing, so the core imports it by name.
         page = import_module("egolane_pgm.page.document")
         for line in page.write_page([self], Path(file)):
             warnings.warn(line, UserWarning, stacklevel=2)
@@ -319,7 +314,7 @@ def is_result(directory: str | os.PathLike[str]) -> bool:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise InputError if a result cannot be put there: before anything is computed."""
+    """Raise InputError if a result cannot be written there; called before the computation."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file, not a directory")
     # The first file of a result, which may have been interrupted.
@@ -373,7 +368,7 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
 
 
 def stored(experiment: Experiment, directory: Path, tags: Mapping[str, str]) -> Result | None:
-    """The result in a directory, if it is complete and of the same experiment, data and tags."""
+    """The result in a directory, if it is complete, with the same experiment, data and tags."""
     try:
         run = json.loads((directory / "run.json").read_text())
         is_same = run["identity"] == identity(experiment, digests(experiment))

@@ -78,7 +78,6 @@ def test_a_result_gives_posteriors_truth_and_answers_by_name() -> None:
     assert found.truth["true_lane"].tolist() == TRUTH[:-1]
     assert found.truth["is_crossing"].tolist() == [bool(c) for c in CROSSING[:-1]]
     np.testing.assert_array_equal(found.beliefs.lane, MODEL)
-    assert found.take(slice(2, 4)).frames.index.tolist() == [102, 103]
     assert [found.value(key) for key in ("graph", "parameters.sigma1", "tag.x", "no.key")] == [
         *("sensor_failure", 0.3, None, None)
     ]
