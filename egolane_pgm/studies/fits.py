@@ -82,12 +82,7 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
     tables = {name: value for name, value in fitted.items() if name.startswith(TABLES)}
     own, detector = split({name: v for name, v in fitted.items() if name not in tables})
     if own:
-        values = _resolve(model, {**model.parameters, **own})
-        of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
-        if of_graph.isdisjoint(own):
-            model = replace(model, parameters=values)
-        else:
-            model = with_parameters(model, values)
+        model = with_parameters(model, _resolve(model, {**model.parameters, **own}))
     if detector:
         model = replace(model, experiment=with_detector(model.experiment, detector))
     if tables:
@@ -296,19 +291,13 @@ def seen_before(model: Model) -> list[str]:
         for spec in getattr(model.rule, "PARAMETERS", ())
         if spec.is_searched and model.parameters[spec.name] != spec.default
     ]
+    if e.tuned_on == "same_frames" and not reset:
+        kept.append(f"graph {e.graph}")
     notes = []
     if changed:
         notes.append(f"{where}: learning starts from the defaults of {', '.join(changed)}")
     if kept:
-        notes.append(
-            f"{where}: {', '.join(kept)} of the evidence rule stay as given, so held-out scores may"
-            " be in-sample"
-        )
-    if e.tuned_on == "same_frames" and not reset:
-        notes.append(
-            f"{where}: graph {e.graph} has no parameters with defaults to start from, so held-out"
-            " scores are in-sample"
-        )
+        notes.append(f"{where}: {', '.join(kept)} kept, so held-out scores may be in-sample")
     return notes
 
 

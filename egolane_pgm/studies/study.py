@@ -185,16 +185,15 @@ def test_frames(
     """
     tables = []
     for k, drive in enumerate(drives):
-        inferred: list[tuple[Fitted, pd.DataFrame]] = []
+        inferred: dict[frozenset[Any], pd.DataFrame] = {}
         parts = []
         for b, fold in enumerate(folds):
             if not len(fold.test[k]):
                 continue
-            frames = next((f for known, f in inferred if known == fitted[b]), None)
-            if frames is None:
-                frames = inferred_frames(fitted_drive(drive, fitted[b]))
-                inferred.append((fitted[b], frames))
-            parts.append(frames.iloc[drive.rows[fold.test[k]]].assign(block=b))
+            fit = frozenset(fitted[b].items())
+            if fit not in inferred:
+                inferred[fit] = inferred_frames(fitted_drive(drive, fitted[b]))
+            parts.append(inferred[fit].iloc[drive.rows[fold.test[k]]].assign(block=b))
         tables.append(pd.concat(parts).sort_index())
     return concat_drives(drives, tables)
 

@@ -185,7 +185,7 @@ def test_tables_that_may_have_been_tuned_on_the_frames_are_not_started_from() ->
     assert seen_before(not_tuned.model) == []
     reset, kept = seen_before(same.model)
     assert "tuned_on same_frames: learning starts from the defaults of sigma1" in reset
-    assert "bonus_value of the evidence rule stay as given" in kept
+    assert "bonus_value kept, so held-out scores may be in-sample" in kept
 
 
 def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path: Path) -> None:
