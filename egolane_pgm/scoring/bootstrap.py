@@ -110,8 +110,8 @@ def bootstrap_interval(
     - seeds: one per recording; recordings of the same length with the same seed are resampled
       together. By default 0, 1, 2, ...
 
-    Resamples in which the statistic is undefined (NaN) are left out; the bounds are NaN if it is
-    undefined in all. They are None if a recording is shorter than two blocks: its resamples would
+    Resamples with an undefined statistic (NaN) are left out; without any other the bounds are NaN.
+    They are None if a recording is shorter than two blocks: its resamples would
     be nearly the same, and the interval far too short. Raises InputError if the two sides have
     different numbers of frames.
     """

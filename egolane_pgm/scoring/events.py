@@ -66,7 +66,7 @@ def lane_changes(truth: pd.DataFrame) -> pd.DataFrame:
     """The true lane changes of a drive, a row each; rules in the module.
 
     Columns: `start` (first crossing row, equal to `end` if no row is flagged), `end` (first row in
-    the new lane after the crossing), `until` (where the search for the new lane ends, exclusive),
+    the new lane after the crossing), `until` (end of the search for the new lane, exclusive),
     `from_lane`, `to_lane`. Rows are counted from 0.
     """
     import pandas as pd
@@ -127,7 +127,7 @@ def stability_scores(
 
 
 def false_switches(assigned: ArrayLike, truth: pd.DataFrame) -> tuple[BoolArray, BoolArray]:
-    """(T,) each: whether a row is a false switch from the row before, and whether it could be."""
+    """(T,) each: marks false switches from the row before, and rows that can be one."""
     predicted, actual = np.asarray(assigned), truth["true_lane"].to_numpy()
     crossing = truth["is_crossing"].to_numpy()
     is_counted = np.zeros(len(predicted), dtype=bool)

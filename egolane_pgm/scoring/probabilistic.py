@@ -1,6 +1,6 @@
 """Scores of the posterior: log-loss, Brier score, calibration, coverage.
 
-Without any frame to score they are NaN (None in JSON), because 0 would be a perfect score.
+Without frames to score they are NaN (None in JSON); 0 would be a perfect score.
 """
 
 from __future__ import annotations

@@ -73,7 +73,7 @@ _SLICES = (".first", ".next")
 
 
 def fit_nothing(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
-    """Keep the experiment's own parameters."""
+    """Keep the experiment's parameters."""
     return Fitted()
 
 
@@ -124,7 +124,7 @@ def check_learnable(model: Model) -> None:
     elif experiment.learning is not None:
         raise InputError(
             f"{experiment.source}: learning: applies to the tables of a graph; the evidence rule"
-            f" {experiment.evidence} learns its own parameters from labels"
+            f" {experiment.evidence} learns its parameters from labels"
         )
 
 

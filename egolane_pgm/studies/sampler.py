@@ -45,7 +45,7 @@ PATIENCE = 15
 
 @dataclass(frozen=True)
 class Generation:
-    """N members in the unit cube, their children, and what the search has learned.
+    """N members in the unit cube, their children, and the memory of the search.
 
     - number: from 0.
     - units (N, D): the members.
@@ -162,8 +162,7 @@ class Shade(optuna.samplers.BaseSampler):
 
     - seed: of every draw.
     - search_space: distributions by parameter name; by default the parameters that all finished
-      trials have (Optuna's `IntersectionSearchSpace`). All others, and those of the first trial,
-      are drawn at random.
+      trials have (Optuna's `IntersectionSearchSpace`). Other parameters are drawn at random.
 
     Trial k is member `k % MEMBERS` of generation `k // MEMBERS`. A generation is selected from its
     complete trials when the next one begins; with several workers, running trials count as not

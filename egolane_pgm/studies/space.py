@@ -104,7 +104,7 @@ def make_space(
             dimensions.append(Dimension(name, name, None, _choices(spec, bounds, n_lanes, here)))
         else:
             found = _range(spec, bounds, name in given, n_lanes, here)
-            # Bounds in the YAML for a parameter that is not searched by itself move all lanes.
+            # A parameter that is searched only because of its bounds in the YAML moves all lanes.
             is_split = spec.per_lane and spec.is_searched
             for lane in range(1, n_lanes + 1) if is_split else (None,):
                 key = name if lane is None else f"{name}[{lane}]"
@@ -128,7 +128,7 @@ def _choices(
 def _range(
     spec: Parameter, bounds: Sequence[Any], is_given: bool, n_lanes: int, where: str
 ) -> IntDistribution | FloatDistribution:
-    """The range of a parameter's numbers. is_given: whether the bounds are from the YAML."""
+    """The range of a parameter's numbers. is_given: the bounds are from the YAML."""
     if len(bounds) != 2:
         raise InputError(f"{where}: {list(bounds)} must be [low, high], or one value to fix it")
     is_open_below = spec.kind in ("sigma", "positive", "probability") and bounds[0] == 0

@@ -27,7 +27,7 @@ from egolane_pgm.types import InputError
 #: The journal in the directory of a study.
 JOURNAL_NAME = "study.journal"
 
-#: Seconds between signs of life of a worker on a database, and until its trial is run again.
+#: Seconds between heartbeats of a worker on a database, and until its trial is run again.
 HEARTBEAT_S, GRACE_S = 15, 60
 
 
@@ -52,14 +52,16 @@ def open_storage(storage: str) -> BaseStorage:
         raise InputError(
             f"{named(storage)}: needs the package {name}: pip install {name}"
         ) from error
-    # A database's driver raises errors of its own, and Optuna for a damaged journal.
+    # Drivers of databases have different errors; a damaged journal raises others in Optuna.
     except Exception as error:
         raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
 
 
 class _Journal(JournalFileBackend):
-    """Optuna's journal, without waiting for the disk after each line, which takes longer than a
-    trial. A machine that loses power loses its last seconds."""
+    """Optuna's journal without flushing the disk after each line, which takes longer than a trial.
+
+    A power failure loses the last seconds.
+    """
 
     def __init__(self, path: Path) -> None:
         # A lock older than five seconds was left by a process that was killed.
@@ -104,7 +106,7 @@ def storage_errors(storage: str | None) -> Iterator[None]:
         raise
     except Exception as error:
         first: BaseException = error
-        # Optuna may raise an error of its own over it.
+        # Optuna may raise another error while it handles this one.
         while not isinstance(first, (OSError, SQLAlchemyError, StorageInternalError)):
             if first.__context__ is None:
                 raise

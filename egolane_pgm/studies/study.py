@@ -79,30 +79,29 @@ def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]
     Blocks are `np.array_split` of the annotated frames, crossing ones included. Raises InputError
     for fewer than 2 blocks, and for more than frames.
     """
-    whole = everything(drives)
-    fewest = min(map(len, whole.test))
+    fewest = min(map(len, drives))
     if not 2 <= n_blocks <= fewest:
         raise InputError(f"blocks: {n_blocks} is not between 2 and the {fewest} frames of a drive")
-    blocks = [np.array_split(frames, n_blocks) for frames in whole.test]
-    return [
-        Fold(
-            tuple(np.setdiff1d(t, mine[b]) for t, mine in zip(whole.train, blocks, strict=True)),
-            tuple(mine[b] for mine in blocks),
-        )
-        for b in range(n_blocks)
-    ]
+    lengths = [[len(b) for b in np.array_split(np.arange(len(d)), n_blocks)] for d in drives]
+    return _folds(drives, [np.repeat(np.arange(n_blocks), each) for each in lengths])
 
 
 def group_folds(drives: Sequence[Drive], groups: Sequence[Any]) -> list[Fold]:
     """Hold out the drives of each group in turn. groups: a label per drive, such as a tag."""
-    whole, none = everything(drives), np.zeros(0, dtype=np.int64)
-    folds = []
-    for value in dict.fromkeys(groups):
-        is_out = [group == value for group in groups]
-        train = (none if out else t for out, t in zip(is_out, whole.train, strict=True))
-        test = (t if out else none for out, t in zip(is_out, whole.test, strict=True))
-        folds.append(Fold(tuple(train), tuple(test)))
-    return folds
+    numbers, _ = pd.factorize(np.array(groups, dtype=object))
+    return _folds(drives, [np.full(len(d), k) for d, k in zip(drives, numbers, strict=True)])
+
+
+def _folds(drives: Sequence[Drive], numbers: Sequence[IntArray]) -> list[Fold]:
+    """Hold out each number in turn. numbers: of the fold of each frame, per drive (K,), from 0."""
+    pairs = list(zip(drives, numbers, strict=True))
+    return [
+        Fold(
+            tuple(np.flatnonzero((number != b) & drive.is_trusted) for drive, number in pairs),
+            tuple(np.flatnonzero(number == b) for number in numbers),
+        )
+        for b in range(1 + max(map(np.max, numbers)))
+    ]
 
 
 def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -> list[Fold]:
@@ -166,13 +165,11 @@ def fit_folds(
     """The fit of each numbered fold; see `fit_fold`."""
     work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
-    caught: dict[str, None] = {}
     fitted = []
     for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
         fitted.append(fold)
-        caught |= dict.fromkeys(notes)
-    for note in caught:
-        warnings.warn(note, UserWarning, stacklevel=2)
+        for note in notes:
+            warnings.warn(note, UserWarning, stacklevel=2)
     return fitted
 
 
@@ -187,13 +184,11 @@ def test_frames(
     for k, drive in enumerate(drives):
         inferred: dict[frozenset[Any], pd.DataFrame] = {}
         parts = []
-        for b, fold in enumerate(folds):
-            if not len(fold.test[k]):
-                continue
+        for b in (b for b, fold in enumerate(folds) if len(fold.test[k])):
             fit = frozenset(fitted[b].items())
             if fit not in inferred:
                 inferred[fit] = inferred_frames(fitted_drive(drive, fitted[b]))
-            parts.append(inferred[fit].iloc[drive.rows[fold.test[k]]].assign(block=b))
+            parts.append(inferred[fit].iloc[drive.rows[folds[b].test[k]]].assign(block=b))
         tables.append(pd.concat(parts).sort_index())
     return concat_drives(drives, tables)
 
