@@ -30,7 +30,6 @@ from egolane_pgm.result import (
     lanes_of,
     load_result,
     make_result,
-    truth_of,
 )
 from egolane_pgm.running import concat_drives, frames_of
 from egolane_pgm.scoring import score_all
@@ -149,20 +148,10 @@ def test_scores_of_several_drives_are_those_of_all_their_frames() -> None:
         pd.concat([one.events for one in each], ignore_index=True),
     )
     assert [name for name, _ in by_drive(both.frames)] == ["d0", "d1"]
-
-
-def test_a_border_between_roads_of_other_widths_is_no_lane_change() -> None:
-    drives = two_drives(n_lanes=3)
-    both = of_drives(drives)
-    changes = 0
-    for _, frames in by_drive(both.frames):
-        truth = truth_of(frames)
-        assert truth is not None
-        lane = truth["true_lane"][~truth["is_crossing"]]
-        changes += np.count_nonzero(np.diff(lane))
-    assert both.scores["events"]["changes"] == changes > 0
-    alone = [of_drives([drive]).scores["events"] for drive in drives]
-    assert both.scores["events"]["detected"] == sum(each["detected"] for each in alone)
+    # The road of the second drive may have another number of lanes.
+    narrow = two_drives(n_lanes=3)
+    changes = [of_drives(given).scores["events"]["changes"] for given in (narrow, [narrow[1]])]
+    assert changes[0] - changes[1] == each[0].scores["events"]["changes"] > 0
 
 
 # --- lane changes --------------------------------------------------------------------------------

@@ -54,12 +54,6 @@ def a_drive(n_frames: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.nd
     return assigned, lane, rng.random(n_frames) < 0.1
 
 
-def test_every_frame_is_resampled_equally_often_on_average() -> None:
-    counts = np.bincount(resampled(40, 10, 4000, 0).ravel(), minlength=40) / 4000
-    # Each count has mean 1 and, with 4 blocks of a quarter each, variance 0.75.
-    assert np.abs(counts - 1).max() < 5 * math.sqrt(0.75 / 4000)
-
-
 @settings(max_examples=60)
 @given(
     st.integers(2, 60),
@@ -78,18 +72,6 @@ def test_sums_over_resamples_equal_indexing_frame_by_frame(
     sums = resampled_sums(values, circular_blocks(n_frames, block, 7, seed), block)
     assert sums.shape == expected.shape
     np.testing.assert_allclose(sums, expected, rtol=1e-12)
-
-
-def test_a_frame_counts_in_the_cell_of_its_confusion_and_a_crossing_one_in_none() -> None:
-    assigned, lane, is_crossing = a_drive(200)
-    counts = confusion_counts(assigned, lane, is_crossing, 3)
-    assert counts.shape == (200, 4, 3)
-    np.testing.assert_array_equal(counts.sum(axis=(1, 2)), ~is_crossing)
-    for k in range(200):
-        one = slice(k, k + 1)
-        np.testing.assert_array_equal(
-            counts[k], confusion(assigned[one], lane[one], is_crossing[one], 3)
-        )
 
 
 def test_the_interval_is_the_percentiles_of_the_statistic_over_the_resamples() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,14 +40,18 @@ def drives(draw: st.DrawFn) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     )
 
 
-def test_the_most_probable_lane_is_assigned_counting_from_one() -> None:
-    belief = [[0.7, 0.2, 0.1], [0.1, 0.2, 0.7], [0.2, 0.5, 0.3]]
-    assert assigned_lane(belief).tolist() == [1, 3, 2]
-
-
-def test_a_maximum_that_is_not_unique_is_unassigned() -> None:
-    belief = [[0.4, 0.4, 0.2], [0.2, 0.4, 0.4], [1 / 3, 1 / 3, 1 / 3], [0.0, 0.0, 0.0]]
-    assert assigned_lane(belief).tolist() == [0, 0, 0, 0]
+@pytest.mark.parametrize(
+    ("belief", "lanes"),
+    [
+        ([[0.7, 0.2, 0.1], [0.1, 0.2, 0.7], [0.2, 0.5, 0.3]], [1, 3, 2]),
+        # A maximum that is not unique.
+        ([[0.4, 0.4, 0.2], [0.2, 0.4, 0.4], [1 / 3, 1 / 3, 1 / 3], [0.0, 0.0, 0.0]], [0, 0, 0, 0]),
+        ([[1.0], [0.0]], [1, 1]),
+        (np.zeros((0, 3)), []),
+    ],
+)
+def test_the_most_probable_lane_is_assigned(belief: Any, lanes: list[int]) -> None:
+    assert assigned_lane(belief).tolist() == lanes
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e6])
@@ -54,14 +59,6 @@ def test_the_tie_tolerance_is_relative_to_the_larger_value(scale: float) -> None
     within, beyond = 0.5 * (1 - 0.9e-9), 0.5 * (1 - 1.1e-9)
     belief = np.array([[0.5, within], [within, 0.5], [0.5, beyond], [beyond, 0.5]]) * scale
     assert assigned_lane(belief).tolist() == [0, 0, 1, 2]
-
-
-def test_a_single_lane_is_always_assigned() -> None:
-    assert assigned_lane([[1.0], [0.0]]).tolist() == [1, 1]
-
-
-def test_no_frames_give_no_assigned_lanes() -> None:
-    assert assigned_lane(np.zeros((0, 3))).shape == (0,)
 
 
 def test_each_frame_falls_into_the_row_it_is_assigned_and_the_column_it_is_in() -> None:
@@ -74,18 +71,6 @@ def test_each_frame_falls_into_the_row_it_is_assigned_and_the_column_it_is_in() 
 
 def test_the_label_of_a_crossing_frame_is_not_looked_at() -> None:
     assert confusion([1, 2], [1, 9], [False, True], 2).tolist() == [[1, 0], [0, 0], [0, 0]]
-
-
-@given(drives())
-def test_the_matrix_equals_counting_frame_by_frame(
-    drive: tuple[np.ndarray, np.ndarray, np.ndarray, int],
-) -> None:
-    assigned, lane, is_crossing, n = drive
-    expected = np.zeros((n + 1, n), dtype=np.int64)
-    for a, actual, crossing in zip(assigned, lane, is_crossing, strict=True):
-        if not crossing:
-            expected[n if a == 0 else a - 1, actual - 1] += 1
-    np.testing.assert_array_equal(confusion(assigned, lane, is_crossing, n), expected)
 
 
 def test_the_scores_of_a_small_matrix_are_those_worked_out_by_hand() -> None:
@@ -111,12 +96,6 @@ def test_zero_over_zero_is_zero() -> None:
     assert scores["recall"] == pytest.approx(1 / 3)
 
 
-def test_without_a_scored_frame_every_score_is_zero() -> None:
-    scores = scores_from_confusion(confusion([1, 2], [1, 2], [True, True], 2))
-    assert scores["frames_scored"] == 0
-    assert [scores[name] for name in SCORES] == [0] * 5
-
-
 @given(drives())
 def test_the_scores_equal_those_of_plain_loops(
     drive: tuple[np.ndarray, np.ndarray, np.ndarray, int],
@@ -139,19 +118,6 @@ def test_the_scores_equal_those_of_plain_loops(
     assert scores["coverage"] == pytest.approx(answered / len(scored) if scored else 0.0)
 
 
-@given(drives())
-def test_reversing_the_lanes_reverses_the_scores_per_lane(
-    drive: tuple[np.ndarray, np.ndarray, np.ndarray, int],
-) -> None:
-    assigned, lane, is_crossing, n = drive
-    mirrored = np.where(assigned == 0, 0, n + 1 - assigned)
-    one = scores_from_confusion(confusion(assigned, lane, is_crossing, n))
-    other = scores_from_confusion(confusion(mirrored, n + 1 - lane, is_crossing, n))
-    for name, values in one["per_lane"].items():
-        np.testing.assert_allclose(other["per_lane"][name], values[::-1])
-    assert [other[name] for name in SCORES] == pytest.approx([one[name] for name in SCORES])
-
-
 def test_many_matrices_at_once_score_as_one_by_one() -> None:
     matrices = np.random.default_rng(5).integers(0, 4, size=(6, 4, 3))
     found, each = scores_from_confusion(matrices), [scores_from_confusion(m) for m in matrices]
@@ -169,20 +135,6 @@ def test_frames_off_is_half_the_cell_differences_rounded_up() -> None:
     assert frames_off(a, one_missing) == 1
     assert frames_off(a, one_moved_one_missing) == 2
     assert frames_off(one_missing, a) == 1
-
-
-@settings(max_examples=50)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 10))
-def test_moving_frames_between_cells_is_at_most_that_many_frames_off(seed: int, moves: int) -> None:
-    rng = np.random.default_rng(seed)
-    a = rng.integers(10, 20, size=(4, 3))
-    b = a.copy()
-    for _ in range(moves):
-        cells = rng.integers(0, a.size, 2)
-        b.flat[cells[0]] -= 1
-        b.flat[cells[1]] += 1
-    expected = np.maximum(a - b, 0).sum()
-    assert frames_off(a, b) == expected <= moves
 
 
 def _is_printed_as(value: float, printed: float) -> bool:

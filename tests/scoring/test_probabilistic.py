@@ -36,12 +36,6 @@ def test_a_lane_held_impossible_costs_the_log_of_the_smallest_probability() -> N
     assert log_loss_per_frame([[0.0, 1.0]], [2]) == pytest.approx([0])
 
 
-def test_brier_is_the_squared_distance_summed_over_the_lanes() -> None:
-    # 0.5^2 + 0.25^2 + 0.25^2 = 0.375; the worst is 2; the crossing frame does not count.
-    belief = [[0.5, 0.25, 0.25], [0.0, 1.0, 0.0], [0.2, 0.3, 0.5]]
-    assert brier(belief, [1, 1, 1], [False, False, True]) == pytest.approx(1.1875)
-
-
 def test_calibration_error_of_two_bins_is_the_one_worked_out_by_hand() -> None:
     # Bins of a fifth. (0.6, 0.8]: 0.7 right, 0.8 wrong -> confidence 0.75, accuracy 0.5, gap 0.25.
     # (0.8, 1]: 0.9, 1.0, 1.0 right, 0.9 wrong -> confidence 0.95, accuracy 0.75, gap 0.2.
@@ -101,14 +95,3 @@ def test_the_scores_equal_those_of_plain_loops(drive: Drive) -> None:
     assert log_loss_per_frame(belief, lane) == pytest.approx(losses)
     assert brier(belief, lane, is_crossing) == pytest.approx(sum(squares) / len(squares))
     assert expected_calibration_error(belief, lane, is_crossing) == pytest.approx(error)
-
-
-@given(drives())
-def test_reversing_the_lanes_changes_no_score(drive: Drive) -> None:
-    belief, lane, is_crossing = drive
-    mirrored, other = belief[:, ::-1], belief.shape[1] + 1 - lane
-    assert log_loss_per_frame(mirrored, other) == pytest.approx(log_loss_per_frame(belief, lane))
-    for score in (brier, expected_calibration_error):
-        assert score(mirrored, other, is_crossing) == pytest.approx(
-            score(belief, lane, is_crossing)
-        )

@@ -88,13 +88,6 @@ def test_the_rate_is_per_minute_of_consecutive_frames() -> None:
     assert found["false_switches_per_minute"] == pytest.approx(2)
 
 
-@pytest.mark.parametrize("flags", ["", ".", "xxx", ".x."])
-def test_without_consecutive_frames_there_is_no_rate(flags: str) -> None:
-    truth = truth_of("1" * len(flags), flags)
-    found = stability_scores([(truth["true_lane"], truth)], 10)
-    assert found["false_switches_per_minute"] is None
-
-
 def test_lane_changes_are_found_with_and_without_a_flag_and_aborted_ones_are_not() -> None:
     # A crossing before the first scored row, an aborted one, a change with a crossing (label of it
     # ignored), a change without a flag, a crossing at the end.
@@ -158,13 +151,6 @@ def test_median_and_percentile_are_of_the_changes_that_were_not_missed() -> None
     assert (part["changes"], part["median_frames"]) == (2, 0.5)
 
 
-@pytest.mark.parametrize("text", ["", "1", "1111"])
-def test_without_a_lane_change_there_is_no_delay(text: str) -> None:
-    found = stability_scores([(digits(text), truth_of(text, "." * len(text)))], 10)["delay"]
-    assert found.pop("changes") == 0
-    assert set(found.values()) == {None}
-
-
 @given(drives())
 def test_both_scores_equal_those_of_plain_loops(drive: Drive) -> None:
     assigned, truth = drive
@@ -195,17 +181,11 @@ def test_both_scores_equal_those_of_plain_loops(drive: Drive) -> None:
     found = answer_delays(assigned, truth, lane_changes(truth))
     np.testing.assert_array_equal(found, np.array(expected, dtype=float))
     caught = [d for d in expected if not math.isnan(d)]
-    if caught:
-        assert scores["delay"]["median_frames"] == pytest.approx(np.median(caught))
-        assert scores["delay"]["share_missed"] == pytest.approx(1 - len(caught) / len(expected))
-
-
-@given(drives())
-def test_reversing_the_lanes_changes_nothing(drive: Drive) -> None:
-    assigned, truth = drive
-    mirrored = np.where(assigned == 0, 0, 4 - assigned)
-    other = truth.assign(true_lane=4 - truth["true_lane"])
-    assert stability_scores([(mirrored, other)], 10) == stability_scores([drive], 10)
+    missed = pytest.approx(1 - len(caught) / len(expected)) if expected else None
+    assert scores["delay"]["changes"] == len(expected)
+    assert scores["delay"]["share_missed"] == missed
+    median = pytest.approx(np.median(caught)) if caught else None
+    assert scores["delay"]["median_frames"] == median
 
 
 def test_the_summary_holds_every_score_of_a_drive_worked_out_by_hand() -> None:

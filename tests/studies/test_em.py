@@ -13,12 +13,10 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.studies import em
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.types import Evidence, IntArray
 from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
-from tests.reference import inference as reference
 
 
 def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, Evidence, Any, Any]:
@@ -40,19 +38,6 @@ def test_no_iteration_lowers_the_log_posterior(seed: int, strength: float) -> No
     fitted = fit_tables(compiled, evidence, known, is_first, strength=strength, iterations=12)
     history = fitted.log_posterior
     assert (np.diff(history) >= -1e-9 * np.abs(history[:-1]) - 1e-9).all()
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_counts_in_plain_numpy_teach_the_same(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiled, evidence, known, is_first = a_case(seed)
-    one = fit_tables(compiled, evidence, known, is_first, iterations=4)
-    monkeypatch.setattr(em, "expected_counts", reference.expected_counts)
-    other = fit_tables(compiled, evidence, known, is_first, iterations=4)
-    np.testing.assert_allclose(one.log_posterior, other.log_posterior, atol=1e-7)
-    for node in one.tables:
-        np.testing.assert_allclose(one.tables[node].values, other.tables[node].values, atol=1e-7)
 
 
 @given(seed=st.integers(0, 2**32 - 1))

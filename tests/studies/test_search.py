@@ -69,16 +69,6 @@ def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str
     assert len(points) == len(set(points)) == 30
 
 
-def test_evolution_beats_random_on_steps() -> None:
-    space = plain_space(7)
-
-    def best(sampler: str, seed: int) -> float:
-        settings = Tuning(objective=("accuracy",), sampler=sampler, trials=600, seed=seed)
-        return float(best_trial(search_in_memory(space, bowl, settings)).values[0])
-
-    assert min(best("evolution", s) for s in range(3)) > max(best("random", s) for s in range(3))
-
-
 def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
     settings = Tuning(objective=("accuracy", "log_loss"), sampler="nsga2", trials=60, seed=0)
     done = search_in_memory(SPACE, lambda p: [float(p["x0"]), float(p["x0"]) ** 2], settings)
