@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +24,14 @@ from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError, suggestion
 
-SAMPLERS = ("evolution", "tpe", "cma-es", "random", "nsga2")
+#: The samplers, each made with its `seed`; `evolution` takes the search space as well.
+SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
+    "evolution": Shade,
+    "tpe": samplers.TPESampler,
+    "cma-es": partial(samplers.CmaEsSampler, warn_independent_sampling=False),
+    "random": samplers.RandomSampler,
+    "nsga2": samplers.NSGAIISampler,
+}
 
 #: The default number of trials of a study.
 TRIALS = 3000
@@ -74,7 +82,7 @@ def settings_of(tuning: Tuning, fold: int | None = None, source: str = "tuning")
     return tuning.model_copy(update={"sampler": sampler, "trials": trials, "seed": seed})
 
 
-def make_sampler(settings: Tuning, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:
+def make_sampler(settings: Tuning, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
     """Make the sampler of a study.
 
     - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
@@ -85,13 +93,7 @@ def make_sampler(settings: Tuning, space: SearchSpace, n_trials: int = 0) -> sam
     entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
     with quiet():
-        if settings.sampler == "tpe":
-            return samplers.TPESampler(seed=seed)
-        if settings.sampler == "cma-es":
-            return samplers.CmaEsSampler(seed=seed, warn_independent_sampling=False)
-        if settings.sampler == "nsga2":
-            return samplers.NSGAIISampler(seed=seed)
-        return samplers.RandomSampler(seed=seed)
+        return SAMPLERS[str(settings.sampler)](seed=seed)
 
 
 def new_study(settings: Tuning, **given: Any) -> optuna.Study:
@@ -114,26 +116,11 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Tuni
     if sum(trial.state == TrialState.COMPLETE for trial in trials) >= total:
         return
     study.sampler = make_sampler(settings, space, len(trials))
-    with quiet(), _interruptions():
+    with quiet():
         study.optimize(
             lambda trial: score(suggest(space, trial)),
             callbacks=[MaxTrialsCallback(total)],
         )
-
-
-@contextmanager
-def _interruptions() -> Iterator[None]:
-    """Raise Ctrl-C as KeyboardInterrupt: while Optuna stores a result or locks a journal, it
-    raises UnboundLocalError or RuntimeError instead."""
-    try:
-        yield
-    except Exception as error:
-        cause: BaseException | None = error
-        while cause is not None and isinstance(cause, Exception):
-            cause = cause.__context__
-        if cause is None:
-            raise
-        raise type(cause)(*cause.args) from None
 
 
 def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:

@@ -99,20 +99,29 @@ def _database(url: str) -> RDBStorage:
 
 @contextmanager
 def storage_errors(storage: str | None) -> Iterator[None]:
-    """Turn errors of a storage while a study runs into InputError: a lost database, a full disk."""
+    """Turn errors of a storage into InputError: a lost database, a full disk.
+
+    Ctrl-C comes out as KeyboardInterrupt: while Optuna stores a result or locks a journal, it
+    raises UnboundLocalError or RuntimeError instead.
+    """
     try:
         yield
     except InputError:
         raise
     except Exception as error:
-        first: BaseException = error
-        # Optuna may raise another error while it handles this one.
-        while not isinstance(first, (OSError, SQLAlchemyError, StorageInternalError)):
-            if first.__context__ is None:
-                raise
-            first = first.__context__
-        kept = "complete trials are kept, repeat the command to go on"
-        raise InputError(f"{named(storage or 'study')}: {_reason(first)}; {kept}") from error
+        # Optuna may raise another error while it handles the first one.
+        chain: list[BaseException] = [error]
+        while chain[-1].__context__ is not None:
+            chain.append(chain[-1].__context__)
+        for each in chain:
+            if not isinstance(each, Exception):
+                raise type(each)(*each.args) from None
+        for each in chain:
+            if isinstance(each, (OSError, SQLAlchemyError, StorageInternalError)):
+                kept = "complete trials are kept, repeat the command to go on"
+                place = named(storage or "study")
+                raise InputError(f"{place}: {_reason(each)}; {kept}") from error
+        raise
 
 
 def named(storage: str) -> str:
