@@ -20,6 +20,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, digests, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import Experiment, Tuning, resolved, validated
+from egolane_pgm.loading import merge
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
@@ -365,11 +366,10 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
-    experiment = drives[0].experiment
-    notes = [*notes, *found]
     if fit != "none":
         keys["tuned_on"] = "other_frames"
-    return make_result(experiment, drives, frames, notes, begin=begin, **keys)
+    notes = [*notes, *found]
+    return make_result(drives[0].experiment, drives, frames, notes, begin=begin, **keys)
 
 
 def run_held_out(
@@ -383,16 +383,16 @@ def run_held_out(
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit
     check_labels(drives, method)
-    tuning = tuning_of(experiment, trials=None, default=TRIALS_PER_FOLD)
+    tuning = tuning_of(experiment)
+    tuning = tuning_of(experiment, trials=tuning.trials or TRIALS_PER_FOLD)
     fits: dict[str, Fit] = {
         "none": fit_nothing,
         "learn": fit_learn,
         "tune": partial(fit_tune, tuning=tuning),
     }
     folds = block_folds(drives, n_blocks)
-    numbered = list(enumerate(folds))
     with noting() as found:
-        fitted = fit_folds(drives, fits[method], numbered, progress=progress)
+        fitted = fit_folds(drives, fits[method], list(enumerate(folds)), progress=progress)
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -506,15 +506,8 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
             raise InputError(f"{e.source}: every annotated frame is a crossing, nothing to score")
 
 
-def tuning_of(experiment: Experiment, *, default: int | None = None, **changes: Any) -> Tuning:
-    """The `tuning` section of an experiment, with changes; `parameters` are added to its own.
-
-    - default: the number of trials if it is not set.
-    """
+def tuning_of(experiment: Experiment, **changes: Any) -> Tuning:
+    """The `tuning` section of an experiment, with changes; None and `{}` change nothing."""
     content = (experiment.tuning or Tuning()).model_dump(exclude_unset=True)
-    given = {key: value for key, value in changes.items() if value is not None}
-    parameters = {**content.get("parameters", {}), **given.pop("parameters", {})}
-    content |= {**given, "parameters": parameters}
-    if default is not None:
-        content.setdefault("trials", default)
-    return validated(Tuning, content, f"{experiment.source}: tuning")
+    given = {key: value for key, value in changes.items() if value not in (None, {})}
+    return validated(Tuning, merge(content, given), f"{experiment.source}: tuning")

@@ -17,13 +17,11 @@ from egolane_pgm.result import Result
 from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import (
     N_BINS,
-    CalibrationCurve,
-    CoverageCurve,
     calibration_curve,
     coverage_curve,
     expected_calibration_error,
 )
-from egolane_pgm.types import IntArray
+from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.answers import answers, scored, title_of, title_with_frames
 from egolane_pgm.views.style import (
     ANSWER_STYLE,
@@ -108,7 +106,7 @@ def confusion_figure(result: Result) -> Figure:
     return figure
 
 
-def reliabilities(result: Result) -> dict[str, tuple[CalibrationCurve, float]]:
+def reliabilities(result: Result) -> dict[str, tuple[dict[str, FloatArray], float]]:
     """The calibration curves of the answers, and their expected calibration errors."""
     return _measured(
         result,
@@ -132,19 +130,20 @@ def reliability_figure(result: Result) -> Figure:
     lowest, has_few = 1.0, False
     for k, (name, (curve, error)) in enumerate(found.items()):
         colour, marker, dashes = ANSWER_STYLE[name]
-        enough = curve.count >= FEW_FRAMES
-        few = ~enough & (curve.count > 0)
+        count = curve["count"]
+        enough = count >= FEW_FRAMES
+        few = ~enough & (count > 0)
         has_few |= bool(few.any())
         for mask, face, line in ((enough, colour, dashes), (few, "w", "")):
             upper.plot(
-                curve.confidence[mask], curve.accuracy[mask], ls=line, marker=marker, ms=5,
+                curve["confidence"][mask], curve["accuracy"][mask], ls=line, marker=marker, ms=5,
                 color=colour, mfc=face, lw=1.3,
             )  # fmt: skip
         label = f"{name}, ECE {error:.3f}"
         upper.plot([], [], color=colour, marker=marker, ls=dashes, ms=5, label=label)
         left = edges + k * width + 0.08 / N_BINS
-        lower.bar(left, curve.count, width, align="edge", color=colour)
-        lowest = min(lowest, float(edges[curve.count > 0].min()))
+        lower.bar(left, count, width, align="edge", color=colour)
+        lowest = min(lowest, float(edges[count > 0].min()))
     if has_few:
         upper.plot([], [], "o", mfc="w", mec=INK, ms=5, label=f"fewer than {FEW_FRAMES} frames")
     upper.set(xlim=(lowest - 0.01, 1.01), ylim=(-0.03, 1.03))
@@ -156,7 +155,7 @@ def reliability_figure(result: Result) -> Figure:
     return figure
 
 
-def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
+def coverage_curves(result: Result) -> dict[str, dict[str, FloatArray]]:
     """The coverage curves of the answers."""
     return _measured(result, lambda belief, _, *truth: coverage_curve(belief, *truth))
 
@@ -172,18 +171,18 @@ def coverage_figure(result: Result) -> Figure:
     lowest = 1.0
     for name, curve in curves.items():
         colour, marker, dashes = ANSWER_STYLE[name]
-        shown = curve.coverage >= LEAST_COVERAGE
+        coverage, accuracy = curve["coverage"], curve["accuracy"]
+        shown = coverage >= LEAST_COVERAGE
         ax.plot(
-            curve.coverage[shown], curve.accuracy[shown], ls=dashes, color=colour, lw=1.5,
-            label=name,
+            coverage[shown], accuracy[shown], ls=dashes, color=colour, lw=1.5, label=name
         )  # fmt: skip
-        lowest = min(lowest, float(curve.accuracy[shown].min(initial=1.0)))
+        lowest = min(lowest, float(accuracy[shown].min(initial=1.0)))
         for below in MARKED:
-            coverage, accuracy = curve.at(below)
-            if coverage < LEAST_COVERAGE:
+            k = np.count_nonzero(curve["threshold"] >= below) - 1
+            if k < 0 or coverage[k] < LEAST_COVERAGE:
                 continue
-            ax.plot(coverage, accuracy, marker=marker, ms=5.5, color=colour, zorder=3)
-            at = coverage, accuracy
+            at = float(coverage[k]), float(accuracy[k])
+            ax.plot(*at, marker=marker, ms=5.5, color=colour, zorder=3)
             ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
     margin = 0.08 * (1 - lowest) + 0.002
     ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))

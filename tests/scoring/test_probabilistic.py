@@ -42,9 +42,9 @@ def test_calibration_error_of_two_bins_is_the_one_worked_out_by_hand() -> None:
     belief = np.array([[p, 1 - p] for p in (0.7, 0.8, 0.9, 1.0, 1.0, 0.9)])
     lane = [1, 2, 1, 1, 1, 2]
     curve = calibration_curve(belief, lane, np.zeros(6, dtype=bool), n_bins=5)
-    assert curve.count.tolist() == [0, 0, 0, 2, 4]
-    np.testing.assert_allclose(curve.confidence, [np.nan, np.nan, np.nan, 0.75, 0.95])
-    np.testing.assert_allclose(curve.accuracy, [np.nan, np.nan, np.nan, 0.5, 0.75])
+    assert curve["count"].tolist() == [0, 0, 0, 2, 4]
+    np.testing.assert_allclose(curve["confidence"], [np.nan, np.nan, np.nan, 0.75, 0.95])
+    np.testing.assert_allclose(curve["accuracy"], [np.nan, np.nan, np.nan, 0.5, 0.75])
     error = expected_calibration_error(belief, lane, np.zeros(6, dtype=bool), n_bins=5)
     assert error == pytest.approx((2 * 0.25 + 4 * 0.2) / 6)
 
@@ -52,8 +52,8 @@ def test_calibration_error_of_two_bins_is_the_one_worked_out_by_hand() -> None:
 def test_a_tie_counts_as_wrong_in_the_calibration_whichever_lane_is_true() -> None:
     for lane in (1, 2):
         curve = calibration_curve([[0.5, 0.5]], [lane], [False], n_bins=2)
-        assert curve.count.tolist() == [1, 0]
-        assert curve.accuracy[0] == 0
+        assert curve["count"].tolist() == [1, 0]
+        assert curve["accuracy"][0] == 0
         assert expected_calibration_error([[0.5, 0.5]], [lane], [False]) == 0.5
 
 
@@ -64,13 +64,13 @@ def test_crossing_frames_count_in_the_log_loss_and_not_in_the_others() -> None:
     assert brier(belief, lane, is_crossing) == brier(belief[:1], lane[:1], is_crossing[:1])
     error = expected_calibration_error(belief, lane, is_crossing)
     assert error == pytest.approx(0.1)
-    assert calibration_curve(belief, lane, is_crossing).count.sum() == 1
+    assert calibration_curve(belief, lane, is_crossing)["count"].sum() == 1
 
 
 def test_without_a_frame_to_score_the_scores_are_nan_and_not_perfect() -> None:
     assert math.isnan(brier([[0.5, 0.5]], [1], [True]))
     assert math.isnan(expected_calibration_error([[0.5, 0.5]], [1], [True]))
-    assert calibration_curve([[0.5, 0.5]], [1], [True]).count.tolist() == [0] * 15
+    assert calibration_curve([[0.5, 0.5]], [1], [True])["count"].tolist() == [0] * 15
 
 
 @given(drives())

@@ -87,10 +87,10 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
         lines = [
             x for x in upper.lines if x.get_color() == colours[name] and np.size(x.get_xdata())
         ]
-        filled = curve.count > 0
-        np.testing.assert_array_equal(lines[0].get_xdata(), curve.confidence[filled])
-        np.testing.assert_array_equal(lines[0].get_ydata(), curve.accuracy[filled])
-        assert [bar.get_height() for bar in bars] == curve.count.tolist()
+        filled = curve["count"] > 0
+        np.testing.assert_array_equal(lines[0].get_xdata(), curve["confidence"][filled])
+        np.testing.assert_array_equal(lines[0].get_ydata(), curve["accuracy"][filled])
+        assert [bar.get_height() for bar in bars] == curve["count"].tolist()
     # Maxima 0.9, 0.7, 0.8, 0.6 in bins of their own, the last one wrong.
     error = reliabilities(a_result())["Model"][1]
     assert error == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)
