@@ -13,7 +13,7 @@ import pandas as pd
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
-from egolane_pgm.runs import SUMMARY
+from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError, IntArray
@@ -214,15 +214,8 @@ def _cells(
     return cells
 
 
-def _event_scores(results: Sequence[Result]) -> dict[str, float | None]:
-    """The means over the recordings of scores of lane changes, where they are defined."""
-    found: dict[str, float | None] = {}
-    for key, name in EVENT_SCORES.items():
-        values = []
-        for result in results:
-            value: Any = result.scores
-            for part in key.split("."):
-                value = value.get(part) if isinstance(value, Mapping) else None
-            values += [] if value is None else [value]
-        found[name] = float(np.mean(values)) if values else None
-    return found
+def _event_scores(results: Sequence[Result]) -> dict[str, float]:
+    """The means over the recordings of the scores of lane changes that are defined."""
+    table = pd.DataFrame([numbers(result.scores) for result in results])
+    means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
+    return {name: means[key] for key, name in EVENT_SCORES.items()}

@@ -15,11 +15,12 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.result import Result, load_result
 from egolane_pgm.runs import open_input, run_input
-from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
-from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, bootstrap_interval, score_counts
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import geometry, run, simulated, write_drive
+
+accuracy = INTERVAL_STATISTICS["accuracy"]
 
 SIDES = ("sensor_failure", "lane_only")
 
@@ -42,7 +43,7 @@ def interval(row: Any, name: str) -> list[float]:
 def counts_of(result: Result, column: str = "assigned_lane") -> Any:
     assert result.truth is not None
     lane, crossing = result.truth["true_lane"], result.truth["is_crossing"]
-    return confusion_counts(result.frames[column], lane, crossing, result.n_lanes)
+    return score_counts(result.node("Lane"), lane, crossing, result.frames[column])["accuracy"]
 
 
 def test_a_difference_is_paired_and_to_the_first_side(results: list[Result]) -> None:

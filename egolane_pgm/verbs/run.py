@@ -190,10 +190,11 @@ def check_input(given: Input) -> str:
     model = compile_model(experiment)
     if experiment.fit != FitSettings():
         # Optuna is loaded for this only.
-        from egolane_pgm.studies.fits import search_space, settings_of
+        from egolane_pgm.studies.fits import search_space
+        from egolane_pgm.studies.search import settings_of
 
         settings_of(experiment.fit, source=experiment.source)
-        search_space(model, experiment.fit)
+        search_space([model], experiment.fit)
     return (
         f"{given.experiment.source}: ok ({model.n_lanes} lanes,"
         f" {model.compiled.n_states} joint states)"

@@ -14,16 +14,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
 from egolane_pgm.result import Result
-from egolane_pgm.scoring.confusion import accuracy, confusion
+from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import (
     N_BINS,
-    CalibrationCurve,
-    CoverageCurve,
     calibration_curve,
     coverage_curve,
     expected_calibration_error,
 )
-from egolane_pgm.types import IntArray
+from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.answers import answers, scored, title_of, title_with_frames
 from egolane_pgm.views.style import (
     ANSWER_STYLE,
@@ -94,7 +92,9 @@ def confusion_figure(result: Result) -> Figure:
         ax.vlines(np.arange(1, n) - 0.5, -0.5, n + 0.5, FAINT, lw=0.5)
         ax.hlines(np.arange(1, n) - 0.5, -0.5, n - 0.5, FAINT, lw=0.5)
         ax.hlines(n - 0.5, -0.5, n - 0.5, INK, lw=1)
-        ax.set_title(f"{name}: {percent(float(accuracy(counts)))} % correct")
+        ax.set_title(
+            f"{name}: {percent(float(scores_from_confusion(counts)['accuracy']))} % correct"
+        )
         ax.set_xticks(range(n), [f"lane {k + 1}\n{int(t):,}" for k, t in enumerate(total)])
         ax.set_yticks(range(n + 1), [*(f"lane {k + 1}" for k in range(n)), "Unassigned"])
         ax.set_xlabel("true lane, number of frames")
@@ -106,7 +106,7 @@ def confusion_figure(result: Result) -> Figure:
     return figure
 
 
-def reliabilities(result: Result) -> dict[str, tuple[CalibrationCurve, float]]:
+def reliabilities(result: Result) -> dict[str, tuple[dict[str, FloatArray], float]]:
     """The calibration curves of the answers, and their expected calibration errors."""
     return _measured(
         result,
@@ -130,19 +130,20 @@ def reliability_figure(result: Result) -> Figure:
     lowest, has_few = 1.0, False
     for k, (name, (curve, error)) in enumerate(found.items()):
         colour, marker, dashes = ANSWER_STYLE[name]
-        enough = curve.count >= FEW_FRAMES
-        few = ~enough & (curve.count > 0)
+        count = curve["count"]
+        enough = count >= FEW_FRAMES
+        few = ~enough & (count > 0)
         has_few |= bool(few.any())
         for mask, face, line in ((enough, colour, dashes), (few, "w", "")):
             upper.plot(
-                curve.confidence[mask], curve.accuracy[mask], ls=line, marker=marker, ms=5,
+                curve["confidence"][mask], curve["accuracy"][mask], ls=line, marker=marker, ms=5,
                 color=colour, mfc=face, lw=1.3,
             )  # fmt: skip
         label = f"{name}, ECE {error:.3f}"
         upper.plot([], [], color=colour, marker=marker, ls=dashes, ms=5, label=label)
         left = edges + k * width + 0.08 / N_BINS
-        lower.bar(left, curve.count, width, align="edge", color=colour)
-        lowest = min(lowest, float(edges[curve.count > 0].min()))
+        lower.bar(left, count, width, align="edge", color=colour)
+        lowest = min(lowest, float(edges[count > 0].min()))
     if has_few:
         upper.plot([], [], "o", mfc="w", mec=INK, ms=5, label=f"fewer than {FEW_FRAMES} frames")
     upper.set(xlim=(lowest - 0.01, 1.01), ylim=(-0.03, 1.03))
@@ -154,7 +155,7 @@ def reliability_figure(result: Result) -> Figure:
     return figure
 
 
-def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
+def coverage_curves(result: Result) -> dict[str, dict[str, FloatArray]]:
     """The coverage curves of the answers."""
     return _measured(result, lambda belief, _, *truth: coverage_curve(belief, *truth))
 
@@ -170,18 +171,18 @@ def coverage_figure(result: Result) -> Figure:
     lowest = 1.0
     for name, curve in curves.items():
         colour, marker, dashes = ANSWER_STYLE[name]
-        shown = curve.coverage >= LEAST_COVERAGE
+        coverage, accuracy = curve["coverage"], curve["accuracy"]
+        shown = coverage >= LEAST_COVERAGE
         ax.plot(
-            curve.coverage[shown], curve.accuracy[shown], ls=dashes, color=colour, lw=1.5,
-            label=name,
+            coverage[shown], accuracy[shown], ls=dashes, color=colour, lw=1.5, label=name
         )  # fmt: skip
-        lowest = min(lowest, float(curve.accuracy[shown].min(initial=1.0)))
+        lowest = min(lowest, float(accuracy[shown].min(initial=1.0)))
         for below in MARKED:
-            coverage, accuracy = curve.at(below)
-            if coverage < LEAST_COVERAGE:
+            k = np.count_nonzero(curve["threshold"] >= below) - 1
+            if k < 0 or coverage[k] < LEAST_COVERAGE:
                 continue
-            ax.plot(coverage, accuracy, marker=marker, ms=5.5, color=colour, zorder=3)
-            at = coverage, accuracy
+            at = float(coverage[k]), float(accuracy[k])
+            ax.plot(*at, marker=marker, ms=5.5, color=colour, zorder=3)
             ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
     margin = 0.08 * (1 - lowest) + 0.002
     ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))

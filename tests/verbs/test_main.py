@@ -67,7 +67,7 @@ def test_ctrl_c_keeps_the_rows_that_are_done(tmp_path: Path) -> None:
     assert "Traceback" not in said
     [line] = [line for line in said.splitlines() if line.startswith("egolane: ")]
     assert re.fullmatch(
-        rf"egolane: interrupted; \d+ of 60 runs are in {out}; the same command goes on", line
+        rf"egolane: interrupted; \d+ of 60 runs are in {out}; repeat the command to go on", line
     )
 
 

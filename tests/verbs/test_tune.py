@@ -251,7 +251,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
         (
             {"graph": "lane_only", "evidence": "never.py"},
             "",
-            "allows none of the 150 frames to",
+            "allows no frame of the 150 to",
         ),
         ({"ground_truth": None}, "", "ground_truth: is missing"),
         ({}, "--set fit.strength=0", "fit.strength: input should be greater than 0"),

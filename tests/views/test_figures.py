@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.scoring.confusion import scores_from_confusion
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
@@ -65,7 +65,8 @@ def test_heat_map_texts_are_the_counts_and_the_column_percentages() -> None:
     figure = confusion_figure(a_result())
     assert figure.get_suptitle() == "tiny (in-sample): 4 frames"
     for ax, (name, matrix) in zip(figure.axes, confusions(a_result()).items(), strict=False):
-        assert ax.get_title() == f"{name}: {100 * float(accuracy(matrix)):.1f} % correct"
+        accuracy = 100 * float(scores_from_confusion(matrix)["accuracy"])
+        assert ax.get_title() == f"{name}: {accuracy:.1f} % correct"
         drawn = [t.get_text() for t in ax.texts]
         assert [int(t) for t in drawn[1::2]] == matrix.ravel().tolist()
         shares = [float("nan") if t == "-" else float(t[:-2]) / 100 for t in drawn[::2]]
@@ -86,10 +87,10 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
         lines = [
             x for x in upper.lines if x.get_color() == colours[name] and np.size(x.get_xdata())
         ]
-        filled = curve.count > 0
-        np.testing.assert_array_equal(lines[0].get_xdata(), curve.confidence[filled])
-        np.testing.assert_array_equal(lines[0].get_ydata(), curve.accuracy[filled])
-        assert [bar.get_height() for bar in bars] == curve.count.tolist()
+        filled = curve["count"] > 0
+        np.testing.assert_array_equal(lines[0].get_xdata(), curve["confidence"][filled])
+        np.testing.assert_array_equal(lines[0].get_ydata(), curve["accuracy"][filled])
+        assert [bar.get_height() for bar in bars] == curve["count"].tolist()
     # Maxima 0.9, 0.7, 0.8, 0.6 in bins of their own, the last one wrong.
     error = reliabilities(a_result())["Model"][1]
     assert error == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)

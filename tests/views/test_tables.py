@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.scoring.summary import score_all
-from egolane_pgm.types import InputError
+from egolane_pgm.scoring import score_all
+from egolane_pgm.types import InputError, lane_truth
 from egolane_pgm.views import tables
 from egolane_pgm.views.tables import Table, box_text, page, table
 from tests.kits.box import BOX, box_log
@@ -103,7 +103,7 @@ def test_the_scores_of_detector_and_model_stand_side_by_side() -> None:
     belief = [[0.9, 0.1], [0.8, 0.2], [0.1, 0.9], [0.1, 0.9]]
 
     def scores(truth: list[int], **changes: object) -> dict[str, object]:
-        found = score_all(belief, truth, [False] * 4, [1, 2, 3, 4], 10.0)
+        found = score_all(belief, lane_truth([1, 2, 3, 4], truth, [False] * 4), 10.0)
         return {**found, "intervals": {"accuracy": None, "f1": None}, **changes}
 
     right, wrong = scores([1, 1, 2, 2]), scores([2, 2, 1, 1])
