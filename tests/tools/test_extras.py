@@ -50,7 +50,7 @@ def position(_: Path) -> None:
         ("pyproj", "", position, "a position on a map needs pyproj|maps"),
         ("onnx", "a.onnx", lambda p: read_onnx(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
         ("distributed", "", cluster, "a cluster needs distributed|cluster"),
-        ("cmaes", "", sampler, "tuning: tuning.sampler: cma-es needs cmaes|cmaes"),
+        ("cmaes", "", sampler, "fit: fit.sampler: cma-es needs cmaes|cmaes"),
     ],
 )  # fmt: skip
 def test_a_package_that_is_not_installed_is_named_with_its_extra(
