@@ -9,23 +9,22 @@ from __future__ import annotations
 import hashlib
 import os
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from egolane_pgm.experiment import FROM_MAP, Experiment, make_experiment
 from egolane_pgm.loading import IN_MEMORY, existing
-from egolane_pgm.maps.cutting import lanes_along, unknown_lanes
+from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
 from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_names
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_lines
-from egolane_pgm.recordings.ground_truth import read_ground_truth
-from egolane_pgm.recordings.memory import lines_of, truth_of
+from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
     fill_missing,
     join,
@@ -34,6 +33,7 @@ from egolane_pgm.recordings.select import (
     select_frames,
     sign_warning,
 )
+from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.types import (
     NOT_ANNOTATED,
@@ -53,24 +53,8 @@ if TYPE_CHECKING:
 #: Keys of `recording` that identify a drive; the others describe how to read it.
 DRIVE_KEYS = ("simulate", "seed", "frames")
 
-#: Endings of videos, which need a detector.
-VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".mpg", ".mpeg", ".m4v", ".webm", ".wmv", ".ts")
-
-#: What to do about a missing file of the public data.
+#: Advice about a missing file of the public data.
 _FETCH = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
-
-
-class Recording(NamedTuple):
-    """The content of a source.
-
-    - log: T frames, of one drive or of several clips.
-    - truth: the lanes, if the source provides them.
-    - frame_rate: frames per second, if the recording has time stamps.
-    """
-
-    log: LineLog
-    truth: pd.DataFrame | None = None
-    frame_rate: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,125 +120,95 @@ class Drive:
         return replace(self, true_lane=lane, is_crossing=self.is_crossing | masked)
 
 
-# --- sources: how each kind of recording is read -------------------------------------------------
+# --- reading -------------------------------------------------------------------------------------
 
 
-def read_file(experiment: Experiment) -> Recording:
-    """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
+def read_recording(
+    experiment: Experiment, lines: Any = None
+) -> tuple[LineLog, pd.DataFrame | None, float | None]:
+    """Read the lines of an experiment from memory, pictures, a simulation or a file.
+
+    Returns T frames, of one drive or of several clips; the ground truth of a simulation; and the
+    frames per second by time stamps, if there are some.
+    """
     r, source = experiment.recording, experiment.source
+    if lines is not None:
+        log = lines_of(lines, frame_rate=r.frame_rate, columns=r.columns)
+    elif r.detector is not None:
+        # OpenCV is imported for pictures only.
+        from egolane_pgm.vision.detectors.pictures import read_pictures
+
+        log, frame_rate = read_pictures(experiment)
+        # With a frame rate in the experiment it has warned of another one in the file.
+        return log, None, None if "frame_rate" in r.model_fields_set else frame_rate
+    elif r.simulate is not None:
+        # SciPy is imported for simulations only.
+        from egolane_pgm.simulation import simulate
+
+        with problems_in(f"{source}: recording"):
+            drive = simulate(r.simulate, seed=r.seed, n_lanes=experiment.n_lanes)
+        return drive.log, drive.truth, None
+    elif r.path == IN_MEMORY:
+        raise InputError(f"{source}: recording.path: pass the lines that are in memory")
+    else:
+        log = read_file(experiment)
+    return log, None, rate_of(log.frame_id, log.time_s)
+
+
+def read_file(experiment: Experiment) -> LineLog:
+    """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
     check_file(experiment)
+    r = experiment.recording
     path = Path(str(r.path))
     options = {**r.options, "frame_rate": r.frame_rate}
     given = {key: getattr(r, key) for key in ("camera", "topic", "columns")}
     options |= {key: value for key, value in given.items() if value is not None}
     if r.format is None or r.format in FORMATS:
-        log = read_lines(path, format=r.format, **options)
-        # The time stamps of a bag in the paper's format are no frame rate.
-        is_timed = r.columns is not None or (r.format or format_of(path)) == "table"
-        return Recording(log, frame_rate=rate_of(log.frame_id, log.time_s) if is_timed else None)
-    where = f"{source}: recording.format"
+        return read_lines(path, format=r.format, **options)
+    where = f"{experiment.source}: recording.format"
     reader = load_plugin("recordings", r.format, where)
     options.pop("columns", None)
     with plugin_errors(reader, where):
         found = reader.read(path, **options)
-    if isinstance(found, LineLog):
-        return Recording(found)
     with problems_in(where):
-        return read_memory(experiment, found, path)
-
-
-def check_file(experiment: Experiment) -> None:
-    """Raise InputError for a recording that is not there, or whose format is unknown."""
-    r, source = experiment.recording, experiment.source
-    if r.format is None and Path(str(r.path)).suffix.lower() in VIDEOS:
-        raise InputError(
-            f"{source}: recording.path: {r.path} is a video: name a detector"
-            " (recording.detector, e.g. ml) and a camera (recording.camera)"
-        )
-    if r.format is not None and r.format not in FORMATS:
-        known = [*FORMATS, *plugin_names("recordings")]
-        if r.format not in known and not r.format.endswith(".py"):
-            raise InputError(
-                f"{source}: recording.format: unknown format '{r.format}'"
-                f"{suggestion(r.format, known)}"
-            )
-        load_plugin("recordings", r.format, f"{source}: recording.format")
-    path = existing(experiment, "recording.path", _FETCH)
-    if r.camera is not None:
-        existing(experiment, "recording.camera")
-    elif (r.format or format_of(path)) in IN_PIXELS:
-        raise InputError(
-            f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
-        )
-
-
-def read_memory(
-    experiment: Experiment, lines: LineLog | pd.DataFrame, path: Path = Path(IN_MEMORY)
-) -> Recording:
-    """Read lines from a DataFrame or a LineLog. path: for messages."""
-    recording = experiment.recording
-    log = lines_of(lines, frame_rate=recording.frame_rate, columns=recording.columns, path=path)
-    return Recording(log, frame_rate=rate_of(log.frame_id, log.time_s))
-
-
-def read_simulated(experiment: Experiment) -> Recording:
-    """Simulate a drive."""
-    from egolane_pgm.simulation import simulate
-
-    r = experiment.recording
-    with problems_in(f"{experiment.source}: recording"):
-        drive = simulate(str(r.simulate), seed=r.seed, n_lanes=experiment.n_lanes)
-    return Recording(drive.log, drive.truth)
-
-
-def check_simulated(experiment: Experiment) -> None:
-    """Raise InputError for an unknown preset."""
-    from egolane_pgm.simulation import PRESETS
-
-    name = str(experiment.recording.simulate)
-    if name not in PRESETS:
-        raise InputError(
-            f"{experiment.source}: recording.simulate: unknown preset '{name}'"
-            f"{suggestion(name, PRESETS)}"
-        )
-
-
-def read_pictures(experiment: Experiment) -> Recording:
-    """Detect lines in a video or in pictures."""
-    from egolane_pgm.vision.detectors.pictures import read_pictures as read
-
-    log, frame_rate = read(experiment)
-    return Recording(log, frame_rate=frame_rate)
-
-
-def check_pictures(experiment: Experiment) -> None:
-    """Raise InputError for a detector, camera or pictures that cannot be used."""
-    from egolane_pgm.vision.detectors.pictures import open_pictures
-
-    open_pictures(experiment)
-
-
-#: How each kind of recording is read, and checked without reading it.
-SOURCES: dict[str, tuple[Callable[[Experiment], Recording], Callable[[Experiment], Any]]] = {
-    "file": (read_file, check_file),
-    "simulate": (read_simulated, check_simulated),
-    "pictures": (read_pictures, check_pictures),
-}
-
-
-def kind_of(experiment: Experiment) -> str:
-    """The kind of recording of an experiment: a key of SOURCES."""
-    if experiment.recording.detector is not None:
-        return "pictures"
-    return "file" if experiment.recording.simulate is None else "simulate"
+        return lines_of(found, frame_rate=r.frame_rate, columns=r.columns, path=path)
 
 
 def check_sources(experiment: Experiment) -> None:
     """Check, without reading any frame, that all files of an experiment are there."""
-    SOURCES[kind_of(experiment)][1](experiment)
+    r = experiment.recording
+    if r.detector is not None:
+        from egolane_pgm.vision.detectors.pictures import open_pictures
+
+        open_pictures(experiment)
+    elif r.simulate is None:
+        check_file(experiment)
+    else:
+        from egolane_pgm.simulation import simulated_road
+
+        with problems_in(f"{experiment.source}: recording"):
+            simulated_road(r.simulate, frames=1)
     for key in ("ground_truth.path", "road"):
         if getattr(experiment, key.partition(".")[0]) is not None:
             existing(experiment, key, _FETCH)
+
+
+def check_file(experiment: Experiment) -> None:
+    """Raise InputError for a file of lines that is missing, or whose format is unknown."""
+    r, source = experiment.recording, experiment.source
+    if r.format is not None and r.format not in FORMATS:
+        where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
+        if r.format not in known and not r.format.endswith(".py"):
+            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
+        load_plugin("recordings", r.format, where)
+    path = existing(experiment, "recording.path", _FETCH)
+    format = r.format or format_of(path)
+    if r.camera is not None:
+        existing(experiment, "recording.camera")
+    elif format in IN_PIXELS:
+        raise InputError(
+            f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
+        )
 
 
 # --- from a recording to drives ------------------------------------------------------------------
@@ -268,71 +222,62 @@ def read_drives(
 ) -> list[Drive]:
     """Read the recording of an experiment: one drive, or several.
 
-    - lines: a DataFrame or LineLog in place of the recording, for `recording.path: in memory`.
-    - truth: a file, a DataFrame with frame_id, lane and crossing, or "none", in place of the
-      ground truth.
+    - lines: a DataFrame or LineLog, for `recording.path: in memory`.
+    - truth: a DataFrame with frame_id, lane and crossing, or "none", in place of the ground truth
+      of the experiment.
     - tags: tags of the drives.
 
-    Raises InputError for files that cannot be used, and warns of oddities that do not prevent it.
+    Raises InputError for files that cannot be used, and warns of oddities.
     """
-    # Errors of the model come before those of a recording that takes long to read.
+    # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
-    in_memory = lines is not None and not isinstance(lines, (str, os.PathLike))
-    if in_memory:
-        found = read_memory(experiment, lines)
-    elif experiment.recording.path == IN_MEMORY:
-        raise InputError(f"{experiment.source}: recording.path: pass the lines that are in memory")
-    else:
-        found = SOURCES[kind_of(experiment)][0](experiment)
-    known = read_truth(experiment, found, truth)
-    if "frame_rate" not in experiment.recording.model_fields_set and found.frame_rate is not None:
-        experiment = with_rate(experiment, found.frame_rate)
-    recording = experiment.recording
-    log = select_frames(found.log, *(recording.frames or (None, None)))
+    log, known, own_rate = read_recording(experiment, lines)
+    recording, annotated = experiment.recording, experiment.ground_truth
+    if truth is not None:
+        known = None if isinstance(truth, str) and truth == "none" else truth_of(truth)
+    elif annotated is not None:
+        path = existing(experiment, "ground_truth.path", _FETCH)
+        known = read_ground_truth(path, annotated.extra_rows)
+    if own_rate is not None and "frame_rate" not in recording.model_fields_set:
+        experiment = with_rate(experiment, own_rate)
+        recording = experiment.recording
+    elif own_rate is not None and abs(own_rate / recording.frame_rate - 1) > 0.1:
+        warnings.warn(
+            f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
+            f" with recording.frame_rate, {recording.frame_rate:g}",
+            UserWarning,
+            stacklevel=2,
+        )
+    log = select_frames(log, *(recording.frames or (None, None)))
     if known is not None and log.clip is not None:
         raise InputError(
             f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
         )
     drives: list[Drive] = []
-    for piece in pieces_of(log.clip, len(log)):
-        clip = log.take(piece)
+    for frames in pieces_of(log.clip, len(log)):
+        clip = log.take(frames)
         name = experiment.name if clip.clip is None else str(clip.clip[0])
         clip = replace(clip, clip=None)
-        clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
+        if recording.missing_frames != "skip":
+            clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
         if model is None:
             drives += cut(name, experiment, clip, known)
         else:
-            model = replace(model, experiment=experiment)
-            drives.append(make_drive(name, model, clip, known))
+            drives.append(make_drive(name, replace(model, experiment=experiment), clip, known))
     return [replace(drive, tags=dict(tags or {})) for drive in drives]
-
-
-def read_truth(experiment: Experiment, found: Recording, truth: Any) -> pd.DataFrame | None:
-    """The ground truth: as passed, from the experiment's file, or the source's own."""
-    if isinstance(truth, str) and truth == "none":
-        return None
-    if isinstance(truth, (str, os.PathLike)):
-        return read_ground_truth(Path(truth))
-    if truth is not None:
-        return truth_of(truth)
-    if experiment.ground_truth is not None:
-        path = existing(experiment, "ground_truth.path", _FETCH)
-        return read_ground_truth(path, experiment.ground_truth.extra_rows)
-    return found.truth
 
 
 def make_drive(
     name: str, model: Model, log: LineLog, truth: pd.DataFrame | None, *, most_lanes: int = 0
 ) -> Drive:
-    """Join a log with its ground truth, and warn of what is odd in it.
+    """Join a log with its ground truth, and warn of oddities.
 
     - most_lanes: for a segment of a longer road, the lanes of the widest segment. A lane may end
       some metres from its position in the map, so the truth may contain a lane that the segment
       does not have; and a segment may have no annotated frame.
     """
-    recording = model.experiment.recording
     max_lri = float(model.parameters.get("max_lri", 10))  # type: ignore[arg-type]
-    notes = recording_warnings(log, model.n_lanes, max_lri, recording.frame_rate)
+    notes = recording_warnings(log, model.n_lanes, max_lri)
     lane = np.full(len(log), NOT_ANNOTATED)
     crossing = np.zeros(len(log), dtype=bool)
     if truth is not None and (not most_lanes or np.isin(log.frame_id, truth.index).any()):
@@ -408,29 +353,18 @@ def digest(path: Path) -> dict[str, Any]:
     """Path, sha256 and size in bytes of a file, of a folder or of a glob of files."""
     if path.is_file():
         return {"path": str(path), "sha256": file_sha256(path), "bytes": path.stat().st_size}
-    files: Sequence[Path]
-    if path.is_dir():
-        files = files_of(path) or sorted(each for each in path.iterdir() if each.is_file())
-    else:
-        files = sorted(path.parent.glob(path.name))
+    files = files_of(path) if path.is_dir() else sorted(path.parent.glob(path.name))
     lines = "".join(f"{file_sha256(file)}  {file.name}\n" for file in files)
     size = sum(file.stat().st_size for file in files)
     sha256 = hashlib.sha256(lines.encode()).hexdigest()
     return {"path": str(path), "sha256": sha256, "bytes": size, "files": len(files)}
 
 
-def digests(experiment: Experiment) -> list[dict[str, Any]]:
-    """The digest of each file that an experiment names."""
-    return [digest(path) for path in data_files(experiment)]
-
-
 def drive_key(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
-    """A text that is equal for recordings of one drive, such as those of several detectors.
+    """A text that is equal for several recordings of one drive (by several detectors): the checksum
+    of the ground truth, else of the recording; or preset and seed of a simulation.
 
     - data: the digests of the experiment's files.
-
-    It is the checksum of the ground truth, else of the recording; the name of a file does not
-    count. For a simulated drive it is the preset and the seed.
     """
     recording, truth = experiment.recording, experiment.ground_truth
     if recording.simulate is not None:

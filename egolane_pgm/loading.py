@@ -2,11 +2,10 @@
 
 Every path is made absolute here, once: a path in a YAML file is relative to that file, a path in a
 table of runs to the table, and any other path to the current folder. A path that does not exist
-there is looked up in `$EGOLANE_DATA` and in the download folder. Later code opens paths as they
-are.
+there is searched for in `$EGOLANE_DATA` and in the download folder.
 
-Two keys of a YAML file are not the experiment's: `include: other.yaml` adds the keys of another
-file, and `version: 1`, which is optional, is the version of the keys.
+Two keys of a YAML file are no keys of the experiment: `include: other.yaml` adds the keys of
+another file, and `version: 1`, which is optional, is the version of the keys.
 """
 
 from __future__ import annotations
@@ -26,18 +25,12 @@ from egolane_pgm.types import InputError, near_word
 IN_MEMORY = "in memory"
 
 #: Keys whose values are files.
-FILES = {
-    "recording.path",
-    "recording.camera",
-    "recording.right",
-    "ground_truth.path",
-    "road",
-}
+FILES = {"recording.path", "recording.camera", "recording.right", "ground_truth.path", "road"}
 
-#: Keys whose values are plugins: files only if they end like one.
+#: Keys whose values are plugins: names, or files with an extension of one.
 PLUGINS = {"graph", "evidence", "recording.format", "recording.detector"}
 
-#: Keys that belong to a recording; new lines never inherit them from the experiment.
+#: Keys of a recording, which other lines do not inherit.
 RECORDING_KEYS = ("recording", "ground_truth", "road", "tuning", "description")
 
 ExperimentLike = Experiment | str | os.PathLike[str] | Mapping[str, Any]
@@ -66,7 +59,7 @@ def experiment_path(given: str | os.PathLike[str]) -> Path:
         if str(given) in named:
             return named[str(given)]
         meant = near_word(str(given), named)
-        raise InputError(f"{given}: is no file, and no experiment that `egolane show` lists{meant}")
+        raise InputError(f"{given}: no such file, nor experiment (see `egolane show`){meant}")
     if path.parts[:1] == ("experiments",) and not path.exists():
         shipped = experiments_folder().joinpath(*path.parts[1:])
         return shipped if shipped.is_file() else path
@@ -84,9 +77,9 @@ def load_experiment(
 
     - experiment: a YAML file, the name of a shipped experiment, keys and values, or an experiment.
     - overrides: `{"parameters.sigma1": 0.3}`, nested or dotted, or a list of `key=value`. None
-      removes a key, an empty section empties one.
-    - lines: another recording, a file or data in memory. The experiment then gives the model only
-      (evidence, graph, filter, parameters); all keys of the recording come from `overrides`.
+      removes a key, `{}` empties a section.
+    - lines: another recording, a file or data in memory. Only the model is taken from the
+      experiment (evidence, graph, filter, parameters), keys of the recording from `overrides`.
     - n_lanes: number of lanes of the road.
 
     Raises InputError, naming file and key, for a key or value that does not fit.
@@ -121,12 +114,11 @@ def _read(experiment: ExperimentLike) -> tuple[dict[str, Any], str]:
         return experiment.model_dump(exclude_unset=True), experiment.source
     if isinstance(experiment, Mapping):
         content = without_version(nest(experiment), "experiment")
-        content = _include(content, Path.cwd(), "experiment", ())
         return absolute(content, Path.cwd()), "experiment"
     if not isinstance(experiment, (str, os.PathLike)):
         raise InputError(
-            f"{experiment!r} is no experiment; give the path of a YAML file, its keys and values,"
-            " or what load_experiment returned"
+            f"{experiment!r} is no experiment; give the path of a YAML file, keys and values, or"
+            " the result of load_experiment"
         )
     path = experiment_path(experiment)
     return absolute(load_yaml(path), path.parent), str(path)
@@ -154,7 +146,7 @@ def _on_lines(
 
 
 def safe_name(text: str) -> str:
-    """Replace what must not be in the name of an experiment."""
+    """Replace characters that are not allowed in the name of an experiment."""
     kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in text)
     return "".join(kept).lstrip("._-") or "recording"
 
@@ -162,35 +154,26 @@ def safe_name(text: str) -> str:
 # --- YAML files ----------------------------------------------------------------------------------
 
 
-def load_yaml(path: Path) -> dict[str, Any]:
+def load_yaml(path: Path, including: tuple[Path, ...] = ()) -> dict[str, Any]:
     """The keys of a YAML file and of the file that it includes.
 
     The file's own keys replace included ones; sections are merged, `{}` empties one. Paths in the
     included file are relative to the including one.
+
+    - including: the files that include this one, for messages.
     """
-    return _load(path, ())
-
-
-def _load(path: Path, including: tuple[str, ...]) -> dict[str, Any]:
-    """The same; including: the files that led here."""
-    place = os.path.realpath(path)
-    if place in including:
-        raise InputError(f"{including[-1]}: include: {path.name} includes this file itself")
-    if including and not os.path.isfile(path):
+    if including and not path.is_file():
         raise InputError(f"{including[-1]}: include: no file {path}")
     content = read_yaml(path, "n_lanes: 4")
-    return _include(content, path.parent, str(path), (*including, place))
-
-
-def _include(
-    content: dict[str, Any], folder: Path, source: str, including: tuple[str, ...]
-) -> dict[str, Any]:
-    if "include" not in content:
+    name = content.pop("include", None)
+    if name is None:
         return content
-    name = content.pop("include")
     if not isinstance(name, str):
-        raise InputError(f"{source}: include: {name!r} is not the name of a file")
-    return merge(_load(folder / name, including or (source,)), content)
+        raise InputError(f"{path}: include: {name!r} is not the name of a file")
+    including = (*including, path)
+    if any((path.parent / name).resolve() == each.resolve() for each in including):
+        raise InputError(f"{path}: include: {name} includes this file itself")
+    return merge(load_yaml(path.parent / name, including), content)
 
 
 # --- paths ---------------------------------------------------------------------------------------
@@ -198,10 +181,10 @@ def _include(
 
 def find(name: str, folder: Path) -> str:
     """The absolute path of a file; if it does not exist, the path below `folder`."""
-    # pooch, which names the download folder, is needed for files that are not there only.
     path = Path(name).expanduser()
     place = folder / path
     if not path.is_absolute() and not place.exists():
+        # platformdirs is imported for missing files only.
         from egolane_pgm.recordings.catalog import data_folders
 
         place = next((data / path for data in data_folders() if (data / path).exists()), place)
@@ -209,19 +192,16 @@ def find(name: str, folder: Path) -> str:
 
 
 def absolute(content: Mapping[str, Any], folder: Path, prefix: str = "") -> dict[str, Any]:
-    """The keys and values with every file named by its absolute path."""
-    found: dict[str, Any] = {}
+    """The keys and values, with absolute paths of all files."""
+    found = dict(content)
     for key, value in content.items():
         name = f"{prefix}{key}"
         is_plugin = name in PLUGINS or name.startswith("parameters.detector.")
+        is_file = is_plugin and str(value).endswith((*OWN_FILES, ".onnx"))
         if isinstance(value, Mapping):
             found[key] = absolute(value, folder, f"{name}.")
-        elif not isinstance(value, (str, os.PathLike)) or value == IN_MEMORY:
-            found[key] = value
-        elif name in FILES or (is_plugin and str(value).endswith((*OWN_FILES, ".onnx"))):
-            found[key] = find(os.fspath(value), folder)
-        else:
-            found[key] = value
+        elif isinstance(value, (str, os.PathLike)) and value != IN_MEMORY:
+            found[key] = find(os.fspath(value), folder) if is_file or name in FILES else value
     return found
 
 
@@ -235,8 +215,9 @@ def existing(experiment: Experiment, key: str, hint: str = "") -> Path:
         name = getattr(name, part)
     path = Path(str(name))
     if not path.exists():
-        said = f"; {hint}" if hint else ""
-        raise InputError(f"{experiment.source}: {key}: {path}: no such file{said}")
+        raise InputError(
+            f"{experiment.source}: {key}: {path}: no such file{f'; {hint}' if hint else ''}"
+        )
     return path
 
 
@@ -245,15 +226,11 @@ def existing(experiment: Experiment, key: str, hint: str = "") -> Path:
 
 def parse_overrides(overrides: Overrides) -> dict[str, Any]:
     """Overrides as nested keys and values."""
-    if overrides is None or isinstance(overrides, Mapping):
-        return nest(overrides or {})
-    if isinstance(overrides, str) or not isinstance(overrides, Iterable):
+    if isinstance(overrides, str) or not isinstance(overrides, (Iterable, type(None))):
         raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
-    nested: dict[str, Any] = {}
-    for each in overrides:
-        key, value = read_override(each, "parameters.bonus_value=0")
-        nested = merge(nested, nest({key: value}))
-    return nested
+    if not isinstance(overrides, Mapping):
+        overrides = dict(read_override(each, "n_lanes=3") for each in overrides or ())
+    return nest(overrides) if overrides else {}
 
 
 def read_override(override: Any, example: str, option: str = "overrides") -> tuple[str, Any]:

@@ -17,7 +17,7 @@ from egolane_pgm.drives import changed
 from egolane_pgm.experiment import FROM_MAP, Columns, Experiment, Section, validated
 from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.loading import existing
-from egolane_pgm.maps.cutting import lanes_at
+from egolane_pgm.maps.road_table import lanes_at
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
 from egolane_pgm.running import infer

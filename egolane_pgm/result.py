@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, digests, drive_names, with_rate
+from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events, lane_segments
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
@@ -32,8 +32,8 @@ from egolane_pgm.loading import IN_MEMORY, load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.recordings.memory import lines_of
 from egolane_pgm.recordings.select import fill_missing
+from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, score_events
 from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
 from egolane_pgm.scoring.summary import score_with_intervals
@@ -379,7 +379,7 @@ def stored(experiment: Experiment, directory: Path, tags: Mapping[str, str]) -> 
     """The result in a directory, if it is complete and of the same experiment, data and tags."""
     try:
         run = json.loads((directory / "run.json").read_text())
-        is_same = run["identity"] == identity(experiment, digests(experiment))
+        is_same = run["identity"] == identity(experiment, list(map(digest, data_files(experiment))))
         return load_result(directory) if is_same and run["tags"] == dict(tags) else None
     except (OSError, ValueError, KeyError):
         return None
@@ -572,7 +572,8 @@ def make_result(
     - more: further keys of run.json.
     """
     first = drives[0]
-    model, rate = first.model, first.experiment.recording.frame_rate
+    model = first.model
+    rate = model.experiment.recording.frame_rate
     e = with_rate(experiment, rate)
     notes = list(dict.fromkeys(notes))
     impossible = int(frames["is_impossible"].sum())
@@ -581,7 +582,7 @@ def make_result(
             f"{first.log.source}: the evidence of {impossible} frame(s) has joint likelihood zero;"
             " they keep their prediction"
         )
-    data = digests(experiment)
+    data = [digest(path) for path in data_files(experiment)]
     widest = max(drives, key=lambda drive: drive.model.n_lanes).model
     reasons = why_not_causal(model)
     scores = score(frames, rate, e.lag)

@@ -58,10 +58,8 @@ def test_a_frame_of_lines_is_run_as_its_file(tmp_path: Path, hertz: float) -> No
 
 
 def test_a_simulated_drive_has_its_own_ground_truth() -> None:
-    drive, again = one(simulated()), one(simulated())
+    drive, other = one(simulated()), one(simulated(), {"recording.seed": 6})
     assert drive.has_truth
-    np.testing.assert_array_equal(drive.log.offset_m, again.log.offset_m)
-    other = one(simulated(), {"recording.seed": 6})
     assert not np.array_equal(other.true_lane, drive.true_lane)
     assert not one(simulated(), ground_truth="none").has_truth
 
@@ -98,28 +96,20 @@ def test_a_folder_of_pictures_gives_what_the_video_of_them_gives(place: Path) ->
         np.testing.assert_array_equal(folder.is_valid, other.is_valid)
 
 
-def test_lines_are_read_where_the_experiment_detects_them_in_pictures(place: Path) -> None:
-    write_table(place / "lines.csv", short_drive().log)
-    drive = one(place / "lines.csv", experiment=place / "run.yaml", n_lanes=3)
-    assert (len(drive.log), drive.experiment.recording.detector) == (150, None)
-
-
 @pytest.mark.parametrize(
-    ("path", "changes", "said"),
+    ("keys", "said"),
     [
-        ("drive.avi", {"detector": None}, "drive.avi is a video: name a detector"),
-        ("nowhere", {}, "nowhere"),
-        ("none", {}, "none: has no pictures"),
+        ({"path": "drive.avi", "detector": None}, "of a video a detector"),
+        ({"path": "nowhere"}, "nowhere: no such file"),
+        ({"path": "none"}, "none: has no pictures"),
     ],
 )
 def test_pictures_that_cannot_be_used_are_named(
-    place: Path, path: str, changes: dict[str, Any], said: str
+    place: Path, keys: dict[str, Any], said: str
 ) -> None:
     (place / "none").mkdir()
-    keys = {"recording.path": str(place / path)}
-    keys |= {f"recording.{key}": value for key, value in changes.items()}
     with pytest.raises(InputError, match=said):
-        one(place / "run.yaml", keys)
+        one(place / "run.yaml", {"recording": {**keys, "path": place / keys["path"]}})
 
 
 # --- ground truth --------------------------------------------------------------------------------
@@ -143,10 +133,10 @@ def test_the_truth_may_begin_later_and_lack_frames(tmp_path: Path) -> None:
 
 
 def test_lanes_in_memory_go_with_lines_of_a_file(tmp_path: Path) -> None:
-    drive = one(write_drive(tmp_path), ground_truth=lanes().assign(lane=1, is_crossing=0))
-    assert set(drive.true_lane) == {1}
+    path = write_drive(tmp_path)
+    assert set(one(path, ground_truth=lanes().assign(lane=1)).true_lane) == {1}
     with pytest.raises(InputError, match=r"frame 0: lane 7 is outside 1\.\.3; is n_lanes right"):
-        one(tmp_path / "experiment.yaml", ground_truth=lanes().assign(lane=7))
+        one(path, ground_truth=lanes().assign(lane=7))
 
 
 def test_masked_labels_are_crossing_frames_in_lane_1(tmp_path: Path) -> None:

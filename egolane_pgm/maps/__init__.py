@@ -1,5 +1,3 @@
-"""Maps: the lanes of the road, where they lead, and where the car is on them.
-
-The lanes are those of OpenStreetMap (© OpenStreetMap contributors, ODbL). They are read by
-libraries of the package's extra `maps`, which are imported where they are used.
+"""Maps: the lanes of the road from OpenStreetMap (© OpenStreetMap contributors, ODbL), and the car
+on it. The libraries of the extra `maps` are imported where they are used.
 """

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import FloatArray, IntArray
@@ -17,8 +18,7 @@ from egolane_pgm.types import FloatArray, IntArray
 class Plane:
     """A plane around a centre (transverse Mercator, WGS 84); latitude and longitude in degrees.
 
-    Distances 300 km east or west of the centre are 0.11 % too long, at 30 km 0.001 %: a map of one
-    country is one plane.
+    Distances are 0.11 % too long 300 km east or west of the centre: good for one country.
     """
 
     latitude: float
@@ -33,36 +33,34 @@ class Plane:
         )
 
     def metres(self, latitude: Any, longitude: Any) -> FloatArray:
-        """Metres east and north of the centre, (N, 2), of N places in degrees."""
+        """N places in degrees as metres east and north of the centre, (N, 2)."""
         return np.stack(self._projection(np.asarray(longitude), np.asarray(latitude)), axis=-1)
 
     def degrees(self, metres: FloatArray) -> FloatArray:
-        """Latitude and longitude, (N, 2), degrees, of N places in metres."""
+        """N places in metres as latitude and longitude, (N, 2), degrees."""
         longitude, latitude = self._projection(metres[:, 0], metres[:, 1], inverse=True)
         return np.stack([latitude, longitude], axis=-1)
 
 
 def around(latitude: FloatArray, longitude: FloatArray) -> Plane:
-    """The plane whose centre is in the middle of the places, (N,) each, in degrees."""
-    middle = [(float(v.min()) + float(v.max())) / 2 for v in (latitude, longitude)]
-    return Plane(*middle)
+    """The plane centred on N places, (N,) each, in degrees."""
+    return Plane(*((float(v.min()) + float(v.max())) / 2 for v in (latitude, longitude)))
 
 
 @dataclass(frozen=True)
 class LaneGraph:
     """S segments and J joins.
 
-    A segment is a directed carriageway with constant tags: ways of the map are joined across splits
-    that change nothing. A road for both directions is two segments.
+    A segment is a directed carriageway with constant tags: ways of the map are joined if their tags
+    are equal. A road for both directions is two segments.
 
     - way (S,): OpenStreetMap's id of the first way.
     - kind (S,): its tag `highway`, such as "motorway" or "motorway_link".
-    - name (S,): the road's number (tag `ref`) or name; "" where it has none. Python strings.
-    - n_lanes (S,): 0 where unknown.
+    - name (S,): the road's number (tag `ref`) or name, Python strings; "" without one.
+    - n_lanes (S,): 0 if unknown.
     - plane: the origin of the metres.
     - point (P, 2): metres east and north, in the direction of travel.
-    - first (S + 1,): where each segment's points begin; those of segment k are
-      `point[first[k]:first[k + 1]]`, at least two.
+    - first (S + 1,): the points of segment k are `point[first[k]:first[k + 1]]`, at least two.
     - before, after (J,): the segments that a join leads from and to, sorted by before, then after.
     """
 
@@ -95,62 +93,67 @@ class LaneGraph:
 
     @cached_property
     def join_start(self) -> IntArray:
-        """Where the joins that leave each segment begin, (S + 1,): those of segment k are the rows
-        `join_start[k]:join_start[k + 1]` of `before` and `after`."""
+        """(S + 1,): the joins that leave segment k are the rows `join_start[k]:join_start[k + 1]`
+        of `before` and `after`."""
         return np.searchsorted(self.before, np.arange(len(self) + 1)).astype(np.int64)
 
     @cached_property
+    def joins(self) -> Any:
+        """The joins as a sparse matrix, (S, S), weighted by the length of the first segment."""
+        weights = self.length_m[self.before], (self.before, self.after)
+        return csr_array(weights, shape=(len(self), len(self)))
+
+    @cached_property
     def lines(self) -> Any:
-        """The segments as lines of shapely, (S,)."""
+        """The segments as shapely lines, (S,)."""
         with needed("a map", "maps"):
             from shapely import linestrings
         return linestrings(self.point, indices=np.repeat(np.arange(len(self)), np.diff(self.first)))
 
     @cached_property
     def tree(self) -> Any:
-        """The index of the lines, shapely's STRtree."""
+        """A spatial index of the lines."""
         from shapely import STRtree
 
         return STRtree(self.lines)
 
 
-def guess_lanes(graph: LaneGraph) -> IntArray:
-    """The number of lanes of each segment, (S,), guessed if it is not in the map.
+def assumed_lanes(graph: LaneGraph) -> IntArray:
+    """The number of lanes of each segment, (S,), assumed if it is not in the map.
 
-    The guess is the number of the road of its kind before it, the widest of several, else of the
-    one behind it, else what most metres of its kind have. 0 stays where no segment of the kind has
-    a number.
+    The assumed number comes from the segment of the same kind before (the widest of several), else
+    from the one after, else it is the most frequent one of the kind, by length. 0 stays if no
+    segment of the kind has a number.
     """
-    n_lanes = graph.n_lanes
     along = graph.kind[graph.before] == graph.kind[graph.after]
     before, after = graph.before[along], graph.after[along]
-    guess = n_lanes.copy()
+    n_lanes = graph.n_lanes.copy()
     for here, there in ((before, after), (after, before)):
         is_new = True
         # A number spreads by one segment each time.
         while is_new:
             found = np.zeros(len(graph), dtype=np.int64)
-            np.maximum.at(found, there, guess[here])
-            new = (guess == 0) & (found > 0)
-            guess[new] = found[new]
+            np.maximum.at(found, there, n_lanes[here])
+            new = (n_lanes == 0) & (found > 0)
+            n_lanes[new] = found[new]
             is_new = bool(new.any())
-    for kind in np.unique(graph.kind[guess == 0]):
-        known = (graph.kind == kind) & (n_lanes > 0)
+    for kind in np.unique(graph.kind[n_lanes == 0]):
+        known = (graph.kind == kind) & (graph.n_lanes > 0)
         if known.any():
-            usual = np.bincount(n_lanes[known], weights=graph.length_m[known]).argmax()
-            guess[(graph.kind == kind) & (guess == 0)] = usual
-    return guess
+            usual = np.bincount(graph.n_lanes[known], weights=graph.length_m[known]).argmax()
+            n_lanes[(graph.kind == kind) & (n_lanes == 0)] = usual
+    return n_lanes
 
 
 @dataclass(frozen=True)
 class Near:
-    """The segments near each of T places, N in all, each with its place that is nearest.
+    """The segments near each of T places, N in all.
 
-    - start (T + 1,): where each place's segments begin
-    - segment (N,)
-    - along_m (N,): from the segment's start
-    - offset_m (N,): of the place to the right of the segment's line; its size is the distance
-    - heading (N,): direction of travel there, radians, counter-clockwise from east
+    - start (T + 1,): the segments of place t are the rows `start[t]:start[t + 1]`.
+    - segment (N,): row of the lane graph.
+    - along_m (N,): metres from the segment's start to its point nearest to the place.
+    - offset_m (N,): distance of the place from that point, positive to the right of the line.
+    - heading (N,): direction of travel there, radians, counter-clockwise from east.
     """
 
     start: IntArray
@@ -169,7 +172,7 @@ def near(graph: LaneGraph, place: FloatArray, radius_m: float) -> Near:
     order = np.lexsort((segment, row))
     row, segment = row[order], segment[order].astype(np.int64)
     along = line_locate_point(graph.lines[segment], point[row])
-    # All segments laid one behind the other, so that one search finds the piece of each line.
+    # All segments one after the other, so that one search finds the straight piece of each line.
     begin = np.cumsum(graph.length_m) - graph.length_m
     laid = graph.along_m + np.repeat(begin, np.diff(graph.first))
     piece = np.searchsorted(laid, begin[segment] + along) - 1

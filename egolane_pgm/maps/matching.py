@@ -1,19 +1,20 @@
-"""Which road a car is on: map matching by a hidden Markov model (Newson and Krumm, 2009, "Hidden
-Markov map matching through noise and sparseness").
+"""Map matching by a hidden Markov model (Newson and Krumm, 2009, "Hidden Markov map matching
+through noise and sparseness").
 
-The states of a time are the segments near its position, and one more: off the map. A position is
-the more likely the nearer it is to the segment, and the better its heading agrees. From one time to
-the next a pair of segments is the more likely the better the way between them along the joins
-agrees with the distance of the two positions. Directions count: a segment is a carriageway.
+The states at a time are the segments near its position, and off the map. A position is likelier the
+nearer it is to the segment, and the better its heading agrees. A transition between two segments is
+likelier the better the length of the way between them along the joins agrees with the distance of
+the two positions. Segments are directed.
 
-A pair without a way between them, because the map is cut there or the receiver leapt, has the
-probability of a jump, so that no track is impossible. A position that no car could have reached is
-an outlier: it takes no part, and neither do its like until they agree among themselves.
+A pair without such a way (the map is cut, or the receiver jumped) has a small probability, so that
+no track is impossible. A position that no car could have reached is an outlier and is ignored,
+until several outliers agree with each other.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -25,30 +26,29 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 OFF = -1
 
 
-#: The constants of the model, chosen by hand and not searched: the standard deviation of a position
-#: across the road, the lane's offset to the way's line included, metres;
+# The constants of the model, chosen by hand.
+#: Standard deviation of a position across the road, including the lane's offset, metres.
 SIGMA_M = 6.0
-#: the scale of the difference between way and straight distance, metres, and for long gaps, on
-#: which curves make the way longer, more of it per metre of distance;
+#: Scale of the difference between way and straight distance, metres; and its share of the distance,
+#: because curves make long ways longer.
 BETA_M, BETA_SHARE = 6.0, 0.05
-#: the standard deviation of the direction of travel, radians;
+#: Standard deviation of the direction of travel, radians.
 HEADING_SIGMA = 0.35
-#: how far a segment may be from a position, and the distance, metres, from which a position is as
-#: likely off the map;
+#: Largest distance of a segment, and the distance at which off the map is as likely, metres.
 RADIUS_M, OFF_M = 60.0, 25.0
-#: the probabilities, per position, of leaving the map, of coming back, and of a change to a segment
-#: that no way leads to;
+#: Probabilities, per position, of leaving the map, of coming back, and of a change to a segment
+#: that cannot be reached.
 LEAVE, COME, JUMP = 1e-3, 0.05, 1e-6
-#: and the speed, m/s, above which a position is an outlier.
+#: A position is an outlier above this speed, m/s.
 TOP_SPEED_MPS = 80.0
 
-#: Below this speed, m/s, or this way between two positions, m, a heading says nothing.
+#: Below this speed, m/s, or this way between two positions, m, headings are ignored.
 _MOVES_MPS, _MOVES_M = 3.0, 8.0
 
-#: A heading is taken to be right with all but this probability.
+#: Probability of a wrong heading.
 _HEADING_WRONG = 0.05
 
-#: This many outliers in a row that agree among themselves are no outliers.
+#: This many outliers in a row that agree with each other are inliers.
 _OUTLIERS_AGREE = 5
 
 
@@ -56,11 +56,11 @@ _OUTLIERS_AGREE = 5
 class Matched:
     """The road of a car at T positions.
 
-    - segment (T,): row of the lane graph; OFF off the map, and for outliers
-    - along_m (T,): metres from the segment's start; NaN off the map
-    - offset_m (T,): metres to the right of the way's line; NaN off the map
-    - sure (T,): probability of the segment, or of being off the map; 0 for outliers
-    - is_outlier (T,): the position took no part
+    - segment (T,): row of the lane graph; OFF off the map, and for outliers.
+    - along_m (T,): metres from the segment's start; NaN off the map.
+    - offset_m (T,): metres to the right of the way's line; NaN off the map.
+    - sure (T,): probability of the segment, or of being off the map; 0 for outliers.
+    - is_outlier (T,): marks ignored positions.
     """
 
     segment: IntArray
@@ -71,7 +71,7 @@ class Matched:
 
 
 def no_match(n: int, is_outlier: BoolArray) -> Matched:
-    """The road of n positions, to be filled in: all are off the map."""
+    """n positions off the map, to be filled in."""
     blank = np.full(n, np.nan)
     return Matched(np.full(n, OFF), blank, blank.copy(), np.zeros(n), is_outlier)
 
@@ -79,17 +79,16 @@ def no_match(n: int, is_outlier: BoolArray) -> Matched:
 def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Matched:
     """The road at each of T positions.
 
-    - online: each answer knows the positions up to its own only (the filter's most probable
-      segment). By default the answer is the most probable path of the whole drive (Viterbi), and
-      how sure it is comes from all positions (forward and backward).
+    - online: the most probable segment of the filter, which uses positions up to each one only. By
+      default the most probable path of the whole drive (Viterbi), with smoothed probabilities.
     """
     place = graph.plane.metres(positions.latitude, positions.longitude)
     outlier = np.empty(len(positions), dtype=np.bool_)
     _find_outliers(positions.t_s, place, outlier)
     used = np.flatnonzero(~outlier)
     found = near(graph, place[used], RADIUS_M)
-    said = _emissions(positions, place, used, found)
-    # States are the near segments of each time and, as the last, off the map.
+    emission = _emissions(positions, place, used, found)
+    # The states at each time are the near segments and, last, off the map.
     first = found.start + np.arange(len(found.start))
     count = np.diff(first)
     size = np.concatenate([[0], count[:-1] * count[1:]])
@@ -99,13 +98,13 @@ def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Ma
         found.start, found.segment, found.along_m, place[used], graph.join_start, graph.after,
         graph.length_m, block, transition,
     )  # fmt: skip
-    belief, choice = np.empty(len(said)), np.empty(len(used), dtype=np.int64)
-    filter_states(first, said, block, transition, belief)
+    belief, choice = np.empty(len(emission)), np.empty(len(used), dtype=np.int64)
+    filter_states(first, emission, block, transition, belief)
     if online:
-        best_states(first, belief, choice)
+        choice[:] = [belief[a:b].argmax() for a, b in pairwise(first)]
     else:
         smooth_states(first, block, transition, belief)
-        best_path(first, said, block, transition, choice)
+        best_path(first, emission, block, transition, choice)
     on = choice < np.diff(found.start)
     row = found.start[:-1] + choice
     matched = no_match(len(positions), outlier)
@@ -121,14 +120,11 @@ def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Ma
 
 @kernel()
 def _find_outliers(t_s: FloatArray, place: FloatArray, out: BoolArray) -> None:
-    """Fills out (T,): outliers, which cannot be reached from the last position that is none. Only
-    the past decides. After several in a row that can be reached from each other, the car is
-    there."""
+    """Fill out (T,): mark positions that cannot be reached from the last inlier, except after
+    several in a row that can be reached from each other."""
     last, agree = 0, 0
-    for t in range(len(t_s)):
-        if t == 0:
-            out[t] = False
-            continue
+    out[:1] = False
+    for t in range(1, len(t_s)):
         if _reached(t_s, place, last, t):
             out[t], agree, last = False, 0, t
             continue
@@ -141,38 +137,38 @@ def _find_outliers(t_s: FloatArray, place: FloatArray, out: BoolArray) -> None:
 @kernel()
 def _reached(t_s: FloatArray, place: FloatArray, a: int, b: int) -> bool:
     dx, dy = place[b, 0] - place[a, 0], place[b, 1] - place[a, 1]
-    # A standing car's positions scatter too.
+    # Positions of a standing car scatter, too.
     return bool(np.sqrt(dx * dx + dy * dy) <= 20.0 + TOP_SPEED_MPS * (t_s[b] - t_s[a]))
 
 
 def _emissions(positions: Positions, place: FloatArray, used: IntArray, found: Near) -> FloatArray:
-    """Log-likelihood of each time's states, (N + T,), relative to a place on the way's line: of the
-    near segments and, as the last, of being off the map."""
+    """Log-likelihood of the states of all times, (N + T,), relative to a place on the way's line:
+    of the near segments and, last, of being off the map."""
     given = positions.sigma_m[used]
     sigma = np.fmax(np.hypot(np.where(np.isnan(given), 0.0, given), 4.0), SIGMA_M)
     heading, moved_m = headings(positions, place, used)
-    # A heading that is the way from the position before is as good as that way is long.
+    # The heading of the way from the position before is noisier the shorter that way is.
     noise = np.where(np.isnan(moved_m), 0.0, np.sqrt(2) * SIGMA_M / moved_m)
     spread = np.hypot(HEADING_SIGMA, noise)
     count = np.diff(found.start)
     z = found.offset_m / np.repeat(sigma, count)
     turn = (found.heading - np.repeat(heading, count) + np.pi) % (2 * np.pi) - np.pi
     agrees = np.exp(-0.5 * (turn / np.repeat(spread, count)) ** 2)
-    said = np.log((1 - _HEADING_WRONG) * agrees + _HEADING_WRONG)
-    near_ones = -0.5 * z**2 + np.where(np.isnan(said), 0.0, said)
-    return np.insert(near_ones, found.start[1:], -0.5 * (OFF_M / SIGMA_M) ** 2)
+    direction = np.log((1 - _HEADING_WRONG) * agrees + _HEADING_WRONG)
+    on_map = -0.5 * z**2 + np.where(np.isnan(direction), 0.0, direction)
+    return np.insert(on_map, found.start[1:], -0.5 * (OFF_M / SIGMA_M) ** 2)
 
 
 def headings(
-    positions: Positions, place: FloatArray, used: IntArray | None = None
+    positions: Positions, place: FloatArray, used: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Direction of travel of U used positions (all by default), radians counter-clockwise from
-    east, NaN unknown; and the metres from the used position before where it is taken from those,
-    because the receiver does not give it, NaN elsewhere.
+    """Direction of travel of U used positions, radians counter-clockwise from east, NaN unknown.
 
-    - place (T, 2): metres east and north
+    - place (T, 2): metres east and north.
+
+    Without a heading from the receiver it is the direction from the used position before; the
+    second array has the metres from there, NaN otherwise.
     """
-    used = np.arange(len(place)) if used is None else used
     step = np.diff(place[used], axis=0, prepend=place[used[:1]])
     far = np.hypot(*step.T)
     given = np.pi / 2 - np.radians(positions.heading_deg[used])
@@ -193,8 +189,8 @@ def _fill_transitions(
     block: IntArray,
     transition: FloatArray,
 ) -> None:
-    """Fills transition: log-probabilities from each time's states to the next one's, row by row.
-    The block of t, from t - 1 to t, begins at block[t]."""
+    """Fill transition: log-probabilities from the states of each time to the states of the next,
+    row by row; block[t] is the index of the first one from t - 1 to t."""
     leave, come, jump = np.log(LEAVE), np.log(COME), np.log(JUMP)
     reached_in = np.full(len(length), -1, dtype=np.int64)
     way_to = np.empty(len(length))
@@ -210,7 +206,7 @@ def _fill_transitions(
         limit = straight + 15.0 * scale
         for a in range(a0, a1):
             at = block[t] + (a - a0) * width
-            # Distances to the starts of the segments that are ahead, nearest first (Dijkstra).
+            # Distances to the starts of the segments ahead (Dijkstra).
             n_open = 0
             here = segment[a]
             rest = length[here] - along[a]
@@ -261,18 +257,18 @@ def _fill_transitions(
 
 # --- the recursions --------------------------------------------------------------------------
 #
-# `first` (T + 1,) says where each time's states begin among all M; `said` (M,) is their
-# log-likelihood; `block` (T + 1,) says where the transitions from t - 1 to t begin.
+# The states of time t are the rows first[t]:first[t + 1] of all M; `emission` (M,) is their
+# log-likelihood; the transitions from t - 1 to t begin at block[t].
 
 
 @kernel()
 def filter_states(
-    first: IntArray, said: FloatArray, block: IntArray, transition: FloatArray, out: FloatArray
+    first: IntArray, emission: FloatArray, block: IntArray, transition: FloatArray, out: FloatArray
 ) -> None:
-    """Fills out (M,) with P(state at t | positions up to t)."""
+    """Fill out (M,) with P(state at t | positions up to t)."""
     for t in range(len(first) - 1):
         here, size = first[t], first[t + 1] - first[t]
-        top = said[here : first[t + 1]].max()
+        top = emission[here : first[t + 1]].max()
         total = 0.0
         for b in range(size):
             weight = 1.0
@@ -280,7 +276,7 @@ def filter_states(
                 weight = 0.0
                 for a in range(here - first[t - 1]):
                     weight += out[first[t - 1] + a] * np.exp(transition[block[t] + a * size + b])
-            out[here + b] = weight * np.exp(said[here + b] - top)
+            out[here + b] = weight * np.exp(emission[here + b] - top)
             total += out[here + b]
         out[here : here + size] /= total
 
@@ -289,7 +285,7 @@ def filter_states(
 def smooth_states(
     first: IntArray, block: IntArray, transition: FloatArray, belief: FloatArray
 ) -> None:
-    """Turns the filter's belief (M,) into P(state at t | all positions), in place."""
+    """Turn the posterior of the filter, (M,), into P(state at t | all positions), in place."""
     for t in range(len(first) - 3, -1, -1):
         here, there = first[t], first[t + 1]
         rows, size = there - here, first[t + 2] - there
@@ -308,13 +304,12 @@ def smooth_states(
 
 @kernel()
 def best_path(
-    first: IntArray, said: FloatArray, block: IntArray, transition: FloatArray, out: IntArray
+    first: IntArray, emission: FloatArray, block: IntArray, transition: FloatArray, out: IntArray
 ) -> None:
-    """Fills out (T,) with the states of the most probable path (Viterbi), counted among those of
-    their time."""
+    """Fill out (T,) with the states of the most probable path (Viterbi), counted within a time."""
     n_times = len(first) - 1
-    score = said.copy()
-    origin = np.zeros(len(said), dtype=np.int64)
+    score = emission.copy()
+    origin = np.zeros(len(emission), dtype=np.int64)
     for t in range(1, n_times):
         size = first[t + 1] - first[t]
         for b in range(size):
@@ -331,16 +326,9 @@ def best_path(
         state = origin[first[t] + state]
 
 
-@kernel()
-def best_states(first: IntArray, belief: FloatArray, out: IntArray) -> None:
-    """Fills out (T,) with the most probable state of each time, counted among its own."""
-    for t in range(len(first) - 1):
-        out[t] = np.argmax(belief[first[t] : first[t + 1]])
-
-
 # --- the baseline ----------------------------------------------------------------------------
 
-#: How far a segment may be, metres: the first that has one counts.
+#: Search radii, metres, tried one after the other.
 _LOCK_RADII_M = (20.0, 100.0, 200.0)
 
 #: Standard deviations of the distance, metres, and of the heading, radians.
@@ -348,14 +336,13 @@ _LOCK_SIGMA_M, _LOCK_SIGMA_RAD = 1.0, 0.15
 
 
 def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
-    """The road that is nearest, as the paper's authors lock on it (`ira_open_street_map`).
+    """The nearest road of each position, independently, as in the paper (`ira_open_street_map`).
 
-    Segments within 20 m of a position are scored, else those within 100 m, else 200 m, by distance
-    and heading, normal both. `sure` is the segment's share of the score of all within the radius.
-    Each position stands alone. One whose heading is not known is scored by distance.
+    Segments within 20 m, else 100 m, else 200 m are scored by distance and, if known, heading,
+    normal both. `sure` is the segment's share of the scores of all within the radius.
     """
     place = graph.plane.metres(positions.latitude, positions.longitude)
-    heading, _ = headings(positions, place)
+    heading, _ = headings(positions, place, np.arange(len(place)))
     matched = no_match(len(positions), np.zeros(len(positions), dtype=np.bool_))
     matched.sure[:] = 1.0
     left = np.arange(len(positions))

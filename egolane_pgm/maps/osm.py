@@ -1,4 +1,4 @@
-"""Reads the motorways and trunk roads of an extract of OpenStreetMap as a lane graph."""
+"""Read the motorways and trunk roads of an OpenStreetMap extract as a lane graph."""
 
 from __future__ import annotations
 
@@ -14,41 +14,33 @@ from egolane_pgm.maps.tags import KEYS, KINDS, read_lanes
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
-#: The largest number of warnings about the tags of a map.
-MOST_WARNINGS = 8
-
-#: Two segments are not joined if the car would turn by more than this; measured over TURN_M metres.
+#: Segments are not joined if the car would turn by more than this, measured over TURN_M metres: no
+#: car turns back where a road for both directions ends.
 MOST_TURN_DEG, TURN_M = 135.0, 15.0
 
 
 def read_osm(path: str | Path) -> LaneGraph:
-    """The lanes of the motorways and trunk roads of an `.osm` or `.osm.pbf` extract, and how they
-    continue. Needs the extra `maps`.
+    """Read the motorways and trunk roads of an `.osm` or `.osm.pbf` extract. Needs the extra
+    `maps`.
 
-    The places of all nodes of the file are kept in memory while it is read (16 bytes each): take
-    the roads out of a large extract first (`osmium tags-filter`).
+    All nodes of the file are in memory while it is read (16 bytes each): take the roads out of a
+    large extract first (`osmium tags-filter`).
 
-    Warns of tags that make no sense, whose lanes are then unknown, and of nodes without
-    coordinates, which are left out. Raises InputError for a file that cannot be read as a map, one
-    without such a road, and where osmium is not installed.
+    Warns of invalid tags, whose lanes are unknown, and of nodes without coordinates, which are left
+    out. Raises InputError for a file that is no map or has no such road.
     """
     return join_ways(read_ways(path))
 
 
 def read_ways(path: str | Path) -> LaneGraph:
-    """As `read_osm`, before ways are joined: each is a segment, or several where another shares a
-    point with it."""
+    """As `read_osm`, with a segment for each way, or several if another way shares a point."""
     raw = _read(path)
     read = [read_lanes(values) for values in raw.tags]
-    mistakes: dict[str, list[int]] = {}
-    for way, tag_set in zip(raw.way.tolist(), raw.tag_set.tolist(), strict=True):
-        for mistake in read[tag_set][1]:
-            mistakes.setdefault(mistake, []).append(way)
-    for mistake, ways in list(mistakes.items())[:MOST_WARNINGS]:
-        others = f" and {len(ways) - 1} more" if len(ways) > 1 else ""
-        _warn(f"{path}: way {ways[0]}{others}: {mistake}")
-    if len(mistakes) > MOST_WARNINGS:
-        _warn(f"{path}: {len(mistakes) - MOST_WARNINGS} more kinds of mistakes in tags")
+    mistakes = [read[tag_set][1] for tag_set in raw.tag_set]
+    bad = [k for k, mistake in enumerate(mistakes) if mistake]
+    if bad:
+        example = f"way {raw.way[bad[0]]}: {'; '.join(mistakes[bad[0]])}"
+        _warn(f"{path}: ignored wrong tags of {len(bad)} way(s), first of {example}")
     return with_joins(_segments(raw, np.array([lanes for lanes, _ in read])))
 
 
@@ -61,10 +53,10 @@ def _warn(text: str) -> None:
 
 @dataclass(frozen=True)
 class _Raw:
-    """W ways as they are drawn.
+    """W ways.
 
-    - point (P, 2): latitude, longitude; first (W + 1,): where each way's begin.
-    - tags: the different sets of tags; tag_set (W,): which one each way has.
+    - point (P, 2): latitude, longitude; first (W + 1,): index of each way's first point.
+    - tags: the different sets of tags; tag_set (W,): index of each way's set.
     """
 
     way: IntArray
@@ -84,9 +76,8 @@ def _read(path: str | Path) -> _Raw:
     name: list[str] = []
     size: list[int] = []
     tag_set: list[int] = []
-    points = bytearray()
+    points, lacking = bytearray(), 0
     sets: dict[tuple[str | None, ...], int] = {}
-    lacking = 0
     as_bytes = osmium.geom.WKBFactory().create_linestring
     roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
@@ -98,7 +89,7 @@ def _read(path: str | Path) -> _Raw:
     try:
         for road in roads:
             try:
-                # Several times as fast as a loop over the nodes.
+                # Much faster than a loop over the nodes.
                 line = bytes.fromhex(as_bytes(road))[9:]
             except bad_place:
                 places = [(n.lon, n.lat) for n in road.nodes if n.location.valid()]
@@ -115,10 +106,7 @@ def _read(path: str | Path) -> _Raw:
     except bad_place as error:
         raise InputError(f"{path}: cannot be read as a map: {error}") from None
     if lacking:
-        _warn(
-            f"{path}: {lacking} nodes of motorways or trunk roads have no coordinates in this"
-            " file; they are left out"
-        )
+        _warn(f"{path}: left out {lacking} nodes of motorways or trunk roads without coordinates")
     if not way:
         raise InputError(
             f"{path}: no motorway and no trunk road with coordinates (highway={', '.join(KINDS)})"
@@ -132,13 +120,13 @@ def _read(path: str | Path) -> _Raw:
 
 
 def _segments(raw: _Raw, lanes: IntArray) -> LaneGraph:
-    """The pieces of the ways, in each direction in which they are driven.
+    """The pieces of the ways, one for each direction of travel.
 
-    - lanes: forward and backward of each set of tags, -1 not driven.
+    - lanes: forward and backward of each set of tags, -1 without travel in that direction.
     """
     plane = around(*raw.point.T)
     metres = plane.metres(*raw.point.T)
-    # A way is cut where a point is shared with another way, or with itself.
+    # A way is cut at points that it shares with another way, or with itself.
     _, place, times = np.unique(_place_key(metres), return_inverse=True, return_counts=True)
     is_cut = times[place] > 1
     is_cut[raw.first[:-1]] = True
@@ -171,14 +159,14 @@ def _segments(raw: _Raw, lanes: IntArray) -> LaneGraph:
 
 
 def _place_key(metres: FloatArray) -> IntArray:
-    """A number for each place, (P,), the same for places within a millimetre."""
+    """A number for each place, (P,), equal for places within a millimetre."""
     place = np.rint(metres * 1000).astype(np.int64)
     key: IntArray = place[:, 0] * 4_000_000_000 + place[:, 1]
     return key
 
 
 def with_joins(ways: LaneGraph) -> LaneGraph:
-    """The same segments with a join wherever one ends at the very point where another begins."""
+    """The graph with a join from each segment to those that begin at its last point."""
     from shapely import get_coordinates, line_interpolate_point
 
     n = len(ways)
@@ -191,20 +179,19 @@ def with_joins(ways: LaneGraph) -> LaneGraph:
     before = np.repeat(np.arange(n), count)
     nth = np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
     after = order[low[before] + nth]
-    # No car turns back where a road for both directions ends.
     leaving = get_coordinates(line_interpolate_point(ways.lines, TURN_M)) - begin
     arriving = end - get_coordinates(line_interpolate_point(ways.lines, -TURN_M))
     (a, b), (x, y) = arriving[before].T, leaving[after].T
-    goes_on = np.abs(np.degrees(np.arctan2(a * y - b * x, a * x + b * y))) <= MOST_TURN_DEG
-    return replace(ways, before=before[goes_on], after=after[goes_on])
+    is_way = np.abs(np.degrees(np.arctan2(a * y - b * x, a * x + b * y))) <= MOST_TURN_DEG
+    return replace(ways, before=before[is_way], after=after[is_way])
 
 
-# --- ways joined across splits that change nothing ---------------------------------------------
+# --- joined ways -------------------------------------------------------------------------------
 
 
 def join_ways(graph: LaneGraph) -> LaneGraph:
-    """The same roads with segments joined where one follows the other and nothing changes: kind,
-    name, number of lanes. A segment keeps the way of its first."""
+    """Join segments that follow each other and have equal kind, name and number of lanes. A joined
+    segment keeps the way of its first one."""
     before, after = graph.before, graph.after
     alone = (np.bincount(before, minlength=len(graph))[before] == 1) & (
         np.bincount(after, minlength=len(graph))[after] == 1
@@ -218,14 +205,14 @@ def join_ways(graph: LaneGraph) -> LaneGraph:
 
     chain_of = np.empty(len(graph), dtype=np.int64)
     chain_of[order] = np.cumsum(begins) - 1
-    # Where a segment follows another, its first point is the other's last.
+    # The first point of a following segment is the last one of the segment before.
     skip = (~begins).astype(np.int64)
     size = np.diff(graph.first)[order] - skip
     ends = np.cumsum(size)
     index = np.arange(ends[-1]) + np.repeat(graph.first[order] + skip - (ends - size), size)
     is_tail = np.append(begins[1:], True)
     heads, tails = order[begins], order[is_tail]
-    # A road that closes to a ring has one join to itself, where it was cut.
+    # A ring has one join to itself, at its cut.
     stays = ~alone | (chain_of[before] != chain_of[after]) | (tails[chain_of[before]] == before)
     before, after = chain_of[before[stays]], chain_of[after[stays]]
     sort = np.lexsort((after, before))
@@ -240,15 +227,15 @@ def join_ways(graph: LaneGraph) -> LaneGraph:
 
 
 def _chains(following: IntArray) -> tuple[IntArray, BoolArray]:
-    """All segments (S,), chain by chain, and where each chain begins; the order of the chains is
-    that of their first segments, and rings begin at their first number.
+    """All segments (S,), chain by chain, and marks of the first of each chain. Chains are in the
+    order of their first segments; rings come last.
 
-    - following (S,): the segment that each leads on to, -1 none.
+    - following (S,): the next segment of each, or -1.
     """
-    is_led_to = np.isin(np.arange(len(following)), following)
+    heads = np.setdiff1d(np.arange(len(following)), following).tolist()
     order, begins, leads_to = [], [], following.tolist()
     is_done = bytearray(len(following))
-    for start in [*np.flatnonzero(~is_led_to).tolist(), *range(len(following))]:
+    for start in [*heads, *range(len(following))]:
         at = start
         while at >= 0 and not is_done[at]:
             is_done[at] = 1

@@ -1,6 +1,6 @@
 """Lanes of a way of OpenStreetMap in each direction of travel, from its tags.
 
-Keys and values are those of https://wiki.openstreetmap.org/wiki/Lanes.
+Keys and values: https://wiki.openstreetmap.org/wiki/Lanes.
 """
 
 from __future__ import annotations
@@ -8,10 +8,10 @@ from __future__ import annotations
 #: Roads whose lanes are read, and the links between them.
 KINDS = ("motorway", "motorway_link", "trunk", "trunk_link")
 
-#: The tags that list the lanes of a direction, which tell their number too.
+#: The tags that list the lanes of a direction.
 LISTS = ("turn:lanes", "change:lanes", "width:lanes")
 
-#: Every key that is read, in the order in which `read_lanes` takes their values.
+#: The keys whose values `read_lanes` takes, in order.
 KEYS = (
     "highway",
     "oneway",
@@ -23,22 +23,22 @@ KEYS = (
     *(key + direction for key in LISTS for direction in ("", ":forward", ":backward")),
 )
 
-#: More lanes than this in one direction are a typing error; the widest toll plazas have about 25.
+#: A greater number in one direction is a mistake; the widest toll plazas have about 25 lanes.
 MOST_LANES = 30
 
 
 def read_lanes(values: tuple[str | None, ...]) -> tuple[tuple[int, int], tuple[str, ...]]:
     """The lanes of a way forward and backward, and a line for each mistake in its tags.
 
-    - values: of KEYS, None where the way has no such tag.
+    - values: of KEYS, None for a missing tag.
 
-    A number of lanes is 0 where unknown, and -1 where the way is not driven in that direction. A
-    tag with a mistake is ignored.
+    A number of lanes is 0 if unknown, and -1 if there is no travel in that direction. A tag with a
+    mistake is ignored.
     """
     tags = {key: value.strip() for key, value in zip(KEYS, values, strict=True) if value}
     problems: list[str] = []
     oneway = tags.get("oneway", "")
-    # A motorway is a oneway where nothing is said, and so is a link without lanes against it.
+    # By default a motorway is a oneway, and so is a link without lanes against it.
     is_oneway = oneway in ("yes", "true", "1", "-1", "reverse") or (
         oneway == ""
         and (
@@ -66,7 +66,7 @@ def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[int, int]:
     total = _count(tags, ["lanes"], problems)
     there, back = (_count(tags, ["lanes" + key], problems) for key in (":forward", ":backward"))
     if total and not there and not back:
-        # As the wiki's Key:lanes has it, an even number is half for each direction.
+        # Key:lanes of the wiki: an even number is half for each direction.
         share, odd = divmod(max(total - middle, 0), 2)
         there = back = 0 if odd else share
     elif total and not (there and back):
@@ -79,23 +79,23 @@ def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[int, int]:
 
 
 def _count(tags: dict[str, str], keys: list[str], problems: list[str]) -> int:
-    """A number of lanes; 0 if there is none, or none that a road can have."""
+    """A number of lanes; 0 without a valid one."""
     key = next((key for key in keys if key in tags), None)
     if key is None:
         return 0
     text = tags[key]
     if text.isdecimal() and 1 <= int(text) <= MOST_LANES:
         return int(text)
-    # A road may well have no lanes in one direction or in the middle.
+    # Zero lanes are valid in one direction and in the middle.
     if text != "0" or key == "lanes":
-        problems.append(f"{key}={text} is no number from 1 to {MOST_LANES}, the lanes are unknown")
+        problems.append(f"{key}={text} is not a number from 1 to {MOST_LANES}")
     return 0
 
 
 def _or_listed(
     tags: dict[str, str], keys: tuple[str, ...], n_lanes: int, problems: list[str]
 ) -> int:
-    """The number of lanes, by default that of the tags that list lanes."""
+    """The number of lanes, or if unknown the length of the lists of lanes."""
     tagged = {name: [tags[name + key] for key in keys if name + key in tags] for name in LISTS}
     found = {name: texts[0].count("|") + 1 for name, texts in tagged.items() if texts}
     listed = {n for n in found.values() if n > 1}
@@ -103,7 +103,7 @@ def _or_listed(
     if n_lanes == 0 and len(listed) == 1 and max(listed) <= MOST_LANES and not problems:
         (n_lanes,) = listed
     problems += [
-        f"{name} lists {n} lanes of {n_lanes}, it is ignored"
+        f"{name} lists {n} lanes of {n_lanes}"
         for name, n in found.items()
         if n_lanes and n != n_lanes
     ]

@@ -1,6 +1,6 @@
-"""What was driven: recordings of lines, ground truth, the public data sets.
+"""Recordings of lines, ground truth, and the public data sets.
 
-One file per format of recording; `read_lines` picks it by the file's extension.
+One module per format of recording; `read_lines` chooses it by the file's extension.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
     "tusimple": ((".jsonl", ".json"), "vision.formats.tusimple", "read_tusimple"),
 }
 
-#: The endings of the files in a folder that is a bag.
+#: Extensions of the files in a folder that is a bag.
 _IN_BAGS = (".mcap", ".db3", ".zstd")
 
-#: The formats whose lines are in pixels, so that a camera has to say where they are.
+#: Formats whose lines are in pixels, which need a camera.
 IN_PIXELS = ("tusimple",)
 
 
@@ -42,15 +42,15 @@ def read_lines(
 ) -> LineLog:
     """Read a recording of lines, T frames of at most L lines.
 
-    - format: a name of FORMATS; by default that of the extension, or of the files in a folder.
-    - camera: a camera or its YAML file, for lines in pixels; lines in metres are read without it.
+    - format: a name of FORMATS; by default by extension, also of the files in a folder.
+    - camera: a camera or its YAML file, for lines in pixels; lines in metres need none.
     - frame_rate: frames per second of a recording without times; by default the reader's.
-    - columns: which columns of a table, or fields of messages, are what: keys and values of
+    - columns: names and units of a table's columns, or of messages' fields: keys and values of
       `recording.columns`, or `"offset_m=lateral,left_positive=true"`.
     - options: further ones of the format's reader (`read_topic`: topic; `read_tusimple`:
       valid, frame_step).
 
-    Raises InputError for an unknown format, extension or option, and what the reader raises.
+    Raises InputError for an unknown format, extension or option, and as the reader.
 
     >>> import tempfile
     >>> import egolane_pgm as ego
@@ -65,7 +65,7 @@ def read_lines(
         read = reader_of(name)
     allowed = set(read.__kwdefaults__)
     given = {**options, "frame_rate": frame_rate, "columns": columns}
-    # Only a format whose lines are in pixels has a reader that takes a camera.
+    # A camera is ignored by formats in metres.
     given |= {"camera": camera} if "camera" in allowed else {}
     given = {key: value for key, value in given.items() if value is not None}
     for option in given:
@@ -73,10 +73,11 @@ def read_lines(
             raise InputError(
                 f"{path}: format {name} has no option '{option}'{suggestion(str(option), allowed)}"
             )
-    if "columns" in given:
-        from egolane_pgm.recordings.columns import columns_of
+    if columns is not None:
+        from egolane_pgm.experiment import CheckedColumns, validated
+        from egolane_pgm.recordings.columns import column_keys
 
-        given["columns"] = columns_of(given["columns"], str(path))
+        given["columns"] = validated(CheckedColumns, column_keys(columns), f"{path}: columns")
     rate = given.get("frame_rate", 10.0)
     if not (isinstance(rate, (int, float, np.number)) and 0 < rate < np.inf):
         raise InputError(f"{path}: frame_rate: {rate!r} is not a number greater than 0")
@@ -84,28 +85,14 @@ def read_lines(
     return log
 
 
-def write_lines(path: str | Path, log: LineLog) -> None:
-    """Write a log as a table, .csv or .parquet.
-
-    Raises InputError for a log of several clips, whose borders a table does not keep, and if the
-    file cannot be written.
-    """
-    from egolane_pgm.recordings.table import write_table
-
-    if log.clip is not None:
-        raise InputError(f"{log.source}: has several clips; a file that is written holds one drive")
-    write_table(path, log)
-
-
 def files_of(folder: Path) -> list[Path]:
-    """The files of a folder that is a recording: those of a bag, or all of them."""
+    """The files of a folder that is a recording: all files of a bag, else all files."""
     files = sorted(path for path in folder.iterdir() if path.is_file())
     return [path for path in files if path.suffix in _IN_BAGS] or files
 
 
 def reader_of(name: str) -> Any:
-    """The function that reads a format; its keyword arguments are the format's options. Raises
-    InputError for an unknown one."""
+    """The function that reads a format; its keyword arguments are the format's options."""
     if name not in FORMATS:
         raise InputError(f"unknown format '{name}'{suggestion(name, FORMATS)}")
     _, module, function = FORMATS[name]
@@ -113,8 +100,8 @@ def reader_of(name: str) -> Any:
 
 
 def format_of(path: str | Path) -> str:
-    """The format of a recording by its extension, or by what is in a folder. Raises InputError for
-    an unknown one."""
+    """The format of a recording by its extension, or by the files in a folder. Raises InputError
+    for an unknown one."""
     path = Path(path)
     for name, (extensions, _, _) in FORMATS.items():
         if (path.suffix.lower() or path.name) in extensions:
@@ -124,11 +111,11 @@ def format_of(path: str | Path) -> str:
             return "rosbag"
         raise InputError(
             f"{path}: a folder without a bag ({', '.join(f'*{e}' for e in _IN_BAGS)}); pictures"
-            " need a detector (recording.detector, or detector)"
+            " need a detector (recording.detector)"
         )
     raise InputError(
         f"{path}: unknown extension '{path.suffix}' of a recording ({known_formats()}); name its"
-        " format"
+        " format, or of a video a detector (recording.detector)"
     )
 
 

@@ -1,4 +1,4 @@
-"""Annotated ground truth: a text file with `frame;lane;crossing` per line, lane 1 leftmost.
+"""Annotated ground truth: a text file with a row `frame;lane;crossing` per frame, lane 1 leftmost.
 
 In memory it is a DataFrame, see `types.lane_truth`.
 """
@@ -8,69 +8,89 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 
+from egolane_pgm.recordings.columns import to_numbers
+from egolane_pgm.recordings.table import with_index
 from egolane_pgm.tools.files import read_text, write_text
-from egolane_pgm.types import InputError, lane_truth
-
-if TYPE_CHECKING:
-    import pandas as pd
+from egolane_pgm.types import InputError, lane_truth, suggestion
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
 _ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
 
 
 def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> pd.DataFrame:
-    """Read the lane of each annotated frame, and whether the vehicle is crossing into another lane.
+    """Read the lane of each annotated frame, and the flag of a crossing into another lane.
 
-    A line is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty lines are
+    A row is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty rows are
     skipped.
 
-    - extra_rows: more rows (frame, lane, crossing), put in where their frame belongs; the paper
-      counts frame 0 of the Spanish recording, which its file leaves out.
+    - extra_rows: further rows (frame, lane, crossing). The paper counts frame 0 of the Spanish
+      recording, which its file lacks.
 
-    Raises InputError, naming the file and the line, for a line that is malformed, frames that
-    repeat or decrease, a file without rows, and an extra row of a frame that the file has.
+    Raises InputError, naming the line, for a malformed row, frames that do not increase, a file
+    without rows, and an extra row whose frame is in the file.
     """
     path = Path(path)
-    rows: list[tuple[int, int, int]] = []
+    rows: list[tuple[int, ...]] = []
     for number, line in enumerate(read_text(path).splitlines(), start=1):
-        row = _row(line)
-        if not line.strip() or (row is None and number == 1 and not re.search(r"\d", line)):
+        match = _ROW.fullmatch(line)
+        if not line.strip() or (match is None and number == 1 and not re.search(r"\d", line)):
             continue
-        if row is None:
+        if match is None:
             raise InputError(
                 f"{path}: line {number}: {line.strip()[:60]!r} is not"
                 " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
             )
-        if rows and row[0] <= rows[-1][0]:
-            last = rows[-1][0]
-            how = "occurs twice" if row[0] == last else f"comes after frame {last}"
-            raise InputError(f"{path}: line {number}: frame {row[0]} {how}; frames must increase")
-        rows.append(row)
+        rows.append(tuple(map(int, match.groups())))
+        if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
+            frame, last = rows[-1][0], rows[-2][0]
+            how = "occurs twice" if frame == last else f"comes after frame {last}"
+            raise InputError(f"{path}: line {number}: frame {frame} {how}; frames must increase")
     if not rows:
-        raise InputError(f"{path}: no ground truth in it, it has no line 'frame;lane;crossing'")
+        raise InputError(f"{path}: has no row 'frame;lane;crossing'")
     table = np.array(rows)
     for extra in extra_rows:
         at = np.searchsorted(table[:, 0], extra[0])
         if extra[0] in table[at : at + 1, 0]:
-            raise InputError(f"{path}: extra row {list(extra)}: frame {extra[0]} is there already")
+            raise InputError(f"{path}: extra row {list(extra)}: the file has frame {extra[0]}")
         table = np.insert(table, at, extra, axis=0)
     return lane_truth(table[:, 0], table[:, 1], table[:, 2] == 1, str(path))
 
 
-def write_ground_truth(path: str | Path, truth: pd.DataFrame) -> None:
-    """Write `frame;lane;crossing` lines, which `read_ground_truth` reads back as they were.
+def truth_of(given: pd.DataFrame) -> pd.DataFrame:
+    """The ground truth of a DataFrame, see `types.lane_truth`.
 
-    Raises InputError where the file cannot be written.
+    - given: a row per frame: frame_id (or as its index), lane or true_lane (1 leftmost), and
+      optionally is_crossing or crossing. Frames without a lane are not annotated.
+
+    Raises InputError for a missing column, a wrong cell, and frame ids that do not increase.
+
+    >>> import pandas as pd
+    >>> from egolane_pgm.recordings.ground_truth import truth_of
+    >>> truth_of(pd.DataFrame({"frame_id": [7, 8, 9], "lane": [2, None, 1]}))["true_lane"].to_list()
+    [2, 1]
     """
-    rows = truth[["true_lane", "is_crossing"]].astype(int).itertuples()
-    text = "".join(f"{frame};{lane};{crossing}\n" for frame, lane, crossing in rows)
-    write_text(path, text)
+    path = Path("ground truth in memory")
+    frame = with_index(given, "ground_truth")
+    frame = frame.rename(columns={"crossing": "is_crossing", "true_lane": "lane"})
+    for name in ("frame_id", "lane"):
+        if name not in frame:
+            raise InputError(f"{path}: no column {name}{suggestion(name, frame.columns)}")
+    frame = frame.dropna(subset=["frame_id", "lane"])
+    frame_id, lane = (to_numbers(path, name, frame[name]) for name in ("frame_id", "lane"))
+    crossing = np.zeros(len(frame))
+    if "is_crossing" in frame:
+        crossing = to_numbers(path, "is_crossing", frame["is_crossing"])
+    return lane_truth(frame_id, lane, crossing == 1, str(path))
 
 
-def _row(line: str) -> tuple[int, int, int] | None:
-    match = _ROW.fullmatch(line)
-    return (int(match[1]), int(match[2]), int(match[3])) if match else None
+def write_ground_truth(path: str | Path, truth: pd.DataFrame) -> None:
+    """Write rows `frame;lane;crossing`; `read_ground_truth` returns them unchanged.
+
+    Raises InputError if the file cannot be written.
+    """
+    rows = truth[["true_lane", "is_crossing"]].astype(int)
+    write_text(path, rows.to_csv(sep=";", header=False, lineterminator="\n"))

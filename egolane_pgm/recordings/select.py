@@ -1,4 +1,4 @@
-"""Select the frames of a recording and join them with the ground truth; warn of odd recordings."""
+"""Select the frames of a recording, join them with the ground truth, and warn of oddities."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 if TYPE_CHECKING:
     import pandas as pd
 
-#: A warning calls an offset beyond this (metres) absurd: no motorway is wider.
+#: Valid lines with an offset beyond this, metres, are warned of: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
 
 #: Frames on each side of an annotated lane change in which the lines pass under the car.
 HALF_CHANGE = 20
 
-#: Filling more frames than this means that the ids are not frame numbers.
+#: A longer gap cannot be filled: its ids are no frame numbers.
 MAX_FILLED = 1_000_000
 
 
 def select_frames(log: LineLog, first: int | None = None, stop: int | None = None) -> LineLog:
     """Take the frames with first <= frame id < stop; None leaves that side open.
 
-    Raises InputError, with the range that the recording has, where no frame is left.
+    Raises InputError, with the range of the recording, if no frame is left.
     """
     keep = log.frame_id >= (-np.inf if first is None else first)
     keep &= log.frame_id < (np.inf if stop is None else stop)
@@ -42,11 +42,11 @@ def select_frames(log: LineLog, first: int | None = None, stop: int | None = Non
 def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
     """Fill in the frame ids that are missing between the first and the last.
 
-    - policy: "skip" leaves them out; "hold" gives them the lines of the frame before; "predict"
-      puts in frames without any line, flagged `is_missing`, so that a filter only predicts there.
-    - frame_rate: frames per second, for the times of the frames that are put in.
+    - policy: "skip" leaves them out; "hold" repeats the lines of the frame before; "predict"
+      adds frames without lines, flagged `is_missing`, so that a filter only predicts there.
+    - frame_rate: frames per second, for the times of added frames.
 
-    Raises InputError where the gaps are so large that the ids cannot be frame numbers.
+    Raises InputError for gaps so large that the ids cannot be frame numbers.
     """
     if policy == "skip" or len(log) == 0:
         return log
@@ -56,22 +56,21 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
         return log
     if n_missing > MAX_FILLED:
         raise InputError(
-            f"{log.source}: missing_frames: {policy} would put in {n_missing} frames between"
+            f"{log.source}: missing_frames: {policy} would add {n_missing} frames between"
             f" {first} and {last}; are these ids frame numbers?"
         )
     frame_id = np.arange(first, last + 1, dtype=np.int64)
     before = np.searchsorted(log.frame_id, frame_id, side="right") - 1
     is_new = log.frame_id[before] != frame_id
-    # A recording's own time stamps go on from the frame before.
-    since = (frame_id - log.frame_id[before]) / frame_rate
-    has_stamps = not np.array_equal(log.time_s, log.frame_id / frame_rate)
-    new_s = log.time_s[before] + since if has_stamps else frame_id / frame_rate
-    time_s = np.where(is_new, new_s, log.time_s[before])
+    new_s = frame_id / frame_rate
+    if not np.array_equal(log.time_s, log.frame_id / frame_rate):
+        # The recording has time stamps: continue from the frame before.
+        new_s = log.time_s[before] + (frame_id - log.frame_id[before]) / frame_rate
     empty = is_new[:, None] & (policy == "predict")
     return replace(
         log,
         frame_id=frame_id,
-        time_s=time_s,
+        time_s=np.where(is_new, new_s, log.time_s[before]),
         offset_m=np.where(empty, np.nan, log.offset_m[before]),
         is_valid=np.where(empty, False, log.is_valid[before]),
         is_continuous=np.where(empty, False, log.is_continuous[before]),
@@ -81,28 +80,26 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
 
 
 def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: float) -> LineLog:
-    """The frames of a log, and those that the recording lacks before and between them, filled in as
-    `fill_missing` does.
+    """Fill in the frames that are missing in a log and before it; see `fill_missing`.
 
-    - last: the frame before the first, if there is one.
+    - last: the frame before the log, if any.
 
-    Raises InputError for frames that do not come after it, and for a gap that is so large that the
-    ids cannot be frame numbers.
+    Raises InputError for frames that do not come after it.
     """
-    if last is not None and log.frame_id[0] <= last.frame_id[0]:
+    if last is None:
+        return fill_missing(log, policy, frame_rate)
+    if log.frame_id[0] <= last.frame_id[0]:
         raise InputError(
             f"{log.source}: frame id {log.frame_id[0]} does not come after {last.frame_id[0]}"
         )
     if policy == "skip":
         return log
-    if last is None:
-        return fill_missing(log, policy, frame_rate)
     return fill_missing(LineLog.joined([last, log]), policy, frame_rate).take(slice(1, None))
 
 
 def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
-    """Frames per second, to four digits, by the frame ids and times (T,) of a recording; None for a
-    single frame, and where time stands still."""
+    """Frames per second of T frames, to four digits; None for a single frame, and if time stands
+    still."""
     if len(frame_id) < 2:
         return None
     step = float(np.median(np.diff(time_s) / np.diff(frame_id)))
@@ -110,10 +107,10 @@ def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
 
 
 def join(log: LineLog, truth: pd.DataFrame) -> tuple[IntArray, IntArray]:
-    """The frames that a log and a ground truth share, in order of frame id: the index of each in
-    the log and in the truth, (K,) both.
+    """Join a log and a ground truth by frame id: the index of each common frame in the log and in
+    the truth, (K,) both.
 
-    Raises InputError, with both ranges, where there is no common frame.
+    Raises InputError, with both ranges, if there is no common frame.
     """
     common, in_log, in_truth = np.intersect1d(
         log.frame_id, truth.index.to_numpy(), assume_unique=True, return_indices=True
@@ -126,21 +123,19 @@ def join(log: LineLog, truth: pd.DataFrame) -> tuple[IntArray, IntArray]:
     return in_log.astype(np.int64), in_truth.astype(np.int64)
 
 
-def recording_warnings(
-    log: LineLog, n_lanes: int, max_lri: float = 10, frame_rate: float | None = None
-) -> list[str]:
-    """Describe the oddities of a recording, one line for each kind; it is used unchanged.
-
-    Odd are: LRI of valid lines outside 0..max_lri, absurd offsets, more valid lines than the
-    n_lanes + 1 that a road has, no valid line at all, and times of another frame rate.
-    """
-    is_odd_lri = log.is_valid & ((log.lri < 0) | (log.lri > max_lri))
-    is_absurd = log.is_valid & (np.abs(log.offset_m) > ABSURD_OFFSET_M)
-    has_many = log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1
+def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
+    """Warn of oddities, one line each: an LRI of a valid line outside 0..max_lri, an absurd offset,
+    more valid lines than the n_lanes + 1 of the road, and no valid line at all."""
     kinds = {
-        f"valid line(s) have an LRI outside 0..{max_lri:g}": is_odd_lri,
-        f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m": is_absurd,
-        f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s)": has_many,
+        f"valid line(s) have an LRI outside 0..{max_lri:g}": (
+            log.is_valid & ((log.lri < 0) | (log.lri > max_lri))
+        ),
+        f"valid line(s) have an offset beyond {ABSURD_OFFSET_M:g} m": (
+            log.is_valid & (np.abs(log.offset_m) > ABSURD_OFFSET_M)
+        ),
+        f"frame(s) have more valid lines than the {n_lanes + 1} of {n_lanes} lane(s)": (
+            log.is_valid.sum(axis=1, keepdims=True) > n_lanes + 1
+        ),
     }
     warned = [
         f"{log.source}: {np.count_nonzero(odd)} {what}, first in frame"
@@ -150,17 +145,11 @@ def recording_warnings(
     ]
     if len(log) and not log.is_valid.any():
         warned.append(f"{log.source}: not a single valid line in {len(log)} frames")
-    own = rate_of(log.frame_id, log.time_s)
-    if frame_rate is not None and own is not None and abs(own / frame_rate - 1) > 0.1:
-        warned.append(
-            f"{log.source}: by its times it has {own:g} frames per second; delays are counted with"
-            f" recording.frame_rate, which is {frame_rate:g}"
-        )
     return warned
 
 
 def sign_warning(log: LineLog, true_lane: IntArray) -> list[str]:
-    """Warn, in one line, of lines that move the wrong way at most of the annotated lane changes.
+    """Warn of lines that move the wrong way at most of the annotated lane changes.
 
     - log, true_lane (K,): of the same frames.
     """

@@ -1,4 +1,4 @@
-"""What is in a table or a bag, as text, and the command that runs it where it has our names."""
+"""Describe a table or a bag as text, with the command that runs it if it has our names."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.columns import typed
+from egolane_pgm.recordings.columns import to_numbers
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.table import TABLES, read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
@@ -18,7 +18,7 @@ from egolane_pgm.types import FloatArray, InputError
 
 
 def show_recording(path: Path) -> str:
-    """What is in a table or a bag. Raises InputError for a file that cannot be read."""
+    """Describe a table or a bag. Raises InputError for a file that cannot be read."""
     if path.suffix.lower() in TABLES:
         table = read_columns(path)
         columns = dict(zip(table.column_names, table.columns, strict=True))
@@ -39,9 +39,10 @@ def show_recording(path: Path) -> str:
 
 
 def _spans(columns: Mapping[str, Any]) -> Iterator[str]:
+    """A line per column: smallest and largest number, or the first cells."""
     for name, column in columns.items():
         try:
-            values = typed(Path(), "lri", column)
+            values = to_numbers(Path(), "lri", column)
             known = values[~np.isnan(values)]
             span = f"{known.min():.10g} to {known.max():.10g}"
         except (InputError, ValueError):
@@ -61,16 +62,16 @@ def _pace(time_s: FloatArray) -> str:
 
 
 def _command(path: Path, **options: Any) -> list[str]:
-    """What runs a table or a topic whose columns have our names; or why nothing does."""
+    """The command that runs a table or topic with our names, or the reason why none does."""
     try:
         log = read_lines(path, **options)
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
-        return [f"  to run it, say with --columns what is what: {why}"]
+        return [f"  to run it, name the columns with --columns: {why}"]
     given = "".join(f" --{name} {shlex.quote(value)}" for name, value in options.items())
     n_gaps = (np.diff(log.frame_id) > 1).sum()
     return [
         f"  {len(log)} frames, {rate_of(log.frame_id, log.time_s)} per second, gaps: {n_gaps}",
-        "  to run it (N: the lanes of the road):",
+        "  to run it (N: number of lanes of the road):",
         f"  egolane run {shlex.quote(str(path))} --n-lanes N{given}",
     ]

@@ -1,17 +1,18 @@
-"""Recordings of lines as tables: CSV, Parquet or a DataFrame of pandas.
+"""Tables of lines: CSV, Parquet, or a DataFrame.
 
-`recording.columns` names the columns; without it they have our own names, `columns.COLUMNS`, in one
-of two forms.
+`recording.columns` names the columns; by default they have our names, `columns.COLUMNS`, in one of
+two forms.
 
-- One row per line, which is also how they are written: frame_id, line, offset_m and others. A frame
-  without lines is one row with an empty line and offset.
-- One row per frame: frame_id, offset_1, offset_2, ... and, if known, is_valid_1, is_continuous_1,
+- A row per line, which is also the form that is written: frame_id, line, offset_m and others. A
+  frame without lines is a row with an empty line and offset.
+- A row per frame: frame_id, offset_1, offset_2, ... and, if known, is_valid_1, is_continuous_1,
   lri_1, ... An empty offset is a line that is not there.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,100 +24,130 @@ from egolane_pgm.recordings.columns import FRAME_RATE, lines_of_columns
 from egolane_pgm.tools.files import atomic, read_parquet, write_parquet
 from egolane_pgm.types import InputError, LineLog
 
-#: The endings of tables.
+#: Extensions of tables.
 TABLES = (".csv", ".tsv", ".parquet")
 
 
 def read_table(
     path: str | Path, *, frame_rate: float = FRAME_RATE, columns: Columns | None = None
 ) -> LineLog:
-    """Read the lines of a CSV or Parquet table, T frames of at most L lines.
+    """Read the lines of a CSV or Parquet file, T frames of at most L lines.
 
     - frame_rate: frames per second; without a column time_s, time is frame id over frame rate.
-    - columns: which columns are what, where they are not called as ours.
+    - columns: names of the columns, if they are not ours.
 
-    Raises InputError for a file that is missing or no such table, and as
-    `recordings.columns.lines_of_columns`.
+    Raises InputError for a file that cannot be read, and as `recordings.columns.lines_of_columns`.
     """
     path = Path(path)
     table = read_columns(path)
-    named = dict(zip(table.column_names, table.columns, strict=True))
-    return lines_of_columns(named, columns, path, frame_rate)
+    data = dict(zip(table.column_names, table.columns, strict=True))
+    return lines_of_columns(data, columns, path, frame_rate)
 
 
-def write_table(path: str | Path, log: LineLog) -> None:
-    """Write a log as CSV or Parquet (by extension); `read_table` gives it back as it was.
+def lines_of(
+    given: LineLog | pd.DataFrame,
+    *,
+    frame_rate: float = FRAME_RATE,
+    columns: Columns | None = None,
+    path: Path = Path("in memory"),
+) -> LineLog:
+    """The lines of a DataFrame, as `read_table`; a LineLog is returned as it is.
 
-    Raises InputError for another extension, or where the file cannot be written.
+    - given: frame_id and line may be its index. A frame without a row counts as not recorded.
+    - path: name of the lines in messages.
+
+    >>> import pandas as pd
+    >>> from egolane_pgm.recordings.table import lines_of
+    >>> lines = {"frame_id": [7, 7, 8], "time_s": [0.28, 0.28, 0.32], "offset_m": [-1.8, 1.7, 0]}
+    >>> lines_of(pd.DataFrame(lines))
+    LineLog('in memory': 2 frames, ids 7 to 8, at most 2 lines each)
     """
-    path = Path(path)
-    if path.suffix.lower() == ".parquet":
-        write_parquet(path, rows_of(log))
-    elif path.suffix.lower() == ".csv":
-        _write_csv(path, rows_of(log))
-    else:
-        raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
+    if isinstance(given, LineLog):
+        return given
+    frame = with_index(given, "recording")
+    _check_names(path, list(frame.columns))
+    return lines_of_columns({name: frame[name] for name in frame}, columns, path, frame_rate)
 
 
-def rows_of(log: LineLog) -> pd.DataFrame:
-    """The rows of a log; with time_s unless it follows from the frame id, and with is_missing if a
-    frame is."""
-    is_there = (
-        log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
-    )  # all other cells are padding
-    n_frames, n_lines = is_there.shape
-    if n_frames and n_lines and not is_there[:, -1].any():
-        is_there[0, -1] = True  # an empty line keeps the width of the padding
-    rows = log.rows(is_there)
-    if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
-        del rows["time_s"]
-    if log.is_missing.any():
-        rows["is_missing"] = log.is_missing[np.searchsorted(log.frame_id, rows["frame_id"])]
-    return rows
+def with_index(given: Any, what: str) -> pd.DataFrame:
+    """A DataFrame with its index among its columns, whose names are text.
 
-
-def _write_csv(path: Path, rows: pd.DataFrame) -> None:
-    table = pa.Table.from_pandas(rows, preserve_index=False)
-    with atomic(path) as temporary, temporary.open("wb") as file:
-        file.write((",".join(table.column_names) + "\n").encode())
-        csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+    - what: name of the argument, for the InputError if it is no DataFrame.
+    """
+    if not isinstance(given, pd.DataFrame):
+        raise InputError(f"{what}: {given!r:.60} is neither a file nor a DataFrame")
+    frame = given.rename(columns=str)
+    names = [name for name in frame.index.names if name is not None and name not in frame]
+    return frame.reset_index(names)
 
 
 def read_columns(path: Path) -> pa.Table:
-    """A whole CSV or Parquet file. pyarrow finds the types of the columns.
+    """Read a whole CSV or Parquet file.
 
-    The separator of a CSV is the most frequent one of its heading. If it is a semicolon, numbers
-    may have a decimal comma.
+    The separator of a CSV is the most frequent one of its heading. With semicolons numbers may have
+    a decimal comma.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file")
-    extension = path.suffix.lower()
-    if extension == ".parquet":
+    if path.suffix.lower() == ".parquet":
         return pa.Table.from_pandas(read_parquet(path), preserve_index=False)
-    if extension not in TABLES:
+    if path.suffix.lower() not in TABLES:
         raise InputError(
             f"{path}: unknown extension '{path.suffix}' of a table ({', '.join(TABLES)})"
         )
     with path.open(encoding="utf-8-sig", errors="replace") as file:
         separator = max(",;\t|", key=file.readline().count)
+    decimal = "," if separator == ";" else "."
     try:
         table = csv.read_csv(
             path,
             parse_options=csv.ParseOptions(delimiter=separator),
-            convert_options=csv.ConvertOptions(
-                decimal_point="," if separator == ";" else ".", strings_can_be_null=True
-            ),
+            convert_options=csv.ConvertOptions(decimal_point=decimal, strings_can_be_null=True),
         )
     except (OSError, pa.ArrowInvalid, UnicodeDecodeError) as error:
         problem = " ".join(str(error).split())[:160]
         raise InputError(f"{path}: cannot be read as CSV ({problem})") from None
     names = [name.strip() for name in table.column_names]
-    check_columns(path, names)
+    _check_names(path, names)
     return table.rename_columns(names)
 
 
-def check_columns(path: Path, names: list[str]) -> None:
-    """Raise InputError for a column that occurs more than once."""
+def _check_names(path: Path, names: list[str]) -> None:
     twice = [name for name in names if name and names.count(name) > 1]
     if twice:
         raise InputError(f"{path}: column {twice[0]} occurs more than once")
+
+
+def write_table(path: str | Path, log: LineLog) -> None:
+    """Write a log as CSV or Parquet, by extension; `read_table` returns its recorded frames.
+
+    Raises InputError for a log of several clips, whose borders a table does not keep, for another
+    extension, and if the file cannot be written.
+    """
+    path = Path(path)
+    if log.clip is not None:
+        raise InputError(f"{log.source}: has several clips; a written file holds one drive")
+    if path.suffix.lower() == ".parquet":
+        write_parquet(path, rows_of(log))
+    elif path.suffix.lower() == ".csv":
+        table = pa.Table.from_pandas(rows_of(log), preserve_index=False)
+        with atomic(path) as temporary, temporary.open("wb") as file:
+            # pyarrow would put the names in quotes.
+            file.write((",".join(table.column_names) + "\n").encode())
+            csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+    else:
+        raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
+
+
+def rows_of(log: LineLog) -> pd.DataFrame:
+    """The rows of the recorded frames of a log, without time_s if it is frame id over
+    FRAME_RATE."""
+    log = log.take(~log.is_missing)
+    # All other cells are padding.
+    is_line = log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
+    if is_line.size and not is_line[:, -1].any():
+        is_line[0, -1] = True  # An empty line keeps the width of the padding.
+    rows = log.rows(is_line)
+    if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
+        del rows["time_s"]
+    return rows

@@ -1,13 +1,13 @@
-"""Bags and MCAP files: messages on topics, read as the lines that they are.
+"""Lines from bags and MCAP files: messages on topics.
 
 A message is a line, a frame with a field for each line, or a frame with a list of lines. Its fields
-are columns (`recordings.columns`): those of a section have its name before theirs, `header.seq`,
-those of the lines in the list only their own.
+are columns (`recordings.columns`). A nested field has the path as name, `header.seq`; the fields of
+a list of lines keep their own names.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +16,12 @@ import pyarrow as pa
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.recordings import rosbag
-from egolane_pgm.recordings.columns import (
-    FRAME_RATE,
-    OF_LINE,
-    arrow_column,
-    lines_of_columns,
-)
-from egolane_pgm.recordings.decoding import Fields, Items, stamp_parts
+from egolane_pgm.recordings.columns import FRAME_RATE, OF_LINE, arrow_column, lines_of_columns
+from egolane_pgm.recordings.decoding import Fields, Items, fields_of_dicts
 from egolane_pgm.recordings.rosbag import Message, Topics
 from egolane_pgm.types import InputError, IntArray, LineLog, near_word
 
-#: The topics of the lines in the published recordings and in MCAP files of a result.
+#: The topics of lines in the published recordings and in MCAP files of a result.
 TOPICS = ("/isis_line_detector/lines", "/lines")
 
 #: The columns of the published messages of lines, in ROS 1 and in ROS 2.
@@ -40,35 +35,60 @@ _VALID = {True: "isValid", False: "is_valid"}
 
 
 def topics_of(path: str | Path) -> Topics:
-    """The topics of a file of messages: for each the type of its messages, and how many there are.
+    """The topics of a file: message type and number of messages.
 
     Raises InputError for a file that is missing or cannot be read.
     """
-    topics: Topics = _reader(Path(path)).topics_of(Path(path))
+    library = _library(Path(path))
+    with library.opened(Path(path)) as file:
+        topics: Topics = library.topics_of(file)
     return topics
 
 
-def messages(path: str | Path, topics: Collection[str]) -> Iterator[Message]:
-    """The messages of a file in the order of their recording. The time of one is the stamp in its
-    header, or else when it was recorded, seconds.
+def messages(path: str | Path, topic: str) -> Iterator[Message]:
+    """The messages on a topic, in the order of recording.
 
-    Raises InputError as `topics_of`, for a topic that is not there, with those that are, and for a
-    file that holds no message on them.
+    Raises InputError as `topics_of`, for an unknown topic, and for one without messages.
     """
-    file = Path(path)
-    topics = [_topic_of(file, topic) for topic in topics]
-    is_empty = True
-    for message in _reader(file).messages(file, topics):
-        is_empty = False
-        yield message
-    if is_empty:
-        raise InputError(f"{file}: holds no messages on {', '.join(topics)}")
+    library, is_empty = _library(Path(path)), True
+    with library.opened(Path(path)) as file:
+        _find_topic(library.topics_of(file), topic)
+        for message in library.messages(file, topic):
+            is_empty = False
+            yield message
+        if is_empty:
+            raise InputError(f"holds no messages on {topic}")
 
 
-def _topic_of(path: Path, topic: str | None = None) -> str:
-    """A topic of a file, by default the one of the lines. Raises InputError for one that is not
-    there, and if several may be meant."""
-    there = topics_of(path)
+def fields_of(path: Path, topic: str | None = None) -> Fields:
+    """The fields of all messages on a topic (by default the one with lines), and their times
+    `time_s` in seconds. Raises InputError as `messages`."""
+    library = _library(path)
+    with library.opened(path) as file:
+        topic = _find_topic(library.topics_of(file), topic)
+        fields: Fields = library.fields_of(file, topic)
+        if not fields:
+            raise InputError(f"holds no messages on {topic}")
+    return fields
+
+
+def _library(path: Path) -> Any:
+    """The module that reads a file. Raises InputError if there is no such file."""
+    if not path.exists():
+        raise InputError(f"{path}: no such file")
+    if path.suffix.lower() == ".mcap" and path.is_file():
+        with path.open("rb") as opened:
+            head = opened.read(25)
+        # rosbags reads MCAP files of ROS 2, and refuses what is no MCAP file.
+        if head.startswith(b"\x89MCAP") and head[17:] != b"\x04\0\0\0ros2":
+            from egolane_pgm.recordings import mcap_file
+
+            return mcap_file
+    return rosbag
+
+
+def _find_topic(there: Topics, topic: str | None) -> str:
+    """Check a topic; by default find the one with lines."""
     if topic is None:
         found = [name for name in TOPICS if name in there][:1] or [*there]
         if len(found) == 1:
@@ -79,7 +99,10 @@ def _topic_of(path: Path, topic: str | None = None) -> str:
     else:
         problem = f"no topic {topic}{near_word(topic, there)}"
     listed = ", ".join(f"{name} ({kind})" for name, (kind, _) in sorted(there.items()))
-    raise InputError(f"{path}: {problem}; the file has {listed or 'none'} (`egolane show {path}`)")
+    raise InputError(f"{problem}; the file has {listed or 'none'} (see `egolane show FILE`)")
+
+
+# --- lines ---------------------------------------------------------------------------------------
 
 
 def read_topic(
@@ -93,135 +116,89 @@ def read_topic(
 
     - topic: of the lines; by default one of TOPICS, or the only one.
     - frame_rate: frames per second of messages with frame ids but without times.
-    - columns: which fields are what; by default those of the published recordings, or our own
-      names.
+    - columns: names of the fields; by default the published ones, or our own.
 
     Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
     """
     path = Path(path)
     table, row = table_of(fields_of(path, topic))
-    said = columns or Columns()
-    if said.get("offset_m") is None and {"line", "way_id"} <= table.keys():
+    names = columns or Columns()
+    if names.get("offset_m") is None and {"line", "way_id"} <= table.keys():
         is_ros1 = path.suffix == ".bag"
-        published: Any = {**_PUBLISHED, "is_valid": _VALID[is_ros1], **said}
-        said = published
+        published: Any = {**_PUBLISHED, "is_valid": _VALID[is_ros1], **names}
+        names = published
         begins = np.flatnonzero(np.diff(row, prepend=-1))
-        frame_id = said.get("frame_id")
+        frame_id = names.get("frame_id")
         if frame_id in table:
             if (np.diff(np.asarray(table[frame_id])[begins]) == 0).any():
                 raise InputError(
                     f"{path}: {frame_id} stays the same from message to message; `columns:"
                     " {frame_id: null}` numbers frames by their times"
                 )
-            if is_ros1 and said.get("time_s") is None:
-                # The stamps of the published ROS 1 bags say when they were processed, jump by
-                # minutes or are all zero: time is frame id over frame rate there.
-                table = {name: each for name, each in table.items() if name != "time_s"}
-    return _lines_of(table, row, said, path, frame_rate)
-
-
-def fields_of(path: Path, topic: str | None) -> Fields:
-    """The fields of all messages on a topic, by default that of the lines, and `time_s`, when each
-    was made, if none of them is called so. Raises InputError as `messages`."""
-    topic = _topic_of(path, topic)
-    reader = _reader(path)
-    if reader is rosbag:
-        fields = rosbag.fields_of(path, topic)
-    else:
-        found = [{"time_s": m.time_s, **m.value} for m in reader.messages(path, [topic])]
-        fields = _fields(found, str(path)) if found else {}
-    if not fields:
-        raise InputError(f"{path}: holds no messages on {topic}")
-    return fields
+            if is_ros1 and names.get("time_s") is None:
+                # The stamps of the published ROS 1 bags are times of processing: they jump by
+                # minutes or are zero. Time is frame id over frame rate there.
+                del table["time_s"]
+    return _lines_of(table, row, names, path, frame_rate)
 
 
 def lines_of_messages(
     messages: Sequence[Mapping[str, Any]],
-    said: Columns | None,
+    columns: Columns | None,
     where: str,
     frame_rate: float = FRAME_RATE,
     first: int = 0,
 ) -> LineLog:
-    """The lines of messages, T frames of at most L lines.
+    """The lines of messages that are dicts, T frames of at most L lines.
 
-    - said: which fields are what; None for our own names.
-    - where: names the file in what is said of it.
-    - frame_rate: frames per second where the messages have frame ids but no times.
-    - first: the first frame id, where time gives them.
+    - columns: names of the fields; None for our own.
+    - where: the source, for messages.
+    - frame_rate: frames per second of messages with frame ids but without times.
+    - first: first frame id, if frames are numbered by their times.
 
     Raises InputError as `recordings.columns.lines_of_columns`.
 
     >>> from egolane_pgm.recordings.topics import lines_of_messages
     >>> from egolane_pgm.experiment import Columns
     >>> message = {"t": 12.0, "lanes": [{"c0": 1.8}, {"c0": -1.7}]}
-    >>> said = Columns(time_s="t", offset_m="c0", left_positive=True)
-    >>> lines_of_messages([message], said, "drive.mcap").offset_m.tolist()
+    >>> columns = Columns(time_s="t", offset_m="c0", left_positive=True)
+    >>> lines_of_messages([message], columns, "drive.mcap").offset_m.tolist()
     [[-1.8, 1.7]]
     """
-    columns, row = table_of(_fields(messages, where))
-    return _lines_of(columns, row, said, Path(where), frame_rate, first)
+    table, row = table_of(fields_of_dicts(messages, where))
+    return _lines_of(table, row, columns, Path(where), frame_rate, first)
 
 
 def _lines_of(
-    columns: Mapping[str, Any],
+    table: Mapping[str, Any],
     row: IntArray,
-    said: Columns | None,
+    columns: Columns | None,
     path: Path,
     frame_rate: float,
     first: int = 0,
 ) -> LineLog:
-    if "line" in columns and columns["line"].null_count == len(row):
-        # Of lists that are always empty the fields may not be known.
-        given: Mapping[str, Any] = said or {}
+    if "line" in table and table["line"].null_count == len(row):
+        # The fields of lists that are always empty may be unknown.
+        given: Mapping[str, Any] = columns or {}
         names = [given.get(name) or name for name in ("offset_m", *OF_LINE)]
-        columns = {**dict.fromkeys(names, pa.nulls(len(row))), **columns}
-    return lines_of_columns(columns, said, path, frame_rate, first=first, row=row)
-
-
-def _fields(messages: Sequence[Mapping[str, Any]], where: str) -> Fields:
-    """The fields of messages that are dicts."""
-    try:
-        return _fields_in(pa.array(messages))
-    except pa.ArrowException as error:
-        raise InputError(f"{where}: a field has values of several types ({error})") from None
-
-
-def _fields_in(values: pa.StructArray) -> Fields:
-    """The columns of sections, those of sections in them by their path; a stamp is in seconds."""
-    inner = dict(zip([field.name for field in values.type], values.flatten(), strict=True))
-    if (parts := stamp_parts(inner)) is not None:
-        seconds, nanoseconds = (np.asarray(part.cast(pa.int64())) for part in parts)
-        return {"": seconds + nanoseconds / 1e9}
-    found: Fields = {}
-    for name, each in inner.items():
-        if pa.types.is_struct(each.type):
-            fields = _fields_in(each)
-            found |= {f"{name}.{key}" if key else name: values for key, values in fields.items()}
-        elif pa.types.is_list(each.type) and pa.types.is_struct(each.type.value_type):
-            found[name] = Items(_counts(each), _fields_in(each.flatten()))
-        elif pa.types.is_list(each.type) and pa.types.is_null(each.type.value_type):
-            found[name] = Items(_counts(each), {})
-        else:
-            found[name] = each
-    return found
-
-
-def _counts(lists: pa.ListArray) -> IntArray:
-    return np.asarray(lists.value_lengths().fill_null(0)).astype(np.int64)
+        table = {**dict.fromkeys(names, pa.nulls(len(row))), **table}
+    return lines_of_columns(table, columns, path, frame_rate, first=first, row=row)
 
 
 def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
-    """The columns of messages, a row for each line of those that have a list of lines (`lines`, or
-    their only list), and the message of each row, (N,)."""
+    """The columns of messages, and the message of each row, (N,).
+
+    Messages with a list of lines (`lines`, or their only list) have a row per line, or an empty
+    one; other messages have one row.
+    """
     lists = [name for name, values in fields.items() if isinstance(values, Items)]
     of_lines = "lines" if "lines" in lists else lists[0] if len(lists) == 1 else None
     table = {name: arrow_column(each) for name, each in fields.items() if name not in lists}
     if of_lines is None:
-        # The lists are named in messages.
+        # Columns of the lists, for messages that name what there is.
         table |= {name: pa.array([[None] * n for n in fields[name].counts]) for name in lists}
         return table, np.arange(len(next(iter(table.values()), ())))
     counts, of_line = fields[of_lines]
-    # A message without lines has a row with an empty one.
     rows = np.maximum(counts, 1)
     row = np.repeat(np.arange(len(counts)), rows)
     is_empty = (counts == 0)[row]
@@ -230,18 +207,3 @@ def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
     table = {name: values.take(pa.array(row)) for name, values in table.items()}
     table["line"] = pa.array(number, mask=is_empty)
     return table | {name: arrow_column(each).take(line) for name, each in of_line.items()}, row
-
-
-def _reader(path: Path) -> Any:
-    """What reads a file of messages. Raises InputError where it is not there."""
-    if not path.exists():
-        raise InputError(f"{path}: no such file")
-    if path.suffix.lower() == ".mcap" and path.is_file():
-        with path.open("rb") as opened:
-            head = opened.read(25)
-        # rosbags reads MCAP files of ROS 2, and says what is wrong with what is no MCAP.
-        if head.startswith(b"\x89MCAP") and head[17:] != b"\x04\0\0\0ros2":
-            from egolane_pgm.recordings import mcap_file
-
-            return mcap_file
-    return rosbag

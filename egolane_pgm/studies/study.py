@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.drives import Drive, digests, drive_key, read_drives, with_rate
+from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import Experiment, FitSettings, resolved, validated
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
@@ -109,7 +109,8 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
 
     Recordings of one drive are held out together. Raises InputError if nothing would be left.
     """
-    keys = [drive_key(drive.experiment, digests(drive.experiment)) for drive in drives]
+    experiments = [drive.experiment for drive in drives]
+    keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
     first = {key: k for k, key in reversed(list(enumerate(keys)))}
     if tag is not None:
         known = {name for drive in drives for name in drive.tags}

@@ -3,44 +3,37 @@
 from __future__ import annotations
 
 import sys
-from pathlib import Path
-from typing import Annotated
 
 from egolane_pgm.recordings import catalog
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option
 
 EXAMPLES = ("egolane data fetch",)
 
-Folder = Annotated[str | Path | None, Option("DIRECTORY")]
-
 
 def list_files() -> str:
-    """What the data set consists of, and which files are there and good."""
-    looked = [f"looked in: {folder}" for folder in catalog.data_folders()]
+    """List the files of the data set, their folder, and whether their checksums are right."""
+    folders = [f"looked in: {folder}" for folder in catalog.data_folders()]
     files = [
-        f"{outcome.status:>10}  {outcome.file.size / 1e6:6.2f} MB"
-        f"  {catalog.BASE_URL}/{outcome.file.name}"
-        for outcome in catalog.verify()
+        f"{file.status:>10}  {file.size / 1e6:6.2f} MB  {catalog.BASE_URL}/{file.name}"
+        for file in catalog.list_files()
     ]
-    return "\n".join([*looked, *files])
+    return "\n".join([*folders, *files])
 
 
-def fetch(*, folder: Folder = None) -> str:
+def fetch() -> str:
     """Download what is missing; checks every sha256, keeps good files.
 
-    - folder: where to put them.
+    Files go to the cache folder that `egolane data list` prints last (`$XDG_CACHE_HOME`).
 
-    Returns how many files are good. Raises InputError where one is not.
+    Returns the number of good files. Raises InputError if a file is not good.
     """
-    outcomes = catalog.fetch(folder)
-    said = f"{sum(each.ok for each in outcomes)} of {len(outcomes)} files are there and good"
-    problems = catalog.problems(outcomes)
+    problems, n_files = catalog.fetch(), len(catalog.list_files())
+    n_good = f"{n_files - len(problems)} of {n_files} files are there and good"
     if problems:
         for line in problems:
             sys.stderr.write(f"egolane: {line}\n")
-        raise InputError(said)
-    return said
+        raise InputError(n_good)
+    return n_good
 
 
 data = {"list": list_files, "fetch": fetch}

@@ -11,8 +11,8 @@ from typing import Annotated, Any
 import numpy as np
 from annotated_types import Ge, Le
 
-from egolane_pgm.recordings import write_lines
 from egolane_pgm.recordings.columns import FRAME_RATE
+from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
@@ -115,7 +115,7 @@ def detect(
         if done.stopped is not None:
             raise done.stopped
         return done.log
-    write_lines(target, done.log)
+    write_table(target, done.log)
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     if done.stopped is not None:

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 
 from egolane_pgm.maps import road_table
 from egolane_pgm.maps.locating import locate as locate_on
-from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import RoadTable
@@ -28,29 +27,25 @@ def locate(
     *,
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     online: bool = False,
-    method: Literal["hmm", "lock-on-road"] = "hmm",
     columns: Annotated[
         Mapping[str, str] | None,
         Option("OURS=THEIRS", names=("--column",), example="latitude=lat_gps"),
     ] = None,
-    topic: str | None = None,
     shift: Annotated[float, Option("SECONDS")] = 0.0,
 ) -> RoadTable:
-    """Find the road of a car: segment, place on it, lanes, and how sure that is.
+    """Find the road of a car: segment, place on it, number of lanes, and probability.
 
-    MAP is an extract of OpenStreetMap (.osm, .osm.pbf). POSITIONS is a .csv, .parquet, .gpx or .bag
+    MAP is an extract of OpenStreetMap (.osm, .osm.pbf). POSITIONS is a .csv, .parquet, .gpx or bag
     of a GNSS receiver. Experiments with `n_lanes: map` read the road table. Take the roads out of a
     large extract first:
     osmium tags-filter FILE w/highway=motorway,motorway_link,trunk,trunk_link -o ROADS.osm.pbf
 
     - out: the road table, .parquet.
-    - online: each row knows the positions before it only.
-    - method: map matching, or the authors' nearest road, the baseline.
-    - columns: a table's column of another name, e.g. latitude=lat_gps.
-    - topic: topic of a bag.
-    - shift: added to the positions' times, to have the clock of a recording of lines.
+    - online: use earlier positions only.
+    - columns: name of a table's column, e.g. latitude=lat_gps; topic=/fix of a bag.
+    - shift: added to the positions' times, to have the clock of the recording of lines.
 
-    Returns the road table. Raises InputError, one line, for whatever does not fit.
+    Returns the road table. Raises InputError, one line, for arguments that do not fit.
     """
     file = None if out is None else Path(out)
     if file is not None:
@@ -59,26 +54,24 @@ def locate(
         check_place(file)
     graph = read_osm(Path(map))
     named = {ours: str(theirs) for ours, theirs in (columns or {}).items()}
-    read = read_positions(Path(positions), columns=named, topic=topic)
-    read = replace(read, t_s=read.t_s + shift)
-    matched = lock_on_road(graph, read) if method == "lock-on-road" else None
-    table = locate_on(graph, read, online=online, matched=matched)
+    read = read_positions(Path(positions), columns=named)
+    table = locate_on(graph, replace(read, t_s=read.t_s + shift), online=online)
     if file is not None:
         road_table.save(table, file)
     return table
 
 
 def says(done: RoadTable, given: Mapping[str, Any]) -> str:
-    """What the table has, and how well the map fits."""
+    """Summarise the table and the fit of the map."""
     on = done.segment >= 0
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
     n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
-    guessed = (on & (done.untold > 0)).mean()
+    assumed = (on & (done.unknown_way > 0)).mean()
     return (
         f"{given['out']}: {len(done)} rows, {done.t_s[0]:g} to {done.t_s[-1]:g} s,"
         f" {on.mean():.1%} on the map\n"
         f"half of the positions lie within {np.median(off_by):.1f} m of the way's line;"
         f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'}"
-        f"{f' (a guess in {guessed:.1%} of the rows)' if guessed else ''};"
+        f"{f' (assumed in {assumed:.1%} of the rows)' if assumed else ''};"
         f" mean probability of the segment {done.sure[on].mean():.3f}"
     )

@@ -77,7 +77,7 @@ def _have_recordings() -> bool:
     """Whether the paper's recordings are there. If not, print where they were looked for and how to
     get them."""
     files, folders = catalog.list_files(), catalog.data_folders()
-    if all(any((folder / file.target).is_file() for folder in folders) for file in files):
+    if all(file.path.is_file() for file in files):
         return True
     places, size = " and ".join(map(str, folders)), sum(file.size for file in files) / 1e6
     print(f"The paper's recordings (rle/*.bag) are not there; looked in {places}.")

@@ -18,7 +18,7 @@ from egolane_pgm.types import IntArray, LineLog
 from egolane_pgm.vision.camera.model import Camera, read_camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, as_log
-from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
+from egolane_pgm.vision.detectors.simple.finder import MONO, follower
 from egolane_pgm.vision.detectors.simple.tracking import Tracks, lines_of, no_tracks
 
 
@@ -54,7 +54,7 @@ def follow(
     pictures: Iterable[Picture], camera: Camera, curve: str = "clothoid", **given: Any
 ) -> Followed:
     """The detector ML ("line") or MC ("clothoid") over the pictures of a drive."""
-    step, rule = follower(camera, resolve_parameters(PARAMETERS, given, 1), curve=curve)
+    step, rule = follower(camera, resolve_parameters(MONO, given, 1), curve=curve)
     tracks = no_tracks(rule)
     ids, lines, history = [], [], []
     for picture in pictures:

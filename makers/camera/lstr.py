@@ -66,8 +66,7 @@ def look_at(labels: Path, which: slice) -> list[tusimple.Still]:
     find = network_finder(camera, read_network(parameters["network"]), parameters)
     stills = []
     for frame in read_labels(labels)[which]:
-        seen = find(view, Picture(0, cv2.imread(str(label_picture(frame, labels)))), None, None)
-        assert seen is not None
+        seen = find(view, Picture(0, cv2.imread(str(label_picture(frame, labels)))), None)
         places = label_places(camera, frame, tusimple.AHEAD_M)
         stills.append(tusimple.Still(places, seen.shape @ tusimple.AHEAD, seen.score))
     return stills

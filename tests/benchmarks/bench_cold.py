@@ -33,7 +33,7 @@ PARTS = (
     ("egolane_pgm.running", "make_evidence", "evidence"),
     ("egolane_pgm.running", "infer_beliefs", "filter"),
     ("egolane_pgm.result", "score", "scores, with intervals"),
-    ("egolane_pgm.result", "digests", "checksums"),
+    ("egolane_pgm.result", "digest", "checksums"),
     ("egolane_pgm.result:Result", "save", "writing tables"),
     ("egolane_pgm.views.strips", "draw_strips", "drawing strips.png"),
 )

@@ -116,17 +116,17 @@ def road_rows(
     first_s: float = 0.0,
     *,
     off: Sequence[int] = (),
-    untold: Mapping[int, int] | None = None,
+    unknown_way: Mapping[int, int] | None = None,
 ) -> RoadTable:
     """A road table with a row a second.
 
     - off: rows that are off the map.
-    - untold: rows whose way tells no number of lanes, and that way.
+    - unknown_way: rows whose way tells no number of lanes, and that way.
     """
     n = len(n_lanes)
     segment, way = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     segment[list(off)] = -1
-    for row, number in (untold or {}).items():
+    for row, number in (unknown_way or {}).items():
         way[row] = number
     nothing, seconds = np.zeros(n), first_s + np.arange(n)
     return RoadTable(
@@ -136,5 +136,5 @@ def road_rows(
         offset_m=nothing,
         sure=np.ones(n),
         n_lanes=np.array(n_lanes),
-        untold=way,
+        unknown_way=way,
     )

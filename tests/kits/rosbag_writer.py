@@ -11,7 +11,7 @@ import numpy as np
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from egolane_pgm import recordings
+from egolane_pgm.recordings.table import write_table
 from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.tools.files import atomic
 from egolane_pgm.types import BoolArray, InputError, LineLog
@@ -54,7 +54,7 @@ DEFINITIONS_2 = {
 def write_lines(path: str | Path, log: LineLog) -> None:
     """Write a log as a table or a bag, by the ending of the file."""
     is_bag = Path(path).suffix in (".bag", ".mcap")
-    (write_rosbag if is_bag else recordings.write_lines)(path, log)
+    (write_rosbag if is_bag else write_table)(path, log)
 
 
 def write_rosbag(path: str | Path, log: LineLog) -> None:

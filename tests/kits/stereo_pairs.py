@@ -16,7 +16,6 @@ from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.camera.picture import Image, Picture
 from egolane_pgm.vision.detectors import sl
 from egolane_pgm.vision.detectors.simple import stereo as _stereo
-from egolane_pgm.vision.detectors.simple.stereo import Plane
 from egolane_pgm.vision.simulated import DASH_M, PERIOD_M, Paint, draw_road
 from tests.kits.vehicles import Vehicle, with_vehicles
 
@@ -77,8 +76,10 @@ def settled(**more: Any) -> Parameters:
     return {**resolve_parameters(sl.PARAMETERS, more, 1), "curve": "line"}
 
 
-def plane_of(frame: Drawn, camera: Camera, **more: Any) -> tuple[_stereo.Pair, Plane, FloatArray]:
-    """How its pairs are matched, the plane that was found, and the disparities."""
+def plane_of(
+    frame: Drawn, camera: Camera, **more: Any
+) -> tuple[_stereo.Pair, FloatArray | None, FloatArray]:
+    """The pair, the plane that was found, and the disparities."""
     parameters = settled(**more)
     pair = _stereo.make_pair(camera, parameters)
     disparity = _stereo.disparities(pair, *_stereo.reduced(pair, frame.picture))

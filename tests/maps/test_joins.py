@@ -1,9 +1,8 @@
-"""What leads where: on two real maps, and on drawn roads."""
+"""The joins of ways, on drawn roads."""
 
 from __future__ import annotations
 
 import math
-import os
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -20,36 +19,7 @@ from tests.kits.osm_files import write_osm
 MOTORWAY = {"highway": "motorway"}
 
 
-@pytest.fixture(scope="module", params=["bautzen_A4", "north-bayreuth_A9_A70"])
-def extract(request: pytest.FixtureRequest) -> Path:
-    path = Path(os.environ.get("EGOLANE_DATA", ".")) / "maps" / f"{request.param}.osm"
-    if not path.is_file():
-        pytest.skip("maps of motorways: needs EGOLANE_DATA with a folder maps")
-    return path
-
-
-def test_ways_are_join_ways_where_nothing_changes_and_keep_their_length(extract: Path) -> None:
-    graph = read_ways(extract)
-    short = join_ways(graph)
-    assert len(short) < 0.7 * len(graph)
-    assert short.length_m.sum() == pytest.approx(graph.length_m.sum())
-    assert (short.n_lanes * short.length_m).sum() == pytest.approx(
-        (graph.n_lanes * graph.length_m).sum()
-    )
-    ends = short.first[1:] - 1
-    np.testing.assert_array_equal(
-        short.point[ends[short.before]], short.point[short.first[:-1][short.after]]
-    )
-    assert (np.diff(short.before) >= 0).all()
-    # Every join that changes something is still there.
-    kept = (graph.n_lanes[graph.before] != graph.n_lanes[graph.after]).sum()
-    assert (short.n_lanes[short.before] != short.n_lanes[short.after]).sum() == kept
-
-
-# --- drawn roads -------------------------------------------------------------------------------
-
-
-def test_nobody_turns_back_where_a_road_for_both_directions_ends(tmp_path: Path) -> None:
+def test_no_car_turns_back_where_a_road_for_both_directions_ends(tmp_path: Path) -> None:
     nodes = {1: (0.0, 0.0), 2: (500.0, 0.0), 3: (1000.0, 0.0)}
     trunk = {"highway": "trunk", "lanes": 2}
     ways = [(10, [1, 2], trunk), (11, [2, 3], {**trunk, "lanes": 4})]
@@ -65,9 +35,6 @@ def test_a_ring_is_one_segment_that_leads_to_itself(tmp_path: Path) -> None:
     assert len(graph) == 1
     assert (graph.before.tolist(), graph.after.tolist()) == ([0], [0])
     np.testing.assert_array_equal(graph.point[0], graph.point[-1])
-
-
-# --- any road ----------------------------------------------------------------------------------
 
 
 @given(st.lists(st.integers(1, 5), min_size=2, max_size=8), st.integers(0, 1_000_000))

@@ -11,7 +11,7 @@ pytest.importorskip("shapely")
 pytest.importorskip("pyproj")
 
 from egolane_pgm.maps import matching
-from egolane_pgm.maps.lane_graph import LaneGraph, guess_lanes, near
+from egolane_pgm.maps.lane_graph import LaneGraph, assumed_lanes, near
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.matching import lock_on_road, match
 from egolane_pgm.maps.positions import Positions
@@ -141,7 +141,7 @@ def test_a_tunnel_of_two_minutes_is_bridged_with_a_row_each_second() -> None:
 
 
 def test_a_track_far_from_any_road_is_refused_and_says_where_both_are(graph: LaneGraph) -> None:
-    said = r"none of 200 positions is .*latitude 50\.4.*; the map: latitude 49\.999"
+    said = r"no position of 200 is .*latitude 50\.4.*; the map: latitude 49\.999"
     with pytest.raises(InputError, match=said):
         locate(graph, drive(EASTWARD, 50_000.0))
 
@@ -192,29 +192,29 @@ def test_the_baseline_takes_the_nearest_road_whose_heading_fits(graph: LaneGraph
 
 
 @pytest.mark.parametrize(
-    ("n_lanes", "guess"),
+    ("n_lanes", "assumed"),
     [
-        # The road before, through two that tell none; the road behind; what its kind mostly has.
+        # The road before, over two segments; the road after; none of the kind has a number.
         ([3, 0, 0, 2], [3, 3, 3, 2]),
         ([0, 0, 2, 3], [2, 2, 2, 3]),
         ([0, 0, 0, 0], [0, 0, 0, 0]),
     ],
 )
-def test_lanes_that_a_map_does_not_tell_are_guessed_from_the_road(
-    n_lanes: list[int], guess: list[int]
+def test_lanes_that_the_map_lacks_are_those_of_the_road(
+    n_lanes: list[int], assumed: list[int]
 ) -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(4)]
     road = lane_map(lines, n_lanes, [(k, k + 1) for k in range(3)])
-    assert guess_lanes(road).tolist() == guess
+    assert assumed_lanes(road).tolist() == assumed
     places = drive(np.arange(10.0, 3990, 30), 0.0)
     table = locate(road, places)
-    np.testing.assert_array_equal(table.n_lanes, np.array(guess)[table.segment])
-    untold = np.where(np.array(n_lanes) == 0, road.way, 0)
-    np.testing.assert_array_equal(table.untold, untold[table.segment])
+    np.testing.assert_array_equal(table.n_lanes, np.array(assumed)[table.segment])
+    unknown_way = np.where(np.array(n_lanes) == 0, road.way, 0)
+    np.testing.assert_array_equal(table.unknown_way, unknown_way[table.segment])
 
 
-def test_a_number_is_not_guessed_from_a_link() -> None:
+def test_a_number_is_not_taken_from_a_link() -> None:
     lines = [[(1000.0 * k, 0.0), (1000.0 * (k + 1), 0.0)] for k in range(3)]
     road = lane_map([*lines, [(3000.0, 0.0), (5000.0, 0.0)]], [1, 0, 4, 3], [(0, 1)])
     road = replace(road, kind=np.array(["motorway_link", *["motorway"] * 3]))
-    assert guess_lanes(road).tolist() == [1, 3, 4, 3]
+    assert assumed_lanes(road).tolist() == [1, 3, 4, 3]

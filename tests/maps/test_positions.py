@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -85,8 +84,8 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
     bag = line_bag(tmp_path / "a.bag", [1, 2])
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(bag)
-    with pytest.raises(InputError, match="which is not NavSatFix"):
-        read_positions(bag, topic="/isis_line_detector/lines")
+    with pytest.raises(InputError, match="0 topics of type NavSatFix named /isis"):
+        read_positions(bag, columns={"topic": "/isis_line_detector/lines"})
 
 
 @pytest.mark.parametrize(
@@ -95,7 +94,7 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
         ("t,lat,lat,lon\n0,52,52,4\n", "column lat occurs more than once"),
         ("t,lat,lon\n0,52,4\n1,x,4\n", r"row 2: lat \(latitude\) is 'x', not a number"),
-        ("t,lat,lon\nsoon,52,4\n", "row 1: t is 'soon', not a number or a date"),
+        ("t,lat,lon\nsoon,52,4\n", "row 1: t .t_s. is 'soon', not a number"),
         ("t,lat,lon\n,52,4\n", "position 1 has no time"),
         ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
         ("t,lat,lon\n1,92,4\n", "position 1 has a latitude beyond 90"),
@@ -112,22 +111,23 @@ def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str
 
 
 @pytest.mark.parametrize(
-    ("name", "options", "said"),
+    ("name", "columns", "said"),
     [
-        ("a.kml", {}, r"unknown extension '\.kml' of positions"),
+        ("b.kml", {}, r"unknown extension '\.kml' of positions"),
         ("a.csv", {}, "no such file"),
-        ("a.csv", {"topic": "/fix"}, "a topic is named for a bag"),
-        ("a.bag", {"columns": {"latitude": "x"}}, "columns are named for a table"),
-        ("b.csv", {"columns": {"latitud": "lat"}}, r"unknown column 'latitud' \(did you mean"),
-        ("b.csv", {"columns": {"latitude": "lta"}}, "no column 'lta'"),
+        ("b.csv", {"topic": "/fix"}, "unknown column 'topic'"),
+        ("b.bag", {"latitude": "x"}, r"unknown column 'latitude' \(known: topic"),
+        ("b.csv", {"latitud": "lat"}, r"unknown column 'latitud' \(did you mean"),
+        ("b.csv", {"latitude": "lta"}, "no column 'lta'"),
     ],
 )
 def test_other_files_and_options_are_refused(
-    tmp_path: Path, name: str, options: dict[str, Any], said: str
+    tmp_path: Path, name: str, columns: dict[str, str], said: str
 ) -> None:
-    write(tmp_path / "b.csv", "t,lat,lon\n0,52,4\n")
+    for kind in ("csv", "kml", "bag"):
+        write(tmp_path / f"b.{kind}", "t,lat,lon\n0,52,4\n")
     with pytest.raises(InputError, match=said):
-        read_positions(tmp_path / name, **options)
+        read_positions(tmp_path / name, columns=columns)
 
 
 def test_times_that_repeat_are_left_out() -> None:

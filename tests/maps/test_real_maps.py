@@ -1,11 +1,9 @@
-"""Trips over the two real maps: how often the road is right, what another library says, how fast.
-
-The maps are those of OpenStreetMap (© OpenStreetMap contributors, ODbL).
-"""
+"""Trips over two real maps (© OpenStreetMap contributors, ODbL), and a recorded drive with GNSS."""
 
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,16 +19,22 @@ from egolane_pgm.maps.matching import lock_on_road, match
 from egolane_pgm.maps.osm import read_osm
 from tests.conftest import needs_compiler
 from tests.kits.lane_maps import random_trip
+from tests.kits.tracks import rotterdam_receivers, rotterdam_road
 
 A9, A4 = "north-bayreuth_A9_A70", "bautzen_A4"
 
 
+def folder(name: str) -> Path:
+    """A folder of EGOLANE_DATA."""
+    path = Path(os.environ.get("EGOLANE_DATA", "")) / name
+    if not os.environ.get("EGOLANE_DATA") or not path.is_dir():
+        pytest.skip(f"needs EGOLANE_DATA with a folder {name}")
+    return path
+
+
 @pytest.fixture(scope="module")
 def maps() -> dict[str, LaneGraph]:
-    folder = Path(os.environ.get("EGOLANE_DATA", "")) / "maps"
-    if not os.environ.get("EGOLANE_DATA") or not folder.is_dir():
-        pytest.skip("real maps: needs EGOLANE_DATA with a folder maps")
-    return {name: read_osm(folder / f"{name}.osm") for name in (A9, A4)}
+    return {name: read_osm(folder("maps") / f"{name}.osm") for name in (A9, A4)}
 
 
 @needs_compiler
@@ -68,3 +72,32 @@ def test_leuven_map_matching_agrees(maps: dict[str, LaneGraph]) -> None:
         n += len(theirs)
     assert n > 150
     assert same >= 0.98 * n
+
+
+def test_every_receiver_is_within_metres_of_its_road() -> None:
+    data = folder("tracks").parent
+    road = rotterdam_road(data)
+    for name, drove in rotterdam_receivers(data).items():
+        found = match(road, drove)
+        assert (found.segment >= 0).all(), name
+        assert np.median(np.abs(found.offset_m)) < 3
+        assert np.abs(found.offset_m).max() < 12
+
+
+def test_gross_outliers_in_a_recorded_drive_are_rejected() -> None:
+    data = folder("tracks").parent
+    road, drove = rotterdam_road(data), rotterdam_receivers(data)["GoPro"]
+    rng = np.random.default_rng(0)
+    wrong = np.sort(rng.choice(np.arange(10, len(drove) - 10), 40, replace=False))
+    latitude = drove.latitude.copy()
+    latitude[wrong] += rng.choice([-1, 1], 40) * rng.uniform(0.005, 0.05, 40)
+    spoilt = replace(drove, latitude=latitude)
+    found = match(road, spoilt)
+    assert found.is_outlier[wrong].all()
+    assert found.is_outlier.sum() == len(wrong)
+    # The place on the road is bridged.
+    table, whole = (locate(road, p) for p in (spoilt, drove))
+    at = np.searchsorted(table.t_s, drove.t_s[wrong])
+    as_it_was = np.searchsorted(whole.t_s, drove.t_s[wrong])
+    assert (table.segment[at] == whole.segment[as_it_was]).all()
+    assert np.median(np.abs(table.along_m[at] - whole.along_m[as_it_was])) < 2

@@ -13,13 +13,7 @@ from pathlib import Path
 import pytest
 
 from egolane_pgm.recordings import catalog
-from egolane_pgm.recordings.catalog import (
-    DataFile,
-    fetch,
-    list_files,
-    problems,
-    verify,
-)
+from egolane_pgm.recordings.catalog import DataFile, fetch, list_files
 from egolane_pgm.types import InputError
 
 CONTENT = {
@@ -31,9 +25,11 @@ CONTENT = {
 
 @pytest.fixture
 def mirror(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
-    """The folder of a server."""
+    """The folder of a server; the download folder is tmp_path / "egolane_pgm"."""
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     monkeypatch.setenv("no_proxy", "127.0.0.1")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.delenv("EGOLANE_DATA", raising=False)
     files = tuple(
         DataFile(hashlib.sha256(body).hexdigest(), len(body), name)
         for name, body in CONTENT.items()
@@ -51,56 +47,50 @@ def mirror(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Path]:
         server.shutdown()
 
 
-def statuses(outcomes: list[catalog.Outcome]) -> dict[str, str]:
-    return {outcome.file.name: outcome.status for outcome in outcomes}
+def statuses() -> list[str]:
+    return [file.status for file in catalog.list_files()]
 
 
 def files_in(folder: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in (folder / "rle").iterdir()}
+    return {path.name: path.read_bytes() for path in (folder / "egolane_pgm" / "rle").iterdir()}
 
 
-def test_the_recordings_at_hand_are_those_of_the_catalogue() -> None:
+def test_the_recordings_have_the_checksums_of_the_catalogue() -> None:
     if "EGOLANE_DATA" not in os.environ:
         pytest.skip("the paper's recordings: needs EGOLANE_DATA")
-    folder = Path(os.environ["EGOLANE_DATA"])
-    assert problems(verify(folder)) == []
-    assert all((folder / f.target).stat().st_size == f.size for f in list_files())
+    assert {file.status for file in list_files()} == {"present"}
+    assert all(file.path.stat().st_size == file.size for file in list_files())
 
 
-def test_all_files_are_fetched_and_then_not_asked_for_again(mirror: Path, tmp_path: Path) -> None:
-    assert set(statuses(fetch(tmp_path)).values()) == {"downloaded"}
+def test_the_download_folder_is_that_of_pooch(monkeypatch: pytest.MonkeyPatch) -> None:
+    import pooch
+
+    monkeypatch.delenv("EGOLANE_DATA", raising=False)
+    assert catalog.data_folders() == [pooch.os_cache("egolane_pgm")]
+
+
+def test_files_are_downloaded_once(mirror: Path, tmp_path: Path) -> None:
+    assert fetch() == []
     assert files_in(tmp_path) == CONTENT
     (mirror / "one.bag").unlink()
-    assert set(statuses(fetch(tmp_path)).values()) == {"present"}
+    assert fetch() == []
+    assert statuses() == ["present"] * 3
 
 
-def test_the_download_folder_is_in_the_cache_of_the_user(
-    mirror: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    fetch()
-    assert set(files_in(tmp_path / "egolane_pgm")) == set(CONTENT)
-    assert [o.status for o in verify()] == ["present"] * 3
-
-
-def test_wrong_content_is_refused_and_takes_the_place_of_nothing(
-    mirror: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "rle").mkdir()
-    (tmp_path / "rle" / "one.bag").write_bytes(b"my own notes")
+def test_wrong_content_is_refused_and_replaces_no_file(mirror: Path, tmp_path: Path) -> None:
+    (tmp_path / "egolane_pgm" / "rle").mkdir(parents=True)
+    (tmp_path / "egolane_pgm" / "rle" / "one.bag").write_bytes(b"my own notes")
     (mirror / "one.bag").write_bytes(CONTENT["one.bag"][:-1] + b"x")
-    assert statuses(verify(tmp_path))["one.bag"] == "bad"
-    outcomes = fetch(tmp_path)
-    assert [outcome.status for outcome in outcomes] == ["failed", "downloaded", "downloaded"]
-    (line,) = problems(outcomes)
-    assert "one.bag: not downloaded" in line
-    assert "wrong checksum" in line
+    assert statuses() == ["bad", "missing", "missing"]
+    (problem,) = fetch()
+    assert "one.bag: not downloaded" in problem
+    assert "wrong checksum" in problem
     assert files_in(tmp_path) == {**CONTENT, "one.bag": b"my own notes"}
 
 
-def test_a_dead_network_is_said_in_one_line(
-    mirror: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_a_dead_network_is_reported_in_one_line(
+    mirror: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(catalog, "BASE_URL", "http://127.0.0.1:9/never-the-real-one")
     with pytest.raises(InputError, match="no connection; is the network up"):
-        fetch(tmp_path)
+        fetch()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.recordings import read_lines, write_lines
+from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings.table import write_table
 from egolane_pgm.result import Result
 from egolane_pgm.types import InputError, LineLog, pieces_of
 from tests.kits.image_line_files import (
@@ -116,8 +117,8 @@ def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:
 def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.json", [p for c in OFFICIAL for p in pictures(c, range(12))])
     camera = saved_camera(tmp_path)
-    with pytest.raises(InputError, match="has several clips; a file that is written holds one"):
-        write_lines(tmp_path / "a.csv", read_lines(labels, camera=camera))
+    with pytest.raises(InputError, match="has several clips; a written file holds one drive"):
+        write_table(tmp_path / "a.csv", read_lines(labels, camera=camera))
     (tmp_path / "truth.txt").write_text("0;1;0\n")
     options = {"n_lanes": 4, "camera": camera, "ground_truth": tmp_path / "truth.txt"}
     with pytest.raises(InputError, match="clips have no ground truth; leave out ground_truth"):

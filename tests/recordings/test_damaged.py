@@ -41,7 +41,7 @@ FILES: dict[str, tuple[Callable[[Path], None], Callable[[Path], Any]]] = {
     "a.bag": (lines, read_lines),
     "a.mcap": (lines, read_lines),
     "a.db3": (sqlite, read_lines),
-    "json.mcap": (json_mcap, lambda path: list(messages(path, ["/lanes"]))),
+    "json.mcap": (json_mcap, lambda path: list(messages(path, "/lanes"))),
     "truth.txt": (truth, read_ground_truth),
 }
 

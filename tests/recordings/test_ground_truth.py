@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
+from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of, write_ground_truth
 from egolane_pgm.types import InputError, check_lanes, lane_truth
 
 
@@ -61,7 +62,9 @@ def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, said: 
 
 
 def test_files_without_rows_or_text_are_refused(tmp_path: Path) -> None:
-    assert "no ground truth in it" in refused(write(tmp_path / "gt.txt", "frame;lane;crossing\n"))
+    assert "has no row 'frame;lane;crossing'" in refused(
+        write(tmp_path / "gt.txt", "frame;lane;crossing\n")
+    )
     assert refused(tmp_path / "absent.txt") == "cannot be read: No such file or directory"
     (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00\x80")
     assert refused(tmp_path / "b.txt") == "cannot be read: is not text in UTF-8"
@@ -78,8 +81,8 @@ def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ([(2, 1, 0)], "frame 2 is there already"),
-        ([(7, 1, 0), (7, 1, 0)], "frame 7 is there already"),
+        ([(2, 1, 0)], "the file has frame 2"),
+        ([(7, 1, 0), (7, 1, 0)], "the file has frame 7"),
     ],
 )
 def test_extra_rows_that_clash_are_refused(
@@ -115,3 +118,29 @@ def test_the_published_ground_truths_are_read() -> None:
     check_lanes(spain, 3)
     assert spain.index[0] == 0
     assert italy["is_crossing"].sum() + spain["is_crossing"].sum() == 4088
+
+
+# --- DataFrames ----------------------------------------------------------------------------------
+
+
+def test_lanes_that_are_missing_are_not_annotated() -> None:
+    frame = pd.DataFrame({"lane": [2, None, 1], "crossing": [0, 1, 1]}, index=[7, 8, 9])
+    truth = truth_of(frame.rename_axis("frame_id"))
+    assert truth.index.tolist() == [7, 9]
+    assert truth["true_lane"].tolist() == [2, 1]
+    assert truth["is_crossing"].tolist() == [False, True]
+    pd.testing.assert_frame_equal(truth_of(truth), truth)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"frame_id": [1], "lanes": [1]}, "ground truth in memory: no column lane (did"),
+        ({"frame_id": [1], "lane": [1.5]}, "ground truth in memory: row 1: lane is 1.5, not a"),
+        ([1, 2], "ground_truth: [1, 2] is neither a file nor a DataFrame"),
+    ],
+)
+def test_what_is_no_frame_of_lanes_is_refused(given: Any, said: str) -> None:
+    with pytest.raises(InputError) as info:
+        truth_of(pd.DataFrame(given) if isinstance(given, dict) else given)
+    assert str(info.value).startswith(said)

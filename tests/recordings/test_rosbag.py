@@ -1,9 +1,10 @@
-"""ROS 1 bags: what is read, in which order, and what is refused or warned of."""
+"""Bags of ROS 1 and ROS 2 and MCAP files: what is read, and what is refused."""
 
 from __future__ import annotations
 
-import os
+import sqlite3
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,30 +12,21 @@ import numpy as np
 import pytest
 
 from egolane_pgm.experiment import Columns
-from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.select import recording_warnings
-from egolane_pgm.recordings.topics import read_topic
-from egolane_pgm.types import InputError
+from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.recordings import files_of, format_of, read_lines
+from egolane_pgm.recordings.topics import TOPICS, read_topic
+from egolane_pgm.simulation import simulate
+from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
     PLAIN_LINE,
     Line,
     definition,
     plain_message,
     write_bag,
+    write_bag2,
+    write_fixes2,
 )
-
-PAPER_FILES = (
-    ("special.issue.italy.mono.noClothoid.yesLines.bag", 11738, 5),
-    ("special.issue.italy.stereo.noClothoid.yesLines.bag", 11738, 5),
-    ("A4-5FULL-MONO.bag", 11739, 5),
-    ("A4-5FULL-STEREOv2.bag", 11737, 5),
-    ("mldhighway.a4.001_2017-12-18-12-38-52.bag", 10044, 6),
-    ("special.issue.spain.mono.noClothoid.yesLines.left._2018-01-13-23-56-11.bag", 9776, 4),
-    ("special.issue.spain.stereo.noClothoid.yesLines.left._2018-01-14-23-06-51.bag", 9777, 4),
-    ("special.issue.spain.mono.yesClothoid.noLines.left._2018-01-14-11-59-09.bag", 9777, 4),
-    ("special.issue.spain.stereo.yesClothoid.noLines.left.bag", 9777, 4),
-    ("mldhighway.isislab.001_2017-12-15-17-07-21.bag", 9686, 6),
-)
+from tests.kits.rosbag_writer import write_lines
 
 #: Of recordings that leave way_id empty.
 SEQ = Columns(frame_id="header.seq")
@@ -44,13 +36,6 @@ LINES: list[list[Line]] = [
     [],
     [(True, True, 10, 1.5), (False, False, -2147483648, float("nan")), (True, False, 3, 5.25)],
 ]
-
-
-@pytest.fixture(scope="module")
-def recordings() -> Path:
-    if "EGOLANE_DATA" not in os.environ:
-        pytest.skip("the paper's recordings: needs EGOLANE_DATA")
-    return Path(os.environ["EGOLANE_DATA"]) / "rle"
 
 
 def test_a_bag_is_read_into_padded_arrays(tmp_path: Path) -> None:
@@ -144,20 +129,160 @@ def test_what_cannot_be_read_is_refused(
     assert said in refused(tmp_path / "a.bag", **options)
 
 
-@pytest.mark.parametrize(("name", "n_frames", "n_lines"), PAPER_FILES)
-def test_every_published_recording_loads_without_an_option(
-    recordings: Path, name: str, n_frames: int, n_lines: int
+# --- ROS 2 ---------------------------------------------------------------------------------------
+
+ARRAYS = ("frame_id", "time_s", "offset_m", "is_valid", "is_continuous", "lri")
+
+#: When the drive began, seconds since 1970; between two multiples of 2^-22 as few are.
+START_S = 1_515_801_391.25
+
+
+@pytest.fixture(scope="module")
+def log() -> LineLog:
+    made = simulate("quickstart", frames=60).log
+    return replace(
+        made,
+        offset_m=made.offset_m.astype(np.float32).astype(np.float64),
+        time_s=START_S + made.frame_id / 10,
+    )
+
+
+@pytest.fixture(scope="module")
+def mcap(log: LineLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    file = tmp_path_factory.mktemp("mcap") / "drive.mcap"
+    write_lines(file, log)
+    return file
+
+
+def assert_same(one: LineLog, other: LineLog) -> None:
+    for name in ARRAYS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def test_an_mcap_file_gives_back_the_lines_and_the_times_that_were_written(
+    log: LineLog, mcap: Path
 ) -> None:
-    log = read_topic(recordings / name)
-    assert log.offset_m.shape == (n_frames, n_lines)
-    assert (np.diff(log.frame_id) > 0).all()
+    assert_same(read_lines(mcap), log)
 
 
-def test_the_oddities_of_the_published_recordings_are_counted(recordings: Path) -> None:
-    said = {
-        run: recording_warnings(read_topic(recordings / PAPER_FILES[run - 1][0]), n_lanes)
-        for run, n_lanes in ((1, 4), (5, 4), (10, 3))
-    }
-    assert said[1] == []
-    assert "30 valid line(s) have an LRI outside 0..10" in said[5][0]
-    assert "13 valid line(s) have an LRI outside 0..10" in said[10][0]
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_a_ros2_bag_is_read_as_folder_and_as_file(
+    log: LineLog, tmp_path: Path, storage: str
+) -> None:
+    bag = write_bag2(tmp_path / "bag", log, storage=storage)
+    assert format_of(bag) == "rosbag"
+    assert_same(read_lines(bag), log)
+    (file,) = files_of(bag)
+    assert file.suffix == {"SQLITE3": ".db3", "MCAP": ".mcap"}[storage]
+    assert_same(read_lines(file), log)
+
+
+def test_ros1_keeps_frame_id_over_frame_rate_and_its_stamps_where_they_are_asked_for(
+    log: LineLog, tmp_path: Path
+) -> None:
+    write_lines(tmp_path / "a.bag", log)
+    np.testing.assert_array_equal(read_lines(tmp_path / "a.bag").time_s, log.frame_id / 10)
+    stamped = read_lines(tmp_path / "a.bag", columns=Columns(time_s="header.stamp"))
+    assert_same(stamped, log)
+
+
+def test_without_a_stamp_in_the_header_the_time_is_that_of_recording(
+    log: LineLog, tmp_path: Path
+) -> None:
+    stamps = [10**18 + k * 10**8 for k in range(len(log))]
+    blank = replace(log, time_s=np.zeros(len(log)))
+    found = read_lines(write_bag2(tmp_path / "bag", blank, stamps=stamps))
+    np.testing.assert_array_equal(found.time_s, np.array(stamps) / 1e9)
+
+
+def test_stamps_that_do_not_increase_are_refused_or_left_out(log: LineLog, tmp_path: Path) -> None:
+    time_s = log.time_s.copy()
+    time_s[7] = time_s[6]
+    write_lines(tmp_path / "a.mcap", replace(log, time_s=time_s))
+    assert "time_s is not later than in the frame before" in refused(tmp_path / "a.mcap")
+    found = read_lines(tmp_path / "a.mcap", columns="time_s=null")
+    np.testing.assert_array_equal(found.time_s, log.frame_id / 10)
+
+
+def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
+    log: LineLog, tmp_path: Path
+) -> None:
+    bag = write_bag2(tmp_path / "bag", replace(log, frame_id=np.arange(60) - 30))
+    found = read_lines(bag, columns={"frame_id": None}).frame_id
+    np.testing.assert_array_equal(found, np.arange(60))
+    said = refused(bag, columns=Columns(frame_id="header.seq"))
+    assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
+
+
+def test_a_bag_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", log, msgtype="my_msgs/msg/Lanes")
+    forget_definitions(bag)
+    assert "has no definition of my_msgs/msg/Lanes; convert it to MCAP" in refused(bag)
+
+
+def forget_definitions(bag: Path) -> None:
+    with sqlite3.connect(files_of(bag)[0]) as base:
+        base.execute("DELETE FROM message_definitions")
+
+
+def test_a_topic_that_is_not_there_is_refused_with_those_that_are(
+    log: LineLog, mcap: Path, tmp_path: Path
+) -> None:
+    bag = write_bag2(tmp_path / "bag", log, topic="/my/lines")
+    for path in (bag, files_of(bag)[0]):
+        said = "no topic /my/line (did you mean '/my/lines'?); the file has /my/lines (road_layout"
+        assert said in refused(path, topic="/my/line")
+        assert len(read_topic(path, topic="/my/lines")) == len(log)
+    assert f"no topic /x; the file has {TOPICS[0]} (" in refused(mcap, topic="/x")
+
+
+def without_metadata(path: Path, log: LineLog) -> None:
+    (write_bag2(path, log) / "metadata.yaml").unlink()
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "said"),
+    [
+        ("a.mcap", lambda path, _: path.write_text("frame_id\n"), "File magic is invalid"),
+        ("a.db3", lambda path, _: path.touch(), "Cannot open database"),
+        ("bag", without_metadata, "Expected metadata file"),
+    ],
+)
+def test_what_is_no_ros2_bag_is_refused(
+    log: LineLog, tmp_path: Path, name: str, make: Callable[[Path, LineLog], object], said: str
+) -> None:
+    make(tmp_path / name, log)
+    assert said in refused(tmp_path / name)
+
+
+def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(mcap: Path, tmp_path: Path) -> None:
+    rows = [(START_S + k, 51.1 + k * 1e-4, 14.4) for k in range(3)]
+    bag = write_fixes2(tmp_path / "bag", rows)
+    for path in (bag, files_of(bag)[0]):
+        found = read_positions(path)
+        np.testing.assert_array_equal(found.t_s, [row[0] for row in rows])
+        np.testing.assert_array_equal(found.latitude, [row[1] for row in rows])
+        np.testing.assert_array_equal(found.sigma_m, [2.0, 2.0, 2.0])
+    with pytest.raises(InputError, match="0 topics of type NavSatFix"):
+        read_positions(mcap)
+    said = refused(bag, topic="/gps/fix")
+    assert (
+        "no column offset_m; the table has time_s, header.stamp, header.frame_id, status.status"
+        in said
+    )
+
+
+def test_a_time_stamp_of_foxglove_is_the_time(tmp_path: Path) -> None:
+    from rosbags.rosbag2 import Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    store.register(get_types_from_msg("builtin_interfaces/Time timestamp\nfloat64 y\n", "a/msg/A"))
+    time, message = store.types["builtin_interfaces/msg/Time"], store.types["a/msg/A"]
+    with Writer(tmp_path / "bag", version=9) as bag:
+        connection = bag.add_connection("/a", "a/msg/A", typestore=store)
+        for k in range(3):
+            raw = store.serialize_cdr(message(time(7 + k, 500_000_000), -1.8), "a/msg/A")
+            bag.write(connection, k, raw)
+    found = read_lines(tmp_path / "bag", columns="offset_m=y")
+    np.testing.assert_array_equal(found.time_s, [7.5, 8.5, 9.5])

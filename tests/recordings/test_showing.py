@@ -1,4 +1,4 @@
-"""What `egolane show` says of a recording, and that its command runs."""
+"""The description of a recording by `egolane show`, and its command."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ def test_lines_of_ones_own_are_described_with_what_is_missing(
     shown = done("show", tmp_path / name).stdout
     assert all(each in shown for each in said)
     assert "egolane run" not in shown
-    assert "  to run it, say with --columns what is what: no column " in shown
+    assert "  to run it, name the columns with --columns: no column " in shown
 
 
-def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     assert "a.csv: no such file" in refused("show", tmp_path / "a.csv")

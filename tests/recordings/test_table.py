@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from egolane_pgm.recordings import read_lines
-from egolane_pgm.recordings.table import read_table, write_table
+from egolane_pgm.recordings.table import lines_of, read_table, write_table
 from egolane_pgm.runs import open_input
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.drives import short_drive, simulated
@@ -52,7 +53,6 @@ def logs(draw: st.DrawFn) -> LineLog:
         is_valid=draw(booleans) & np.isfinite(offset),
         is_continuous=draw(booleans),
         lri=lri,
-        is_missing=draw(hnp.arrays(np.bool_, len(frames))),
     )
 
 
@@ -120,15 +120,7 @@ def csv(tmp_path: Path, text: str) -> Path:
     return path
 
 
-def parquet(tmp_path: Path, **columns: object) -> Path:
-    import pyarrow as pa
-    from pyarrow import parquet as pq
-
-    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
-    return tmp_path / "a.parquet"
-
-
-def test_columns_that_a_detector_lacks_have_their_meaning(tmp_path: Path) -> None:
+def test_missing_columns_have_defaults(tmp_path: Path) -> None:
     log = read_table(csv(tmp_path, "frame_id,line,offset_m\n3,1,-1.5\n3,2,2\n5,,\n"), frame_rate=2)
     np.testing.assert_array_equal(log.frame_id, [3, 5])
     np.testing.assert_array_equal(log.time_s, [1.5, 2.5])
@@ -138,11 +130,9 @@ def test_columns_that_a_detector_lacks_have_their_meaning(tmp_path: Path) -> Non
     np.testing.assert_array_equal(log.offset_m, [[-1.5, 2], [np.nan, np.nan]])
 
 
-def test_what_pandas_writes_is_read(tmp_path: Path) -> None:
-    text = (
-        '"line","frame_id","offset_m","is_valid"\r\n1.0,3,-1.5,True\r\n,4,,\r\n 2.0,5,1e1,False\r\n'
-    )
-    log = read_table(csv(tmp_path, "\ufeff" + text))
+def test_a_file_of_pandas_is_read(tmp_path: Path) -> None:
+    rows = "1.0,3,-1.5,True\r\n,4,,\r\n 2.0,5,1e1,False\r\n"
+    log = read_table(csv(tmp_path, '\ufeff"line","frame_id","offset_m","is_valid"\r\n' + rows))
     np.testing.assert_array_equal(log.frame_id, [3, 4, 5])
     np.testing.assert_array_equal(log.is_valid, [[True, False], [False, False], [False, False]])
     np.testing.assert_array_equal(log.offset_m[2], [np.nan, 10.0])
@@ -186,8 +176,7 @@ def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: st
             "frame_id,offset\n1,2.0\n",
             "no column offset_m (did you mean 'offset'?); the table has frame_id, offset; it needs"
             " a row per line (frame_id, line, offset_m) or per frame (frame_id, offset_1, offset_2,"
-            " ...); `columns: {offset_m: NAME}` says what yours is called, and"
-            " `egolane show` what is in it",
+            " ...); name yours with `columns: {offset_m: NAME}`, see `egolane show FILE`",
         ),
         (
             "frame_id,line,offset_m,is_valid\n3,1,-1.5,1\n3,2,,1\n",
@@ -195,7 +184,7 @@ def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: st
         ),
         (
             "frame_id,time_s,offset_m\n3,0.3,2\n3,0.3,4\n4,0.3,2\n",
-            "row 3: time_s is not later than that of the frame before",
+            "row 3: time_s is not later than in the frame before",
         ),
         ("frame_id,time_s,offset_m\n3,,2\n", "row 1: time_s is empty"),
     ],
@@ -203,22 +192,6 @@ def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: st
 def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str) -> None:
     (tmp_path / "a.csv").write_bytes(text.encode(errors="surrogateescape"))
     assert refused(tmp_path / "a.csv").startswith(said)
-
-
-@pytest.mark.parametrize(
-    ("columns", "said"),
-    [
-        ({"offset_m": [True, False]}, "column offset_m has type bool, not a number"),
-        ({"offset_m": [[1.0], [2.0]]}, "column offset_m has type list"),
-        ({"is_valid": [1, 7]}, "row 2: is_valid is 7, not true, false, 1 or 0"),
-    ],
-)
-def test_a_parquet_file_that_does_not_fit_is_refused(
-    tmp_path: Path, columns: dict[str, object], said: str
-) -> None:
-    usual: dict[str, object] = {"frame_id": [1, 2], "line": [1, 1], "offset_m": [1.0, 2.0]}
-    given = {name: values for name, values in (usual | columns).items() if values is not None}
-    assert refused(parquet(tmp_path, **given)).startswith(said)
 
 
 def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
@@ -234,12 +207,8 @@ WIDE = "frame_id,offset_1,offset_2,offset_3,lri_1,is_valid_1\n7,-1.8,1.9,,3,true
 
 def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
     wide = read_table(csv(tmp_path, WIDE))
-    long = read_table(
-        csv(
-            tmp_path,
-            "frame_id,line,offset_m,lri\n7,1,-1.8,3\n7,2,1.9,\n9,,,\n",
-        )
-    )
+    text = "frame_id,line,offset_m,lri\n7,1,-1.8,3\n7,2,1.9,\n9,,,\n"
+    long = read_table(csv(tmp_path, text))
     for name in ("frame_id", "offset_m", "is_valid", "is_continuous", "lri"):
         np.testing.assert_array_equal(getattr(wide, name), getattr(long, name))
 
@@ -255,3 +224,59 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
 )
 def test_a_bad_row_of_a_frame_is_named_by_its_line(tmp_path: Path, rows: str, said: str) -> None:
     assert said in refused(csv(tmp_path, WIDE.splitlines()[0] + "\n" + rows + "\n"))
+
+
+# --- DataFrames ----------------------------------------------------------------------------------
+
+LONG = pd.DataFrame(
+    {
+        "frame_id": [3, 3, 4, 6],
+        "time_s": [0.12, 0.12, 0.16, 0.24],
+        "offset_m": [-1.5, 2.0, np.nan, 1.0],
+        "is_valid": [True, False, False, True],
+        "lri": [4, 5, np.nan, 6],
+    }
+)
+
+
+def test_the_table_of_a_log_is_a_recording() -> None:
+    log = short_drive().log
+    table = log.to_pandas()
+    seen = log.take(np.flatnonzero(np.isfinite(log.offset_m).any(axis=1)))
+    assert_same(lines_of(table), seen)
+    assert_same(lines_of(table.reset_index().drop(columns="line")), seen)
+    assert lines_of(log) is log
+
+
+@pytest.mark.parametrize("extension", FORMATS)
+def test_a_frame_is_read_as_its_file(tmp_path: Path, extension: str) -> None:
+    wide = pd.DataFrame({"frame_id": [3, 4], "offset_1": [-1.5, None], "offset_m_2": [2.0, 1.9]})
+    for k, frame in enumerate((LONG, wide)):
+        file = tmp_path / f"{k}.{extension}"
+        frame.to_csv(file, index=False) if extension == "csv" else frame.to_parquet(file)
+        in_memory = lines_of(frame.set_index("frame_id"), frame_rate=5)
+        assert_same(in_memory, read_table(file, frame_rate=5))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"frame": [1], "offset_m": [1.0]}, "in memory: no column frame_id (did you"),
+        ({"frame_id": [1]}, "in memory: no column offset_m; the table has frame_id"),
+        ({"frame_id": [1, 2], "offset_m": ["x", 1]}, "in memory: column offset_m has type mixed"),
+        (
+            {"frame_id": [1], "offset_m": [True]},
+            "in memory: column offset_m has type bool",
+        ),
+        ({"frame_id": [1], "offset_m": [[1.0]]}, "in memory: column offset_m has type list"),
+        (
+            {"frame_id": [1, 2], "offset_m": [1.0, 2.0], "is_valid": [1, 7]},
+            "in memory: row 2: is_valid is 7, not true, false, 1 or 0",
+        ),
+        ("drive.csv", "recording: 'drive.csv' is neither a file nor a DataFrame"),
+    ],
+)
+def test_what_is_no_frame_of_lines_is_refused(given: Any, said: str) -> None:
+    with pytest.raises(InputError) as info:
+        lines_of(pd.DataFrame(given) if isinstance(given, dict) else given)
+    assert str(info.value).startswith(said)

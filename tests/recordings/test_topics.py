@@ -52,24 +52,24 @@ def cut(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "make", "topics", "said"),
+    ("name", "make", "topic", "said"),
     [
-        ("a.mcap", lambda path: None, ["/lanes"], "a.mcap: no such file"),
-        ("a.mcap", cut, ["/lanes"], "if it was cut off or damaged, try `mcap recover`"),
+        ("a.mcap", lambda path: None, "/lanes", "a.mcap: no such file"),
+        ("a.mcap", cut, "/lanes", "if it was cut off or damaged, try `mcap recover`"),
         (
             "a.mcap",
             json_mcap,
-            ["/lane"],
+            "/lane",
             "no topic /lane (did you mean '/lanes'?); the file has /lanes (lanes, json)",
         ),
     ],
 )
 def test_what_cannot_be_read_is_refused_in_a_line_that_says_what_helps(
-    tmp_path: Path, name: str, make: Callable[[Path], None], topics: list[str], said: str
+    tmp_path: Path, name: str, make: Callable[[Path], None], topic: str, said: str
 ) -> None:
     make(tmp_path / name)
     with pytest.raises(InputError) as info:
-        list(messages(tmp_path / name, topics))
+        list(messages(tmp_path / name, topic))
     assert said in str(info.value)
     assert "\n" not in str(info.value)
 

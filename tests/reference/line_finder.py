@@ -1,10 +1,10 @@
-"""What `detectors.simple.kernels` computes, in plain NumPy."""
+"""The kernel of the line finder in plain NumPy."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.types import BoolArray, FloatArray
+from egolane_pgm.types import FloatArray
 
 
 def common_scores(
@@ -36,26 +36,3 @@ def common_scores(
         histogram += np.bincount(b + 1, weight * part, n_bins)
         out[index] = (histogram**2).sum()
     return out
-
-
-def line_equations(
-    x: FloatArray,
-    y: FloatArray,
-    width: FloatArray,
-    offset: FloatArray,
-    agreement: FloatArray,
-    found: FloatArray,
-    squeeze: float,
-    has: BoolArray,
-    reach_m: float,
-) -> tuple[FloatArray, FloatArray]:
-    """The normal equations of least squares, as `kernels.line_equations`."""
-    line = np.argmin(np.abs(offset[:, None] - found), axis=1)
-    near = np.flatnonzero((np.abs(offset - found[line]) <= reach_m) & (agreement > 0))
-    line, x = line[near], x[near]
-    design = np.zeros((len(near), 4 + len(found)))
-    shared = np.stack([x, x**2 / 2, found[line] * x, x**3 / 6], axis=1)
-    design[:, :4] = np.where(has, shared, 0.0)
-    design[np.arange(len(near)), 4 + line] = 1 + squeeze * x
-    weighted = (width * agreement)[near, None] * design
-    return design.T @ weighted, weighted.T @ (y[near] + squeeze * found[line] * x)

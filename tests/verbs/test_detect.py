@@ -95,7 +95,7 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
         (["--detector", "mll"], "unknown name 'mll' (did you mean"),
         (["--set", "lri_frame=3"], "unknown key 'lri_frame' (did you mean 'lri_frames'?)"),
         (["--frames", "500", "900"], "no frame from 500 to before 900; it has 16 frames"),
-        (["--right", "x.avi"], "looks at one camera only"),
+        (["--right", "x.avi"], "has one camera"),
         (["-o", "l.txt"], "lines are written as .parquet, .csv"),
         (["--camera", "nix.yaml"], "nix.yaml: cannot be read"),
         (["--camera", "{0}/sky.yaml"], "--camera: only 0 % of the road from"),
@@ -168,9 +168,9 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
         ({"path": "nix.mp4"}, "nix.mp4: no such file"),
         ({"path": "*.jpg"}, "recording.path: "),
         ({"path": "cam.yaml"}, "is no video that can be read"),
-        ({"right": "drive.avi"}, "recording.right: detector ml looks at one camera only"),
+        ({"right": "drive.avi"}, "recording.right: detector ml has one camera"),
         ({"format": "table"}, "recording.format: does not go with a detector"),
-        ({"detector": None}, "is a video: name a detector"),
+        ({"detector": None}, "of a video a detector"),
     ],
 )
 def test_what_does_not_fit_is_said_with_its_key_by_validate_and_run(

@@ -40,7 +40,7 @@ def run(*words: str) -> Result:
 NAMED = ("--column", "t_s=when", "--column", "latitude=lat_gps")
 
 
-@pytest.mark.parametrize("more", [(), ("--online",), ("--method", "lock-on-road")])
+@pytest.mark.parametrize("more", [(), ("--online",)])
 def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, ...]) -> None:
     a_map, drive, out = files
     done = run(a_map, drive, "-o", out, *NAMED, "--shift", "100", *more)
@@ -51,9 +51,9 @@ def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, .
     assert set(table.n_lanes) == {2, 3}
 
 
-def test_a_number_of_lanes_that_the_map_does_not_tell_is_said(files: tuple[str, str, str]) -> None:
+def test_an_assumed_number_of_lanes_is_reported(files: tuple[str, str, str]) -> None:
     write_map(Path(files[0]), {})
-    assert "lanes: 2 (a guess in " in run(*files[:2], "-o", files[2], *NAMED).output
+    assert "lanes: 2 (assumed in " in run(*files[:2], "-o", files[2], *NAMED).output
 
 
 @pytest.mark.parametrize(

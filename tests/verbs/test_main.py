@@ -28,7 +28,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
         ("run", "Missing argument 'EXPERIMENT|LINES'."),
         ("run x.yaml --filter stamp", "egolane run --help"),
         ("run x.yaml", "x.yaml: cannot be read: No such file or directory"),
-        ("run quickstar", "quickstar: is no file, and no experiment that `egolane show` lists"),
+        ("run quickstar", "quickstar: no such file, nor experiment (see `egolane show`)"),
         ("run quickstart --table x.csv --out", "--out"),
         ("run quickstart --table x.csv --chunk-frames 9", "--table: "),
         ("run {0}/lines.csv", "give the number of lanes"),

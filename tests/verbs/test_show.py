@@ -150,7 +150,7 @@ def test_data_list_shows_the_files_where_a_run_would_find_them(
     (tmp_path / "data" / "rle" / "ISIS_01.txt").write_text("1;1;0\n")
     lines = done("data", "list").stdout.splitlines()
     assert lines[0] == f"looked in: {tmp_path / 'data'}"
-    assert lines[1] == f"looked in: {catalog.download_folder()}"
+    assert lines[1] == f"looked in: {catalog.data_folders()[-1]}"
     assert len(lines) == 2 + 12
     state = {line.rpartition("/")[2]: line.split()[0] for line in lines[2:]}
     assert state.pop("ISIS_01.txt") == "bad"

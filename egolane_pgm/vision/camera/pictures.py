@@ -252,7 +252,7 @@ def image_topic(path: Path, topic: str | None) -> str:
 
 def stamps_of(path: Path, topic: str) -> FloatArray:
     """When each picture of a topic was taken, (T,), seconds."""
-    return np.array([message.time_s for message in messages(path, [topic])])
+    return np.array([time_s for time_s, _ in messages(path, topic)])
 
 
 def bag_images(
@@ -261,11 +261,11 @@ def bag_images(
     """The positions and pictures of a topic, as `video_images`. Raises InputError for
     a picture that cannot be read."""
     first, stop = frames or (0, None)
-    for at, message in enumerate(messages(path, [topic])):
+    for at, (_, message) in enumerate(messages(path, topic)):
         if stop is not None and at >= stop:
             return
         if at >= first:
-            yield at, _decoded(message.value, f"{path}: picture {at} on {topic}")
+            yield at, _decoded(message, f"{path}: picture {at} on {topic}")
 
 
 def _decoded(value: Mapping[str, Any], where: str) -> Image:

@@ -8,5 +8,5 @@ from egolane_pgm.parameters import held_fixed
 from egolane_pgm.vision.detectors.simple import finder
 
 STEREO = False
-PARAMETERS = held_fixed(finder.PARAMETERS)
+PARAMETERS = held_fixed(finder.MONO)
 start = partial(finder.start, curve="line")

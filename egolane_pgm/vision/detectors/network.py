@@ -1,5 +1,5 @@
-"""Your own lane network, run by OpenCV: its markings are fitted and followed as those of the other
-detectors. docs/networks.md shows how to describe it.
+"""A lane network of the user, run by OpenCV, with the tracking of the other detectors; see
+docs/networks.md.
 
     egolane detect drive.mp4 --camera cam.yaml --detector network --set network=lanes.yaml
 """
@@ -7,7 +7,7 @@ detectors. docs/networks.md shows how to describe it.
 from __future__ import annotations
 
 from egolane_pgm.parameters import Parameters, held_fixed
-from egolane_pgm.types import InputError
+from egolane_pgm.types import problems_in
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.detectors import Step
 from egolane_pgm.vision.detectors.networks.description import NetworkFile, read_network
@@ -22,29 +22,19 @@ PARAMETERS = held_fixed(
             "network",
             "choice",
             "",
-            "the YAML file that describes the network (its ONNX, what goes in and what comes out),"
-            " or the name of one that comes along, whose ONNX lies here, such as lstr",
+            "YAML file of the network (its ONNX, inputs and outputs), or the name of a ready one"
+            " whose ONNX is in the current folder, such as lstr",
         ),
         next(p for p in FINDING if p.name == "curve"),
-        *finder.PARAMETERS,
+        *finder.MONO,
     )
 )
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Starts a drive: the step takes its pictures in order and gives the network's lines.
-
-    Raises InputError for a network that cannot be used, or that finds no lines.
-    """
-    network = read_network(str(parameters["network"]))
-    if network.layout == "drivable":
-        raise InputError(
-            f"{network.files[0]}: layout drivable has no lines; name it as on_road, a parameter of"
-            " another detector such as ml, or take an output with lines"
-        )
-    return finder.start(
-        camera,
-        parameters,
-        curve=str(parameters["curve"]),
-        finder=network_finder(camera, network, parameters),
-    )
+    """Start a drive. Raises InputError for a network that cannot be used."""
+    path = str(parameters["network"])
+    network = read_network(path)
+    with problems_in(path):
+        find = network_finder(camera, network, parameters)
+    return finder.start(camera, parameters, curve=str(parameters["curve"]), finder=find)

@@ -1,4 +1,4 @@
-"""Pictures and a detector as a source of lines."""
+"""The source of lines from pictures and a detector."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ if TYPE_CHECKING:
 def open_pictures(
     experiment: Experiment,
 ) -> tuple[Detector, Camera, PictureFiles, PictureFiles | None]:
-    """The detector of an experiment, its camera and its pictures (left, and right or None).
+    """Return the detector of an experiment, its camera and its pictures (left, and right or None).
 
-    Raises InputError, naming the key, for anything that cannot be used.
+    Raises InputError, with the key, for anything that cannot be used.
     """
     recording, source = experiment.recording, experiment.source
     if recording.path is None or recording.format is not None:
         wrong = "simulate" if recording.path is None else "format"
         raise InputError(
-            f"{source}: recording.{wrong}: does not go with a detector, which looks at a video"
-            " or pictures (recording.path)"
+            f"{source}: recording.{wrong}: does not go with a detector, which needs a video or"
+            " pictures (recording.path)"
         )
     detector = detector_of(experiment, "recording.detector")
     if recording.camera is None:
@@ -49,17 +49,14 @@ def open_pictures(
     check_pair(detector, camera, recording.right is not None, f"{source}: recording.right")
     left = pictures_of(experiment, "path")
     right = pictures_of(experiment, "right") if recording.right is not None else None
-    # Only to refuse early a camera that does not see the road.
+    # To refuse early a camera that does not show the road.
     start(detector, camera)
     return detector, camera, left, right
 
 
 def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
-    """The lines that the detector finds, and the frame rate of a video."""
-    from egolane_pgm.vision.camera.pictures import (
-        camera_of_pictures,
-        note_assumed_rate,
-    )
+    """Return the lines that the detector finds, and the frame rate of a video."""
+    from egolane_pgm.vision.camera.pictures import camera_of_pictures, note_assumed_rate
     from egolane_pgm.vision.camera.pictures import read_pictures as read
 
     recording = experiment.recording
@@ -93,8 +90,8 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
 
 
 def detector_of(experiment: Experiment, key: str) -> Detector:
-    """Return the detector of an experiment. Raises InputError, naming the key that asks for it, for
-    a recording without one."""
+    """Return the detector of an experiment. Raises InputError, with the key that needs it, for a
+    recording without one."""
     recording, source = experiment.recording, experiment.source
     if recording.detector is None:
         raise InputError(
@@ -107,8 +104,8 @@ def detector_of(experiment: Experiment, key: str) -> Detector:
 
 
 def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
-    """The pictures at recording.path, or those of the second camera (key: "right"). Raises
-    InputError, naming the key, where there are none."""
+    """Return the pictures at recording.path, or at recording.right (key: "right"). Raises
+    InputError, with the key, if there are none."""
     from egolane_pgm.vision.camera.pictures import is_bag, is_pattern, open_source
 
     path = getattr(experiment.recording, key)

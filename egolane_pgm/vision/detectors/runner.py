@@ -1,5 +1,5 @@
-"""Runs a detector over the pictures of a drive: finds the plugin, checks its answers and collects
-its lines."""
+"""Run a detector over the pictures of a drive: find the plugin, check its answers and collect its
+lines."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from egolane_pgm.types import FloatArray, InputError, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step, as_log
-from egolane_pgm.vision.detectors.networks.description import YAML, network_files
+from egolane_pgm.vision.detectors.networks.description import YAML
 
 
 @dataclass(frozen=True)
 class Detector:
-    """A detector's module and the checked values of its parameters. where: how messages begin."""
+    """A detector's module and its checked parameters. where: the beginning of messages."""
 
     name: str
     module: ModuleType
@@ -37,11 +37,11 @@ class Detector:
 def find_detector(
     name: str, given: Mapping[str, Any], base: Path, where: str, given_by: str | None = None
 ) -> Detector:
-    """Finds a detector by its name, or in a file relative to `base`, and checks its parameters.
+    """Find a detector by its name, or in a file relative to `base`, and check its parameters.
 
     - given: values of parameters; the others keep their defaults
-    - where: how messages about the name begin
-    - given_by: how messages about parameters begin; `<where>_parameters` by default
+    - where: beginning of messages about the name
+    - given_by: beginning of messages about parameters; `<where>_parameters` by default
 
     Raises InputError for an unknown detector or parameter and for a wrong value.
     """
@@ -50,36 +50,27 @@ def find_detector(
     specs = getattr(module, "PARAMETERS", ())
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
-        # A parameter may name a user's own file (a program, a network), relative to `base` as well.
+        # A user's file (a program, a network), relative to `base` as well.
         if isinstance(value, str) and value.endswith((".py", *YAML)):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
 
 
-def own_files(detector: Detector) -> list[Path]:
-    """The user's own files that the parameters name: programs, networks."""
-    values = detector.parameters.values()
-    programs = [Path(v) for v in values if isinstance(v, str) and v.endswith(".py")]
-    return programs + network_files(detector.parameters)
-
-
 def check_pair(detector: Detector, camera: Camera, has_right: bool, where: str) -> None:
-    """Raises InputError if a stereo detector has no second camera, or a mono detector has one."""
+    """Raise InputError if a stereo detector has no second camera, or a mono detector has one."""
     if detector.is_stereo and not has_right:
         raise InputError(f"{where}: detector {detector.name} needs the pictures of a second camera")
     if has_right and not detector.is_stereo:
-        raise InputError(
-            f"{where}: detector {detector.name} looks at one camera only; leave the second out"
-        )
+        raise InputError(f"{where}: detector {detector.name} has one camera; leave the second out")
     if detector.is_stereo and camera.baseline_m is None:
         raise InputError(
-            f"{detector.where}: {detector.name} needs to know how far the two cameras are apart:"
-            " baseline_m of the camera"
+            f"{detector.where}: {detector.name} needs the distance of the two cameras, baseline_m"
+            " of the camera"
         )
 
 
 def start(detector: Detector, camera: Camera) -> Step:
-    """Prepares a detector for the first picture of a drive."""
+    """Prepare a detector for the first picture of a drive."""
     with plugin_errors(detector.module, detector.where):
         step: Step = detector.module.start(camera, detector.parameters)
     return step
@@ -88,9 +79,9 @@ def start(detector: Detector, camera: Camera) -> Step:
 def detect(
     detector: Detector, camera: Camera, pictures: Iterable[Picture]
 ) -> Iterator[tuple[int, FrameLines]]:
-    """Runs a detector over pictures; gives the frame id and the checked lines of each.
+    """Run a detector over pictures; yield the frame id and the checked lines of each.
 
-    Raises InputError, naming detector and frame, for lines that break the detectors' contract.
+    Raises InputError, with detector and frame, for lines that break the detectors' contract.
     """
     step = start(detector, camera)
     for picture in pictures:
@@ -99,8 +90,8 @@ def detect(
             with plugin_errors(detector.module, where):
                 lines = step(picture)
         except InputError as error:
-            said = str(error)
-            raise InputError(said if said.startswith(where) else f"{where}: {said}") from error
+            text = str(error).removeprefix(f"{where}: ")
+            raise InputError(f"{where}: {text}") from error
         if not isinstance(lines, FrameLines):
             raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
         yield picture.frame_id, lines
@@ -108,11 +99,7 @@ def detect(
 
 @dataclass(frozen=True)
 class Collected:
-    """The lines of a drive, as far as it went.
-
-    - log: None if there was no frame
-    - stopped: what ended the drive early (Ctrl-C, a picture that cannot be used), or None
-    """
+    """The lines of a drive, None without a frame, and the reason for an early end, or None."""
 
     log: LineLog | None
     stopped: KeyboardInterrupt | InputError | None
@@ -124,12 +111,12 @@ def collect(
     source: str,
     time_s: FloatArray | None = None,
 ) -> Collected:
-    """Collects the lines of a drive into one log; an interruption keeps the frames before it.
+    """Collect the lines of a drive into one log. Ctrl-C or a bad picture keeps the frames before.
 
-    - frames: pairs of frame id and lines, as `detect` gives them
+    - frames: pairs of frame id and lines, as `detect` yields them
     - frame_rate: Hz
-    - source: where the lines come from, for messages
-    - time_s: when the frame of each id was taken, seconds; None for frame id over frame rate
+    - source: origin of the lines, for messages
+    - time_s: time of the frame of each id, seconds; None for frame id over frame rate
     """
     found: list[tuple[int, FrameLines]] = []
     stopped: KeyboardInterrupt | InputError | None = None

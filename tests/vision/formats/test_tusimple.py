@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.recordings import read_lines, write_lines
-from egolane_pgm.recordings.table import read_table
+from egolane_pgm.recordings import read_lines
+from egolane_pgm.recordings.table import read_table, write_table
 from egolane_pgm.result import load_result
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera, road_to_image
@@ -107,7 +107,7 @@ def test_the_frame_number_is_the_last_number_of_a_name() -> None:
 def test_labels_are_converted_and_run_like_any_recording(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.jsonl", [entry(k, classes=[4, 1, 1]) for k in range(30)])
     camera = saved_camera(tmp_path)
-    write_lines(tmp_path / "a.parquet", read_lines(labels, camera=camera))
+    write_table(tmp_path / "a.parquet", read_lines(labels, camera=camera))
     log = read_table(tmp_path / "a.parquet")
     np.testing.assert_allclose(log.offset_m, np.tile(OFFSETS, (30, 1)), atol=0.01)
     assert log.lri[-1].tolist() == [10, 10, 10]

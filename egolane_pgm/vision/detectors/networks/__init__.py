@@ -1,6 +1,5 @@
-"""A lane network of the user's own: an ONNX file, run by OpenCV, and a YAML file that describes it.
+"""A lane network of the user: an ONNX file, run by OpenCV, and a YAML file that describes it.
 
-`description` reads the YAML, `running` reads the ONNX and takes a picture through the network,
-`layouts` reads its outputs, and `finding` makes lines of the road of them. `checking` says which
-layout fits a file; `ready` has the YAML of well-known networks.
+`description` reads the YAML, `running` reads the ONNX and runs it, `layouts` reads its outputs,
+`finding` fits lines on the road, and `checking` finds the layout of an ONNX file.
 """

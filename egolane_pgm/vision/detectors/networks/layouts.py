@@ -1,7 +1,7 @@
-"""Reads the outputs of a network as its layout says.
+"""Read the outputs of a network, by layout.
 
-To add a layout: its outputs in `description.OUTPUTS`, and its function in `_LINES`. A function
-gives lines in pixels of the network's input.
+To add a layout, add its outputs to `description.OUTPUTS` and its function to `_LINES`. The function
+returns lines in pixels of the network's input.
 """
 
 from __future__ import annotations
@@ -21,77 +21,70 @@ from egolane_pgm.vision.detectors.networks.running import Fit, Outputs
 #: First and last row of `hybrid_anchors`, shares of the picture's height (its utils/common.py).
 _SHARES = {"tusimple": (160 / 720, 710 / 720), "culane": (0.42, 1.0)}
 
-#: Of the four lines of `hybrid_anchors`, those beside the car are found in rows, the outer ones in
-#: columns; the least share of anchors that see one (`pred2coords` of its demo.py).
+#: The four lines of `hybrid_anchors`: the inner ones have anchors in rows, the outer ones in
+#: columns; the last number is the least share of anchors of a line (`pred2coords` of its demo.py).
 _ANCHORS = (("row", (1, 2), 1 / 2), ("col", (0, 3), 1 / 4))
 
-#: Of boxes of one class that share more than this of their area, the most probable is kept; and the
-#: least probability of a pixel of a mask.
+#: The shared area above which the less probable of two boxes of a class is dropped, and the least
+#: probability of a pixel of a mask.
 _OVERLAP, _INSIDE = 0.7, 0.5
+
+#: Position of a polyline's start among the numbers of a candidate.
+_START = 2
 
 
 @dataclass(frozen=True)
 class Line:
-    """One line: its points (P, 2), pixels, its probability, and its class, None if it has none."""
+    """A line: its points (P, 2), pixels, its probability, and its class or None."""
 
     points: FloatArray
     probability: float = 1.0
     kind: int | None = None
 
 
-@dataclass(frozen=True)
-class Answer:
-    """What a network sees: a mask (H, W) of the picture, 255 where it sees the area or the
-    markings; or lines, in pixels of the picture."""
-
-    mask: Image | None
-    lines: tuple[Line, ...] = ()
-
-
-def answer(network: Network, fit: Fit, outputs: Outputs) -> Answer:
-    """Read the outputs of a network."""
-    if network.layout not in _LINES:
-        return Answer(_mask(network, fit, outputs))
-    lines = [line for line in _LINES[network.layout](network, outputs) if len(line.points) > 1]
-    if network.continuous:
-        lines = [line for line in lines if line.kind in network.continuous]
-    placed = (np.stack(fit.to_picture(*line.points.T), axis=1) for line in lines)
-    return Answer(None, tuple(replace(ln, points=p) for ln, p in zip(lines, placed, strict=True)))
+def answer(network: Network, fit: Fit, outputs: Outputs) -> Image | list[Line]:
+    """Read the outputs of a network: a mask (H, W) of the picture, 255 on markings; or lines, in
+    pixels of the picture."""
+    if network.layout == "lanes":
+        return _mask(network, fit, outputs["mask"])
+    return [
+        replace(line, points=np.stack(fit.to_picture(*line.points.T), axis=1))
+        for line in _LINES[network.layout](network, outputs)
+        if len(line.points) > 1 and (line.kind in network.continuous or not network.continuous)
+    ]
 
 
 def _probabilities(network: Network, output: FloatArray) -> FloatArray:
-    """The probabilities (K, h, w) of the channels that are looked at."""
+    """Return the probabilities (K, h, w) of the used channels."""
     share: FloatArray = output
     if network.activation != "none":
         share = softmax(output, axis=0) if network.activation == "softmax" else expit(output)
-    return share[list(network.looked_at)]
+    return share[list(network.used_channels)]
 
 
-def _mask(network: Network, fit: Fit, outputs: Outputs) -> Image:
-    """The mask of all lines, or of the road, which lines are part of."""
-    masks = [_probabilities(network, output).sum(axis=0) for output in outputs.values()]
-    # Where it has the size already, OpenCV copies it only.
-    share = np.max([cv2.resize(one, network.size) for one in masks], axis=0)
+def _mask(network: Network, fit: Fit, output: FloatArray) -> Image:
+    """Return the mask of all lines."""
+    share = cv2.resize(_probabilities(network, output).sum(axis=0), network.size)
     share = share[fit.upper : fit.upper + fit.high, fit.left : fit.left + fit.wide]
-    seen = np.zeros((fit.height, fit.width), dtype=np.uint8)
+    mask = np.zeros((fit.height, fit.width), dtype=np.uint8)
     lower = cv2.resize(share, (fit.width, fit.height - fit.top))
-    seen[fit.top :] = np.where(lower >= network.threshold, 255, 0)
-    return seen
+    mask[fit.top :] = np.where(lower >= network.threshold, 255, 0)
+    return mask
 
 
 def _instances(network: Network, outputs: Outputs) -> list[Line]:
-    """A mask for each line, which is as probable as its pixels on average."""
+    """SCNN: a mask per line. Its probability is the mean of its pixels."""
     shares = _probabilities(network, outputs["mask"])
-    kinds = network.looked_at if network.continuous else (None,) * len(shares)
+    kinds = network.used_channels if network.continuous else (None,) * len(shares)
     return [
-        Line(_middle(network, share, network.threshold), float(share[there].mean()), kind)
+        Line(_middle(network, share, network.threshold), float(share[inside].mean()), kind)
         for share, kind in zip(shares, kinds, strict=True)
-        if (there := share >= network.threshold).any()
+        if (inside := share >= network.threshold).any()
     ]
 
 
 def _middle(network: Network, share: FloatArray, least: float) -> FloatArray:
-    """The weighted middle (P, 2) of a mask's (h, w) pixels with the least probability, by row."""
+    """Return the weighted middle (P, 2) of each row of a mask (h, w) above a probability."""
     weight = np.where(share >= least, share, 0)
     total = weight.sum(axis=1)
     rows = np.flatnonzero(total)
@@ -101,101 +94,89 @@ def _middle(network: Network, share: FloatArray, least: float) -> FloatArray:
 
 
 def _prototypes(network: Network, outputs: Outputs) -> list[Line]:
-    """YOLO: each box has a class and the coefficients of common masks. Boxes come as
-    (4 + classes + masks, boxes), or, if the file ends in its own suppression, as
-    (boxes, 6 + masks): corners, probability, class."""
-    common, boxes = outputs["prototypes"], outputs["boxes"]
-    n_masks = len(common)
-    if boxes.shape[1] == 6 + n_masks:
-        corners, share, kind = boxes[:, :4], boxes[:, 4], boxes[:, 5].astype(np.int64)
-        kept = np.flatnonzero(share >= network.threshold)
-    else:
-        boxes = boxes.T
-        share, kind = boxes[:, 4:-n_masks].max(axis=1), boxes[:, 4:-n_masks].argmax(axis=1)
-        first, size = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, 2:4]
-        corners = np.concatenate([first, boxes[:, :2] + size / 2], axis=1)
-        places = np.concatenate([first, size], axis=1).tolist()
-        found = cv2.dnn.NMSBoxesBatched(
-            places, share.tolist(), kind.tolist(), network.threshold, _OVERLAP
-        )
-        kept = np.array(found, dtype=np.int64).ravel()
+    """YOLO: each box has a class and coefficients of common masks."""
+    common, boxes = outputs["prototypes"], outputs["boxes"].T
+    classes, coefficients = np.split(boxes[:, 4:], [-len(common)], axis=1)
+    share, kind = classes.max(axis=1), classes.argmax(axis=1)
+    first, size = boxes[:, :2] - boxes[:, 2:4] / 2, boxes[:, 2:4]
+    rectangles = np.concatenate([first, size], axis=1).tolist()
+    kept = cv2.dnn.NMSBoxesBatched(
+        rectangles, share.tolist(), kind.tolist(), network.threshold, _OVERLAP
+    )
     height, width = common.shape[1:]
-    scale = np.tile([width, height], 2) / np.tile(network.size, 2)
+    scale = np.array([width, height]) / network.size
     rows, columns = np.mgrid[:height, :width]
     lines = []
-    for k in kept:
-        left, upper, right, lower = corners[k] * scale
+    for k in np.array(kept, dtype=np.int64).ravel():
+        (left, upper), (right, lower) = first[k] * scale, (first[k] + size[k]) * scale
         inside = (columns >= left) & (columns < right) & (rows >= upper) & (rows < lower)
-        seen = expit(np.tensordot(boxes[k, -n_masks:], common, axes=1)) * inside
-        lines.append(Line(_middle(network, seen, _INSIDE), share[k], int(kind[k])))
+        mask = expit(np.tensordot(coefficients[k], common, axes=1)) * inside
+        lines.append(Line(_middle(network, mask, _INSIDE), share[k], int(kind[k])))
     return lines
 
 
 def _row_anchors(network: Network, outputs: Outputs) -> list[Line]:
-    """Ultra-Fast-Lane-Detection: the expected column in each row where the likeliest class is not
+    """Ultra-Fast-Lane-Detection: the expected column in each row whose most probable class is not
     "no line" (equation 5 of its paper). A column is as wide as the input over columns - 1."""
     output = outputs["columns"]
     n_columns = output.shape[0] - 1
     column = np.tensordot(np.arange(n_columns), softmax(output[:-1], axis=0), axes=1)
     u = (column + 0.5) * (network.size[0] - 1) / (n_columns - 1)
-    is_there = output.argmax(axis=0) < n_columns
+    is_line = output.argmax(axis=0) < n_columns
     likely = 1 - softmax(output, axis=0)[-1]
-    rows = ROWS[network.rows] if isinstance(network.rows, str) else np.asarray(network.rows)
+    rows = ROWS[str(network.rows)]
     return [
-        Line(np.stack([u[there, k], rows[there]], axis=1), float(likely[there, k].mean()))
-        for k, there in enumerate(is_there.T)
-        if there.any()
+        Line(np.stack([u[at, k], rows[at]], axis=1), float(likely[at, k].mean()))
+        for k, at in enumerate(is_line.T)
+        if at.any()
     ]
 
 
 def _hybrid_anchors(network: Network, outputs: Outputs) -> list[Line]:
-    """Its second version: the cell of each anchor that sees a line, to a fraction by its
+    """Ultra-Fast-Lane-Detection v2: the cell of each anchor with a line, interpolated with its
     neighbours (`pred2coords`)."""
     width, height = network.size
 
     def row_of(share: FloatArray) -> FloatArray:
-        """Rows of the input, by shares of the picture's height."""
+        """Return rows of the input from shares of the picture's height."""
         return (share - network.cut_top) / (1 - network.cut_top) * height - 0.5
 
     lines = []
-    for way, which, least in _ANCHORS:
-        cells, exists = outputs[f"loc_{way}"], outputs[f"exist_{way}"]
-        there, likely = exists.argmax(axis=0) == 1, softmax(exists, axis=0)[1]
+    for axis, which, least in _ANCHORS:
+        cells, exists = outputs[f"loc_{axis}"], outputs[f"exist_{axis}"]
+        is_line, likely = exists.argmax(axis=0) == 1, softmax(exists, axis=0)[1]
         away = np.abs(np.arange(len(cells))[:, None, None] - cells.argmax(axis=0))
         weight = softmax(np.where(away <= 1, cells, -np.inf), axis=0)
         at = (np.tensordot(np.arange(len(cells)), weight, axes=1) + 0.5) / (len(cells) - 1)
-        if way == "col":
+        if axis == "col":
             anchors = np.linspace(0, 1, cells.shape[1]) * width - 0.5
-        elif isinstance(network.rows, str):
-            anchors = row_of(np.linspace(*_SHARES[network.rows], cells.shape[1]))
         else:
-            anchors = np.asarray(network.rows)
+            anchors = row_of(np.linspace(*_SHARES[str(network.rows)], cells.shape[1]))
         for line in which:
-            seen = there[:, line]
+            seen = is_line[:, line]
             if seen.sum() <= len(seen) * least:
                 continue
             across, along = at[seen, line], anchors[seen]
-            u, v = (across * width - 0.5, along) if way == "row" else (along, row_of(across))
+            u, v = (across * width - 0.5, along) if axis == "row" else (along, row_of(across))
             lines.append(Line(np.stack([u, v], axis=1), float(likely[seen, line].mean())))
     return lines
 
 
 def _polylines(network: Network, outputs: Outputs) -> list[Line]:
-    """CLRNet, LaneATT: x in rows that are evenly spaced from the bottom to the top, of each
-    candidate that is likely enough, from where it starts over its length."""
-    first_x, start, length = network.first_x or 0, network.start or 0, network.length or 0
-    values = outputs["candidates"]
+    """CLRNet, LaneATT: x in evenly spaced rows from the bottom to the top, from the start of each
+    probable candidate over its length."""
+    values, first_x = outputs["candidates"], network.length + 1
     share = softmax(values[:, :2], axis=1)[:, 1]
     x_scale = 1.0 if network.in_pixels else network.size[0] - 1
     steps = values.shape[1] - first_x - 1
     v = np.linspace(1, 0, steps + 1) * (network.size[1] - 1)
     lines = []
     for k in np.flatnonzero(share >= network.threshold):
-        first = int(np.clip(round(values[k, start] * steps), 0, steps))
-        n = round(values[k, length] * (1 if network.in_pixels else steps))
-        there = slice(first, first + max(n, 0))
-        x = values[k, first_x:][there] * x_scale
-        lines.append(Line(np.stack([x, v[there]], axis=1), share[k]))
+        first = int(np.clip(round(values[k, _START] * steps), 0, steps))
+        n = round(values[k, network.length] * (1 if network.in_pixels else steps))
+        at = slice(first, first + max(n, 0))
+        x = values[k, first_x:][at] * x_scale
+        lines.append(Line(np.stack([x, v[at]], axis=1), share[k]))
     return lines
 
 
@@ -206,7 +187,7 @@ def _lstr_curves(network: Network, outputs: Outputs) -> list[Line]:
     kept = share >= network.threshold
     lower, upper, k, f, m, n, b, c = outputs["curves"][kept].T[:, :, None]
     y = lower + (upper - lower) * np.linspace(0, 1, 100)
-    # A curve may have its pole in view.
+    # A curve may have a pole in the picture.
     with np.errstate(divide="ignore", invalid="ignore"):
         x = k / (y - f) ** 2 + m / (y - f) + n + b * y - c
     points = np.stack([x * network.size[0] - 0.5, y * network.size[1] - 0.5], axis=2)
@@ -216,7 +197,7 @@ def _lstr_curves(network: Network, outputs: Outputs) -> list[Line]:
     ]
 
 
-#: The function that reads each layout with lines.
+#: The function of each layout with lines.
 _LINES: dict[str, Callable[[Network, Outputs], list[Line]]] = {
     "instances": _instances,
     "row_anchors": _row_anchors,

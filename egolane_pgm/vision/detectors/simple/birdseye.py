@@ -1,7 +1,7 @@
-"""The bird's-eye view: the road as a calibrated camera would see it from above (first step of the
+"""The bird's-eye view: the road as a calibrated camera would show it from above (first step of the
 paper's section `section:simple-line-detector`).
 
-Row 0 is the far edge and column 0 the left edge. A pixel has one size along the road and another
+Row 0 is the far edge and column 0 the left edge. Pixels have one size along the road and another
 across it, because the camera resolves the road finely to the side and coarsely ahead.
 """
 
@@ -22,7 +22,7 @@ from egolane_pgm.vision.camera.picture import Image, check_size
 #: The smallest share of a view that must be in the picture.
 _LEAST_SHARE = 0.1
 
-#: How many views for other pitches are kept.
+#: Number of views for other pitches that are cached.
 VIEWS = 24
 
 
@@ -30,15 +30,16 @@ VIEWS = 24
 class BirdsEye:
     """A bird's-eye view of R rows and C columns.
 
+    - region: from and to metres ahead, from and to metres to the right
     - x_m: (R,) metres ahead of each row, decreasing
     - y_m: (C,) metres to the right of each column
     - along_m, across_m: size of a pixel, metres
-    - valid: (R, C) whether the picture shows this part of the road, outside the camera's `ignore`
-      rectangles
-    - map_uv: where in the picture each pixel comes from, in the form that cv2.remap takes
+    - valid: (R, C) pixels in the picture, outside the camera's `ignore` rectangles
+    - map_uv: pixel of the picture for each pixel, in the form that cv2.remap takes
     """
 
     camera: Camera
+    region: tuple[float, float, float, float]
     x_m: FloatArray
     y_m: FloatArray
     along_m: float
@@ -56,11 +57,9 @@ def make_view(
     along_m: float = 0.2,
     across_m: float = 0.05,
 ) -> BirdsEye:
-    """Makes the view of a region of the road.
+    """Make the view of a region of the road, metres ahead and to the right.
 
-    - x_min, x_max: from and to, metres ahead
-    - y_min, y_max: from and to, metres to the right
-    - along_m, across_m: size of a pixel, metres
+    along_m, across_m: size of a pixel, metres.
 
     Raises InputError if the region is empty or not in the picture.
     """
@@ -91,35 +90,30 @@ def make_view(
         cv2.CV_16SC2,
     )
     maps = (map_uv.astype(np.int16, copy=False), fractions.astype(np.uint16, copy=False))
-    return BirdsEye(camera, x_m, y_m, along_m, across_m, valid, maps)
+    region = (x_min, x_max, y_min, y_max)
+    return BirdsEye(camera, region, x_m, y_m, along_m, across_m, valid, maps)
 
 
 def turned_up(view: BirdsEye) -> Callable[[float], BirdsEye]:
-    """Makes a function of a number of degrees, which gives the same view for a camera pitched up by
-    that much more. The last views are kept, because a new one takes longer than a picture: ask for
-    few different pitches. It raises InputError as `make_view` does."""
-    half_x, half_y = view.along_m / 2, view.across_m / 2
+    """Make a function that returns the same view for a camera that is pitched up by some degrees.
+
+    Its last views are cached, because a new one takes longer than a picture: use few different
+    pitches. It raises InputError as `make_view` does.
+    """
 
     @lru_cache(maxsize=VIEWS)
     def turned(more_deg: float) -> BirdsEye:
         if not more_deg:
             return view
-        return make_view(
-            replace(view.camera, pitch_deg=view.camera.pitch_deg + more_deg),
-            float(view.x_m[-1] - half_x),
-            float(view.x_m[0] + half_x),
-            float(view.y_m[0] - half_y),
-            float(view.y_m[-1] + half_y),
-            view.along_m,
-            view.across_m,
-        )
+        camera = replace(view.camera, pitch_deg=view.camera.pitch_deg + more_deg)
+        return make_view(camera, *view.region, view.along_m, view.across_m)
 
     return turned
 
 
 def look(view: BirdsEye, image: Image) -> Image:
-    """Resamples a picture, (H, W, 3) or (H, W), as seen from above, (R, C, 3) or (R, C); 0 where
-    the picture does not show the road.
+    """Resample a picture, (H, W, 3) or (H, W), from above, (R, C, 3) or (R, C); 0 outside the
+    picture.
 
     Raises InputError for a picture of another size than the calibration.
     """

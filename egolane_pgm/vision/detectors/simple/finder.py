@@ -1,5 +1,7 @@
-"""The paper's "simple" line detector and tracker (section `section:simple-line-detector`), as its
-four variants share it: with one or two cameras, for straight lines or clothoids."""
+"""The paper's "simple" line detector and tracker (section `section:simple-line-detector`).
+
+Its four variants have one or two cameras, and fit straight lines or clothoids.
+"""
 
 from __future__ import annotations
 
@@ -10,15 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.types import BoolArray
+from egolane_pgm.types import BoolArray, FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step
-from egolane_pgm.vision.detectors.networks.finding import PARAMETERS as _NETWORK
-from egolane_pgm.vision.detectors.networks.finding import Finder, keep_on_road
 from egolane_pgm.vision.detectors.simple import drift
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, turned_up
-from egolane_pgm.vision.detectors.simple.fit import find_lines, view_for
+from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, view_for
 from egolane_pgm.vision.detectors.simple.paint import PARAMETERS as _PAINT
 from egolane_pgm.vision.detectors.simple.paint import painted_share
 from egolane_pgm.vision.detectors.simple.parameters import FINDING, TRACKING
@@ -32,21 +32,16 @@ from egolane_pgm.vision.detectors.simple.tracking import (
     rules,
 )
 
-PARAMETERS = (
-    # Each variant sets `curve` itself.
-    *(p for p in FINDING if p.name != "curve"),
-    *_PAINT,
-    *TRACKING,
-    *drift.PARAMETERS,
-    *_NETWORK,
-)
+#: The parameters of all variants, each of which sets `curve`, and of those with one camera.
+PARAMETERS = (*(p for p in FINDING if p.name != "curve"), *_PAINT, *TRACKING)
+MONO = (*PARAMETERS, *drift.PARAMETERS)
 
-#: Takes a picture of both cameras; gives the bird's-eye view with the camera's pitch in this frame,
-#: and which of its pixels (R, C) lie on the plane of the road.
+#: From a picture of both cameras to the bird's-eye view with the camera's pitch in this frame, and
+#: its pixels (R, C) on the plane of the road.
 OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
 
-#: Makes, for a camera, a function that makes it for a view.
-MakeOnRoad = Callable[[Camera, Parameters], Callable[[BirdsEye], OnRoad]]
+#: From a view, a picture and the predicted lines (P, 4) or None to the lines of the picture.
+Finder = Callable[[BirdsEye, Picture, FloatArray | None], Found]
 
 
 def start(
@@ -54,17 +49,16 @@ def start(
     parameters: Parameters,
     *,
     curve: str,
-    on_road: MakeOnRoad | None = None,
+    on_road: Callable[[BirdsEye, Parameters], OnRoad] | None = None,
     finder: Finder | None = None,
 ) -> Step:
-    """The `start` of a detector.
+    """Start a drive, as the `start` of a detector.
 
     - curve: "line", "parabola" or "clothoid"
-    - on_road: makes what separates the road from the objects on it; None if all pixels count as
-      road
-    - finder: what finds the lines of a frame; None for the search in its markings
+    - on_road: makes the separation of the road from the objects on it; by default all is road
+    - finder: finds the lines of a frame; by default the search in its markings
 
-    Raises InputError if the camera does not see the region that the parameters ask for.
+    Raises InputError if the camera does not show the region that the parameters ask for.
     """
     follow, rule = follower(camera, parameters, curve=curve, on_road=on_road, finder=finder)
     tracks = no_tracks(rule)
@@ -82,41 +76,32 @@ def follower(
     parameters: Parameters,
     *,
     curve: str,
-    on_road: MakeOnRoad | None = None,
+    on_road: Callable[[BirdsEye, Parameters], OnRoad] | None = None,
     finder: Finder | None = None,
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
-    """As `start`, but the step takes the tracks and gives the new ones. Also gives its rules."""
+    """As `start`, but return the function from tracks and a picture to tracks, and its rules."""
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curve=curve)
-    for_view = None if on_road is None else on_road(camera, parameters)
     view = view_for(camera, parameters)
-    road = None if for_view is None else for_view(view)
-    keep = keep_on_road(camera, parameters)
-    if road is not None and parameters["camera_drift"] == "correct":
-        # The plane of the road corrects the pitch.
-        parameters = {**parameters, "camera_drift": "warn"}
-    watch = None if parameters["camera_drift"] == "ignore" else drift.watch(view, parameters)
-    corrects = parameters["camera_drift"] == "correct"
+    road = None if on_road is None else on_road(view, parameters)
+    # With two cameras the plane of the road gives the pitch.
+    is_watched = road is None and parameters["camera_drift"] == "correct"
+    watch = drift.watch(view, parameters) if is_watched else None
     turned, corrected_deg = turned_up(view), 0.0
 
     def follow(tracks: Tracks, picture: Picture) -> Tracks:
         nonlocal corrected_deg
-        # A stereo pair is checked first, so that its own errors name the picture that is wrong.
         seen, is_road = (view, None) if road is None else road(picture)
-        believed = None if watch is None else watch(picture)
-        if believed is not None and corrects:
-            before, corrected_deg = corrected_deg, drift.correction_deg(believed)
+        if watch is not None:
+            before, corrected_deg = corrected_deg, watch(picture).correction_deg
             tracks = _turned(tracks, corrected_deg - before, camera)
             seen = turned(corrected_deg)
-        if keep is not None:
-            kept = keep(seen, picture)
-            is_road = kept if is_road is None else is_road & kept
         prior = expected(tracks)
         prior_shape = prior if len(prior) else None
         found = (
             find_lines(seen, picture.image, parameters, prior_shape=prior_shape, on_road=is_road)
             if finder is None
-            else finder(seen, picture, prior_shape, is_road)
+            else finder(seen, picture, prior_shape)
         )
         painted = painted_share(seen, picture.image, found.shape, parameters)
         if found.solid is not None:
@@ -127,8 +112,8 @@ def follower(
 
 
 def _turned(tracks: Tracks, more_deg: float, camera: Camera) -> Tracks:
-    """The tracks as seen by a camera that is pitched up by `more_deg`: lines beside the car turn
-    outwards (the squeeze of `fit`)."""
+    """Return the tracks for a camera that is pitched up by `more_deg`: lines to either side of the
+    car turn outwards (the squeeze of `fit`)."""
     if not more_deg:
         return tracks
     mean = tracks.mean.copy()

@@ -1,12 +1,11 @@
-"""Finds the lines in one picture: a given number of lines or clothoids that cover the most contour
-area (paper, section `section:simple-line-detector`).
+"""Find the lines in one picture: those that cover the most contour area (paper, section
+`section:simple-line-detector`).
 
-All lines of a road share heading and curvature. These are found first: the right values are those
-with which the contours gather most sharply at a few offsets. The offsets follow. The lines also
-share a third value, the squeeze q. When the car pitches, distances to the side appear to grow or
-shrink with the distance ahead, y = o (1 + q x), where q is the change of pitch over the height of
-the camera. A clothoid's fourth value, the rate of its curvature, moves a line by centimetres only,
-so the search leaves it where it is expected and least squares find it.
+All lines of a road share heading and curvature. These are found first, as the values with which the
+contours gather most sharply at a few offsets; the offsets follow. The lines also share the squeeze
+q: when the car pitches, lateral distances grow or shrink with the distance ahead, y = o (1 + q x),
+with q the change of pitch over the height of the camera. The rate of a clothoid's curvature moves a
+line by centimetres only: the search keeps its predicted value, and least squares find it.
 """
 
 from __future__ import annotations
@@ -23,15 +22,11 @@ from egolane_pgm.vision.camera.model import USUAL_LANE_M, Camera
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye, look, make_view
 from egolane_pgm.vision.detectors.simple.contours import Strips, find_strips
-from egolane_pgm.vision.detectors.simple.kernels import (
-    common_scores,
-    line_equations,
-)
+from egolane_pgm.vision.detectors.simple.kernels import common_scores
 from egolane_pgm.vision.detectors.simple.markings import (
     NOISE,
     RAIN,
     SMOOTH_ALONG_M,
-    is_nothing_but_noise,
     marking_mask,
     streak_cover,
     without_streaks,
@@ -39,86 +34,71 @@ from egolane_pgm.vision.detectors.simple.markings import (
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
 
-#: The far edge of the view for straight lines, as roads bend, and the size of its pixels along and
-#: across the road, metres.
+#: Far edge of the view for straight lines, because roads bend, and its pixel size along and across
+#: the road, metres.
 _STRAIGHT_TO_M, _ALONG_M, _ACROSS_M = 25.0, 0.1, 0.05
 
-#: The most lines per frame, and the least distance between them, metres.
+#: Maximum number of lines per frame, and their least distance, metres.
 _LINES, APART_M = 8, 2.2
 
-#: Half the width of the strip that a line covers, and the width of a marking that counts in full,
-#: metres.
+#: Half the width of the strip that a line covers, and the width of a full marking, metres.
 _REACH_M, _STRIPE_M = 0.125, 0.1
 
-#: Standard deviation of the width of lanes, metres, and the share of a line's score that it lends
-#: to its neighbours.
-_LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS = 0.2, 0.5
+#: Standard deviation of lane widths, metres, and the weight of a neighbouring line's score, which
+#: counts up to the third value.
+_LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS, _MOST_SUPPORT = 0.2, 0.5, 0.5
 
-#: The values that all lines of a frame share: heading (m/m), curvature (1/m), squeeze (radians over
-#: height, 1/m) and rate (1/m^2). First their usual sizes, standard deviations, then the largest
-#: ones; the rate is not searched for. It is what a car at 110 km/h meets on the shortest transition
-#: curve that AASHTO's Green Book allows (section 3.3.8: lateral acceleration grows by 1.2 m/s^3 at
-#: most, so 1.2 over the cube of the speed: a clothoid parameter of 155 m).
+#: Standard deviations and limits of the values that all lines of a frame share: heading (m/m),
+#: curvature (1/m), squeeze (1/m) and rate (1/m^2), which is not searched. The rate is that of a car
+#: at 110 km/h on the shortest transition curve of AASHTO's Green Book (section 3.3.8: 1.2 m/s^3).
 _SD = np.array([0.03, 0.001, 0.004, 4e-5])
 _MOST = np.array([0.15, 0.003, 0.008])
 
-#: The factor on these standard deviations (but the rate's) once the frame before is known.
+#: Factor on these standard deviations (not the rate's) around the previous frame's values.
 _PRIOR_SHARE = 0.3
 
-#: How much contours of a line differ in direction, m/m.
+#: Standard deviation of the direction of a line's contours, m/m.
 _SLOPE_SD = 0.05
 
-#: `least_rise` in a picture full of streaks: what is left of these adds to the contrast around.
+#: `least_rise` in rain, whose remains add to the mean contrast.
 _STREAKY_RISE = 3.0
 
-#: In noise the picture is blurred over some pixels, and its view over some metres along the road;
-#: what is left of the noise must not be taken for a line. These values were chosen on the first 55
-#: stills with noise of a standard deviation of 15 to 60.
+#: In noise, the picture is blurred over pixels and its view along the road, metres, and other
+#: thresholds apply. Chosen on the first 55 stills with noise of a standard deviation of 15 to 60.
 _NOISY_BLUR, _NOISY_ALONG_M, _NOISY_SMOOTH_M = (5, 5), 0.9, 1.5
 _NOISY = {"least_rise": 3.4, "least_score": 0.22}
 
-#: Grid sizes for heading, curvature and squeeze: of the coarse search, and of the fine one around
-#: the best point.
-_COARSE = (41, 9, 5)
-_FINE = (7, 5, 5)
-
-#: Bins of the coarse and the fine search, metres.
+#: Grid sizes for heading, curvature and squeeze of the coarse search and of the fine one around the
+#: best point, and their bins, metres.
+_COARSE, _FINE = (41, 9, 5), (7, 5, 5)
 _COARSE_BIN_M, _FINE_BIN_M = 0.1, 0.07
 
-#: Length of the pieces of contours that are one point of the search, metres.
-_PIECE_M = 0.8
+#: Length of a piece of contour in the search, and bin size of the search for offsets, metres.
+_PIECE_M, _BIN_M = 0.8, 0.05
 
-#: Size of the bins of the search for offsets, metres.
-_BIN_M = 0.05
-
-#: For each round of least squares, how near a run must be to a line to count, in `_REACH_M`.
+#: Distance from a line within which runs count, in `_REACH_M`, for each round of least squares.
 _REFINE = (2.5, 2.0, 1.5)
 
-#: Standard deviation of the distance of a run, one metre wide, from its line. It is larger than the
-#: scatter of runs, because neighbouring runs are far from independent.
+#: Standard deviation of the distance of a run, one metre wide, from its line: larger than the
+#: scatter of runs, because neighbouring runs are not independent.
 _RUN_SD_M = 0.02
 
-#: Weight of an offset's previous value (1/m^2), which keeps the equations solvable for a line
-#: without runs near it.
+#: Weight of an offset's previous value (1/m^2), for lines without runs nearby.
 _WEAK = 1e-3
 
-#: The visible length that the covered one is at least divided by, metres: a shorter one says too
-#: little.
+#: Lower bound of the visible length that a score is divided by, metres.
 _LEAST_VISIBLE_M = 5.0
-
-#: The largest share of a neighbour's own score that counts as support.
-_MOST_SUPPORT = 0.5
 
 
 @dataclass(frozen=True)
 class Found:
-    """The M lines found in one frame, left to right.
+    """The M lines of one frame, left to right.
 
     - shape: (M, 4) as in FrameLines
-    - score: (M,) share of the visible length that contours cover, plus support from neighbours; of
-      a network's own lines how likely each is
-    - likely, solid: (M,) how likely each is, and how much of it is continuous, NaN where nobody
-      says; both None but for a network's own lines
+    - score: (M,) share of the visible length covered by contours, plus support from neighbours; for
+      a network's lines, their probability
+    - likely: (M,) probability of each line, None if unknown
+    - solid: (M,) share of the line that is continuous, NaN if unknown, None for all
     """
 
     shape: FloatArray
@@ -127,46 +107,13 @@ class Found:
     solid: FloatArray | None = None
 
 
-@dataclass(frozen=True)
-class _Common:
-    """The values that all lines of a frame share: heading (m/m), curvature and squeeze (1/m), and
-    the curvature's rate (1/m^2)."""
-
-    heading: float
-    curvature: float
-    squeeze: float
-    rate: float = 0.0
-
-    def shape(self, offset: FloatArray) -> FloatArray:
-        """The shapes (M, 4) of the lines with offsets (M,)."""
-        out = np.zeros((len(offset), 4))
-        out[:, 0] = offset
-        out[:, 1] = self.heading + self.squeeze * offset
-        out[:, 2] = self.curvature
-        out[:, 3] = self.rate
-        return out
-
-
-def shared_by(curve: str) -> BoolArray:
-    """Which of the four shared values a curve has, (4,)."""
-    n_values = CURVES[curve]
-    return np.array([True, n_values > 2, True, n_values > 3])
-
-
 def view_for(camera: Camera, parameters: Parameters) -> BirdsEye:
-    """The bird's-eye view that the parameters ask for. Raises InputError as `make_view` does."""
+    """Make the bird's-eye view of these parameters. Raises InputError as `make_view` does."""
     side, far = number(parameters, "side_m"), number(parameters, "x_max_m")
     if parameters["curve"] == "line":
         far = min(far, _STRAIGHT_TO_M)
     near = number(parameters, "x_min_m")
     return make_view(camera, near, far, -side, side, _ALONG_M, _ACROSS_M)
-
-
-def lane_width_m(camera: Camera, parameters: Parameters) -> float:
-    """The usual width of lanes, metres: as the parameter says, or as the camera does."""
-    if parameters["lane_width_m"] == "auto":
-        return USUAL_LANE_M if camera.lane_width_m is None else camera.lane_width_m
-    return number(parameters, "lane_width_m")
 
 
 def find_lines(
@@ -178,13 +125,13 @@ def find_lines(
     on_road: BoolArray | None = None,
     mask: NDArray[np.uint8] | None = None,
 ) -> Found:
-    """Finds the lines in a picture.
+    """Find the lines in a picture.
 
     - image: (H, W, 3), blue green red
-    - prior_shape: (P, 4) lines expected from the frames before; what all lines share is searched
-      near theirs
-    - on_road: (R, C) pixels of the view on the plane of the road; marking elsewhere is dropped
-    - mask: (R, C) the marking, where it is known (of a network, which draws it wider than it is)
+    - prior_shape: (P, 4) lines predicted from earlier frames; shared values are searched near
+      theirs
+    - on_road: (R, C) pixels of the view on the road plane; marking elsewhere is dropped
+    - mask: (R, C) the marking, if a network has found it (usually wider than the paint)
 
     Raises InputError for a picture of another size than the calibration.
     """
@@ -192,9 +139,7 @@ def find_lines(
     if mask is None:
         cover = streak_cover(image)
         if cover > NOISE:
-            if is_nothing_but_noise(image):
-                return _nothing()
-            # Bends and what is far away drown first.
+            # Bends and distant markings drown first.
             near = view.x_m <= _STRAIGHT_TO_M
             view = replace(view, valid=view.valid & near[:, None])
             image = cv2.GaussianBlur(image, _NOISY_BLUR, 0).astype(np.uint8, copy=False)
@@ -220,8 +165,10 @@ def find_lines(
 
 
 def from_above(view: BirdsEye, image: Image) -> Image:
-    """The red channel of a picture (H, W, 3) from above, (R, C). In red, yellow paint is as bright
-    as white paint and brighter than concrete. A grey picture (H, W) is taken as it is."""
+    """Return the red channel of a picture, (H, W, 3) or grey (H, W), from above, (R, C).
+
+    In red, yellow paint is as bright as white paint and brighter than concrete.
+    """
     above = look(view, image)
     # The view has fewer pixels than the picture, so the channel is taken last.
     red = above if above.ndim == 2 else cv2.extractChannel(above, 2)
@@ -231,60 +178,69 @@ def from_above(view: BirdsEye, image: Image) -> Image:
 def fit_lines(
     view: BirdsEye, strips: Strips, parameters: Parameters, prior_shape: FloatArray | None = None
 ) -> Found:
-    """Finds the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
+    """Find the lines that cover most of the contours; `prior_shape` as in `find_lines`."""
     if len(strips.row) == 0:
-        return _nothing()
+        return Found(np.zeros((0, 4)), np.zeros(0))
     prior = _prior(prior_shape)
-    common = _find_common(view, strips, parameters, prior)
+    n_values = CURVES[str(parameters["curve"])]
+    has = np.array([True, n_values > 2, True, n_values > 3])
+    common = _find_common(view, strips, has, number(parameters, "side_m"), prior)
     offset, agreement = _along(strips, common)
-    centre, score = _scores(view, strips, offset, agreement, common, parameters)
-    peaks = _peaks(centre, score, parameters)
-    common, found = _refine(strips, common, centre[peaks], parameters, prior)
+    centre, score = _scores(view, strips, offset, agreement, common, number(parameters, "side_m"))
+    peaks = _peaks(centre, score, number(parameters, "least_score"))
+    common, found = _refine(strips, common, centre[peaks], has, prior)
     order = np.argsort(found, kind="stable")
-    return Found(common.shape(found[order]), score[peaks][order])
+    return Found(_shapes(common, found[order]), score[peaks][order])
 
 
-def _nothing() -> Found:
-    return Found(np.zeros((0, 4)), np.zeros(0))
+def _shapes(common: FloatArray, offset: FloatArray) -> FloatArray:
+    """Return the shapes (M, 4) of lines with the shared values (4,) and offsets (M,)."""
+    heading, curvature, squeeze, rate = common
+    shape = np.empty((len(offset), 4))
+    shape[:, 0], shape[:, 1] = offset, heading + squeeze * offset
+    shape[:, 2:] = curvature, rate
+    return shape
 
 
 def _prior(prior_shape: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """Mean and standard deviation, (4,) each, of the prior on what the lines share."""
+    """Return mean and standard deviation, (4,) each, of the prior on the shared values."""
     if prior_shape is None or not len(prior_shape):
         return np.zeros(4), _SD
     offset, slope = prior_shape[:, 0], prior_shape[:, 1]
     heading, squeeze = float(np.median(slope)), 0.0
     if len(prior_shape) > 1 and np.ptp(offset) > 1:
-        # The straight line through the slopes over the offsets.
+        # Regression of the slopes on the offsets.
         away = offset - offset.mean()
         squeeze = float(away @ slope / (away @ away))
         heading = float(slope.mean() - squeeze * offset.mean())
     curvature, rate = np.median(prior_shape[:, 2:], axis=0)
-    centre = np.array([heading, curvature, squeeze, rate])
-    # A clothoid begins and ends at a point: the rate of the frame before does not bind this one's.
-    return centre, _SD * [_PRIOR_SHARE, _PRIOR_SHARE, _PRIOR_SHARE, 1.0]
+    # A clothoid begins and ends at a point, so the previous rate binds this one's no more closely.
+    return (
+        np.array([heading, curvature, squeeze, rate]),
+        _SD * [_PRIOR_SHARE, _PRIOR_SHARE, _PRIOR_SHARE, 1.0],
+    )
 
 
 def _find_common(
-    view: BirdsEye, strips: Strips, parameters: Parameters, prior: tuple[FloatArray, FloatArray]
-) -> _Common:
-    """Searches for the values that the lines share, on a coarse grid, then on a fine one around the
-    best point. The rate is the expected one."""
-    has = shared_by(str(parameters["curve"]))
+    view: BirdsEye,
+    strips: Strips,
+    has: BoolArray,
+    side_m: float,
+    prior: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Search for the shared values (4,) on a coarse grid, then on a fine one around its best point.
+    The rate is the predicted one."""
     rate = float(prior[0][3]) if has[3] else 0.0
     x, y, area, contour = _pieces(view, strips)
     y = y - rate * x**3 / 6
     tolerance = np.hypot(_SLOPE_SD, strips.slope_sd)[contour]
     middle = strips.middle_m[contour]
     slope = strips.slope[contour] - rate * middle**2 / 2
-    side = number(parameters, "side_m")
 
     def best(grid: list[FloatArray], bin_m: float) -> FloatArray:
         if not has[1]:
             grid[1] = np.zeros(1)
-        scores = common_scores(
-            x, y, area, middle, slope, tolerance, grid[0], grid[1], grid[2], side, bin_m
-        )
+        scores = common_scores(x, y, area, middle, slope, tolerance, *grid, side_m, bin_m)
         away = np.meshgrid(
             # `strict=False`: the rate is not searched for.
             *((values - c) / s for values, c, s in zip(grid, *prior, strict=False)),
@@ -300,12 +256,11 @@ def _find_common(
     )
     step = 2 * _MOST / (np.array(_COARSE) - 1) * np.array([1.0, 0.75, 0.75])
     around = [at + s * np.linspace(-1, 1, n) for at, s, n in zip(first, step, _FINE, strict=True)]
-    heading, curvature, squeeze = map(float, best(around, _FINE_BIN_M))
-    return _Common(heading, curvature, squeeze, rate)
+    return np.append(best(around, _FINE_BIN_M), rate)
 
 
 def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, FloatArray, IntArray]:
-    """Cuts the contours into short pieces along the road; gives x, y, area and contour of each."""
+    """Cut the contours into short pieces along the road; return x, y, area and contour of each."""
     rows = max(round(_PIECE_M / view.along_m), 1)
     per_contour = len(view.x_m) // rows + 1
     key = strips.contour * per_contour + strips.row // rows
@@ -316,12 +271,10 @@ def _pieces(view: BirdsEye, strips: Strips) -> tuple[FloatArray, FloatArray, Flo
     return x, y, width[piece] * view.along_m, piece // per_contour
 
 
-def _along(strips: Strips, common: _Common) -> tuple[FloatArray, FloatArray]:
-    """For each run, (N,): the offset of the line through it, and how well its contour's direction
-    agrees with that line's, from 1 down to 0."""
-    heading, curvature, squeeze, rate = (
-        common.heading, common.curvature, common.squeeze, common.rate,
-    )  # fmt: skip
+def _along(strips: Strips, common: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return for each run the offset (N,) of the line through it, and how well its contour's
+    direction agrees with that line, (N,), from 1 down to 0."""
+    heading, curvature, squeeze, rate = common
     x, middle = strips.x_m, strips.middle_m
     straight = strips.y_m - x * (heading + x * (curvature / 2 + x * rate / 6))
     offset = straight / (1 + squeeze * x)
@@ -337,28 +290,28 @@ def _scores(
     strips: Strips,
     offset: FloatArray,
     agreement: FloatArray,
-    common: _Common,
-    parameters: Parameters,
+    common: FloatArray,
+    side_m: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Offsets (B,) and the score (B,) of the line at each."""
-    side = number(parameters, "side_m")
-    n_bins = 2 * round(side / _BIN_M)
-    centre = -side + (np.arange(n_bins, dtype=np.float64) + 0.5) * _BIN_M
-    at = np.floor((offset + side) / _BIN_M).astype(int)
+    """Return offsets (B,) and the score (B,) of the line at each."""
+    n_bins = 2 * round(side_m / _BIN_M)
+    centre = -side_m + (np.arange(n_bins, dtype=np.float64) + 0.5) * _BIN_M
+    at = np.floor((offset + side_m) / _BIN_M).astype(int)
     inside = (at >= 0) & (at < n_bins)
     area = np.bincount(at[inside], (strips.width_m * agreement)[inside], n_bins) * view.along_m
     wide = 2 * round(_REACH_M / _BIN_M - 0.5) + 1
     # mode="same" would give as many values as the longer of the two arrays.
     covered = np.convolve(area, np.ones(wide))[wide // 2 : wide // 2 + n_bins]
-    shown = _visible(view, common.shape(centre))
+    shown = _visible(view, _shapes(common, centre))
     full = np.maximum(shown, _LEAST_VISIBLE_M) * _STRIPE_M
     own = np.minimum(covered / full, 1.0)
-    support = _support(own, lane_width_m(view.camera, parameters))
+    camera = view.camera
+    support = _support(own, USUAL_LANE_M if camera.lane_width_m is None else camera.lane_width_m)
     return centre, np.where(own > 0.03, own + _NEIGHBOUR_BONUS * support, own)
 
 
 def _support(own: FloatArray, width: float) -> FloatArray:
-    """The best score (B,) one lane away on either side, less if the lane's width is unusual."""
+    """Return the best score (B,) one lane away on either side, less for an unusual width."""
     lag = np.arange(1, len(own))
     lag = lag[np.abs(lag * _BIN_M - width) <= 3 * _LANE_WIDTH_SD_M + _BIN_M]
     if not len(lag):
@@ -370,7 +323,7 @@ def _support(own: FloatArray, width: float) -> FloatArray:
 
 
 def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
-    """The length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
+    """Return the length of each line (M, 4) in the view, (M,), metres, from every fourth row."""
     x, valid = view.x_m[::4], view.valid[::4]
     s0, s1, s2, s3 = shape.T[:, :, None]
     column = (s0 + x * (s1 + x * (s2 / 2 + x * s3 / 6)) - view.y_m[0]) / view.across_m + 0.5
@@ -379,14 +332,13 @@ def _visible(view: BirdsEye, shape: FloatArray) -> FloatArray:
     return np.asarray(is_shown.sum(axis=1) * 4 * view.along_m)
 
 
-def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> IntArray:
-    """Indices of the best scores in turn, each at least `APART_M` from those before."""
+def _peaks(centre: FloatArray, score: FloatArray, least_score: float) -> IntArray:
+    """Return the indices of the best scores in turn, each at least `APART_M` from the others."""
     left = score.copy()
     peaks: list[int] = []
-    least = max(number(parameters, "least_score"), 1e-6)
     while len(peaks) < _LINES:
         best = int(np.argmax(left))
-        if left[best] < least:
+        if left[best] < max(least_score, 1e-6):
             break
         peaks.append(best)
         left[np.abs(centre - centre[best]) < APART_M] = 0
@@ -395,32 +347,33 @@ def _peaks(centre: FloatArray, score: FloatArray, parameters: Parameters) -> Int
 
 def _refine(
     strips: Strips,
-    common: _Common,
+    common: FloatArray,
     found: FloatArray,
-    parameters: Parameters,
+    has: BoolArray,
     prior: tuple[FloatArray, FloatArray],
-) -> tuple[_Common, FloatArray]:
-    """Refines the shared values and the offsets (M,) by least squares over the runs near the
-    lines."""
-    has = shared_by(str(parameters["curve"]))
-    for times in _REFINE:
-        if not len(found):
-            break
+) -> tuple[FloatArray, FloatArray]:
+    """Refine the shared values (4,) and the offsets (M,) by least squares over the runs near the
+    lines.
+
+    A run at x, y on a line with offset o is linearised around o and the squeeze q:
+    h x + k x^2 / 2 + q' o x + r x^3 / 6 + o' (1 + q x) = y + q o x. The left side counts squeeze
+    times offset twice, so the right side has it once.
+    """
+    n_lines = len(found)
+    strength = np.array([*prior[1] ** -2.0, *np.full(n_lines, _WEAK)])
+    for times in _REFINE if n_lines else ():
+        squeeze = common[2]
         offset, agreement = _along(strips, common)
-        normal, right = line_equations(
-            strips.x_m,
-            strips.y_m,
-            strips.width_m / _RUN_SD_M**2,
-            offset,
-            agreement,
-            found,
-            common.squeeze,
-            has,
-            times * _REACH_M,
-        )
-        strength = np.array([*prior[1] ** -2.0, *np.full(len(found), _WEAK)])
-        normal[np.diag_indices(len(strength))] += strength
-        right += strength * np.array([*prior[0], *found])
-        now = np.linalg.solve(normal, right)
-        common, found = _Common(*map(float, now[:4] * has)), now[4:]
+        line = np.argmin(np.abs(offset[:, None] - found), axis=1)
+        distance = np.abs(offset - found[line])
+        near = np.flatnonzero((agreement > 0) & (distance <= times * _REACH_M))
+        line, x = line[near], strips.x_m[near]
+        design = np.zeros((len(near), 4 + n_lines))
+        design[:, :4] = has * np.stack([x, x**2 / 2, found[line] * x, x**3 / 6], axis=1)
+        design[np.arange(len(near)), 4 + line] = 1 + squeeze * x
+        weighted = design * (strips.width_m * agreement / _RUN_SD_M**2)[near, None]
+        normal = design.T @ weighted + np.diag(strength)
+        right = weighted.T @ (strips.y_m[near] + squeeze * found[line] * x)
+        solution = np.linalg.solve(normal, right + strength * [*prior[0], *found])
+        common, found = solution[:4] * has, solution[4:]
     return common, found

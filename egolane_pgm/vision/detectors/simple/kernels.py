@@ -1,14 +1,13 @@
-"""The numba kernels of the line finder."""
+"""The numba kernel of the line finder."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.tools.jit import kernel
-from egolane_pgm.types import BoolArray, FloatArray
+from egolane_pgm.types import FloatArray
 
 
 @kernel()
@@ -81,134 +80,4 @@ def common_scores(
                     total[ih] += histograms[b, ih] * histograms[b, ih]
             for ih in range(n_headings):
                 out[ih, ik, iq] = total[ih]
-    return out
-
-
-@kernel()
-def line_equations(
-    x: FloatArray,
-    y: FloatArray,
-    width: FloatArray,
-    offset: FloatArray,
-    agreement: FloatArray,
-    found: FloatArray,
-    squeeze: float,
-    has: BoolArray,
-    reach_m: float,
-) -> tuple[FloatArray, FloatArray]:
-    """The normal equations of least squares for what lines share and for their offsets, without
-    the prior: (4 + M, 4 + M) and (4 + M,).
-
-    Unknown are heading, curvature, squeeze and rate, then each line's offset. A run at x, y on a
-    line with offset o and squeeze q says, linearly: h x + k x^2 / 2 + q' o x + r x^3 / 6 +
-    o' (1 + q x) = y + q o x. (The left side counts squeeze times offset twice, so one of them is
-    on the right.) It belongs to the nearest line.
-
-    - x, y, width, offset, agreement: (N,) the runs; the last two as `along_common` gives them
-    - found: (M,) the offsets of the lines so far
-    - squeeze: the squeeze so far
-    - has: (4,) whether the lines have each of the shared values
-    - reach_m: largest distance of a run from its line
-    """
-    n_lines = len(found)
-    normal = np.zeros((4 + n_lines, 4 + n_lines))
-    right = np.zeros(4 + n_lines)
-    row = np.zeros(4)
-    for i in range(len(x)):
-        if agreement[i] <= 0:
-            continue
-        line = 0
-        for m in range(1, n_lines):
-            if abs(offset[i] - found[m]) < abs(offset[i] - found[line]):
-                line = m
-        if abs(offset[i] - found[line]) > reach_m:
-            continue
-        o, weight = found[line], width[i] * agreement[i]
-        row[0] = x[i]
-        row[1] = x[i] * x[i] / 2
-        row[2] = o * x[i]
-        row[3] = x[i] * x[i] * x[i] / 6
-        own = 1 + squeeze * x[i]
-        value = y[i] + squeeze * o * x[i]
-        for a in range(4):
-            if not has[a]:
-                continue
-            weighted = weight * row[a]
-            for b in range(a + 1):
-                if has[b]:
-                    normal[a, b] += weighted * row[b]
-            normal[4 + line, a] += weighted * own
-            right[a] += weighted * value
-        normal[4 + line, 4 + line] += weight * own * own
-        right[4 + line] += weight * own * value
-    for a in range(4 + n_lines):
-        for b in range(a):
-            normal[b, a] = normal[a, b]
-    return normal, right
-
-
-@kernel()
-def feet_on_rays(
-    above: NDArray[np.uint8],
-    valid: BoolArray,
-    far_m: float,
-    left_m: float,
-    along_m: float,
-    across_m: float,
-    rays: FloatArray,
-    x: FloatArray,
-    share: float,
-    n_dark: int,
-    n_edge: int,
-    n_road: int,
-) -> NDArray[np.uint8]:
-    """Where rays from the camera meet the dark foot of a vehicle, (K, A): 1 at a sample at which
-    the mean of the next `n_dark` samples is below `share` of the mean of `n_road` samples of road
-    that come `n_edge` samples before, else 0.
-
-    - above, valid: (R, C) the bird's-eye view and what of it the picture shows
-    - far_m, left_m, along_m, across_m: place of its first row and column, and size of its pixels
-    - rays: (A,) metres to the right per metre ahead
-    - x: (K,) metres ahead of the samples of each ray, rising
-    """
-    n_rows, n_columns = above.shape
-    n = len(x)
-    out = np.zeros((n, len(rays)), dtype=np.uint8)
-    total = np.zeros(n + 1)
-    shown = np.zeros(n + 1, dtype=np.int64)
-    before = n_road + n_edge
-    for a in range(len(rays)):
-        for k in range(n):
-            r = int((far_m - x[k]) / along_m + 0.5)
-            c = math.floor((x[k] * rays[a] - left_m) / across_m + 0.5)
-            value, seen = 0.0, 0
-            if 0 <= r < n_rows and 0 <= c < n_columns and valid[r, c]:
-                value, seen = float(above[r, c]), 1
-            total[k + 1] = total[k] + value
-            shown[k + 1] = shown[k] + seen
-        for k in range(before, n - n_dark + 1):
-            if shown[k + n_dark] - shown[k - before] < n_dark + before:
-                continue
-            road = (total[k - n_edge] - total[k - before]) / n_road
-            dark = (total[k + n_dark] - total[k]) / n_dark
-            out[k, a] = dark < share * road
-    return out
-
-
-@kernel()
-def in_front(
-    ends: FloatArray, x: FloatArray, y: FloatArray, first: float, step: float
-) -> BoolArray:
-    """Which pixels of a view are nearer than the end of the ray through them, (R, C).
-
-    - ends: (A,) metres ahead at which each ray ends; rays that are not among them do not end
-    - x, y: (R,) and (C,) metres ahead of the rows and to the right of the columns
-    - first, step: the first ray and the distance of the rays, metres to the right per metre ahead
-    """
-    out = np.ones((len(x), len(y)), dtype=np.bool_)
-    for r in range(len(x)):
-        for c in range(len(y)):
-            a = math.floor((y[c] / x[r] - first) / step + 0.5)
-            if 0 <= a < len(ends) and x[r] >= ends[a]:
-                out[r, c] = False
     return out

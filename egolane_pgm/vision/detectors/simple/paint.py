@@ -1,9 +1,8 @@
-"""Measures how much of a line is painted, to tell a continuous line from a dashed one.
+"""Measure the painted share of a line, which distinguishes continuous from dashed lines.
 
-The contours that lines are fitted to cannot tell: on worn concrete they miss half of a faint yellow
-line, and far ahead the dashes run together. This module therefore looks again at the first metres
-in view, in the picture's own pixels. It takes the brightest of the three colours, in which yellow
-is as bright as white.
+The contours that lines are fitted to cannot: on worn concrete they miss half of a faint yellow
+line, and far ahead the dashes run together. So the first metres in view are measured again, in the
+picture's pixels and in the brightest of the three colours, in which yellow is as bright as white.
 """
 
 from __future__ import annotations
@@ -33,17 +32,16 @@ PARAMETERS = (
     ),
 )
 
-#: The length of a line that is examined, the shortest piece in view that is judged, and the largest
-#: distance of paint from it, metres.
+#: Length of a line that is measured, shortest part in view, and largest distance of paint from the
+#: line, metres.
 _LENGTH_M, _LEAST_M, _REACH_M = 10.0, 3.0, 0.25
 
-#: The least contrast of paint, as a share of local brightness, and as a multiple of the contrast
-#: beside the line (on the side with less).
+#: Least contrast of paint, as a share of local brightness, and as a multiple of the contrast next
+#: to the line (on the side with less).
 _LEAST, _OVER_NOISE = 0.14, 2.0
 
-#: A line with a gap longer than this, metres, is broken however long its strokes are (those of the
-#: block marking of an exit lane are longer than its gaps, of 3 m and more), and counts as painted
-#: over this share at most.
+#: A line with a longer gap, metres, is broken even if its strokes are longer than its gaps (block
+#: marking of exit lanes), and its painted share is at most the second value.
 _GAP_M, _BROKEN = 2.0, 0.5
 
 #: Added to the local brightness (grey levels), so that noise in the dark does not count as paint.
@@ -53,11 +51,10 @@ _DARK = 10.0
 def painted_share(
     view: BirdsEye, image: Image, shape: FloatArray, parameters: Parameters
 ) -> FloatArray:
-    """The share (M,) of each line that is painted, over its first metres in view; NaN where too
-    little of it is in view.
+    """Return the painted share (M,) of lines (M, 4), over their first metres in view; NaN if too
+    little of a line is in view.
 
-    - image: (H, W, 3), blue green red
-    - shape: (M, 4) the lines, as in FrameLines
+    image: (H, W, 3), blue green red.
     """
     width_m = number(parameters, "paint_width_m")
     aside = round((_REACH_M + width_m) / view.across_m) + 1
@@ -67,7 +64,7 @@ def painted_share(
     far = min(int((away_m <= _REACH_M + view.across_m).sum()), aside)
     shares = np.full(len(shape), np.nan)
     for k, line in enumerate(shape):
-        rows, columns = _rows_in_view(view, line, aside, _LENGTH_M)
+        rows, columns = _rows_in_view(view, line, aside)
         if len(rows) * view.along_m < _LEAST_M:
             continue
         pixels = view.map_uv[0][rows[:, None], columns[:, None] + np.arange(-aside, aside + 1)]
@@ -84,35 +81,28 @@ def painted_share(
     return shares
 
 
-def _rows_in_view(
-    view: BirdsEye, line: FloatArray, aside: int, length_m: float
-) -> tuple[IntArray, IntArray]:
-    """The rows of a view that show the first metres of a line (4,), and the line's columns in these
-    rows, (N,) each, from near to far.
-
-    - aside: number of columns on either side that must be in the picture too
-    - length_m: length of these first metres
-    """
+def _rows_in_view(view: BirdsEye, line: FloatArray, aside: int) -> tuple[IntArray, IntArray]:
+    """Return the rows of a view that show the first metres of a line (4,), from near to far, with
+    so many columns on either side, and the line's columns in these rows, (N,) each."""
     x = view.x_m
     y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
     columns = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(np.int64)
     rows = np.flatnonzero((columns >= aside) & (columns < view.valid.shape[1] - aside))
-    # Outside of the picture is not dark road.
     both = view.valid[rows, columns[rows] - aside] & view.valid[rows, columns[rows] + aside]
     rows = rows[both][::-1]
-    rows = rows[x[rows] <= x[rows[:1]] + length_m]
+    rows = rows[x[rows] <= x[rows[:1]] + _LENGTH_M]
     return rows, columns[rows]
 
 
 def _contrasts(
     image: Image, pixels: NDArray[np.int16], strip: Image, near: int, far: int
 ) -> tuple[FloatArray, FloatArray]:
-    """How much brighter than the road around it the paint of a line is, and what seems to be paint
-    beside the line (on the side with less), (N,) each, as shares of the local brightness.
+    """Return the contrast of a line's paint, and that next to the line (on the side with less),
+    (N,) each, as shares of the local brightness.
 
     - pixels: (N, 2 A + 1, 2) column and row of each pixel across the line, A to either side
-    - strip: wider ones are no paint (a top-hat)
-    - near, far: paint up to `near` pixels from the line is its own, from `far` on it is beside it
+    - strip: the widest strip that is paint (top-hat)
+    - near, far: paint belongs to the line up to `near` pixels from it, and not from `far` on
     """
     nearest = cv2.remap(image, pixels, np.zeros(0), cv2.INTER_NEAREST)
     seen = np.maximum.reduce(cv2.split(nearest))
@@ -124,7 +114,7 @@ def _contrasts(
 
 
 def _quantile(values: FloatArray, share: float) -> float:
-    """As np.quantile, which is many times slower for such short arrays."""
+    """As np.quantile, but many times faster for such short arrays."""
     ordered = np.sort(values)
     at = share * (len(ordered) - 1)
     below = ordered[int(at)]

@@ -1,13 +1,10 @@
-"""Follows the lines found in single frames over time (paper, section
-`section:simple-line-detector`): a Kalman filter updates each line's parameters, and its LRI counts
-detections.
+"""Track the lines of single frames over time (paper, section `section:simple-line-detector`): a
+Kalman filter updates each line's parameters, and its LRI counts detections.
 
-A line is y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6. The measurement is where it lies at some
-distances ahead, because there it was seen; its offset at the car is an extrapolation. The car's own
-motion moves all lines alike, so one shift per frame is estimated for all of them together. On a
-clothoid the curvature grows by its rate times the distance driven. That distance is not known here,
-so this growth is part of the same shift, and the rate is predicted to stay. This module works on
-arrays alone and sees no picture.
+A line is y(x) = s0 + s1 x + s2 x^2 / 2 + s3 x^3 / 6. It is measured at some distances ahead, where
+it was visible; its offset at the car is an extrapolation. The car's motion moves all lines alike,
+so one shift per frame is estimated for all of them. It includes the growth of a clothoid's
+curvature, its rate times the unknown distance driven; the rate is predicted to stay.
 """
 
 from __future__ import annotations
@@ -22,46 +19,38 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.detectors import FrameLines, powers
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
-#: The distances ahead at which a line is compared (four parameters need four), and the standard
+#: Distances ahead at which a line is compared (four parameters need four), and the standard
 #: deviations of a found line there, metres; that of the rate of a clothoid's curvature, 1/m^2.
 _PLACES = 4
 _AHEAD_M = np.linspace(6.0, 30.0, _PLACES)
 _SIGMA_M, _SIGMA_RATE = np.linspace(0.12, 0.35, _PLACES), 2e-5
 
-#: Standard deviations of a line's own change per frame: heading (radians), curvature (1/m), rate.
-_WALK = (0.004, 2e-4, 4e-6)
+#: Standard deviations of a line's change per frame: offset (m), heading, curvature (1/m), rate.
+_WALK = (0.06, 0.004, 2e-4, 4e-6)
 
-#: The share of the matched lines' common change of curvature that counts as common motion (the
-#: road's).
-_CURVATURE_GAIN = 0.3
+#: Shares of the matched lines' common motion that move every line, that enter the predicted motion,
+#: and (of the change of curvature) that count as common.
+_SHIFT_GAIN, _MOTION_GAIN, _CURVATURE_GAIN = 0.6, 0.4, 0.3
 
-#: Standard deviation of a line's own change of offset per frame, metres.
-_OFFSET_WALK_M = 0.06
+#: Share of frames that a line must be detected in to become valid: a detection counts one, a miss
+#: takes away share / (1 - share), down to 0, and k are needed (Page's test of 1954 for a rate above
+#: this one). A valid line stays valid until its LRI is below the last share of k.
+_VALID_SHARE = 0.55
+_MISS_COST, _VALID_UNTIL = _VALID_SHARE / (1 - _VALID_SHARE), 0.5
 
-#: The shares of the matched lines' common motion that move every line (the car's motion), and that
-#: enter the steady motion, with which lines are predicted.
-_SHIFT_GAIN, _MOTION_GAIN = 0.6, 0.4
-
-#: The share of frames that a line must be detected in to become valid: a detection counts one, a
-#: miss takes away share / (1 - share), though never more than there is, and k are needed (Page's
-#: test of 1954 for a rate above this one). A valid line stays so until its LRI is below the second
-#: share of k.
-_VALID_SHARE, _VALID_UNTIL = 0.55, 0.5
-
-#: The frames in a row without detection after which a line is dropped that was valid once, and one
-#: that never was.
+#: Missed frames in a row after which a line is dropped, if it was ever valid and if not.
 _DIE_AFTER, _NEW_DIE_AFTER = 10, 3
 
-#: The largest distance of a line from its prediction: metres, and standard deviations on average.
+#: Largest distance of a line from its prediction: metres, and mean standard deviations.
 _GATE_M, _GATE_SIGMAS = 1.0, 4.0
 
 #: Of two lines nearer to each other than the first, metres, one is dropped. A line beyond another,
-#: seen from the car, and nearer to it than the second bounds no lane (the foot of a barrier, a
+#: as viewed from the car, and nearer to it than the second bounds no lane (the foot of a barrier, a
 #: kerb). Lines farther to the side than the third are dropped.
 _APART_M, _LEAST_LANE_M, _FARTHEST_M = 1.0, 2.8, 14.0
 
-#: How many of a line's last detections vote on continuous or dashed, and the share of the votes
-#: that makes it continuous.
+#: Number of a line's last detections that vote on continuous or dashed, and the share of votes
+#: above which it is continuous.
 _VOTE_FRAMES, _CONTINUOUS_SHARE = 20, 0.5
 
 #: Limit on a new line's standard deviations, in steps of the walk.
@@ -70,18 +59,18 @@ _OPEN_STEPS = 50
 
 @dataclass(frozen=True)
 class Tracks:
-    """The L lines that are followed, in no particular order.
+    """The L tracked lines, in no particular order.
 
-    - number: (L,) identifies a line for as long as it is followed
+    - number: (L,) identifies a line for as long as it is tracked
     - mean, covariance: (L, 4) and (L, 4, 4), of the line's parameters
-    - hits: (L, k) how probable its detection was in the last k frames, the newest last; 0 for none,
-      1 for one of which nobody says how probable it is
-    - excess: (L,) how many detections it has beyond the share that makes it valid, 0 to k
+    - hits: (L, k) probability of its detection in each of the last k frames, the newest last; 0
+      without detection
+    - excess: (L,) detections beyond the share that makes it valid, 0 to k
     - votes: (L, v) of its last v detections: 1 for continuous, 0 for dashed, NaN for no vote
-    - missed: (L,) frames since it was last detected
+    - missed: (L,) frames since its last detection
     - is_valid, was_valid: (L,) whether it is valid, and whether it ever was
-    - motion: (4,) change of the parameters per frame that all lines share
-    - n_started: how many lines have been started so far
+    - motion: (4,) common change of the parameters per frame
+    - n_started: number of lines started so far
     """
 
     number: IntArray
@@ -110,27 +99,25 @@ class Rules:
     """The parameters of tracking and the matrices that follow from them.
 
     - lri_frames: k
-    - continuous_cover: the painted share of a line from which on a frame votes for continuous
-    - beyond_edge: which lines beyond the edge of the road are hidden
+    - continuous_cover: least painted share of a line for a vote for continuous
+    - hides_beyond: whether lines beyond the edge of the road are hidden
     - gate_m: largest distance of a line from its prediction
-    - n_values: how many of a shape's four values the lines have: 2 if they are straight
-    - at: (J, 4) takes a line's parameters to its places at J distances ahead
+    - n_values: number of shape values that are not 0: 2 if lines are straight
+    - at: (J, 4) maps a line's parameters to its lateral positions at J distances ahead
     - noise: (J, J) covariance of a measurement
-    - miss_cost: how many detections make up for a miss before a line is valid
     - walk: (4, 4) covariance of the change from frame to frame
     - first: (4, 4) covariance of a line that was detected once
-    - to_shift: (2, J) takes places to the offset and heading that fit them best
-    - to_curvature: (J,) takes places to the curvature of the parabola that fits them best
+    - to_shift: (2, J) maps positions to the offset and heading that fit them best
+    - to_curvature: (J,) maps positions to the curvature of the parabola that fits them best
     """
 
     lri_frames: int
     continuous_cover: float
-    beyond_edge: str
+    hides_beyond: bool
     gate_m: float
     n_values: int
     at: FloatArray
     noise: FloatArray
-    miss_cost: float
     walk: FloatArray
     first: FloatArray
     to_shift: FloatArray
@@ -138,7 +125,7 @@ class Rules:
 
 
 def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rules:
-    """The rules of tracking, from checked values of the parameters.
+    """Make the rules of tracking.
 
     - curve: "line", "parabola" or "clothoid"
     - gate_m: largest distance of a line from its prediction
@@ -147,66 +134,74 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
     at = powers(_AHEAD_M)
     noise = np.diag(_SIGMA_M**2)
     if n_values == 4:
-        noise = _noise_of_clothoids(at, _SIGMA_M, _SIGMA_RATE)
-    walk = np.array([_OFFSET_WALK_M, *_WALK])
+        noise = _noise_of_clothoids(at)
+    walk = np.array(_WALK)
     walk[n_values:] = 0.0
     inverse = np.linalg.pinv(at)
     first = inverse @ noise @ inverse.T
     narrower = np.minimum(1.0, _OPEN_STEPS * walk / np.sqrt(np.diag(first)))
     first *= narrower[:, None] * narrower
-    is_strict = parameters["valid_when"] == "paper"
-    miss_cost = np.inf if is_strict else _VALID_SHARE / (1 - _VALID_SHARE)
     weight = 1 / np.sqrt(np.diag(noise))
     design = at * weight[:, None]
-    to_shift: FloatArray = np.linalg.pinv(design[:, :2]) * weight
-    to_curvature: FloatArray = np.linalg.pinv(design[:, :3])[2] * weight
     return Rules(
-        int(number(parameters, "lri_frames")),
-        number(parameters, "continuous_cover"),
-        str(parameters["beyond_edge"]),
-        gate_m,
-        n_values,
-        at,
-        noise,
-        miss_cost,
-        np.diag(walk**2),
-        first,
-        to_shift,
-        to_curvature,
+        lri_frames=int(number(parameters, "lri_frames")),
+        continuous_cover=number(parameters, "continuous_cover"),
+        hides_beyond=parameters["beyond_edge"] == "hide",
+        gate_m=gate_m,
+        n_values=n_values,
+        at=at,
+        noise=noise,
+        walk=np.diag(walk**2),
+        first=first,
+        to_shift=np.linalg.pinv(design[:, :2]) * weight,
+        to_curvature=np.linalg.pinv(design[:, :3])[2] * weight,
     )
 
 
-def _noise_of_clothoids(at: FloatArray, sigma: FloatArray, sigma_rate: float) -> FloatArray:
-    """The covariance (J, J) of a clothoid's places: that of the parabola through places with
-    independent errors (J,), and that of the rate, which the fit to all contours tells far better
-    than four such places would."""
-    parabola = at[:, :3]
-    covariance = np.linalg.inv((parabola / sigma[:, None] ** 2).T @ parabola)
-    # What a parabola cannot follow of a unit of rate.
-    rest = at[:, 3] - parabola @ covariance @ (parabola.T @ (at[:, 3] / sigma**2))
+def _noise_of_clothoids(at: FloatArray) -> FloatArray:
+    """Return the covariance (J, J) of a clothoid's positions: that of a parabola through positions
+    with independent errors, and that of the rate, which the fit to all contours finds far better
+    than four such positions would."""
+    parabola, precision = at[:, :3], _SIGMA_M**-2
+    covariance = np.linalg.inv((parabola * precision[:, None]).T @ parabola)
+    # The part of a unit of rate that a parabola cannot follow.
+    rest = at[:, 3] - parabola @ covariance @ (parabola.T @ (at[:, 3] * precision))
     noise: FloatArray = parabola @ covariance @ parabola.T
-    return noise + sigma_rate**2 * np.outer(rest, rest)
+    return noise + _SIGMA_RATE**2 * np.outer(rest, rest)
 
 
 def no_tracks(rule: Rules) -> Tracks:
-    """The tracks before the first frame: none."""
+    """Return the empty tracks before the first frame."""
+    return _new_tracks(rule, np.zeros((0, 4)), np.zeros(0), np.zeros(0))
+
+
+def _new_tracks(
+    rule: Rules, shape: FloatArray, coverage: FloatArray, likely: FloatArray, n_started: int = 0
+) -> Tracks:
+    """Make tracks of N lines (N, 4) that were detected for the first time."""
+    n_lines = len(shape)
+    hits = np.zeros((n_lines, rule.lri_frames))
+    hits[:, -1] = likely
+    votes = np.full((n_lines, _VOTE_FRAMES), np.nan)
+    votes[:, -1] = np.where(np.isnan(coverage), np.nan, coverage >= rule.continuous_cover)
     return Tracks(
-        number=np.zeros(0, dtype=np.int64),
-        mean=np.zeros((0, 4)),
-        covariance=np.zeros((0, 4, 4)),
-        hits=np.zeros((0, rule.lri_frames)),
-        excess=np.zeros(0),
-        votes=np.zeros((0, _VOTE_FRAMES)),
-        missed=np.zeros(0, dtype=np.int64),
-        is_valid=np.zeros(0, dtype=bool),
-        was_valid=np.zeros(0, dtype=bool),
+        number=n_started + 1 + np.arange(n_lines),
+        mean=shape,
+        covariance=np.repeat(rule.first[None], n_lines, axis=0),
+        hits=hits,
+        excess=np.ones(n_lines),
+        votes=votes,
+        missed=np.zeros(n_lines, dtype=np.int64),
+        is_valid=np.zeros(n_lines, dtype=bool),
+        was_valid=np.zeros(n_lines, dtype=bool),
         motion=np.zeros(4),
+        n_started=n_started + n_lines,
     )
 
 
 def expected(tracks: Tracks) -> FloatArray:
-    """The lines (K, 4) predicted for the next frame, left to right: the valid ones, or all of them
-    if none is valid."""
+    """Predict the lines (K, 4) of the next frame, left to right: the valid ones, or all of them if
+    no line is valid."""
     shapes = tracks.mean[tracks.is_valid | ~tracks.is_valid.any()] + tracks.motion
     return shapes[np.argsort(shapes[:, 0], kind="stable")]
 
@@ -218,67 +213,55 @@ def advance(
     coverage: FloatArray,
     likely: FloatArray | None = None,
 ) -> Tracks:
-    """The tracks after one more frame.
+    """Update the tracks with the M lines found in the next frame.
 
-    - shape: (M, 4) the lines found in it
-    - coverage: (M,) the share of each line that is painted; NaN where that is unknown
-    - likely: (M,) how probable each line is; 1 where it is left out
+    - shape: (M, 4) the lines
+    - coverage: (M,) painted share of each line; NaN if unknown
+    - likely: (M,) probability of each line; 1 by default
     """
     likely = np.ones(len(shape)) if likely is None else likely
     shape = np.where(np.arange(4) < rule.n_values, shape, 0.0)
-    tracks = predicted(tracks, rule)
-    matched = _match(tracks, rule, shape)
-    tracks = _update(tracks, rule, matched, shape, coverage, likely)
-    is_new = np.ones(len(shape), dtype=bool)
-    is_new[matched[matched >= 0]] = False
-    for found in np.flatnonzero(is_new):
-        new = _new_track(tracks, rule, shape[found], coverage[found], likely[found])
-        is_apart = _gaps(tracks.mean, shape[found], rule) >= _APART_M
-        if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
-            tracks = _joined(tracks, new)
-    return _without_lost(_with_validity(tracks, rule), rule)
-
-
-def predicted(tracks: Tracks, rule: Rules) -> Tracks:
-    """The tracks one frame later, in which nobody looked for lines."""
-    return replace(
+    tracks = replace(
         tracks, mean=tracks.mean + tracks.motion, covariance=tracks.covariance + rule.walk
     )
+    matched = _match(tracks, rule, shape)
+    tracks = _update(tracks, rule, matched, shape, coverage, likely)
+    for found in np.setdiff1d(np.arange(len(shape)), matched):
+        one = slice(found, found + 1)
+        new = _new_tracks(rule, shape[one], coverage[one], likely[one], tracks.n_started)
+        is_apart = _gaps(tracks.mean, shape[found], rule) >= _APART_M
+        if is_apart.all() and not _are_just_beyond(tracks, new, rule)[0]:
+            both: dict[str, Any] = {
+                n: np.concatenate([a, getattr(new, n)]) for n, a in _per_line(tracks).items()
+            }
+            tracks = replace(new, motion=tracks.motion, **both)
+    # A line becomes valid with an excess of k, which without a miss is the largest LRI (the paper's
+    # rule), and stays so until its LRI falls below a share of k.
+    k, seen = rule.lri_frames, (tracks.hits > 0).sum(axis=1)
+    is_valid = (tracks.excess >= k) | (tracks.is_valid & (seen >= _VALID_UNTIL * k))
+    tracks = replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
+    return _without_lost(tracks, rule)
 
 
 def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
-    """The lines of a frame, left to right, as the detector gives them."""
-    is_continuous = continuous_share(tracks) > _CONTINUOUS_SHARE
-    order = np.argsort(tracks.mean[:, 0], kind="stable")
-    order = order[~_is_hidden(tracks, is_continuous, rule)[order]]
+    """Return the lines of a frame, left to right, as the detector gives them."""
+    n_votes = np.isfinite(tracks.votes).sum(axis=1)
+    share = np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1)
+    is_continuous = share > _CONTINUOUS_SHARE
+    offset = tracks.mean[:, 0]
+    order = np.argsort(offset, kind="stable")
+    if rule.hides_beyond:
+        edges = offset[is_continuous & tracks.is_valid]
+        left, right = edges[edges < 0].max(initial=-np.inf), edges[edges > 0].min(initial=np.inf)
+        order = order[(offset[order] >= left) & (offset[order] <= right)]
     return FrameLines(
-        tracks.mean[order],
-        tracks.is_valid[order],
-        is_continuous[order],
-        tracks.lri[order],
+        tracks.mean[order], tracks.is_valid[order], is_continuous[order], tracks.lri[order]
     )
 
 
-def _is_hidden(tracks: Tracks, is_continuous: BoolArray, rule: Rules) -> BoolArray:
-    """Which lines, (L,), the parameter `beyond_edge` hides."""
-    choice, offset = rule.beyond_edge, tracks.mean[:, 0]
-    edges = offset[is_continuous & tracks.is_valid]
-    left, right = edges[edges < 0].max(initial=-np.inf), edges[edges > 0].min(initial=np.inf)
-    is_beyond: BoolArray = (offset < left) | (offset > right)
-    if choice == "keep":
-        return np.zeros_like(is_beyond)
-    return is_beyond if choice == "hide_all" else is_beyond & is_continuous
-
-
-def continuous_share(tracks: Tracks) -> FloatArray:
-    """The share of each line's votes that says continuous, (L,); 0 without a vote."""
-    n_votes = np.isfinite(tracks.votes).sum(axis=1)
-    return np.asarray(np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1))
-
-
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
-    """For each line, (L,), the index of the found line that continues it, or -1. The closest pairs
-    are matched first."""
+    """Match each line with the found line that continues it: its index, (L,), or -1. The closest
+    pairs are matched first."""
     taken = np.full(len(tracks), -1, dtype=np.int64)
     if not len(tracks) or not len(shape):
         return taken
@@ -305,10 +288,10 @@ def _update(
     coverage: FloatArray,
     likely: FloatArray,
 ) -> Tracks:
-    """Updates the matched lines by a Kalman step, and counts the hits and votes of all lines."""
+    """Update the matched lines by a Kalman step, and count the hits and votes of all lines."""
     is_hit = matched >= 0
     found = matched[is_hit]
-    # One line of several may have moved alone, which says nothing about the car.
+    # The motion of one line of several is not the car's.
     shows_motion = len(found) >= min(2, len(tracks))
     moved = (shape[found] - tracks.mean[is_hit]) @ rule.at.T
     shift = _common_shift(moved, rule) if shows_motion and len(found) else np.zeros(4)
@@ -336,9 +319,7 @@ def _update(
         covariance=covariance,
         votes=votes,
         hits=np.column_stack([tracks.hits[:, 1:], hit]),
-        excess=np.clip(
-            tracks.excess + np.where(is_hit, 1.0, -rule.miss_cost), 0.0, tracks.hits.shape[1]
-        ),
+        excess=np.clip(tracks.excess + np.where(is_hit, 1.0, -_MISS_COST), 0.0, rule.lri_frames),
         missed=np.where(is_hit, 0, tracks.missed + 1),
         # Without matched lines the common motion decays.
         motion=(
@@ -350,10 +331,9 @@ def _update(
 
 
 def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
-    """The change of offset and heading, and of curvature where lines have one, as (4,), that most
-    of the K matched lines show.
+    """Return the common change (4,) of offset, heading and, unless lines are straight, curvature.
 
-    moved: (K, J) measured minus predicted places, metres.
+    moved: (K, J) measured minus predicted positions of the matched lines, metres.
     """
     shift = np.zeros(4)
     middle = np.median(moved, axis=0)
@@ -364,40 +344,8 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
     return shift
 
 
-def _new_track(
-    tracks: Tracks, rule: Rules, shape: FloatArray, coverage: float, likely: float
-) -> Tracks:
-    """Tracks with a single line, which was detected for the first time."""
-    hits = np.zeros((1, tracks.hits.shape[1]))
-    hits[0, -1] = likely
-    votes = np.full((1, tracks.votes.shape[1]), np.nan)
-    if np.isfinite(coverage):
-        votes[0, -1] = coverage >= rule.continuous_cover
-    return Tracks(
-        number=np.array([tracks.n_started + 1]),
-        mean=shape[None].astype(np.float64),
-        covariance=rule.first[None],
-        hits=hits,
-        excess=np.ones(1),
-        votes=votes,
-        missed=np.zeros(1, dtype=np.int64),
-        is_valid=np.zeros(1, dtype=bool),
-        was_valid=np.zeros(1, dtype=bool),
-        motion=tracks.motion,
-        n_started=tracks.n_started + 1,
-    )
-
-
-def _with_validity(tracks: Tracks, rule: Rules) -> Tracks:
-    """Sets `is_valid`: a line becomes valid with k detections in excess, which without a miss is
-    the largest LRI (the paper's rule), and stays so until its LRI falls below a share of k."""
-    k, seen = tracks.hits.shape[1], (tracks.hits > 0).sum(axis=1)
-    is_valid = (tracks.excess >= k) | (tracks.is_valid & (seen >= _VALID_UNTIL * k))
-    return replace(tracks, is_valid=is_valid, was_valid=tracks.was_valid | is_valid)
-
-
 def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
-    """Drops lines that were missed for too long, are too far to the side, or are too close to a
+    """Drop lines that were missed for too long, are too far to the side, or are too close to a
     better one."""
     patience = np.where(tracks.was_valid, _DIE_AFTER, _NEW_DIE_AFTER)
     is_good = (tracks.missed < patience) & (np.abs(tracks.mean[:, 0]) <= _FARTHEST_M)
@@ -412,8 +360,8 @@ def _without_lost(tracks: Tracks, rule: Rules) -> Tracks:
 
 
 def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
-    """Which of N lines, (N,), lie beyond one of the tracks, seen from the car, too close for a lane
-    between them. That one is valid, or is detected in this frame and has at least the same LRI."""
+    """Return which of N lines, (N,), lie beyond a track, as viewed from the car, and too close to
+    it for a lane. That track is valid, or is detected in this frame with at least the same LRI."""
     near = rule.at[: _PLACES // 2].mean(axis=0)
     place, places = (some.mean @ near)[:, None], tracks.mean @ near
     is_between = (np.sign(places) == np.sign(place)) & (np.abs(places) < np.abs(place))
@@ -424,26 +372,16 @@ def _are_just_beyond(tracks: Tracks, some: Tracks, rule: Rules) -> BoolArray:
 
 
 def _gaps(means: FloatArray, others: FloatArray, rule: Rules) -> FloatArray:
-    """The distance (...), metres, of lines (..., 4) from others (..., 4), over the nearer half of
-    the distances ahead."""
+    """Return the mean distance (...), metres, of lines (..., 4) from others (..., 4) in the nearer
+    half of the distances ahead."""
     return np.asarray(np.abs((means - others) @ rule.at[: _PLACES // 2].T).mean(axis=-1))
 
 
 def _per_line(tracks: Tracks) -> dict[str, Any]:
+    """Return the arrays with an entry per line, by name."""
     shared = ("motion", "n_started")
     return {f.name: getattr(tracks, f.name) for f in fields(tracks) if f.name not in shared}
 
 
 def _chosen(tracks: Tracks, which: IntArray) -> Tracks:
-    if len(which) == len(tracks):
-        return tracks
-    few = {name: a[which] for name, a in _per_line(tracks).items()}
-    return replace(tracks, **few)
-
-
-def _joined(tracks: Tracks, more: Tracks) -> Tracks:
-    two = _per_line(more)
-    both: dict[str, Any] = {
-        name: np.concatenate([a, two[name]]) for name, a in _per_line(tracks).items()
-    }
-    return replace(more, **both)
+    return replace(tracks, **{name: a[which] for name, a in _per_line(tracks).items()})

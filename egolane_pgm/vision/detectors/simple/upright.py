@@ -1,12 +1,11 @@
-"""Finds what stands upright on the road in the bird's-eye view, and so hides the road behind it.
+"""Find vehicles in the bird's-eye view, which hide the road behind them.
 
 A vehicle stands on its shadow: between its wheels the road is dark, whatever the weather and the
-colour of the vehicle. Seen along a ray from the camera, bright road ends there; and side by side
-the rays on which it ends at one distance are as wide as a vehicle. The shade of a bridge is wider,
-a crack or a seam is narrower. Behind its foot a vehicle hides the road, and its edges, which stand
-upright, appear in the bird's-eye view as streaks that point away from the camera. No marking is
-looked for there. Where headlights end, at night, the road is dark as well, and nothing tells that
-from a shadow: vehicles are looked for by daylight only.
+colour of the vehicle. Along a ray from the camera the bright road ends there, and the neighbouring
+rays on which it ends at one distance are as wide as a vehicle. The shade of a bridge is wider, a
+crack or a seam is narrower. Behind its foot a vehicle hides the road, and its upright edges appear
+as streaks that point away from the camera, so no marking is searched there. At night the road is
+dark where the headlights end, so vehicles are searched by daylight only.
 """
 
 from __future__ import annotations
@@ -17,41 +16,40 @@ import cv2
 import numpy as np
 
 from egolane_pgm.parameters import Parameters, number
-from egolane_pgm.types import BoolArray
+from egolane_pgm.types import BoolArray, FloatArray, IntArray
 from egolane_pgm.vision.camera.model import Camera, vanishing_point
 from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors.simple.birdseye import BirdsEye
-from egolane_pgm.vision.detectors.simple.kernels import feet_on_rays, in_front
 
-#: Distance of neighbouring rays, metres to the side per metre ahead, and the largest.
+#: Distance of neighbouring rays, metres to the side per metre ahead, and the outermost ray.
 _RAY_STEP, _RAY_MOST = 0.005, 1.0
+_RAYS = np.arange(-_RAY_MOST, _RAY_MOST + _RAY_STEP / 2, _RAY_STEP)
 
-#: Each sample of a ray is farther away than the one before by this share, as a picture resolves
-#: distances.
+#: Growth of the distance from one sample of a ray to the next, as a picture resolves distances.
 _FARTHER = 0.02
 
-#: The samples of a foot: dark ones (seen under a bumper a fifth of the camera's height above the
-#: road), before them the shadow's edge, and before that the road.
+#: Samples of a foot: dark ones (seen under a bumper a fifth of the camera's height above the road),
+#: before them the shadow's edge, and before that the road.
 _DARK, _EDGE, _ROAD = 5, 2, 8
 
-#: The narrowest and the widest foot, metres: a motorcycle is narrower, a lorry with the shadow
-#: that the low sun casts beside it is about as wide as its lane.
+#: The narrowest and the widest foot, metres: a motorcycle is narrower, a lorry with the shadow of
+#: the low sun is about as wide as its lane.
 _NARROWEST_M, _WIDEST_M = 0.8, 4.0
 
-
-#: The share of what is above the horizon that is no brighter than `is_daylight` takes for the sky
-#: (trees and bridges hide much of it), the same of the road, on which there are vehicles, and the
-#: least brightness of the sky over that of the road: in pictures of four cameras by day 0.7.
+#: Quantiles of the brightness of sky (partly hidden by trees and bridges) and road (with vehicles
+#: on it), and the least ratio of the two by day; in pictures of four cameras it was above 0.7.
 _SKY, _LIT, _DAYLIGHT = 0.9, 0.75, 0.5
 
 
 def is_daylight(camera: Camera, image: Image) -> bool:
-    """Whether the sky in a picture, (H, W, 3) or (H, W), is about as bright as the road, which
-    headlights alone do not make it. A picture without sky counts as taken by day."""
+    """Return whether the sky in a picture, (H, W, 3) or (H, W), is about as bright as the road.
+
+    A picture without sky counts as taken by day.
+    """
     horizon = math.floor(vanishing_point(camera)[1])
     red = (image if image.ndim == 2 else image[:, :, 2])[::8, ::8]
     sky, below = red[: max(horizon, 0) // 8], red[max(horizon, 0) // 8 :]
-    # Where headlights shine brightest: not the bonnet, not far ahead.
+    # The part that headlights light most: neither the bonnet nor far ahead.
     road = below[len(below) // 4 : 3 * len(below) // 4, red.shape[1] // 4 : 3 * red.shape[1] // 4]
     if not sky.size or not road.size:
         return True
@@ -59,9 +57,9 @@ def is_daylight(camera: Camera, image: Image) -> bool:
 
 
 def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray:
-    """Where a bird's-eye view of one colour (R, C) shows no vehicle and nothing behind one; (R, C).
+    """Return the pixels, (R, C), of a one-colour view (R, C) with no vehicle on or before them.
 
-    With a `shadow_share` of 0 everything is free.
+    With a `shadow_share` of 0 all pixels are free.
     """
     free = np.ones(above.shape, dtype=bool)
     share = number(parameters, "shadow_share")
@@ -69,22 +67,51 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
     count = int(math.log(far / near) / math.log1p(_FARTHER)) + 1
     if not share or count < _DARK + _EDGE + _ROAD:
         return free
-    x = near * (1 + _FARTHER) ** np.arange(count)
-    rays = np.arange(-_RAY_MOST, _RAY_MOST + _RAY_STEP / 2, _RAY_STEP)
-    # Rays begin at the camera, which may be beside the vehicle's middle.
+    x: FloatArray = near * np.power(1 + _FARTHER, np.arange(count, dtype=np.float64))
+    # Rays begin at the camera, which may be off the vehicle's centre line.
     y = view.y_m - view.camera.lateral_m
-    geometry = (float(view.x_m[0]), float(y[0]), view.along_m, view.across_m)
-    feet = feet_on_rays(above, view.valid, *geometry, rays, x, share, _DARK, _EDGE, _ROAD)
-    ends = np.full(len(rays), np.inf)
+    feet = _feet(view, above, x, float(y[0]), share)
+    ends = np.full(len(_RAYS), np.inf)
     outlines, tree = cv2.findContours(feet, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    for k, outline in enumerate(outlines):
-        if tree[0, k, 3] >= 0:
-            continue  # It is that of a hole.
+    for outline, (*_, parent) in zip(outlines, tree[0] if outlines else (), strict=True):
         first, top, width, _ = cv2.boundingRect(outline)
-        at = x[top]
-        if _NARROWEST_M <= width * _RAY_STEP * at <= _WIDEST_M:
-            behind = ends[first : first + width]
-            np.minimum(behind, at, out=behind)
+        # An outline with a parent is that of a hole.
+        if parent < 0 and _NARROWEST_M <= width * _RAY_STEP * x[top] <= _WIDEST_M:
+            ends[first : first + width] = np.minimum(ends[first : first + width], x[top])
     if np.isfinite(ends).any():
-        free = in_front(ends, view.x_m, y, -_RAY_MOST, _RAY_STEP)
+        ray = _nearest(y / view.x_m[:, None], -_RAY_MOST, _RAY_STEP)
+        # Rays beyond the outermost ones do not end.
+        free = view.x_m[:, None] < np.append(ends, np.inf)[np.clip(ray, -1, len(ends))]
     return free
+
+
+def _feet(view: BirdsEye, above: Image, x: FloatArray, left_m: float, share: float) -> Image:
+    """Return where rays from the camera meet the dark foot of a vehicle, (K, A), as 1, else 0.
+
+    There the mean of the next dark samples is below `share` of the mean of the road before.
+
+    - x: (K,) metres ahead of the samples of each ray, increasing
+    - left_m: lateral position of the view's first column from the camera
+    """
+    row = np.floor((view.x_m[0] - x) / view.along_m + 0.5).astype(np.int64)[:, None]
+    column = _nearest(x[:, None] * _RAYS, left_m, view.across_m)
+    inside = (column >= 0) & (column < above.shape[1])
+    column = np.where(inside, column, 0)
+    shown = inside & view.valid[row, column]
+    # Cumulative sums over each ray, beginning with 0.
+    total, seen = np.zeros((2, len(x) + 1, len(_RAYS)), dtype=np.int64)
+    np.cumsum(np.where(shown, above[row, column], 0), axis=0, out=total[1:])
+    np.cumsum(shown, axis=0, out=seen[1:])
+    before = _ROAD + _EDGE
+    at = np.arange(before, len(x) - _DARK + 1)
+    road = (total[at - _EDGE] - total[at - before]) / _ROAD
+    dark = (total[at + _DARK] - total[at]) / _DARK
+    is_known = seen[at + _DARK] - seen[at - before] == _DARK + before
+    feet = np.zeros((len(x), len(_RAYS)), dtype=np.uint8)
+    feet[at] = is_known & (dark < share * road)
+    return feet
+
+
+def _nearest(values: FloatArray, first: float, step: float) -> IntArray:
+    """Return the index of the nearest of evenly spaced values."""
+    return np.asarray(np.floor((values - first) / step + 0.5), dtype=np.int64)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.types import InputError
-from egolane_pgm.vision.detectors.networks.description import READY, network_files, read_network
+from egolane_pgm.vision.detectors.networks.description import read_network
 from egolane_pgm.vision.detectors.runner import find_detector
 from tests.kits.tiny_network import write_answer, write_network
 
@@ -27,16 +27,16 @@ def folder(tmp_path: Path) -> Path:
     ("keys", "said"),
     [
         ({"sise": [1, 2]}, "unknown key 'sise' (did you mean 'size'?)"),
-        ({"layout": "lane"}, "layout: 'lane' is not one of drivable, lanes, instances,"),
+        ({"layout": "lane"}, "layout: 'lane' is not one of lanes, instances,"),
         ({"classes": None}, "layout lanes needs classes"),
-        ({"rows": [1, 2]}, "rows: goes with layout row_anchors or hybrid_anchors only"),
+        ({"rows": "culane"}, "rows: goes with layout row_anchors or hybrid_anchors only"),
         ({"layout": "row_anchors"}, "layout row_anchors needs rows"),
         ({"classes": 1, "activation": "softmax"}, "softmax needs several classes"),
         (
             {"layout": "prototypes", "output": {"box": "x"}},
             "layout prototypes reads boxes, prototypes",
         ),
-        ({"classes": {"solid": [1]}}, "a line of lanes has none; say how many there are"),
+        ({"classes": {"solid": [1]}}, "lines of layout lanes have none; give their number"),
         ({"mean": float("nan")}, "input should be a finite number"),
         ({"cut_top": 1}, "cut_top: input should be less than 1"),
     ],
@@ -55,10 +55,7 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
     detector = find_detector("network", {"network": "lstr"}, folder, "detector")
     named = folder.resolve() / "lstr.yaml"
     assert detector.parameters["network"] == str(named)
-    assert read_network(named).files[1] == folder.resolve() / "lstr_360x640.onnx"
-    assert network_files(detector.parameters) == [READY / "lstr.yaml", read_network(named).files[1]]
-    with pytest.raises(InputError, match=r"scnn.yaml: model: no file .*scnn.onnx"):
-        read_network(folder / "scnn.yaml")
+    assert read_network(named).model == str(folder.resolve() / "lstr_360x640.onnx")
     write_network(named, **{**GOOD, "model": "lstr_360x640.onnx"})
     assert read_network(named).layout == "lanes"
 
@@ -69,8 +66,7 @@ def test_a_network_that_comes_along_needs_the_onnx_only(folder: Path) -> None:
         ("network", {}, "here_parameters.network: '' is not the name of a .yaml file; it"),
         ("network", {"network": "none"}, "'none' is not the name of a .yaml file"),
         ("network", {"network": "lsrt"}, "(docs/networks.md) (did you mean 'lstr'?)"),
-        ("ml", {"on_road": 3}, "here_parameters.on_road: 3 is not the name of a .yaml"),
-        ("ml", {"on_rode": "x.yaml"}, "unknown key 'on_rode' (did you mean 'on_road'?)"),
+        ("ml", {"lri_frame": 3}, "unknown key 'lri_frame' (did you mean 'lri_frames'?)"),
     ],
 )
 def test_a_parameter_that_is_no_network_is_refused(

@@ -12,13 +12,11 @@ import numpy as np
 import onnx
 import onnxruntime
 import pytest
-import yaml
 from onnx import helper
 
 from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.networks.checking import describe_onnx
-from egolane_pgm.vision.detectors.networks.description import Network, network_files, read_network
+from egolane_pgm.vision.detectors.networks.description import Network, read_network
 from egolane_pgm.vision.detectors.networks.running import Outputs, as_input, fit_of, load, read_onnx
 from tests.kits.tiny_network import (
     write_answer,
@@ -44,7 +42,6 @@ def refused(path: Path) -> str:
     said = str(caught.value)
     assert "\n" not in said
     assert len(said) < 500
-    assert str(path) in said
     return said
 
 
@@ -136,7 +133,10 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
     assert started(conv(tmp_path, (1, 3, 40, 80)))(noise(160, 120))["mask"].shape == (2, 40, 80)
     assert started(conv(tmp_path, ("n", 3, "h", "w")))(noise(160, 120))["mask"].shape == (2, 40, 80)
     said = refused(conv(tmp_path, (1, 3, 40, 80), size=[80, 48]))
-    assert "x.onnx takes 1 x 3 x 40 x 80 (picture), but size [80, 48] makes 1 x 3 x 48 x 80" in said
+    assert (
+        "the network takes 1 x 3 x 40 x 80 (picture), but size [80, 48] makes 1 x 3 x 48 x 80"
+        in said
+    )
     assert "takes 1 x 1 x 40 x 80" in refused(conv(tmp_path, (1, 1, 40, 80)))
     write_onnx(
         tmp_path / "x.onnx",
@@ -146,25 +146,8 @@ def test_other_inputs_than_a_picture_of_that_size_are_refused(tmp_path: Path) ->
         {"picture": (1, 3, 40, 80), "before": (1, 3, 40, 80)},
     )
     said = refused(tmp_path / "net.yaml")
-    assert "x.onnx takes picture, before; say what each gets but the picture" in said
+    assert "the network takes picture, before; give the constant of each but the picture" in said
     assert said.endswith("inputs: {before: 0}")
-
-
-@pytest.mark.parametrize("kind", ["uint8", "int32", "float16"])
-def test_a_picture_goes_in_as_the_numbers_that_the_network_takes(tmp_path: Path, kind: str) -> None:
-    """Shares of 255 would all be 0 as whole numbers."""
-    shape = (1, 3, 40, 80)
-    wanted = started(conv(tmp_path, shape, scale=1))(noise(160, 120))["mask"]
-    model = onnx.load(str(tmp_path / "x.onnx"))
-    port = model.graph.input[0].type.tensor_type
-    port.elem_type = helper.np_dtype_to_tensor_dtype(np.dtype(kind))
-    model.graph.node[0].input[0] = "floats"
-    model.graph.node.insert(0, helper.make_node("Cast", ["picture"], ["floats"], to=1))
-    onnx.save(model, str(tmp_path / "x.onnx"))
-    found = started(tmp_path / "net.yaml")(noise(160, 120))["mask"]
-    assert np.abs(found - wanted).max() <= 1.5
-    if kind != "float16":
-        assert yaml.safe_load(describe_onnx(tmp_path / "x.onnx"))["scale"] == 1
 
 
 @pytest.mark.parametrize(
@@ -174,9 +157,9 @@ def test_a_picture_goes_in_as_the_numbers_that_the_network_takes(tmp_path: Path,
          "answer 1 x 3 x 4 x 8; layout lanes needs mask 1 x k x h x w, k = 2 (docs/networks.md)"),
         ({"answer": (1, 2, 4)}, {"layout": "lanes", "classes": 2}, "answer 1 x 2 x 4; layout"),
         ({"answer": (1, 2, 4, 8)}, {"layout": "lanes", "classes": 2, "channels": [2]}, "k = 2"),
-        ({"answer": (1, 11, 5, 2)}, {"layout": "row_anchors", "classes": 11, "rows": [1, 2, 3]},
-         "needs columns 1 x k x r x n, k = 11, r = 3"),
-        ({"answer": (1, 4, 6)}, {"layout": "polylines", "start": 2, "length": 4, "first_x": 5},
+        ({"answer": (1, 11, 5, 2)}, {"layout": "row_anchors", "classes": 11, "rows": "culane"},
+         "needs columns 1 x k x r x n, k = 11, r = 18"),
+        ({"answer": (1, 4, 6)}, {"layout": "polylines", "length": 4},
          "answer 1 x 4 x 6; layout polylines needs candidates 1 x n x k"),
         ({"loc_row": (1, 9, 5, 4), "loc_col": (1, 9, 6, 4), "exist_row": (1, 2, 6, 4),
           "exist_col": (1, 2, 6, 4)}, {"layout": "hybrid_anchors", "rows": "culane"},
@@ -207,21 +190,20 @@ def test_an_output_that_is_not_finite_is_refused(tmp_path: Path) -> None:
 def test_opencv_computes_what_onnxruntime_computes(tmp_path: Path) -> None:
     network = read_network(write_top_hat(tmp_path, 160, 120))
     fit, image = fit_of(network, 160, 120), noise(160, 120)
-    session = onnxruntime.InferenceSession(str(network.files[1]))
+    session = onnxruntime.InferenceSession(network.model)
     (wanted,) = session.run(["lanes"], {"picture": as_input(network, fit, image)})
     np.testing.assert_allclose(load(network, fit)(image)["mask"], wanted[0], rtol=1e-4, atol=1e-4)
-    assert read_onnx(network.files[1], "here").inputs == {"picture": (1, 3, 120, 160)}
+    assert read_onnx(Path(network.model), "here").inputs == {"picture": (1, 3, 120, 160)}
 
 
 def test_weights_in_a_file_of_their_own_are_read_or_missed(tmp_path: Path) -> None:
     path, file = conv(tmp_path, (1, 3, 40, 80)), tmp_path / "x.onnx"
-    assert network_files({"on_road": str(path)}) == [path, file]
     whole = started(path)(noise(160, 120))["mask"]
     weights = tmp_path / "x.onnx.data"
     apart = {"save_as_external_data": True, "location": weights.name, "size_threshold": 0}
     onnx.save(onnx.load(str(file)), str(file), **apart)
     assert np.array_equal(started(path)(noise(160, 120))["mask"], whole)
     weights.write_bytes(weights.read_bytes()[:10])
-    assert f"net.yaml: model: {file}: is no ONNX file that can be read: " in refused(path)
+    assert f"model: {file}: is no ONNX file that can be read: " in refused(path)
     weights.unlink()
     assert str(weights) in refused(path)

@@ -15,7 +15,7 @@ from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors.simple.contours import Strips
-from egolane_pgm.vision.detectors.simple.finder import PARAMETERS, follower
+from egolane_pgm.vision.detectors.simple.finder import MONO, follower
 from egolane_pgm.vision.detectors.simple.fit import fit_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING, TRACKING
 from egolane_pgm.vision.detectors.simple.tracking import Tracks, advance, lines_of, no_tracks, rules
@@ -56,7 +56,7 @@ def pictures(rate: float) -> tuple[Picture, ...]:
 @needs_compiler
 @pytest.mark.parametrize("rate", RATES)
 def test_over_a_drive_rate_curvature_and_offsets_are_followed(rate: float) -> None:
-    follow, rule = follower(CAMERA, resolve_parameters(PARAMETERS, {}, 1), curve="clothoid")
+    follow, rule = follower(CAMERA, resolve_parameters(MONO, {}, 1), curve="clothoid")
     tracks = no_tracks(rule)
     for picture in pictures(rate):
         tracks = follow(tracks, picture)

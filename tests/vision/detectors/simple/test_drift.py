@@ -18,13 +18,10 @@ from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, runner
 from egolane_pgm.vision.detectors.simple import drift
-from egolane_pgm.vision.detectors.simple.fit import lane_width_m
 from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import CAMERA, Paint, road
 
 LINES = (Paint(-5.46), Paint(-1.8, 4.0, 12.0), Paint(1.86), Paint(5.52, 4.0, 12.0))
-PARAMETERS = runner.find_detector("ml", {}, Path(), "detector").parameters
-STRAIGHT = {**PARAMETERS, "curve": "line"}
 
 
 def turned(degrees: float, **more: Any) -> Camera:
@@ -53,13 +50,13 @@ def detected(
 
 @needs_compiler
 def test_a_drift_is_warned_of_once_and_names_camera_estimate_and_calibration() -> None:
-    _, said = detected(turned(1.0, name="front.yaml"), pictures(14), camera_drift="warn")
+    _, said = detected(turned(1.0, name="front.yaml"), pictures(14))
     (line,) = said
-    said_deg, sd = re.search(r"by (-[\d.]+) degrees \(standard deviation ([\d.]+)\)", line).groups()
+    said_deg, sd = re.search(r"of (-[\d.]+) degrees \(standard deviation ([\d.]+)\)", line).groups()
     assert float(said_deg) == pytest.approx(CAMERA.pitch_deg, abs=float(sd))
-    assert "front.yaml: the lines of the road say that it is pitched by" in line
+    assert "front.yaml: the lines of the road show a pitch of" in line
     assert "calibrated with pitch_deg -3.00" in line
-    assert line.endswith("calibrate it again, or set the detector's camera_drift to correct")
+    assert line.endswith("the pitch is corrected from here on")
 
 
 @needs_compiler
@@ -104,10 +101,3 @@ def test_the_lines_beside_the_car_stay_valid_while_the_pitch_is_corrected(
         assert found.offset_m[found.is_valid][-2:] == pytest.approx([-1.8, 1.86], abs=0.5)
     last = lines[-1].shape
     assert last[:, 0] + 20 * last[:, 1] == pytest.approx([-5.46, -1.8, 1.86], abs=0.2)
-
-
-def test_detectors_expect_the_lane_width_that_the_camera_was_calibrated_with() -> None:
-    calibrated = replace(CAMERA, lane_width_m=3.3)
-    given = {**STRAIGHT, "lane_width_m": 3.5}
-    found = [lane_width_m(camera, STRAIGHT) for camera in (CAMERA, calibrated)]
-    assert [*found, lane_width_m(calibrated, given)] == [3.66, 3.3, 3.5]

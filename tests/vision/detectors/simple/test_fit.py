@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.model import Camera
-from egolane_pgm.vision.detectors.simple import fit as _fit
 from egolane_pgm.vision.detectors.simple import kernels as _kernels
 from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
@@ -138,22 +137,3 @@ def test_scores_of_what_lines_share_are_the_same_as_in_numpy(seed, n_headings):
     twin = line_finder.common_scores(*pieces, *grid, 9.0, 0.1)
     np.testing.assert_allclose(ours, twin, rtol=1e-9)
     assert ours.max() > 0
-
-
-@settings(max_examples=20, deadline=None)
-@given(
-    st.integers(0, 2**31),
-    st.integers(1, 6),
-    st.sampled_from(["line", "parabola", "clothoid"]),
-)
-def test_equations_of_lines_near_runs_are_the_same_as_in_numpy(seed, n_lines, curve):
-    rng = np.random.default_rng(seed)
-    n = 80
-    x, y, offset = rng.uniform(4, 35, n), rng.uniform(-9, 9, n), rng.uniform(-9, 9, n)
-    agreement = np.maximum(rng.uniform(-0.3, 1, n), 0)
-    found = np.sort(rng.uniform(-9, 9, n_lines))
-    near = rng.uniform(0.1, 0.3, n), offset, agreement, found, -0.004, _fit.shared_by(curve), 1.5
-    for ours, twin in zip(
-        _kernels.line_equations(x, y, *near), line_finder.line_equations(x, y, *near), strict=True
-    ):
-        np.testing.assert_allclose(ours, twin, rtol=1e-9, atol=1e-9)

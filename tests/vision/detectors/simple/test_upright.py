@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.vision.camera.model import Camera, road_to_image
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.detectors.simple import kernels
 from egolane_pgm.vision.detectors.simple.fit import Found, find_lines, from_above, view_for
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 from egolane_pgm.vision.detectors.simple.upright import free_road, is_daylight
-from tests.conftest import needs_compiler
 from tests.kits.synthetic_road import Paint, road
-from tests.reference import upright as reference
 
 CAMERA = Camera(960, 540, 780.0, 780.0, 479.5, 269.5, height_m=1.4, pitch_deg=-4.0)
 DEFAULTS = resolve_parameters(FINDING, {}, 1)
@@ -105,24 +100,6 @@ def test_the_shade_of_a_bridge_and_a_dark_seam_are_road() -> None:
     seam[np.ix_(VIEW.x_m > 12, np.abs(VIEW.y_m) < 0.15)] //= 5
     assert free_road(VIEW, shade, DEFAULTS).all()
     assert free_road(VIEW, seam, DEFAULTS).all()
-
-
-@needs_compiler
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**31), st.floats(0.2, 0.9))
-def test_feet_and_what_is_in_front_of_them_are_those_of_plain_numpy(
-    seed: int, share: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    above = rng.integers(0, 256, (60, 40), dtype=np.uint8)
-    valid = rng.random((60, 40)) < 0.99
-    rays, x = np.linspace(-0.4, 0.4, 33), 5 * 1.05 ** np.arange(40)
-    given = (above, valid, 17.0, -4.0, 0.2, 0.2, rays, x, share, 3, 1, 4)
-    np.testing.assert_array_equal(kernels.feet_on_rays(*given), reference.feet_on_rays(*given))
-    ends = np.where(rng.random(33) < 0.5, np.inf, rng.uniform(5, 20, 33))
-    view = np.linspace(17.0, 5.0, 60), np.linspace(-9.0, 9.0, 90)
-    ours = kernels.in_front(ends, *view, -0.4, 0.025)
-    np.testing.assert_array_equal(ours, reference.in_front(ends, *view, -0.4, 0.025))
 
 
 @pytest.mark.parametrize("sky", [150, 10])

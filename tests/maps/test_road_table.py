@@ -1,4 +1,4 @@
-"""Where a road from a map cuts a recording."""
+"""The number of lanes along a recording."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from egolane_pgm.maps.cutting import lanes_along, lanes_at, unknown_lanes
+from egolane_pgm.maps.road_table import lanes_along, lanes_at, unknown_lanes
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.lane_maps import road_rows
 
@@ -49,8 +49,8 @@ def test_a_single_time_may_be_after_the_last_row() -> None:
         ([3, 3], [100.0, 101.0], "has the times 10 to 11 s, and .* has 100 to 101 s: they do not"),
         ([3, 3], [1.0, 2.0], "has 1 to 2 s: they do not overlap"),
         ([3, 3], [], "has no frames: they do not overlap"),
-        ([0, 0], [10.0, 11.0], "no row knows how many lanes the road has"),
-        ([3, 51], [10.0, 11.0], "row 1: a road of 51 lanes; at most 50 are taken"),
+        ([0, 0], [10.0, 11.0], "no row has a number of lanes"),
+        ([3, 51], [10.0, 11.0], "row 1: a road of 51 lanes; at most 50 are supported"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused_in_one_line(
@@ -61,12 +61,12 @@ def test_a_table_that_does_not_fit_is_refused_in_one_line(
     assert "\n" not in str(error.value)
 
 
-def test_what_the_map_does_not_tell_is_said() -> None:
-    road = road_rows([3, 0, 0, 4], 0.0, off=[2], untold={1: 7, 3: 9})
+def test_frames_without_a_number_of_lanes_in_the_map_are_reported() -> None:
+    road = road_rows([3, 0, 0, 4], 0.0, off=[2], unknown_way={1: 7, 3: 9})
     said = unknown_lanes(road, log_of([0, 1, 2, 3, 3.5]))
     assert [line.partition(": ")[2] for line in said] == [
-        "in 2 of 5 frames the road has no number of lanes in the map (way 9); the number is a"
-        " guess",
-        "in 1 of 5 frames the road has no number of lanes in the map; the number before goes on",
-        "in 1 of 5 frames the car is off the map; the number before goes on",
+        "in 2 of 5 frames the road has no number of lanes in the map (way 9); the number is"
+        " assumed",
+        "in 1 of 5 frames the road has no number of lanes in the map; the number before is kept",
+        "in 1 of 5 frames the car is off the map; the number before is kept",
     ]
