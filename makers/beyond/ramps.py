@@ -41,14 +41,11 @@ TEXT = """\
 
 A simulated road of two lanes, with `n_lanes: 2`; a ramp joins from one side for 5 to 10 s
 (`makers/beyond/ramps.py`). Shares of drives with one change detected, to the right side and within
-2.5 s of the line, or none where the car makes none. The seeds are others than those that were
-in sight when the rule of events was made. No real drive with a ramp is among them.
+2.5 s of the line, or none if the car makes none. The seeds were not used when the
+rule of events was made. All drives are simulated.
 
-Before an event was one crossing of one line, zero labels had .86 of the changes away from the
-ramp, .70 of the drives beside it and .95 of those away from it, and the paper's graph .44, .28
-and .83 (means of the five rows). The paper's graph has no position in the lane: its lines alone
-tell where in its lane the car is. What is still wrong are bursts of failures in which all lines
-are reported shifted.
+The paper's graph has no position in the lane: the lateral offset comes from the lines alone. The
+remaining errors are bursts of failures in which all lines are reported shifted.
 """
 
 

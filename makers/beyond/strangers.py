@@ -27,7 +27,7 @@ TEXT = """\
 Made by `make beyond`, which runs `python -m makers.beyond strangers`. The share of frames
 whose lane is right, without labels: the mean over the paper's ten recordings (the worst of them),
 then each of runs 1 to 10. Crossing frames are not scored, and Spain (6 to 10) is scored before
-frame 9577. `tests/kits/strangers.py` says what is done to a recording. The constants are one set
+frame 9577. `tests/kits/strangers.py` has the changes. The constants are one set
 for all, chosen with these ten recordings and these changes in sight. *From the frames so far* is
 causal, lane width and flags included; *smoothed* knows all frames, but reads them in the same way.
 """

@@ -151,7 +151,7 @@ def measure() -> list[str]:
         return [f"A real network: {FILE} or the pictures are absent (EGOLANE_DATA)."]
     of_clips, of_video = (folder for folder in folders if folder is not None)
     return [
-        "### A real lane network beside our detectors",
+        "### A real lane network and our detectors",
         "",
         "LSTR (`network=lstr`; its ONNX of 640 x 360) was trained on TuSimple's training set:"
         " stills and clips are part of that, so in-sample for it; the video is not. Its"
