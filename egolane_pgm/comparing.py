@@ -38,7 +38,6 @@ def compare(
     of: str | None = None,
     by: str | None = None,
     detector: bool = False,
-    events: bool = False,
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings.
 
@@ -48,7 +47,6 @@ def compare(
       the name if all results are of one recording, and the folder otherwise.
     - by: a second such key; results with different values of it are compared separately.
     - detector: whether the detectors' own answers are a further side, the last one.
-    - events: whether scores of lane changes, reported within 1 s, are added.
 
     Returns a row per value of `by` and `of`, with each score (the mean over the recordings), its
     95 % interval, and the difference to the first row with a paired interval over the same
@@ -80,7 +78,7 @@ def compare(
             row |= {key: name, "recordings": len(aligned), **_cells(counts)}
             if side is not first or node != "Lane":
                 row |= _cells(counts, of_first, "_difference")
-            if events and node == "Lane":
+            if node == "Lane":
                 row |= _event_scores(aligned)
             tuned = dict.fromkeys(each.run["tuned_on"] for each in aligned)
             row["tuned_on"] = "" if node != "Lane" else ", ".join(tuned)

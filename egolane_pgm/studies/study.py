@@ -81,7 +81,7 @@ def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]
     whole = everything(drives)
     fewest = min(map(len, whole.test))
     if not 2 <= n_blocks <= fewest:
-        raise InputError(f"blocks: {n_blocks} is not between 2 and the {fewest} frames of a drive")
+        raise InputError(f"folds: {n_blocks} is not between 2 and the {fewest} frames of a drive")
     blocks = [np.array_split(frames, n_blocks) for frames in whole.test]
     return [
         Fold(
@@ -128,10 +128,8 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
         groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
-        which = (
-            "blocks: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
-        )
-        raise InputError(f"{which}, so none can be held out; with blocks 0 none is")
+        which = "folds: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
+        raise InputError(f"{which}, so none can be held out; folds 0 holds out none")
     return group_folds(drives, groups)
 
 

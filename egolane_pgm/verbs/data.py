@@ -8,7 +8,7 @@ from typing import Annotated
 
 from egolane_pgm.recordings import catalog
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option
+from egolane_pgm.verbs.options import Option
 
 EXAMPLES = ("egolane data fetch",)
 

@@ -13,7 +13,7 @@ from egolane_pgm.simulation import simulate as make_drive
 from egolane_pgm.tools.files import make_directory, write_yaml
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option, Progress, Seed, StrPath
+from egolane_pgm.verbs.options import Option, Progress, Seed, StrPath
 from egolane_pgm.vision.simulated import write_drive
 
 EXAMPLES = (
@@ -29,7 +29,9 @@ def simulate(
     seed: Seed = 0,
     n_lanes: int | None = None,
     frames: int | None = None,
-    overrides: Annotated[Mapping[str, Any] | None, Option(example="change_s=5")] = None,
+    overrides: Annotated[
+        Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="change_s=5")
+    ] = None,
     images: bool = False,
     progress: Progress = None,
 ) -> SimulatedDrive | Road:

@@ -17,9 +17,10 @@ from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, FancyBboxPatch,
 from egolane_pgm.graphs.cpds import SliceNode, ve_name
 from egolane_pgm.graphs.flat import bif
 from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.model import Model
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
-from egolane_pgm.views.style import FORMATS, INK, new_figure, write_figure
+from egolane_pgm.views.style import FORMATS, INK, inline_figure, new_figure, write_figure
 
 #: Extensions of the files that a network can be written to.
 ENDINGS = (*FORMATS, ".bif")
@@ -102,6 +103,21 @@ def write_network(compiled: Compiled, path: str | Path) -> None:
 
 
 # --- the picture ---------------------------------------------------------------------------------
+
+
+def draw_network(network: Model | Compiled) -> Figure:
+    """Draw the two slices of a network: hidden, observed, input and function nodes.
+
+    - network: the model of a run, or a network as `compile` returns it.
+
+    Raises InputError for a network without nodes or with a cycle.
+
+    >>> import egolane_pgm as ego
+    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> figure = ego.draw_network(run.model)
+    """
+    compiled = network if isinstance(network, Compiled) else network.compiled
+    return inline_figure(lambda: network_figure(structure_of(compiled)))
 
 
 def network_figure(structure: Structure) -> Figure:

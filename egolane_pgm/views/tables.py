@@ -1,7 +1,4 @@
-"""Tables as text: a DataFrame as Markdown, LaTeX or CSV, in the width of the terminal.
-
-`page` prints the text and the tables of a command; `box_text` the lines of one frame.
-"""
+"""Tables as text: a DataFrame as Markdown, LaTeX or CSV, in the width of the terminal."""
 
 from __future__ import annotations
 
@@ -13,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-
-from egolane_pgm.types import InputError, LineLog
 
 #: The words for `tuned_on` next to a score.
 TUNED_ON = {
@@ -271,54 +266,3 @@ def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") 
     frame = pd.DataFrame(counts, index=names, columns=[f"actual {k + 1}" for k in range(n)])
     frame.loc["support"] = counts.sum(axis=0)
     return table(frame.assign(total=frame.sum(axis=1)).rename_axis(header))
-
-
-def reproduction_rows(
-    document: Mapping[str, Any], published: Mapping[int, Any]
-) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of `egolane reproduce`: our score, the published one, and the difference.
-
-    - document: key `runs`, for each run: run, detector_frames_off, model_frames_off, and the scores
-      of detector and model.
-    - published: the published values of each run (`paper.load_published`).
-    """
-    header = ["run", "matrix", "frames off"]
-    keys = ("accuracy", "precision", "recall", "f1", "log_loss")
-    for key in keys:
-        header += [key, f"{key} in paper", f"{key} diff"]
-    rows = []
-    for entry in document["runs"]:
-        for kind, theirs in (("detector", "detector_only"), ("model", "model")):
-            printed = published[entry["run"]][theirs]["metrics"]
-            row = [str(entry["run"]), kind, str(entry[f"{kind}_frames_off"])]
-            for key in keys:
-                ours = entry[kind][key]
-                row += [f"{ours:.4f}", f"{printed[key]:.2f}", f"{ours - printed[key]:+.4f}"]
-            rows.append(row)
-    return header, rows
-
-
-def box_text(log: LineLog, frame_id: int) -> str:
-    """The lines of one frame, in the form of the paper's Box `box:box1`.
-
-    A row per line, `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m`, with `--` for an
-    unknown LRI or offset. Raises InputError, with the nearest frame, if the log lacks the frame.
-    """
-    ids = log.frame_id.tolist()
-    if frame_id not in ids:
-        nearest = min(ids, key=lambda each: abs(each - frame_id), default="none")
-        raise InputError(f"{log.source}: has no frame {frame_id}; the nearest is {nearest}")
-    at = ids.index(frame_id)
-    offset, lri = log.offset_m[at], log.lri[at]
-    valid, continuous = log.is_valid[at], log.is_continuous[at]
-    # Slots without any value are padding.
-    is_there = np.isfinite(offset) | np.isfinite(lri) | valid | continuous
-    rows = []
-    for k in np.flatnonzero(is_there):
-        reliability = f"{lri[k]:02.0f}" if np.isfinite(lri[k]) else "--"
-        place = f"{offset[k]:+.2f}m" if np.isfinite(offset[k]) else "--"
-        rows.append(
-            f"Line{k + 1}: isValid = {int(valid[k])}; continuous={int(continuous[k])};"
-            f" LRI: {reliability}; offset: {place}"
-        )
-    return "\n".join(rows) if rows else "no lines"

@@ -117,7 +117,7 @@ def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_pa
 
 
 def test_a_learned_network_counts_as_in_sample_on_its_own_frames(drive: Path) -> None:
-    study = ego.learn(drive, overrides={"fit.labels": False}, blocks=0)
+    study = ego.learn(drive, overrides={"fit.labels": False}, folds=0)
     assert study.held_out is None
     other = {"name": "other", "recording": {"simulate": "quickstart", "seed": 5}, "n_lanes": 3}
     found = [ego.run(each, graph=study.network).run["tuned_on"] for each in (drive, other)]
@@ -128,7 +128,7 @@ def test_nothing_is_written_without_a_place(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    study = ego.tune(drive, trials=4, sampler="random", blocks=2)
+    study = ego.tune(drive, trials=4, folds=2)
     assert study.directory is None
     assert study.held_out is not None
     assert repr(study).startswith("Study('drive': tune, 4 trials, accuracy ")

@@ -94,7 +94,7 @@ def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> N
     assert text.startswith("| name | driver |")
     assert "sigma1" in text, "the reason of the failure"
     assert len(runs_text(summary, "csv", True).splitlines()) == 4
-    compared = compare(f"{tmp_path}", of="tag.driver", detector=True, events=True)
+    compared = compare(f"{tmp_path}", of="tag.driver", detector=True)
     text = comparison_text(compared, "markdown", False)
     for words in ("| accuracy ", "| F1 ", "| log-loss ", "| detector alone ", "lane changes"):
         assert words in text

@@ -5,18 +5,14 @@ from __future__ import annotations
 import csv
 import io
 
-import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.scoring.summary import score_all
-from egolane_pgm.types import InputError
 from egolane_pgm.views import tables
-from egolane_pgm.views.tables import Table, box_text, page, table
-from tests.kits.box import BOX, box_log
-from tests.kits.drives import short_drive
+from egolane_pgm.views.tables import Table, page, table
 
 FRAME = pd.DataFrame(
     {"run": ["1", "two"], "f_1": [0.5, None], "f_1_low": [0.25, None], "f_1_high": [0.75, None]}
@@ -115,29 +111,3 @@ def test_the_scores_of_detector_and_model_stand_side_by_side() -> None:
     assert shown.header == ["score [95 % interval]", "model"]
     assert ["Brier score", "-"] in shown.rows
     assert ["F1 (mean)", "1.000 [0.250, 1.000]"] in shown.rows
-
-
-def test_the_reproduction_table_shows_ours_theirs_and_the_difference() -> None:
-    ours = {"accuracy": 0.8584, "precision": 1, "recall": 0.5, "f1": 0.25, "log_loss": 1.2599}
-    theirs = {"accuracy": 0.85, "precision": 1, "recall": 0.51, "f1": 0.25, "log_loss": 1.25}
-    entry = {"run": 7, "detector_frames_off": 0, "model_frames_off": 12}
-    document = {"runs": [{**entry, "detector": ours, "model": ours}]}
-    published = {7: {"detector_only": {"metrics": theirs}, "model": {"metrics": theirs}}}
-    header, rows = tables.reproduction_rows(document, published)
-    assert len(set(header)) == len(header) == len(rows[0])
-    assert [r[:3] for r in rows] == [["7", "detector", "0"], ["7", "model", "12"]]
-    at = header.index("recall")
-    assert rows[1][at : at + 3] == ["0.5000", "0.51", "-0.0100"]
-
-
-def test_the_papers_box_is_printed_as_in_the_paper() -> None:
-    assert box_text(box_log(), 1234) == BOX
-    assert box_text(box_log(), 1236) == "no lines"
-    unknown = box_text(box_log(), 1237).splitlines()
-    assert unknown == [
-        "Line1: isValid = 0; continuous=0; LRI: 03; offset: --",
-        "Line2: isValid = 1; continuous=0; LRI: --; offset: +1.50m",
-    ]
-    log = short_drive(30).log.take(np.array([0, 1, 9, 10]))
-    with pytest.raises(InputError, match=f"the nearest is {int(log.frame_id[2])}"):
-        box_text(log, int(log.frame_id[2]) - 1)
