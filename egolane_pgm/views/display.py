@@ -11,7 +11,6 @@ from egolane_pgm.inference.events import CONFIDENT, SURE
 from egolane_pgm.result import TAG, Result, by_drive, lanes_of
 from egolane_pgm.views.answers import is_known
 from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
-from egolane_pgm.views.style import percent
 from egolane_pgm.views.tables import (
     TUNED_ON,
     TUNED_ON_SHORT,
@@ -19,6 +18,7 @@ from egolane_pgm.views.tables import (
     cell,
     confusion_table,
     page,
+    percent,
     score_table,
     table,
     with_interval,

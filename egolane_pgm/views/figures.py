@@ -34,9 +34,9 @@ from egolane_pgm.views.style import (
     PROBABILITY_RAMP,
     UNASSIGNED_COLOUR,
     new_figure,
-    percent,
     text_colour,
 )
+from egolane_pgm.views.tables import percent
 
 T = TypeVar("T")
 

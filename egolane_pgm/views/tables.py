@@ -90,6 +90,16 @@ def cell(value: Any, form: int | str = 3) -> str:
     return str(value)
 
 
+def percent(share: float) -> str:
+    """Return a share in percent with one decimal; without one for exactly 0 and 1."""
+    value = 100 * float(share)
+    if 0 < value < 0.05:
+        return "<0.1"
+    if 99.95 <= value < 100:
+        return ">99.9"
+    return f"{value:.0f}" if value in (0.0, 100.0) else f"{value:.1f}"
+
+
 def with_interval(value: Any, interval: Sequence[Any] | None, form: int | str = 3) -> str:
     """A value and its interval, if it has one, e.g. "0.912 [0.905, 0.919]"; see `cell`."""
     if not interval or pd.isna(interval).any():

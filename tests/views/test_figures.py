@@ -27,7 +27,8 @@ from egolane_pgm.views.figures import (
     reliability_figure,
 )
 from egolane_pgm.views.strips import result_strips
-from egolane_pgm.views.style import DETECTOR_COLOUR, MODEL_COLOUR, percent, write_figure
+from egolane_pgm.views.style import DETECTOR_COLOUR, MODEL_COLOUR, write_figure
+from egolane_pgm.views.tables import percent
 from tests.kits.tiny_result import (
     DETECTOR,
     EXPERIMENT,
