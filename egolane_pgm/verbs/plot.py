@@ -14,13 +14,14 @@ from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.options import Option, StrPath, several_of
+from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.figures import (
     confusion_figure,
     coverage_figure,
     dispersion_figure,
     reliability_figure,
 )
-from egolane_pgm.views.strips import strips_figure
+from egolane_pgm.views.strips import result_strips
 from egolane_pgm.views.studies import draw_study
 from egolane_pgm.views.style import write_figures
 
@@ -80,16 +81,17 @@ def plot(
     files = [file for place in studies for file in draw_study(place, target(place), style)]
     for result in found:
         makes: dict[str, Callable[[], Figure]] = {
-            "strips": partial(strips_figure, result, *(frames or ()))
+            "strips": partial(result_strips, result, *(frames or ()))
         }
         if result.scores["frames_scored"]:
-            makes["confusion"] = partial(confusion_figure, result)
-            makes["reliability"] = partial(reliability_figure, result)
-            makes["coverage"] = partial(coverage_figure, result)
+            for draw in (confusion_figure, reliability_figure, coverage_figure):
+                name = draw.__name__.removesuffix("_figure")
+                makes[name] = partial(draw, result.frames, title_of(result))
         files += write_figures(makes, target(result.directory), style)
     if len(found) > 1:
         folder = places[0].parent if is_result(places[0]) else places[0]
-        together = {"dispersion": partial(dispersion_figure, found)}
+        titled = [(title_of(result), result.frames) for result in found]
+        together = {"dispersion": partial(dispersion_figure, titled)}
         files += write_figures(together, Path(out or folder), style)
     return files
 

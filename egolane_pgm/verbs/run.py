@@ -201,7 +201,7 @@ def check_input(given: Input) -> str:
 def text(done: Result | pd.DataFrame | str, style: str, wide: bool) -> str:
     """The output of the command."""
     if isinstance(done, pd.DataFrame):
-        from egolane_pgm.views.runs import runs_text
+        from egolane_pgm.views.display import runs_text
 
         return runs_text(done, style, wide)
     return done if isinstance(done, str) else done.to_text(style=style, wide=wide)

@@ -1,7 +1,7 @@
 """Lane-belief strips: the posterior of model and detector over time, and the ground truth.
 
-Lane 1, the leftmost, is the top row and time runs to the right, as on a road seen from above on
-which the car drives from left to right (the paper's Figure `fig:lanetransition01`).
+Lane 1, the leftmost, is the top row and time runs to the right: a road seen from above, with the
+car driving from left to right (the paper's Figure `fig:lanetransition01`).
 """
 
 from __future__ import annotations
@@ -57,18 +57,33 @@ _LANE, _ROW_GAP, _GAP = 0.16, 0.45, 0.6
 
 def draw_strips(result: Result, file: str | Path) -> Path:
     """Draw the strips of a whole result. Raises InputError as `write_figure`."""
-    return write_figure(lambda: strips_figure(result), file)
+    return write_figure(lambda: result_strips(result), file)
 
 
-def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
+def result_strips(result: Result, first: int | None = None, last: int | None = None) -> Figure:
+    """Draw the strips of a result; see `strips_figure`."""
+    credit = "; lanes: © OpenStreetMap contributors, ODbL" * (result.experiment.road is not None)
+    return strips_figure(result.frames, result.events, title_of(result), credit, first, last)
+
+
+def strips_figure(
+    frames: pd.DataFrame,
+    events: pd.DataFrame,
+    title: str = "",
+    note: str = "",
+    first: int | None = None,
+    last: int | None = None,
+) -> Figure:
     """Draw the posterior over time, errors below each strip, lane changes and the ground truth.
 
-    - first, last: frame ids, both included; the whole drive by default. Several drives are drawn
-      one after the other, with frames numbered from 0.
+    - frames, events: those of a `Result`. Several drives are drawn one after the other, with frames
+      numbered from 0.
+    - note: end of the title.
+    - first, last: frame ids, both included; all by default.
 
     A long range continues in further rows. Raises InputError for a range without frames.
     """
-    frames, events = _on_one_axis(result)
+    frames, events = _on_one_axis(frames, events)
     low, high = frames_between(frames, first, last).index[[0, -1]].tolist()
     n_frames = high - low + 1
     n_rows = min(MAX_ROWS, -(-n_frames // MAX_COLUMNS))
@@ -90,7 +105,7 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     edges |= {"bottom": (_FOOT + _ROW_GAP) / tall, "hspace": _ROW_GAP / row}
     axes = figure.subplots(n_rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
     mean = f"; a column is the mean of {each} frames" if each > 1 else ""
-    title = f"{title_of(result)}: frames {low} to {high}{mean}"
+    title = f"{title}: frames {low} to {high}{mean}{note}".removeprefix(": ")
     figure.text(0.01, 1 - 0.08 / tall, title, va="top", fontsize=10)
     for ax, start in zip(axes, range(0, n_columns, per_row), strict=False):
         part = {name: values[start : start + per_row] for name, values in cells.items()}
@@ -110,16 +125,11 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     axes[0].text(0.5, 1, "frame\n", **place)
     axes[-1].set_xlabel("time (s)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
-    if result.run["config"].get("road"):
-        credit = "lanes of the map: © OpenStreetMap contributors, ODbL"
-        figure.text(0.99, 0.01, credit, fontsize=7, ha="right", va="bottom")
     return figure
 
 
-def _on_one_axis(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The frames and lane changes of all drives, numbered from 0 if there are several drives, and
-    the outcome of each change."""
-    frames, events = result.frames, result.events
+def _on_one_axis(frames: pd.DataFrame, events: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Frames and lane changes with their outcome; several drives are numbered from 0."""
     if "drive" not in frames:
         return frames, events.assign(outcome=outcomes(events, frames))
     found, start = [], 0

@@ -98,16 +98,6 @@ def text_colour(background: Any) -> str:
     return "black" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else "white"
 
 
-def percent(share: float) -> str:
-    """Return a share in percent with one decimal; without one for exactly 0 and 1."""
-    value = 100 * float(share)
-    if 0 < value < 0.05:
-        return "<0.1"
-    if 99.95 <= value < 100:
-        return ">99.9"
-    return f"{value:.0f}" if value in (0.0, 100.0) else f"{value:.1f}"
-
-
 # --- writing -------------------------------------------------------------------------------------
 
 

@@ -57,7 +57,7 @@ def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> N
     words = ("--experiment", "zero_label", "--n-lanes", 3, "--ground-truth", truth)
     said = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
     is_crossing = read_ground_truth(truth)["is_crossing"]
-    assert f"{np.count_nonzero(~is_crossing)} frames scored" in said
+    assert f"of {np.count_nonzero(~is_crossing)} frames" in said
 
 
 def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) -> None:

@@ -57,9 +57,9 @@ def test_run_writes_its_numbers_unrounded_and_prints_the_scores(
     out = tmp_path / "out"
     assert json.loads((out / "scores.json").read_text()) == said["scores"]
     ran = done("run", drive, "--no-figures", "--out", out)
-    assert f"drive: {N_FRAMES} frames, 3 lanes, graph sensor_failure" in ran.stdout
-    assert f"| accuracy {'':>13} | {right.scores['detector']['accuracy']:>8.3f} |" in ran.stdout
-    assert "parameters: not tuned" in ran.stdout
+    share = f"right in {100 * right.scores['model']['accuracy']:.1f} % of"
+    assert ran.stdout.startswith(f"drive: {share}")
+    assert f"{N_FRAMES} frames, 3 lanes, causal; parameters: not tuned" in ran.stdout
     assert ran.stdout.endswith(f"result: {out}\n")
     assert ran.stderr.splitlines() == [f"warning: {note}" for note in right.notes]
 
@@ -71,9 +71,8 @@ def test_lines_are_run_with_the_model_of_an_experiment(drive: Path, tmp_path: Pa
     same = run(drive, {"filter": "exact"})
     assert scored["scores"] == json.loads(json.dumps(same.scores))
     shown = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
-    assert "lines: 150 frames" in shown
-    assert "no ground truth: beliefs only" in shown
-    assert "at the end lane " in shown
+    assert "most probable at the end: lane " in shown
+    assert "no ground truth, no scores" in shown
     found = load_result(tmp_path / "out")
     assert found.truth is None
     assert (found.experiment.filter, found.experiment.graph) == ("exact", "sensor_failure")
@@ -102,9 +101,9 @@ def test_lane_changes_are_printed_with_their_scores(tmp_path: Path) -> None:
     events = (out / "events.csv").read_text().splitlines()[1:]
     scores = load_result(out).scores["events"]
     assert scores["detected"] == len(events) > 10
-    assert f"{scores['changes']} true lane changes" in shown
+    assert f"lane changes: {scores['changes']} annotated, {len(events)} reported;" in shown
     blind = done("run", path, "--ground-truth", "none", "--no-figures", "--out", out).stdout
-    assert "true lane changes" not in blind
+    assert f"lane changes: {len(events)} reported" in blind
     assert len((out / "events.csv").read_text().splitlines()) == len(events) + 1
 
 
