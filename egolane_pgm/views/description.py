@@ -1,4 +1,4 @@
-"""Descriptions of graphs, evidence rules and detectors: as plain data, and as text."""
+"""Descriptions of graphs, evidence rules and detectors, as plain data and as text."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.views.network import structure_of
 from egolane_pgm.views.tables import page, table, wrapped
 
-#: Longer tables are in the JSON only.
+#: Tables with more numbers are in the JSON only.
 MAX_PRINTED = 1000
 
 #: The suffix of a parent in the previous frame.
@@ -31,7 +31,7 @@ _BEFORE = " before"
 def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> dict[str, Any]:
     """The nodes of a compiled graph with their roles, its edges, tables and parameters.
 
-    - numbers: add the `values` of each table, an axis per parent and the node's own last.
+    - numbers: add the `values` of each table, with an axis per parent; the node's axis is last.
     """
     structure = structure_of(compiled)
     nodes = [
@@ -40,12 +40,9 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
     ]
     tables = []
     for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
-        first, later = compiled.tables[name, 0], compiled.tables[name, 1]
-        if compiled.has_one_table(name):
-            tables.append(_table("every frame", first, numbers))
-        else:
-            tables.append(_table("first frame", first, numbers))
-            tables.append(_table("later frames", later, numbers))
+        is_one = compiled.has_one_table(name)
+        frames = ("every frame",) if is_one else ("first frame", "later frames")
+        tables += [_table(of, compiled.tables[name, k], numbers) for k, of in enumerate(frames)]
     return {
         **_head("graph", module),
         "n_lanes": compiled.cardinality.get("Lane"),
@@ -77,8 +74,8 @@ def describe_rule(module: ModuleType, defaults: Parameters) -> dict[str, Any]:
 
 def describe_detector(module: ModuleType) -> dict[str, Any]:
     """Whether a detector needs `stereo` pictures, and its parameters."""
-    parameters = _parameters(module)
-    return {**_head("detector", module), "stereo": bool(module.STEREO), "parameters": parameters}
+    found = {"stereo": bool(module.STEREO), "parameters": _parameters(module)}
+    return {**_head("detector", module), **found}
 
 
 def _head(kind: str, module: ModuleType) -> dict[str, Any]:
@@ -129,9 +126,9 @@ def description_text(found: Mapping[str, Any]) -> str:
 
 def _graph_lines(found: Mapping[str, Any]) -> list[str]:
     lines = ["", f"nodes ({found['n_lanes']} lanes, {found['joint_states']} joint states)"]
-    width = max(len(node["name"]) for node in found["nodes"])
     roles = {node["name"]: node["role"] for node in found["nodes"]}
     values = {node["name"]: node["values"] for node in found["nodes"]}
+    width = max(map(len, roles))
     for name, role in roles.items():
         text = _values_text(values[name])
         if role == "virtual evidence":
