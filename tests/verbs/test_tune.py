@@ -9,21 +9,17 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import optuna
 import pandas as pd
 import pytest
 import yaml
 
 from egolane_pgm.loading import experiments_folder, load_experiment
-from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.result import load_result
 from egolane_pgm.studies.storage import open_storage
-from egolane_pgm.types import lane_truth
 from egolane_pgm.verbs.studied import open_studied
 from tests.kits.drives import done, refused, rewritten, run, write_drive
 from tests.kits.processes import started
-from tests.kits.synthetic_road import write_place
 
 QUICKSTART = experiments_folder() / "quickstart.yaml"
 
@@ -270,12 +266,3 @@ def test_what_cannot_be_learned_is_one_line(
     )
     assert said in refused("learn", path, "--out", tmp_path / "o", *words.split())
     assert not (tmp_path / "o").exists()
-
-
-def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) -> None:
-    folder = write_place(tmp_path, 12)
-    write_ground_truth(folder / "t.txt", lane_truth(np.arange(12), np.full(12, 2), np.zeros(12)))
-    path = folder / "run.yaml"
-    rewritten(path, path, ground_truth__path="t.txt", graph="lane_only")
-    done("learn", path, "--folds", 2, "--out", folder / "new")
-    assert load_experiment(folder / "new" / "best.yaml").recording.frame_rate == 12.5
