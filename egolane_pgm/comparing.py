@@ -1,4 +1,4 @@
-"""Comparisons: results side by side, with paired intervals."""
+"""Comparisons of results, with paired intervals."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pandas as pd
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
-from egolane_pgm.runs import SUMMARY
+from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError, IntArray
@@ -23,7 +23,7 @@ ResultLike = Result | str | os.PathLike[str]
 #: The scores with an interval; each is the mean over the recordings.
 SCORES = ("accuracy", "f1", "log_loss")
 
-#: Scores that are shown without one: the name of a column by the key in scores.json.
+#: Scores without an interval: the column by the key in scores.json.
 EVENT_SCORES = {
     "events.within.1.precision": "event_precision",
     "events.within.1.recall": "event_recall",
@@ -43,15 +43,15 @@ def compare(
 
     - results: results, their directories, or folders of result directories.
     - of: the sides of the comparison: a key of the experiment (`graph`, `parameters.sigma1`), a
-      tag (`tag.driver`), `name`, `directory` (of the result) or `folder` (around it). By default
-      the name if all results are of one recording, and the folder otherwise.
-    - by: a second such key; results with different values of it are compared separately.
-    - detector: whether the detectors' own answers are a further side, the last one.
+      tag (`tag.driver`), `name`, `directory` (of the result) or `folder` (its parent). By default
+      the name if all results have one recording, and the folder otherwise.
+    - by: a second such key: results with different values of it are compared separately.
+    - detector: whether to add the detectors' own answers as the last side.
 
-    Returns a row per value of `by` and `of`, with each score (the mean over the recordings), its
-    95 % interval, and the difference to the first row with a paired interval over the same
-    resamples; recordings of one drive are resampled together. `tuned_on` says whether the
-    parameters have seen these frames. Raises InputError unless all rows have the same recordings.
+    Returns a row per value of `by` and `of`: each score (the mean over the recordings), its 95 %
+    interval, the difference to the first row with a paired interval over the same resamples
+    (recordings of one drive are resampled together), scores of lane changes reported within 1 s,
+    and `tuned_on`. Raises InputError unless all rows have the same recordings.
     """
     given = open_results(results)
     if not given:
@@ -101,7 +101,7 @@ def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
 
 
 def results_in(folder: Path) -> list[Path]:
-    """The result directories below a folder; those of a table of runs in its order."""
+    """The result directories below a folder, in the order of a table of runs if it has one."""
     found = sorted(file.parent for file in folder.glob("**/run.json"))
     if (folder / SUMMARY).exists():
         rows = list(read_parquet(folder / SUMMARY).index)
@@ -110,7 +110,7 @@ def results_in(folder: Path) -> list[Path]:
 
 
 def _default_key(results: Sequence[Result]) -> str:
-    """The key that tells the sides apart if none is given."""
+    """The default key of the sides."""
     if len({_recording(each) for each in results}) > 1:
         return "folder"
     return "name" if len({each.name for each in results}) == len(results) else "directory"
@@ -132,7 +132,7 @@ def _value(result: Result, key: str | None) -> Any:
         return place.parent.name if key == "folder" else place.name
     value = result.value(key)
     if isinstance(value, str) and value.endswith(OWN_FILES):
-        # A graph or a rule of one's own is called by its file.
+        # A user's graph or rule is named after its file.
         return Path(value).stem
     return tuple(value) if isinstance(value, list) else value
 
@@ -145,25 +145,22 @@ def _groups(results: Sequence[Result], key: str | None) -> dict[Any, list[Result
     return groups
 
 
-def _kept(result: Result) -> pd.DataFrame:
-    """The annotated frames whose labels are trusted."""
+def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The annotated frames with trusted labels, and their truth."""
     frames = result.frames.dropna(subset=["true_lane"])
-    if frames.empty:
-        raise InputError(f"{result.name}: has no ground truth to compare with")
-    return frames[frames["is_trusted"]] if "is_trusted" in frames else frames
-
-
-def _truth(frames: pd.DataFrame) -> pd.DataFrame:
+    if "is_trusted" in frames:
+        frames = frames[frames["is_trusted"]]
     truth = truth_of(frames)
-    assert truth is not None
-    return truth
+    if truth is None:
+        raise InputError(f"{result.name}: has no ground truth to compare with")
+    return frames, truth
 
 
 def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
-    """Results by their recordings, which are told apart by files, frames and labels."""
+    """Results by recording: its file, frames and labels."""
     found: dict[str, Result] = {}
     for result in results:
-        truth = _truth(_kept(result))
+        _, truth = _kept(result)
         key = f"{_recording(result)} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
@@ -176,21 +173,19 @@ def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
 
 def _counts(results: Sequence[Result], node: str) -> list[tuple[str, Mapping[str, Any]]]:
     """Per recording its drive, and per-frame summands of each score on the drive's timeline."""
-    frames = [_kept(result) for result in results]
+    kept = [_kept(result) for result in results]
     drives = [drive_key(each.experiment, each.run["data"]) for each in results]
     column = "assigned_lane" if node == "Lane" else "detector_lane"
     timeline: dict[str, IntArray] = {}
-    truths = [_truth(each) for each in frames]
-    for drive, truth in zip(drives, truths, strict=True):
+    for drive, (_, truth) in zip(drives, kept, strict=True):
         ids = truth.index.to_numpy()
         timeline[drive] = np.union1d(timeline.get(drive, ids), ids)
     found: list[tuple[str, Mapping[str, Any]]] = []
-    for drive, each, truth in zip(drives, frames, truths, strict=True):
+    for drive, (frames, truth) in zip(drives, kept, strict=True):
         lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
-        assigned = each[column].to_numpy()
-        counts = score_counts(lanes_of(each, node), lane, crossing, assigned=assigned)
-        ids = truth.index.to_numpy()
-        found.append((drive, on_timeline(counts, ids, timeline[drive])))
+        assigned = frames[column].to_numpy()
+        counts = score_counts(lanes_of(frames, node), lane, crossing, assigned=assigned)
+        found.append((drive, on_timeline(counts, truth.index.to_numpy(), timeline[drive])))
     return found
 
 
@@ -213,14 +208,8 @@ def _cells(
 
 
 def _event_scores(results: Sequence[Result]) -> dict[str, float | None]:
-    """The means over the recordings of scores of lane changes, where they are defined."""
-    found: dict[str, float | None] = {}
-    for key, name in EVENT_SCORES.items():
-        values = []
-        for result in results:
-            value: Any = result.scores
-            for part in key.split("."):
-                value = value.get(part) if isinstance(value, Mapping) else None
-            values += [] if value is None else [value]
-        found[name] = float(np.mean(values)) if values else None
-    return found
+    """The scores of lane changes, each the mean over the recordings that define it."""
+    flat = [numbers(result.scores) for result in results]
+    values = {name: [each.get(key) for each in flat] for key, name in EVENT_SCORES.items()}
+    known = {name: [v for v in each if v is not None] for name, each in values.items()}
+    return {name: float(np.mean(each)) if each else None for name, each in known.items()}
