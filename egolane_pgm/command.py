@@ -175,7 +175,7 @@ def _params(parameter: inspect.Parameter, hint: Any, help: str) -> list[click.Pa
 
 
 def _is_mapping(kinds: Sequence[Any]) -> bool:
-    """Whether a parameter takes names and values, and nothing else."""
+    """Whether a parameter takes only names and values."""
     return [typing.get_origin(each) for each in kinds] == [Mapping]
 
 
@@ -202,7 +202,10 @@ def _common_options(name: str) -> list[click.Parameter]:
     """The options of commands that print tables and numbers."""
     params: list[click.Parameter] = []
     if name in WITH_TABLES:
-        style, help = click.Choice(["markdown", "latex", "csv"]), "Of the tables; csv: unrounded."
+        style, help = (
+            click.Choice(["markdown", "latex", "csv"]),
+            "Format of tables; csv is unrounded.",
+        )
         names, given = ["--format", "table_style"], "markdown"
         params.append(click.Option(names, type=style, default=given, show_default=True, help=help))
         help = "Print everything, in tables of any width: all scores, confusions, lane changes."
@@ -210,7 +213,7 @@ def _common_options(name: str) -> list[click.Parameter]:
             help = "Print tables of any width; by default they are split to fit the terminal."
         params.append(click.Option(["--wide"], is_flag=True, help=help))
     if name in WITH_JSON:
-        help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
+        help = "Write the unrounded numbers as JSON; - prints them only."
         params.append(
             click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
         )
@@ -334,7 +337,7 @@ class _Group(click.Group):
                 return super().invoke(ctx)
         except KeyboardInterrupt as stop:
             # A verb may name what was kept: KeyboardInterrupt("3 of 5 runs are in results/x").
-            kept = str(stop) or "nothing was left half-written; repeat the command to start again"
+            kept = str(stop) or "no file is half-written; repeat the command to start again"
             click.echo(f"egolane: interrupted; {kept}", err=True)
             ctx.exit(130)
         except InputError as error:

@@ -70,7 +70,7 @@ def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
 
     - entry: the run's part of published.yaml.
     - which: `published` for the values as printed, or `recovered` for values that give the
-      published model matrix: those of run 5 are in the authors' code, the others were searched.
+      published model matrix (run 5: from the authors' code; the others: searched).
     """
     if which not in PARAMETER_SETS:
         raise InputError(f"parameters: {which} is not one of {', '.join(PARAMETER_SETS)}")

@@ -243,7 +243,8 @@ class Study:
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 200]})
-    >>> study = ego.tune(experiment, trials=4, sampler="random", blocks=0)
+    >>> changes = {"fit.sampler": "random"}
+    >>> study = ego.tune(experiment, trials=4, overrides=changes, folds=0)
     >>> study
     Study('quickstart': tune, 4 trials, accuracy 0.969 in-sample)
     >>> sorted(study.fitted)[:2]

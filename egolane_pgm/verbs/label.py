@@ -53,8 +53,8 @@ def label(
     - columns: names and units of a table's columns, as for `run`.
     - out: folder of the labels. A `*` in it is the experiment's name.
 
-    Returns the `Labels`. Without `out` nothing is written. Raises InputError, one line, if the
-    arguments do not fit.
+    Returns the `Labels`; writes them only with `out`. Raises InputError if the arguments do not
+    fit.
 
     >>> import tempfile
     >>> import egolane_pgm as ego

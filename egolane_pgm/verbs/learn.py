@@ -66,10 +66,10 @@ def learn(
     - by_tag: with a table: a fold for each value of tag.NAME.
     - jobs: processes that share the fits.
     - cluster: Dask cluster for the fits.
-    - progress: whether a bar is shown; None for in a terminal.
+    - progress: whether to show a bar; by default in a terminal only.
 
-    Returns a `Study`: `network` is the learned graph in pgmpy. Without `out` nothing is written.
-    Raises InputError if nothing can be learned.
+    Returns a `Study`: `network` is the learned graph in pgmpy. Writes files only with `out`. Raises
+    InputError for a model without learnable parameters or tables.
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 600]})

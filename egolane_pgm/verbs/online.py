@@ -28,9 +28,9 @@ def online(
     Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
     "lri": 10}]}` per line on standard input; only `offset_m` is required of a lane line. A time
     stamp, `"time_s": 12.3`, may accompany or replace the frame id. Each answer has the lane, its
-    probability, the probability that the car is on a line, and the lane changes since the previous
-    answer. With `filter: fixed_lag` it comes `lag` frames later. With `n_lanes: map` frames need
-    the clock of the road table.
+    probability, the line crossing probability, and the lane changes since the previous answer. With
+    `filter: fixed_lag` it comes `lag` frames later. With `n_lanes: map` frames need the clock of
+    the road table.
 
     - nodes: add the posterior of this hidden node, e.g. Lane.
     - columns: names and units of other messages' fields, e.g. offset_m=c0,left_positive=true.

@@ -32,7 +32,8 @@ class Option:
     - metavar: placeholder of the value in the help.
     - names: further names, "-o", or another long one in place of the parameter's.
     - example: a name and a value, for messages.
-    - default: default of the command, if it differs from the function's. said: its text.
+    - default: default of the command, if it differs from the function's.
+    - said: text of the default in the help.
     - many: whether it may be repeated.
     - envvar: environment variable that gives it.
     - required: whether a command needs it.
@@ -89,7 +90,7 @@ def path_of(given: Any, what: str) -> str:
 
 
 def place_of(out: Any, name: str) -> Path | None:
-    """The directory for a result; `*` is replaced with the name. None if nothing is written."""
+    """The directory for a result; `*` is replaced with the name. None without `out`."""
     return None if out is None else Path(path_of(out, "out").replace("*", name))
 
 

@@ -30,7 +30,7 @@ def reproduce(
     - parameters: recovered (by a search; run 5 from the authors' code), or as printed (truncated).
     - if_available: without the recordings, print how to get them and succeed.
     - out: folder for a result directory per run.
-    - progress: whether a bar is shown; None for in a terminal.
+    - progress: whether to show a bar; by default in a terminal only.
 
     Returns a `Reproduction`; iterating gives the `Result` of each run. Raises InputError for a run
     that the paper does not have, and if a recording is missing.

@@ -107,10 +107,10 @@ def run(  # type: ignore[misc]
     - figures: draw the posterior over time.
     - jobs: processes that share the rows of a table.
     - cluster: Dask cluster for the rows of a table.
-    - progress: whether a bar is shown; None for in a terminal.
+    - progress: whether to show a bar; by default in a terminal only.
 
-    Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Without
-    `out` nothing is written. Raises InputError, one line, if the arguments do not fit.
+    Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Writes
+    files only with `out`. Raises InputError if the arguments do not fit.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})

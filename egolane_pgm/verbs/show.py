@@ -58,7 +58,7 @@ def show(
     Without NAME, or with a KIND (graphs, evidence, detectors, experiments, ...), the names are
     listed. NAME is one of these or your own file: a graph, an evidence rule, a detector or an
     experiment. Prefixes tell apart equal names: `graph:NAME`, `evidence:NAME`, `detector:NAME`,
-    `experiment:NAME`. `schema` prints the JSON Schema of experiments, `schema:tuning` that of
+    `experiment:NAME`. `schema` and `schema:tuning` print the JSON Schemas of experiments and
     tuning files.
 
     For a recording (a table or a bag), print its content and, if names and signs are clear, the
@@ -70,7 +70,7 @@ def show(
     - out: write a graph: a picture (.png, .svg, .pdf), or both slices with their tables for
       other programs (.bif).
 
-    Returns the description. Raises InputError, one line, if the arguments do not fit.
+    Returns the description. Raises InputError if the arguments do not fit.
     """
     given = "" if name is None else path_of(name, "name")
     if out is not None:

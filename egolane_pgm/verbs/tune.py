@@ -62,7 +62,7 @@ def tune(
     storage: Annotated[str | None, Option("URL", envvar="EGOLANE_STORAGE")] = None,
     progress: Progress = None,
 ) -> Study:
-    """Search parameters; score them on frames that the search has not seen.
+    """Search parameters; score them on held-out frames.
 
     Several experiments share one parameter set and have equal weight; with a table all frames of
     its rows have equal weight. Each fold is scored with the parameters of a search without it.
@@ -84,10 +84,10 @@ def tune(
     - jobs: processes that share the searches with and without each fold.
     - cluster: Dask cluster for these searches.
     - storage: a database that machines share, as a URL of Optuna's.
-    - progress: whether a bar is shown; None for in a terminal.
+    - progress: whether to show a bar; by default in a terminal only.
 
-    Returns a `Study`. Without `out` nothing is written. Raises InputError, before the search, if
-    the arguments do not fit.
+    Returns a `Study`; writes files only with `out`. Raises InputError, before the search, if the
+    arguments do not fit.
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 200]})

@@ -47,7 +47,7 @@ _COLUMNS = {
 
 
 def scores_by_side(result: Result) -> dict[str, Any]:
-    """The scores of the detector, if it has an answer of its own, and of the model."""
+    """The scores of the detector, if it has an answer, and of the model."""
     return {who: result.scores[who] for who in ("detector", "model") if who in result.scores}
 
 

@@ -1,7 +1,6 @@
 """Figures of scores: confusion matrices, reliability, coverage, error dispersion.
 
-Each is a function of the frames of a result (`Result.frames`), and raises InputError if none of
-them is annotated.
+Each is a function of the frames of a result (`Result.frames`); InputError without annotated ones.
 """
 
 from __future__ import annotations

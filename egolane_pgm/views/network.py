@@ -175,7 +175,7 @@ def _legend(structure: Structure) -> dict[str, Any]:
 def _places(structure: Structure) -> dict[str, tuple[float, float]]:
     """The centre (x, y) of each node of a slice, y downwards: children below their parents.
 
-    A node with an edge to the next slice has a row of its own, which keeps these edges free.
+    A node with an edge to the next slice has a separate row, which keeps these edges free.
     """
     depth = dict.fromkeys(structure.kind, 0)
     for _ in depth:

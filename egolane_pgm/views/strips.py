@@ -76,8 +76,7 @@ def strips_figure(
 ) -> Figure:
     """Draw the posterior over time, errors below each strip, lane changes and the ground truth.
 
-    - frames, events: those of a `Result`. Several drives are drawn one after the other, with frames
-      numbered from 0.
+    - frames, events: as a `Result` has them. Several drives follow one another, numbered from 0.
     - note: end of the title.
     - first, last: frame ids, both included; all by default.
 
@@ -234,7 +233,7 @@ def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> No
         seconds = _ticks(*np.interp([left, right], ids, time_s))
         ax.set_xticks(np.interp(seconds, time_s, ids), [f"{t:g}" for t in seconds])
     else:
-        ax.set_xticks([])  # Each drive has a clock of its own.
+        ax.set_xticks([])  # Clocks of drives differ.
     ax.tick_params(axis="x", length=2.5, pad=1.5)
     marks, above = _ticks(left, right), ax.secondary_xaxis("top")
     above.set_xticks(marks, [f"{x:.12g}" for x in marks])

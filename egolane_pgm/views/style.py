@@ -93,7 +93,7 @@ def new_figure(width: float, height: float, title: str = "", layout: Any = "cons
 
 
 def text_colour(background: Any) -> str:
-    """Return black or white, whichever has the higher contrast (WCAG 2) on the background."""
+    """Return black or white, the one with the higher contrast (WCAG 2) on the background."""
     red, green, blue = (c**2.2 for c in to_rgb(background))
     return "black" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else "white"
 
