@@ -137,13 +137,11 @@ def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
         enough = curve.count >= FEW_FRAMES
         few = ~enough & (curve.count > 0)
         has_few |= bool(few.any())
+        look: Any = {"color": colour, "marker": marker, "ms": 5}
         for mask, face, line in ((enough, colour, dashes), (few, "w", "")):
-            upper.plot(
-                curve.confidence[mask], curve.accuracy[mask], ls=line, marker=marker, ms=5,
-                color=colour, mfc=face, lw=1.3,
-            )  # fmt: skip
-        label = f"{name}, ECE {error:.3f}"
-        upper.plot([], [], color=colour, marker=marker, ls=dashes, ms=5, label=label)
+            x, y = curve.confidence[mask], curve.accuracy[mask]
+            upper.plot(x, y, ls=line, mfc=face, lw=1.3, **look)
+        upper.plot([], [], ls=dashes, label=f"{name}, ECE {error:.3f}", **look)
         left = edges + k * width + 0.08 / N_BINS
         lower.bar(left, curve.count, width, align="edge", color=colour)
         lowest = min(lowest, float(edges[curve.count > 0].min()))
@@ -175,18 +173,15 @@ def coverage_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     for name, curve in curves.items():
         colour, marker, dashes = ANSWER_STYLE[name]
         shown = curve.coverage >= LEAST_COVERAGE
-        ax.plot(
-            curve.coverage[shown], curve.accuracy[shown], ls=dashes, color=colour, lw=1.5,
-            label=name,
-        )  # fmt: skip
-        lowest = min(lowest, float(curve.accuracy[shown].min(initial=1.0)))
+        x, y = curve.coverage[shown], curve.accuracy[shown]
+        ax.plot(x, y, ls=dashes, color=colour, lw=1.5, label=name)
+        lowest = min(lowest, float(y.min(initial=1.0)))
         for below in MARKED:
             coverage, accuracy = curve.at(below)
-            if coverage < LEAST_COVERAGE:
-                continue
-            ax.plot(coverage, accuracy, marker=marker, ms=5.5, color=colour, zorder=3)
-            at = coverage, accuracy
-            ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
+            if coverage >= LEAST_COVERAGE:
+                ax.plot(coverage, accuracy, marker=marker, ms=5.5, color=colour, zorder=3)
+                at = coverage, accuracy
+                ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
     margin = 0.08 * (1 - lowest) + 0.002
     ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))
     ax.set_xlabel("coverage: share of frames with an answer")
@@ -198,11 +193,9 @@ def coverage_figure(frames: pd.DataFrame, title: str = "") -> Figure:
 def dispersion(matrix: IntArray) -> dict[str, int]:
     """Count the frames of a confusion matrix (n + 1, n) by how many lanes the answer is off."""
     lanes = np.arange(matrix.shape[1])
-    off = np.abs(lanes[:, None] - lanes)
-    counts = {
-        f"off by {k}" if k else "correct": int(matrix[:-1][off == k].sum()) for k in lanes.tolist()
-    }
-    return {**counts, "unassigned": int(matrix[-1].sum())}
+    off = np.bincount(np.abs(lanes[:, None] - lanes).ravel(), matrix[:-1].ravel()).astype(int)
+    names = ["correct", *(f"off by {k}" for k in lanes[1:])]
+    return {**dict(zip(names, off.tolist(), strict=True)), "unassigned": int(matrix[-1].sum())}
 
 
 def dispersions(results: Sequence[tuple[str, pd.DataFrame]]) -> pd.DataFrame:

@@ -50,6 +50,9 @@ MAX_ROWS = 8
 #: Lanes of the map that are absent from a drive's road, with a belief below this, are left blank.
 UNSEEN = 0.02
 
+#: Colours of the frames with a wrong answer or none, below each strip.
+_MARKS = {"wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR}
+
 # The layout, in inches; and the gap between two strips, in lanes.
 _WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 9.0, 1.25, 0.15, 0.5, 0.3
 _LANE, _ROW_GAP, _GAP = 0.16, 0.45, 0.6
@@ -91,10 +94,10 @@ def strips_figure(
     n_columns = len(cells["crossing"])
     per_row = -(-n_columns // n_rows)
     heights: dict[str, int] = {
-        name: 1 if name == "Changes" else cells[name].shape[1]
-        for name in ("Model", "Detector", "Changes", "Truth")
-        if name in cells or name == "Changes"
+        name: cells[name].shape[1] for name in ("Model", "Detector") if name in cells
     }
+    middle = sum(heights.values()) + _GAP * len(heights) + 0.5
+    heights |= {"Changes": 1} | ({"Truth": cells["Truth"].shape[1]} if "Truth" in cells else {})
     total = sum(heights.values()) + _GAP * len(heights)
     # Constrained layout would take seconds.
     row = total * _LANE
@@ -111,17 +114,14 @@ def strips_figure(
         left = low + each * start - 0.5
         right = left + each * len(part["crossing"])
         _draw_strips(ax, part, heights, left, right)
-        top = sum(heights[name] + _GAP for name in ("Model", "Detector") if name in heights)
-        _draw_changes(ax, events, top + 0.5)
+        for (direction, outcome), some in events.groupby(["direction", "outcome"]):
+            look: Any = {"ms": 4.5, "color": OUTCOMES[outcome], "mew": 0, "zorder": 4}
+            at, marker = some["detected_frame_id"].to_numpy(float), "^" if direction < 0 else "v"
+            ax.plot(at, np.full(len(at), middle), marker, **look)
         ax.set(xlim=(left, left + each * per_row), ylim=(total - 0.3, 0))
         _draw_ticks(ax, frames, left, right)
-    place: dict[str, Any] = {
-        "transform": axes[0].transAxes,
-        "ha": "center",
-        "va": "bottom",
-        "linespacing": 1.6,
-    }
-    axes[0].text(0.5, 1, "frame\n", **place)
+    place: Any = {"transform": axes[0].transAxes, "ha": "center", "va": "bottom"}
+    axes[0].text(0.5, 1, "frame\n", linespacing=1.6, **place)
     axes[-1].set_xlabel("time (s)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
     return figure
@@ -196,7 +196,7 @@ def _draw_strips(
             ends = [[(x, top), (x, top + n)] for x in edges]
             dashes = (0, (3, 2))
             ax.add_collection(LineCollection(ends, colors=INK, linestyles=[dashes], linewidths=0.5))
-            for mark, colour in (("wrong", DETECTOR_COLOUR), ("unassigned", UNASSIGNED_COLOUR)):
+            for mark, colour in _MARKS.items():
                 spans = _spans(cells[f"{mark} {name}"], left, step)
                 ax.broken_barh(spans, (top + n + 0.06, 0.3), color=colour, lw=0, zorder=2)
         if name == "Truth":
@@ -216,14 +216,6 @@ def _draw_strips(
 def _spans(share: FloatArray, left: float, step: float) -> list[tuple[float, float]]:
     """Begin and length, in frames, of the runs of columns, (C, 1), with a share above 0."""
     return [(left + a * step, (b - a) * step) for a, b in runs_of(share[:, 0] > 0)]
-
-
-def _draw_changes(ax: Axes, events: pd.DataFrame, y: float) -> None:
-    """Draw reported lane changes as triangles that point to the side of the new lane."""
-    for (direction, outcome), some in events.groupby(["direction", "outcome"]):
-        marker = "^" if direction < 0 else "v"
-        at = some["detected_frame_id"].to_numpy(float)
-        ax.plot(at, np.full(len(at), y), marker, ms=4.5, color=OUTCOMES[outcome], mew=0, zorder=4)
 
 
 def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> None:
@@ -250,24 +242,17 @@ def _draw_legend(figure: Figure, cells: Mapping[str, FloatArray], events: pd.Dat
     shades = [Patch(fc=PROBABILITY_RAMP(p / 4), ec=FAINT, label=f"{p / 4:g}") for p in range(5)]
     entries: list[Any] = [Line2D([], [], ls="", label="probability:"), *shades]
     if "Truth" in cells:
-        colours = {
-            "wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR, "crossing": CROSSING,
-        }  # fmt: skip
-        entries += [Patch(color=colour, label=label) for label, colour in colours.items()]
+        colours = [*_MARKS.items(), ("crossing", CROSSING)]
+        entries += [Patch(color=colour, label=label) for label, colour in colours]
     is_elsewhere = ~(cells["crossing"][:, 0] > 0)
     if any(np.isnan(values[is_elsewhere]).any() for values in cells.values()):
         entries.append(Patch(fc="w", ec=FAINT, hatch="//////", lw=0, label="no data"))
     if len(events):
-        entries += [
-            Line2D([], [], ls="", marker=marker, color=INK, label=label)
-            for marker, label in (("^", "change to the left"), ("v", "to the right"))
-        ]
+        marks = [("^", INK, "change to the left"), ("v", INK, "to the right")]
         known = [name for name in OUTCOMES if name in set(events["outcome"])]
         if known != ["not annotated"]:
-            entries += [
-                Line2D([], [], ls="", marker="d", color=OUTCOMES[name], label=name)
-                for name in known
-            ]
+            marks += [("d", OUTCOMES[name], name) for name in known]
+        entries += [Line2D([], [], ls="", marker=m, color=c, label=name) for m, c, name in marks]
     figure.legend(
         handles=entries, loc="lower left", bbox_to_anchor=(0.01, 0), ncols=len(entries),
         handlelength=1.1, columnspacing=0.8, handletextpad=0.4, fontsize=7.5,
