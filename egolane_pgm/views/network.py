@@ -1,4 +1,4 @@
-"""Drawing of a network: its two slices, with the kind of every node; and the network as BIF."""
+"""The structure of a network: as a picture of its two slices, or in a BIF file."""
 
 from __future__ import annotations
 
@@ -46,8 +46,7 @@ _RADIUS, _SMALL, _STEP, _MARGIN, _GAP, _INCH = 0.52, 0.17, 1.5, 0.75, 1.3, 0.8
 class Structure:
     """Nodes and edges of a network of two slices.
 
-    - kind: of each node, "hidden", "function" (of its parents), "observed", "input" or "virtual
-      evidence".
+    - kind: by node: "hidden", "function" (of its parents), "observed", "input", "virtual evidence".
     - edges: the parent first; slice 0 is frame t, slice 1 is frame t + 1.
     """
 
@@ -67,15 +66,9 @@ class Structure:
 
 def structure_of(compiled: Compiled) -> Structure:
     """The structure of a compiled network, with its virtual-evidence nodes."""
-    roles = {
-        "input": compiled.inputs,
-        "function": compiled.functions,
-        "hidden": compiled.hidden,
-    }
-    kind = {
-        name: next((role for role, names in roles.items() if name in names), "observed")
-        for name, _ in compiled.tables
-    }
+    kind = {name: "observed" for name, _ in compiled.tables}
+    kind |= dict.fromkeys(compiled.hidden, "hidden") | dict.fromkeys(compiled.functions, "function")
+    kind |= dict.fromkeys(compiled.inputs, "input")
     edges = [(parent, node) for node, table in compiled.tables.items() for parent in table.parents]
     for key in compiled.observed:
         kind[ve_name(key)] = "virtual evidence"
@@ -151,14 +144,6 @@ def network_figure(structure: Structure) -> Figure:
             nodes[name, s].set_gid(f"node {name} {s}")
     for edge in structure.edges:
         _draw_edge(ax, edge, nodes)
-    entries = _legend(structure)
-    columns = min(3, max(2, int(figure.get_figwidth() / 1.8)))
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
-    return figure
-
-
-def _legend(structure: Structure) -> dict[str, Any]:
-    """The marks of the legend by their labels; a function has two circles."""
     entries: dict[str, Any] = {}
     for kind, fill in _FILL.items():
         if kind in structure.kind.values():
@@ -169,7 +154,9 @@ def _legend(structure: Structure) -> dict[str, Any]:
     entries["within a frame"] = Line2D([], [], color=INK, lw=1.1)
     if structure.across:
         entries["to the next frame"] = Line2D([], [], color=_TEMPORAL, lw=1.9)
-    return entries
+    columns = min(3, max(2, int(figure.get_figwidth() / 1.8)))
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+    return figure
 
 
 def _places(structure: Structure) -> dict[str, tuple[float, float]]:

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -50,12 +49,10 @@ MAX_ROWS = 8
 #: Lanes of the map that are absent from a drive's road, with a belief below this, are left blank.
 UNSEEN = 0.02
 
-#: Colours of the frames with a wrong answer or none, below each strip.
-_MARKS = {"wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR}
+_ERRORS = {"wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR}
 
-# The layout, in inches; and the gap between two strips, in lanes.
-_WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 9.0, 1.25, 0.15, 0.5, 0.3
-_LANE, _ROW_GAP, _GAP = 0.16, 0.45, 0.6
+# Heights in inches; and the gap between two strips, in lanes.
+_HEAD, _FOOT, _LANE, _ROW_GAP, _GAP = 0.5, 0.3, 0.16, 0.45, 0.6
 
 
 def draw_strips(result: Result, file: str | Path) -> Path:
@@ -94,16 +91,16 @@ def strips_figure(
     n_columns = len(cells["crossing"])
     per_row = -(-n_columns // n_rows)
     heights: dict[str, int] = {
-        name: cells[name].shape[1] for name in ("Model", "Detector") if name in cells
+        name: 1 if name == "Changes" else cells[name].shape[1]
+        for name in ("Model", "Detector", "Changes", "Truth")
+        if name in cells or name == "Changes"
     }
-    middle = sum(heights.values()) + _GAP * len(heights) + 0.5
-    heights |= {"Changes": 1} | ({"Truth": cells["Truth"].shape[1]} if "Truth" in cells else {})
     total = sum(heights.values()) + _GAP * len(heights)
     # Constrained layout would take seconds.
     row = total * _LANE
     tall = _HEAD + n_rows * (row + _ROW_GAP) + _FOOT
-    figure = new_figure(_WIDTH, tall, layout="none")
-    edges = {"left": _LEFT / _WIDTH, "right": 1 - _RIGHT / _WIDTH, "top": 1 - _HEAD / tall}
+    figure = new_figure(9.0, tall, layout="none")
+    edges = {"left": 0.14, "right": 0.98, "top": 1 - _HEAD / tall}
     edges |= {"bottom": (_FOOT + _ROW_GAP) / tall, "hspace": _ROW_GAP / row}
     axes = figure.subplots(n_rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
     mean = f"; a column is the mean of {each} frames" if each > 1 else ""
@@ -114,14 +111,12 @@ def strips_figure(
         left = low + each * start - 0.5
         right = left + each * len(part["crossing"])
         _draw_strips(ax, part, heights, left, right)
-        for (direction, outcome), some in events.groupby(["direction", "outcome"]):
-            look: Any = {"ms": 4.5, "color": OUTCOMES[outcome], "mew": 0, "zorder": 4}
-            at, marker = some["detected_frame_id"].to_numpy(float), "^" if direction < 0 else "v"
-            ax.plot(at, np.full(len(at), middle), marker, **look)
+        top = sum(heights[name] + _GAP for name in ("Model", "Detector") if name in heights)
+        _draw_changes(ax, events, top + 0.5)
         ax.set(xlim=(left, left + each * per_row), ylim=(total - 0.3, 0))
         _draw_ticks(ax, frames, left, right)
-    place: Any = {"transform": axes[0].transAxes, "ha": "center", "va": "bottom"}
-    axes[0].text(0.5, 1, "frame\n", linespacing=1.6, **place)
+    place: dict[str, Any] = {"ha": "center", "va": "bottom", "linespacing": 1.6}
+    axes[0].text(0.5, 1, "frame\n", transform=axes[0].transAxes, **place)
     axes[-1].set_xlabel("time (s)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
     return figure
@@ -170,11 +165,7 @@ def strip_cells(frames: pd.DataFrame, low: int, high: int, each: int = 1) -> dic
 
 
 def _draw_strips(
-    ax: Axes,
-    cells: Mapping[str, FloatArray],
-    heights: Mapping[str, int],
-    left: float,
-    right: float,
+    ax: Axes, cells: Mapping[str, FloatArray], heights: Mapping[str, int], left: float, right: float
 ) -> None:
     """Draw one row of strips; y counts lanes from the top, x frames."""
     step = (right - left) / len(cells["crossing"])
@@ -193,10 +184,8 @@ def _draw_strips(
             ax.hlines(top + np.arange(1, n), left, right, FAINT, lw=0.5, zorder=2)
             ticks |= {top + k + 0.5: f"{k + 1}{' (left)' * (k == 0)}" for k in range(n)}
         if f"wrong {name}" in cells:
-            ends = [[(x, top), (x, top + n)] for x in edges]
-            dashes = (0, (3, 2))
-            ax.add_collection(LineCollection(ends, colors=INK, linestyles=[dashes], linewidths=0.5))
-            for mark, colour in _MARKS.items():
+            ax.vlines(edges, top, top + n, INK, (0, (3, 2)), lw=0.5, zorder=2)
+            for mark, colour in _ERRORS.items():
                 spans = _spans(cells[f"{mark} {name}"], left, step)
                 ax.broken_barh(spans, (top + n + 0.06, 0.3), color=colour, lw=0, zorder=2)
         if name == "Truth":
@@ -216,6 +205,14 @@ def _draw_strips(
 def _spans(share: FloatArray, left: float, step: float) -> list[tuple[float, float]]:
     """Begin and length, in frames, of the runs of columns, (C, 1), with a share above 0."""
     return [(left + a * step, (b - a) * step) for a, b in runs_of(share[:, 0] > 0)]
+
+
+def _draw_changes(ax: Axes, events: pd.DataFrame, y: float) -> None:
+    """Draw reported lane changes as triangles that point to the side of the new lane."""
+    for (direction, outcome), some in events.groupby(["direction", "outcome"]):
+        marker = "^" if direction < 0 else "v"
+        at = some["detected_frame_id"].to_numpy(float)
+        ax.plot(at, np.full(len(at), y), marker, ms=4.5, color=OUTCOMES[outcome], mew=0, zorder=4)
 
 
 def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> None:
@@ -242,17 +239,16 @@ def _draw_legend(figure: Figure, cells: Mapping[str, FloatArray], events: pd.Dat
     shades = [Patch(fc=PROBABILITY_RAMP(p / 4), ec=FAINT, label=f"{p / 4:g}") for p in range(5)]
     entries: list[Any] = [Line2D([], [], ls="", label="probability:"), *shades]
     if "Truth" in cells:
-        colours = [*_MARKS.items(), ("crossing", CROSSING)]
-        entries += [Patch(color=colour, label=label) for label, colour in colours]
+        colours = {**_ERRORS, "crossing": CROSSING}
+        entries += [Patch(color=colour, label=label) for label, colour in colours.items()]
     is_elsewhere = ~(cells["crossing"][:, 0] > 0)
     if any(np.isnan(values[is_elsewhere]).any() for values in cells.values()):
         entries.append(Patch(fc="w", ec=FAINT, hatch="//////", lw=0, label="no data"))
-    if len(events):
-        marks = [("^", INK, "change to the left"), ("v", INK, "to the right")]
+    marks = [("^", INK, "change to the left"), ("v", INK, "to the right")] * bool(len(events))
+    if not set(events["outcome"]) <= {"not annotated"}:
         known = [name for name in OUTCOMES if name in set(events["outcome"])]
-        if known != ["not annotated"]:
-            marks += [("d", OUTCOMES[name], name) for name in known]
-        entries += [Line2D([], [], ls="", marker=m, color=c, label=name) for m, c, name in marks]
+        marks += [("d", OUTCOMES[name], name) for name in known]
+    entries += [Line2D([], [], ls="", marker=m, color=c, label=label) for m, c, label in marks]
     figure.legend(
         handles=entries, loc="lower left", bbox_to_anchor=(0.01, 0), ncols=len(entries),
         handlelength=1.1, columnspacing=0.8, handletextpad=0.4, fontsize=7.5,
