@@ -240,10 +240,10 @@ class Result:
 
         Raises InputError for a range without frames.
         """
-        from egolane_pgm.views.strips import strips_figure
+        from egolane_pgm.views.strips import result_strips
         from egolane_pgm.views.style import inline_figure
 
-        return inline_figure(lambda: strips_figure(self, first, last))
+        return inline_figure(lambda: result_strips(self, first, last))
 
     def report(self, file: str | os.PathLike[str]) -> Path:
         """Write the page of `egolane plot --out x.html`: one HTML file, with a timeline.

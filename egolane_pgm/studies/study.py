@@ -81,7 +81,7 @@ def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]
     """
     fewest = min(map(len, drives))
     if not 2 <= n_blocks <= fewest:
-        raise InputError(f"blocks: {n_blocks} is not between 2 and the {fewest} frames of a drive")
+        raise InputError(f"folds: {n_blocks} is not between 2 and the {fewest} frames of a drive")
     lengths = [[len(b) for b in np.array_split(np.arange(len(d)), n_blocks)] for d in drives]
     return _folds(drives, [np.repeat(np.arange(n_blocks), each) for each in lengths])
 
@@ -117,7 +117,7 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
         part_of = {unique[k]: p for p, part in enumerate(parts) for k in part}
         groups = [part_of[key] for key in keys]
-        which = "blocks: all rows are of one drive"
+        which = "folds: all rows are of one drive"
     else:
         known = {name for drive in drives for name in drive.tags}
         groups = [drive.tags.get(tag) for drive in drives]
@@ -132,7 +132,7 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
                     f" tag.{tag}; held-out labels would leak"
                 )
     if len(set(groups)) < 2:
-        raise InputError(f"{which}, so nothing would be left to fit to; blocks 0 holds out nothing")
+        raise InputError(f"{which}, so nothing would be left to fit to; folds 0 holds out nothing")
     return group_folds(drives, groups)
 
 
@@ -236,7 +236,8 @@ class Study:
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 200]})
-    >>> study = ego.tune(experiment, trials=4, sampler="random", blocks=0)
+    >>> changes = {"fit.sampler": "random"}
+    >>> study = ego.tune(experiment, trials=4, overrides=changes, folds=0)
     >>> study
     Study('quickstart': tune, 4 trials, accuracy 0.969 in-sample)
     >>> sorted(study.fitted)[:2]

@@ -22,7 +22,7 @@ def test_each_kind_of_file_goes_from_the_file_to_the_lane(
     tmp_path: Path, name: str, make: Callable[[Path], None]
 ) -> None:
     make(tmp_path / name)
-    words = ("--topic", "/lanes", "--columns", "offset_m=c0,is_continuous=is_solid")
+    words = ("--set", "recording.topic=/lanes", "--columns", "offset_m=c0,is_continuous=is_solid")
     words = (*words, "--columns", "left_positive=true", "--no-figures", "--out", tmp_path / "out")
     done("run", tmp_path / name, "--n-lanes", 3, *words)
     result = ego.load_result(tmp_path / "out")

@@ -24,7 +24,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("rn", "No such command 'rn'"),
+        ("rn", "No command 'rn' (did you mean 'run'?)."),
         ("run", "Missing argument 'EXPERIMENT|LINES'."),
         ("run x.yaml --filter stamp", "egolane run --help"),
         ("run x.yaml", "x.yaml: cannot be read: No such file or directory"),
