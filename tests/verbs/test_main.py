@@ -75,8 +75,9 @@ def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> Non
     """Python callers read it too: it names the parameter or the key of the YAML. A message that
     begins with a parameter's name shows it as an option on the command line."""
     package = Path(str(egolane_pgm.__file__)).parent
-    # The description of a recording ends with the command that runs it.
+    # The texts that commands print: the description of a recording ends with a command.
     others = {package / "command.py", package / "recordings" / "showing.py"}
+    others |= {package / "views" / f"{name}.py" for name in ("description", "display")}
     found = []
     for path in {*package.rglob("*.py")} - {*others, *(package / "verbs").iterdir()}:
         nodes = [*ast.walk(ast.parse(path.read_text()))]
