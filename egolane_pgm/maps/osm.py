@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.maps.lane_graph import LaneGraph, around
 from egolane_pgm.maps.tags import KEYS, KINDS, read_lanes
@@ -34,14 +35,13 @@ def read_osm(path: str | Path) -> LaneGraph:
 
 def read_ways(path: str | Path) -> LaneGraph:
     """As `read_osm`, with a segment for each way, or several if another way shares a point."""
-    raw = _read(path)
-    read = [read_lanes(values) for values in raw.tags]
-    mistakes = [read[tag_set][1] for tag_set in raw.tag_set]
-    bad = [k for k, mistake in enumerate(mistakes) if mistake]
-    if bad:
-        example = f"way {raw.way[bad[0]]}: {'; '.join(mistakes[bad[0]])}"
-        _warn(f"{path}: ignored wrong tags of {len(bad)} way(s), first of {example}")
-    return with_joins(_segments(raw, np.array([lanes for lanes, _ in read])))
+    ways, point = _read(path)
+    lanes = ways["tags"].map(read_lanes)
+    wrong = lanes[lanes.map(lambda each: len(each[1]) > 0)]
+    if len(wrong):
+        example = f"way {ways['way'][wrong.index[0]]}: {'; '.join(wrong.iloc[0][1])}"
+        _warn(f"{path}: ignored wrong tags of {len(wrong)} way(s), first of {example}")
+    return with_joins(_segments(ways, point, np.array([each for each, _ in lanes])))
 
 
 def _warn(text: str) -> None:
@@ -51,33 +51,16 @@ def _warn(text: str) -> None:
 # --- the file ----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Raw:
-    """W ways.
-
-    - point (P, 2): latitude, longitude; first (W + 1,): index of each way's first point.
-    - tags: the different sets of tags; tag_set (W,): index of each way's set.
-    """
-
-    way: IntArray
-    name: list[str]
-    point: FloatArray
-    first: IntArray
-    tags: list[tuple[str | None, ...]]
-    tag_set: IntArray
-
-
-def _read(path: str | Path) -> _Raw:
+def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
+    """W ways: id, name, values of KEYS and number of points; and all points (P, 2) in order,
+    latitude and longitude."""
     if not Path(path).is_file():
         raise InputError(f"{path}: no such file")
     with needed(f"{path}", "maps"):
         import osmium
-    way: list[int] = []
-    name: list[str] = []
-    size: list[int] = []
-    tag_set: list[int] = []
+    rows: list[tuple[Any, ...]] = []
     points, lacking = bytearray(), 0
-    sets: dict[tuple[str | None, ...], int] = {}
+    known: dict[tuple[str | None, ...], tuple[str | None, ...]] = {}
     as_bytes = osmium.geom.WKBFactory().create_linestring
     roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
@@ -98,46 +81,47 @@ def _read(path: str | Path) -> _Raw:
                     continue
                 line = np.array(places, dtype="<f8").tobytes()
             get = road.tags.get
-            way.append(road.id)
-            name.append(get("ref") or get("name") or "")
-            size.append(len(line) // 16)
-            tag_set.append(sets.setdefault(tuple([get(key) for key in KEYS]), len(sets)))
+            name = get("ref") or get("name") or ""
+            tags = tuple([get(key) for key in KEYS])
+            # Equal tags of many ways are one object in memory.
+            rows.append((road.id, name, known.setdefault(tags, tags), len(line) // 16))
             points += line
     except bad_place as error:
         raise InputError(f"{path}: cannot be read as a map: {error}") from None
     if lacking:
         _warn(f"{path}: left out {lacking} nodes of motorways or trunk roads without coordinates")
-    if not way:
+    if not rows:
         raise InputError(
             f"{path}: no motorway and no trunk road with coordinates (highway={', '.join(KINDS)})"
         )
     point = np.frombuffer(points, dtype="<f8").reshape(-1, 2)[:, ::-1]
-    first = np.cumsum([0, *size])
-    return _Raw(np.array(way), name, point, first, list(sets), np.array(tag_set))
+    return pd.DataFrame(rows, columns=["way", "name", "tags", "size"]), point
 
 
 # --- segments ----------------------------------------------------------------------------------
 
 
-def _segments(raw: _Raw, lanes: IntArray) -> LaneGraph:
+def _segments(ways: pd.DataFrame, place: FloatArray, lanes: IntArray) -> LaneGraph:
     """The pieces of the ways, one for each direction of travel.
 
-    - lanes: forward and backward of each set of tags, -1 without travel in that direction.
+    - place (P, 2): latitude and longitude of the points.
+    - lanes (W, 2): forward and backward, -1 without travel in that direction.
     """
-    plane = around(*raw.point.T)
-    metres = plane.metres(*raw.point.T)
+    plane = around(*place.T)
+    metres = plane.metres(*place.T)
+    of_way = np.concatenate([[0], np.cumsum(ways["size"])])
     # A way is cut at points that it shares with another way, or with itself.
-    _, place, times = np.unique(_place_key(metres), return_inverse=True, return_counts=True)
-    is_cut = times[place] > 1
-    is_cut[raw.first[:-1]] = True
-    is_cut[raw.first[1:] - 1] = True
+    _, same, times = np.unique(_place_key(metres), return_inverse=True, return_counts=True)
+    is_cut = times[same] > 1
+    is_cut[of_way[:-1]] = True
+    is_cut[of_way[1:] - 1] = True
     cut = np.flatnonzero(is_cut)
-    way_of = np.repeat(np.arange(len(raw.way)), np.diff(raw.first))
+    way_of = np.repeat(np.arange(len(ways)), ways["size"])
     is_piece = way_of[cut[:-1]] == way_of[cut[1:]]
     ends = np.stack([cut[:-1], cut[1:]], axis=1)[is_piece]
     way = way_of[ends[:, 0]]
 
-    driven = lanes[raw.tag_set[way]]
+    driven = lanes[way]
     piece, backward = np.nonzero(driven >= 0)
     way, start, stop = way[piece], ends[piece, backward], ends[piece, 1 - backward]
     size = np.abs(stop - start) + 1
@@ -146,9 +130,9 @@ def _segments(raw: _Raw, lanes: IntArray) -> LaneGraph:
     point = np.repeat(start, size) + nth * np.repeat(np.sign(stop - start), size)
     none = np.zeros(0, dtype=np.int64)
     return LaneGraph(
-        way=raw.way[way],
-        kind=np.array([values[0] for values in raw.tags])[raw.tag_set[way]],
-        name=np.array(raw.name, dtype=object)[way],
+        way=ways["way"].to_numpy()[way],
+        kind=np.array([tags[0] for tags in ways["tags"]])[way],
+        name=np.array(ways["name"], dtype=object)[way],
         n_lanes=driven[piece, backward],
         plane=plane,
         point=metres[point],

@@ -5,6 +5,8 @@ Keys and values: https://wiki.openstreetmap.org/wiki/Lanes.
 
 from __future__ import annotations
 
+from functools import cache
+
 #: Roads whose lanes are read, and the links between them.
 KINDS = ("motorway", "motorway_link", "trunk", "trunk_link")
 
@@ -27,6 +29,7 @@ KEYS = (
 MOST_LANES = 30
 
 
+@cache
 def read_lanes(values: tuple[str | None, ...]) -> tuple[tuple[int, int], tuple[str, ...]]:
     """The lanes of a way forward and backward, and a line for each mistake in its tags.
 

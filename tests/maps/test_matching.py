@@ -157,13 +157,10 @@ def test_a_car_that_leaves_the_map_is_off_it(graph: LaneGraph, online: bool) -> 
     assert (table.n_lanes[table.segment < 0] == 0).all()
 
 
-def test_a_map_in_which_the_road_is_cut_is_followed_on_both_sides() -> None:
+def test_a_cut_road_is_followed_and_a_wrong_direction_is_off_the_map() -> None:
     cut = lane_map([[(0, 0), (3000, 0)], [(3000, 0), (6000, 0)]], [2, 2])
     found = locate(cut, drive(EASTWARD, 0.0))
     assert (found.segment == np.where(EASTWARD < 3000, 0, 1)).all()
-
-
-def test_against_a_oneway_that_is_drawn_backwards_a_car_is_off_the_map() -> None:
     wrong = lane_map([[(6000, 0), (0, 0)]], [2])
     assert (match(wrong, drive(EASTWARD[::-1], 0.0)).segment == 0).all()
     assert (match(wrong, drive(EASTWARD, 0.0)).segment == -1).mean() > 0.9

@@ -54,12 +54,13 @@ def test_a_table_is_read_by_the_usual_names_of_its_columns(tmp_path: Path) -> No
     assert np.isnan(found.heading_deg).all()
 
 
-def test_columns_of_other_names_are_named(tmp_path: Path) -> None:
-    table = tmp_path / "a.parquet"
-    pd.DataFrame({"when": ["2024-05-01 10:00:00", "2024-05-01T10:00:01.5Z"], "lat_gps": [52, 52.1],
-                  "lon_gps": [4, 4.1]}).to_parquet(table)  # fmt: skip
+def test_columns_may_have_other_names_and_times_may_be_dates(tmp_path: Path) -> None:
+    when = ["2024-05-01 10:00:00", "2024-05-01T10:00:01.5Z"]
+    table = pd.DataFrame({"when": when, "lat_gps": [52, 52.1], "lon_gps": [4, 4.1]})
+    table.to_parquet(tmp_path / "a.parquet")
     names = {"t_s": "when", "latitude": "lat_gps", "longitude": "lon_gps"}
-    assert read_positions(table, columns=names).t_s.tolist() == [TEN, TEN + 1.5]
+    found = read_positions(tmp_path / "a.parquet", columns=names)
+    assert found.t_s.tolist() == [TEN, TEN + 1.5]
 
 
 def test_gpx_is_read(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -122,21 +123,21 @@ def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str,
         ("stamp,offset_m\n1.7e18,2\n", "`columns: {frame_id: NAME}` or `{time_s: NAME"),
         (
             "time_s,offset_m\n1700000000000000000,2\n",
-            "which is no time in s; set `columns: {time_unit: ns}`",
+            "in s; set `columns: {time_unit: ns}`",
         ),
         ("frame,offset_m\n1,2\n", "no column frame_id (did you mean 'frame'?)"),
-        ("frame_id,offset_m\n0.05,2\n", "frame_id is 0.05, not a whole number"),
         ("time_s,offset_m\n2,1\n1,1\n", "row 2: time is empty or goes back; sort by time"),
     ],
 )
-def test_a_table_says_what_would_read_it(tmp_path: Path, text: str, said: str) -> None:
+def test_a_table_without_frames_is_refused_with_a_cure(
+    tmp_path: Path, text: str, said: str
+) -> None:
     (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(InputError) as info:
+    with pytest.raises(InputError, match=re.escape(said)):
         read_lines(tmp_path / "a.csv")
-    assert said in str(info.value)
 
 
-def test_lines_that_move_against_the_annotated_changes_are_said() -> None:
+def test_lines_that_move_against_the_annotated_changes_are_warned_of() -> None:
     drive = ego.simulate("quickstart", frames=3000)
     assert drive.truth is not None
     lane = drive.truth["true_lane"].to_numpy()
