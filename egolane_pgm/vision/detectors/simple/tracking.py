@@ -151,9 +151,8 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
 
 
 def _noise_of_clothoids(at: FloatArray) -> FloatArray:
-    """Return the covariance (J, J) of a clothoid's positions: that of a parabola through positions
-    with independent errors, and that of the rate, which the fit to all contours finds far better
-    than four such positions would."""
+    """Return the covariance (J, J) of a clothoid's positions: those of a parabola have independent
+    errors, and the rate is known far better, from the fit to all contours."""
     parabola, precision = at[:, :3], _SIGMA_M**-2
     covariance = np.linalg.inv((parabola * precision[:, None]).T @ parabola)
     # The part of a unit of rate that a parabola cannot follow.
