@@ -74,7 +74,7 @@ class Drift:
     - weight: (G,) probability of each difference from the calibrated pitch
     - frames: number of pictures so far
     - checks: number of them that were checked and showed a line
-    - is_off: whether the pitch has ever differed significantly from the calibrated one
+    - is_off: True once the pitch has differed significantly from the calibrated one
     """
 
     weight: FloatArray

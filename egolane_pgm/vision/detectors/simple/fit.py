@@ -49,8 +49,8 @@ _REACH_M, _STRIPE_M = 0.125, 0.1
 _LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS, _MOST_SUPPORT = 0.2, 0.5, 0.5
 
 #: Standard deviations and limits of the values that all lines of a frame share: heading (m/m),
-#: curvature (1/m), squeeze (1/m) and rate (1/m^2), which is not searched. It is met
-#: at 110 km/h on the shortest transition curve of AASHTO's Green Book (section 3.3.8: 1.2 m/s^3).
+#: curvature (1/m), squeeze (1/m) and rate (1/m^2), which is not searched: its value
+#: follows from 110 km/h on the shortest transition curve of AASHTO's Green Book (section 3.3.8).
 _SD = np.array([0.03, 0.001, 0.004, 4e-5])
 _MOST = np.array([0.15, 0.003, 0.008])
 
