@@ -36,7 +36,7 @@ EXAMPLES = (
     "egolane show sensor_failure --tables",
     "egolane show sensor_failure --out network.png",
     "egolane show drive.csv",
-    "egolane show lstr_360x640.onnx > lanes.yaml",
+    "egolane show lstr_360x640.onnx",
     "egolane show schema > experiment.schema.json",
 )
 
@@ -62,8 +62,8 @@ def show(
     tuning files.
 
     For a recording (a table or a bag), print its content and, if names and signs are clear, the
-    command that runs it. For a lane network (FILE.onnx), print its inputs and outputs, the layout
-    that fits, and the YAML to start from.
+    command that runs it. For a lane network (FILE.onnx), print its inputs, its outputs and the
+    layouts that fit.
 
     - n_lanes: number of lanes of the road.
     - tables: print the numbers of a graph's tables.

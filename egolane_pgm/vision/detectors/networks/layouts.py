@@ -25,8 +25,7 @@ _SHARES = {"tusimple": (160 / 720, 710 / 720), "culane": (0.42, 1.0)}
 #: columns; the last number is the least share of anchors of a line (`pred2coords` of its demo.py).
 _ANCHORS = (("row", (1, 2), 1 / 2), ("col", (0, 3), 1 / 4))
 
-#: The shared area above which the less probable of two boxes of a class is dropped, and the least
-#: probability of a pixel of a mask.
+#: Largest overlap of two boxes of a class, and least probability of a pixel in a mask.
 _OVERLAP, _INSIDE = 0.7, 0.5
 
 #: Position of a polyline's start among the numbers of a candidate.

@@ -154,7 +154,10 @@ def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
 
     outputs = run(np.full((fit.height, fit.width, 3), 114, dtype=np.uint8))
     shapes = {role: value.shape for role, value in outputs.items()}
-    if lengths(network, shapes, network.numbers) is None:
+    sizes = lengths(network.layout, shapes, network.numbers)
+    # The last index along k that is read.
+    last = max(*network.used_channels, network.length and network.length + 2, 0)
+    if sizes is None or last >= sizes.get("k", math.inf):
         found = ", ".join(f"{names[role]} {shape_text(shape)}" for role, shape in shapes.items())
         patterns = OUTPUTS[network.layout].items()
         needs = ", ".join(f"{role} {' x '.join(one.split())}" for role, one in patterns)
@@ -216,28 +219,21 @@ def shape_text(shape: Shape) -> str:
 
 
 def lengths(
-    network: Network, shapes: Mapping[str, Shape], numbers: Mapping[str, int] | None
+    layout: str, shapes: Mapping[str, Shape], numbers: Mapping[str, int]
 ) -> dict[str, int] | None:
-    """Return the length of each letter of the layout's outputs, None if the shapes do not fit it.
-    An unknown size fits.
+    """Return the length of each letter of a layout's outputs, None if the shapes do not fit it.
 
-    numbers: the lengths that the YAML determines; None to ignore them.
+    An unknown size fits. numbers: lengths that are given.
     """
-    found = dict(numbers or {})
+    found = dict(numbers)
     for role, shape in shapes.items():
-        pattern = OUTPUTS[network.layout][role].split()
+        pattern = OUTPUTS[layout][role].split()
         if shape is not None and (len(pattern) != len(shape) or 0 in shape):
             return None
         for letter, size in zip(pattern, shape or (), strict=False):
             needed = int(letter) if letter.isdecimal() else size
             if size is not None and size != found.setdefault(letter, needed or size):
                 return None
-    # The last index along k that is read.
-    last = max(*network.used_channels, network.length and network.length + 2, 0)
-    if numbers is not None and last >= found.get("k", math.inf):
-        return None
     a, b, m = (found.get(letter, 0) for letter in "abm")
     # Boxes outnumber their coefficients.
-    if network.layout == "prototypes" and a and b and m and not 5 + m <= a < b:
-        return None
-    return found
+    return None if a and b and m and not 5 + m <= a < b else found

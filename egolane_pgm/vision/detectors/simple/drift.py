@@ -74,7 +74,7 @@ class Drift:
     - weight: (G,) probability of each difference from the calibrated pitch
     - frames: number of pictures so far
     - checks: number of them that were checked and showed a line
-    - is_off: whether the pitch has ever differed significantly from the calibrated one
+    - is_off: True once the pitch has differed significantly from the calibrated one
     """
 
     weight: FloatArray
@@ -106,20 +106,24 @@ class Drift:
 def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
     """Make a function to call with each picture of a drive, which returns the posterior.
 
-    It checks some of the pictures, and warns once of a drift. view: that of the calibrated camera.
+    It checks some of the pictures, and warns once of a drift. view: with the calibrated camera.
     """
+    camera, turned = view.camera, turned_up(view)
     drift, n_checks, next_check = Drift(_normalised(_PRIOR)), 0, 0
-    turned = turned_up(view)
 
     def tried(image: Image, away: float) -> tuple[float, float]:
-        """Return the length of line at a pitch, and the pitch at which the lines are parallel."""
+        """Return the length of line at a pitch, and the pitch at which the lines are parallel, NaN
+        if unknown."""
         try:
-            seen = turned(away)
+            found = find_lines(turned(away), image, parameters)
         except InputError:
-            # With this pitch the camera would not see the road.
+            # With this pitch the camera would not show the road.
             return 0.0, math.nan
-        found = find_lines(seen, image, parameters)
-        return float(found.score.sum()), away + _squeeze_deg(view.camera.height_m, found.shape)
+        offset, heading = found.shape[:, 0], found.shape[:, 1]
+        if len(offset) < 2 or np.ptp(offset) < _LEAST_SPREAD_M:
+            return float(found.score.sum()), math.nan
+        squeeze = float(np.polyfit(offset, heading, 1)[0])
+        return float(found.score.sum()), away - math.degrees(squeeze * camera.height_m)
 
     def see(picture: Picture) -> Drift:
         nonlocal drift, n_checks, next_check
@@ -135,12 +139,10 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
         amount, parallel = zip(*(tried(picture.image, a) for a in away), strict=True)
         if not any(amount):
             return drift
-        best = int(np.argmax(amount))
-        drift = updated(drift, away, np.array(amount), parallel[best])
+        drift = _updated(drift, away, np.array(amount), parallel[int(np.argmax(amount))])
         limit = _DRIFT_DEG + 2 * drift.pitch_sd_deg
         if not drift.is_off and drift.checks >= _LEAST_CHECKS and abs(drift.pitch_deg) > limit:
             drift = replace(drift, is_off=True)
-            camera = view.camera
             warnings.warn(
                 f"frame {picture.frame_id}: {camera.name or 'the camera'}: the lines of the road"
                 f" show a pitch of {camera.pitch_deg + drift.pitch_deg:.2f} degrees (standard"
@@ -154,12 +156,9 @@ def watch(view: BirdsEye, parameters: Parameters) -> Callable[[Picture], Drift]:
     return see
 
 
-def updated(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: float) -> Drift:
-    """Update the posterior after a check.
-
-    - away: (3,) the tried pitches, as differences from the calibrated one, ascending
-    - amount: (3,) the length of line at each, in lines of full length
-    - parallel_deg: the pitch at which the lines are parallel; NaN if unknown
+def _updated(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: float) -> Drift:
+    """Update the posterior with the length of line (3,) at three pitches (3,), and the pitch at
+    which the lines are parallel, NaN if unknown; pitches are differences from the calibrated one.
     """
     log_weight = _KEPT * np.log(np.maximum(drift.weight, 1e-12)) + (1 - _KEPT) * _PRIOR
     parabola = np.polyfit(away, amount, 2)
@@ -173,12 +172,3 @@ def updated(drift: Drift, away: FloatArray, amount: FloatArray, parallel_deg: fl
 def _normalised(log_weight: FloatArray) -> FloatArray:
     weight = np.exp(log_weight - log_weight.max())
     return np.asarray(weight / weight.sum())
-
-
-def _squeeze_deg(height_m: float, shape: FloatArray) -> float:
-    """Return by how much a larger pitch makes lines (M, 4) parallel, degrees; NaN if unknown."""
-    offset, heading = shape[:, 0], shape[:, 1]
-    if len(offset) < 2 or np.ptp(offset) < _LEAST_SPREAD_M:
-        return math.nan
-    squeeze = float(np.polyfit(offset, heading, 1)[0])
-    return -math.degrees(squeeze * height_m)

@@ -49,8 +49,8 @@ _REACH_M, _STRIPE_M = 0.125, 0.1
 _LANE_WIDTH_SD_M, _NEIGHBOUR_BONUS, _MOST_SUPPORT = 0.2, 0.5, 0.5
 
 #: Standard deviations and limits of the values that all lines of a frame share: heading (m/m),
-#: curvature (1/m), squeeze (1/m) and rate (1/m^2), which is not searched. The rate is that of a car
-#: at 110 km/h on the shortest transition curve of AASHTO's Green Book (section 3.3.8: 1.2 m/s^3).
+#: curvature (1/m), squeeze (1/m) and rate (1/m^2), which is not searched: its value
+#: follows from 110 km/h on the shortest transition curve of AASHTO's Green Book (section 3.3.8).
 _SD = np.array([0.03, 0.001, 0.004, 4e-5])
 _MOST = np.array([0.15, 0.003, 0.008])
 
@@ -185,8 +185,7 @@ def fit_lines(
     n_values = CURVES[str(parameters["curve"])]
     has = np.array([True, n_values > 2, True, n_values > 3])
     common = _find_common(view, strips, has, number(parameters, "side_m"), prior)
-    offset, agreement = _along(strips, common)
-    centre, score = _scores(view, strips, offset, agreement, common, number(parameters, "side_m"))
+    centre, score = _scores(view, strips, common, number(parameters, "side_m"))
     peaks = _peaks(centre, score, number(parameters, "least_score"))
     common, found = _refine(strips, common, centre[peaks], has, prior)
     order = np.argsort(found, kind="stable")
@@ -286,14 +285,10 @@ def _along(strips: Strips, common: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _scores(
-    view: BirdsEye,
-    strips: Strips,
-    offset: FloatArray,
-    agreement: FloatArray,
-    common: FloatArray,
-    side_m: float,
+    view: BirdsEye, strips: Strips, common: FloatArray, side_m: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return offsets (B,) and the score (B,) of the line at each."""
+    offset, agreement = _along(strips, common)
     n_bins = 2 * round(side_m / _BIN_M)
     centre = -side_m + (np.arange(n_bins, dtype=np.float64) + 0.5) * _BIN_M
     at = np.floor((offset + side_m) / _BIN_M).astype(int)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from egolane_pgm.parameters import Parameter, Parameters, number
 from egolane_pgm.types import FloatArray, IntArray
@@ -68,11 +67,19 @@ def painted_share(
         if len(rows) * view.along_m < _LEAST_M:
             continue
         pixels = view.map_uv[0][rows[:, None], columns[:, None] + np.arange(-aside, aside + 1)]
-        own, other = _contrasts(image, pixels, strip, near, far)
+        seen = np.maximum.reduce(
+            cv2.split(cv2.remap(image, pixels, np.zeros(0), cv2.INTER_NEAREST))
+        )
+        paint = cv2.morphologyEx(seen, cv2.MORPH_TOPHAT, strip)
+        local = seen.mean(axis=1) + _DARK
+        # Paint belongs to the line up to `near` pixels from it, and not from `far` on.
+        own = paint[:, aside - near : aside + near + 1].max(axis=1) / local
+        left = paint[:, : aside - far + 1].max(axis=1)
+        right = paint[:, aside + far :].max(axis=1)
         least = max(
             _LEAST,
             number(parameters, "paint_share") * _quantile(own, 0.9),
-            _OVER_NOISE * _quantile(other, 0.5),
+            _OVER_NOISE * _quantile(np.minimum(left, right) / local, 0.5),
         )
         painted = np.flatnonzero(own > least)
         shares[k] = len(painted) / len(own)
@@ -92,25 +99,6 @@ def _rows_in_view(view: BirdsEye, line: FloatArray, aside: int) -> tuple[IntArra
     rows = rows[both][::-1]
     rows = rows[x[rows] <= x[rows[:1]] + _LENGTH_M]
     return rows, columns[rows]
-
-
-def _contrasts(
-    image: Image, pixels: NDArray[np.int16], strip: Image, near: int, far: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return the contrast of a line's paint, and that next to the line (on the side with less),
-    (N,) each, as shares of the local brightness.
-
-    - pixels: (N, 2 A + 1, 2) column and row of each pixel across the line, A to either side
-    - strip: the widest strip that is paint (top-hat)
-    - near, far: paint belongs to the line up to `near` pixels from it, and not from `far` on
-    """
-    nearest = cv2.remap(image, pixels, np.zeros(0), cv2.INTER_NEAREST)
-    seen = np.maximum.reduce(cv2.split(nearest))
-    paint = cv2.morphologyEx(seen, cv2.MORPH_TOPHAT, strip)
-    local, middle = seen.mean(axis=1) + _DARK, pixels.shape[1] // 2
-    own = paint[:, middle - near : middle + near + 1].max(axis=1)
-    left, right = paint[:, : middle - far + 1].max(axis=1), paint[:, middle + far :].max(axis=1)
-    return own / local, np.minimum(left, right) / local
 
 
 def _quantile(values: FloatArray, share: float) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from egolane_pgm.parameters import Parameter
 
-#: Number of a shape's four values (offset, heading, curvature, its rate) that each curve has.
+#: Number of non-zero values (offset, heading, curvature, its rate) in a shape, by curve.
 CURVES = {"line": 2, "parabola": 3, "clothoid": 4}
 
 #: The parameters of the line finder, which works on single pictures.
@@ -20,7 +20,7 @@ FINDING = (
         "shadow_share",
         "probability",
         0.4,
-        "largest brightness of the shadow under a vehicle over that of the road before it; no line"
+        "largest ratio of the brightness under a vehicle to the road before it; no line"
         " is searched behind a shadow as wide as a vehicle's (0: vehicles are not searched)",
     ),
     Parameter(

@@ -79,7 +79,7 @@ _INSTALL_ELAS = (
 #: object's, margin around objects, and width of the right picture's edge without good matches.
 _PLANE_PX, _OFF_PLANE_PX, _GROW_PX, _EDGE_PX = 0.5, 1.0, 2, 8
 
-#: Steps in which the pitch is corrected, degrees.
+#: Step of the pitch correction, degrees.
 _PITCH_STEP_DEG = 0.1
 
 #: A plane is fitted to this number of points at most, from random triples of them; it must have at

@@ -20,7 +20,7 @@ from egolane_pgm.vision.detectors import FrameLines, powers
 from egolane_pgm.vision.detectors.simple.parameters import CURVES
 
 #: Distances ahead at which a line is compared (four parameters need four), and the standard
-#: deviations of a found line there, metres; that of the rate of a clothoid's curvature, 1/m^2.
+#: deviations of a found line there, metres, and of the rate of a clothoid's curvature, 1/m^2.
 _PLACES = 4
 _AHEAD_M = np.linspace(6.0, 30.0, _PLACES)
 _SIGMA_M, _SIGMA_RATE = np.linspace(0.12, 0.35, _PLACES), 2e-5
@@ -68,7 +68,7 @@ class Tracks:
     - excess: (L,) detections beyond the share that makes it valid, 0 to k
     - votes: (L, v) of its last v detections: 1 for continuous, 0 for dashed, NaN for no vote
     - missed: (L,) frames since its last detection
-    - is_valid, was_valid: (L,) whether it is valid, and whether it ever was
+    - is_valid, was_valid: (L,) validity in this frame, and in any frame so far
     - motion: (4,) common change of the parameters per frame
     - n_started: number of lines started so far
     """
@@ -151,9 +151,8 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
 
 
 def _noise_of_clothoids(at: FloatArray) -> FloatArray:
-    """Return the covariance (J, J) of a clothoid's positions: that of a parabola through positions
-    with independent errors, and that of the rate, which the fit to all contours finds far better
-    than four such positions would."""
+    """Return the covariance (J, J) of a clothoid's positions: those of a parabola have independent
+    errors, and the rate is known far better, from the fit to all contours."""
     parabola, precision = at[:, :3], _SIGMA_M**-2
     covariance = np.linalg.inv((parabola * precision[:, None]).T @ parabola)
     # The part of a unit of rate that a parabola cannot follow.

@@ -1,11 +1,10 @@
 """Find vehicles in the bird's-eye view, which hide the road behind them.
 
-A vehicle stands on its shadow: between its wheels the road is dark, whatever the weather and the
-colour of the vehicle. Along a ray from the camera the bright road ends there, and the neighbouring
-rays on which it ends at one distance are as wide as a vehicle. The shade of a bridge is wider, a
-crack or a seam is narrower. Behind its foot a vehicle hides the road, and its upright edges appear
-as streaks that point away from the camera, so no marking is searched there. At night the road is
-dark where the headlights end, so vehicles are searched by daylight only.
+The road between the wheels of a vehicle is dark, in any weather. Along a ray from the camera the
+bright road ends there, and the neighbouring rays on which it ends at one distance are as wide as a
+vehicle. The shade of a bridge is wider, a crack or a seam is narrower. The upright edges of a
+vehicle appear as streaks that point away from the camera, so no marking is searched behind its
+foot. At night the road is dark where the headlights end, so vehicles are searched by daylight only.
 """
 
 from __future__ import annotations

@@ -9,7 +9,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-import yaml
 
 from egolane_pgm.experiment import validated
 from egolane_pgm.tools.files import read_yaml
@@ -25,7 +24,7 @@ from egolane_pgm.vision.detectors.networks.description import (
     ready_networks,
 )
 from egolane_pgm.vision.detectors.networks.finding import looker
-from egolane_pgm.vision.detectors.networks.running import Fit, fit_of, load
+from egolane_pgm.vision.detectors.networks.running import Fit, fit_of
 from egolane_pgm.vision.detectors.simple.birdseye import look, make_view
 from tests.kits.drives import command, refused
 from tests.kits.synthetic_road import CAMERA, road
@@ -278,30 +277,21 @@ def test_each_yaml_reads_what_its_network_writes(tmp_path: Path, name: str) -> N
 
 
 @pytest.mark.parametrize("name", ready_networks())
-def test_an_onnx_is_known_again_by_its_outputs(tmp_path: Path, name: str) -> None:
-    """The YAML to start from is that of the network."""
-    path = written(tmp_path, name)
-    said = yaml.safe_load(describe_onnx(Path(read_network(path).model)))
-    own = yaml.safe_load((READY / path.name).read_text())
-    for key in ("layout", "size", "classes", "inputs"):
-        assert said.get(key) == own.get(key)
+def test_the_layout_of_each_ready_network_fits_its_file(tmp_path: Path, name: str) -> None:
+    network = read_network(written(tmp_path, name))
+    text = describe_onnx(Path(network.model))
+    (line,) = (line for line in text.splitlines() if line.startswith(f"layout {network.layout} "))
+    assert name in line
 
 
-def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
-    """Names and sizes are its own; an output that nothing reads has no YAML."""
+def test_an_onnx_is_shown_or_refused(tmp_path: Path) -> None:
     file = tmp_path / "mine.onnx"
     outputs = {"a": np.zeros((1, 7, 2)), "b": np.zeros((1, 7, 8)), "c": np.zeros((1, 9))}
     write_known(file, outputs, (320, 160), {"mask": (1, 1)})
-    said = command("show", file).stdout
-    assert "# layouts that fit: lstr_curves\n" in said
-    keys = yaml.safe_load(said)
-    assert keys["output"] == {"scores": "a", "curves": "b"}
-    assert (keys["model"], keys["size"], keys["inputs"]) == ("mine.onnx", [320, 160], {"mask": 0})
-    (tmp_path / "mine.yaml").write_text(said)
-    load(read_network(tmp_path / "mine.yaml"), Fit(320, 160, 0, 0, 0, 320, 160))
-    write_known(file, {"a": np.zeros((1, 3)), "b": np.zeros((2, 2))}, (320, 160))
-    assert command("show", file).stdout.endswith(
-        "# layouts that fit: none (docs/networks.md has the shapes of each)\n"
+    assert command("show", file).stdout == (
+        "takes picture: 1 x 3 x 160 x 320\ntakes mask: 1 x 1\n"
+        "gives a: 1 x 7 x 2\ngives b: 1 x 7 x 8\ngives c: 1 x 9\n"
+        "layout lstr_curves fits, as for the ready networks lstr\n"
     )
     file.write_bytes(b"nothing")
     assert refused("show", file).startswith(f"network: {file}: is no ONNX file that can be read")
@@ -310,27 +300,22 @@ def test_what_fits_another_file_is_said(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("shapes", "layout"),
+    ("shapes", "layouts"),
     [
-        ({"binary": (1, 2, 40, 80), "embedding": (1, 4, 40, 80)}, "lanes"),
-        ({"a": (1, 1, 40, 80)}, "lanes"),
-        ({"a": (1, 7, 40, 80)}, "instances"),
-        ({"seg_pred": (1, 1, 40, 80)}, "instances"),
-        ({"boxes": (1, 999, 4), "kinds": (1, 999, 1), "masks": (1, 3, 40, 80)}, "lanes"),
-        ({"boxes": (1, 39, 99), "masks": (1, 32, 20, 20)}, "prototypes"),
-        ({"a": (1, 101, 56, 4)}, "row_anchors"),
+        ([(1, 2, 40, 80), (1, 4, 40, 80)], ["lanes", "instances"]),
+        ([(1, 999, 4), (1, 999, 1), (1, 3, 40, 80)], ["lanes", "instances"]),
+        ([(1, 39, 99), (1, 32, 20, 20)], ["prototypes", "lanes", "instances"]),
+        ([(1, 101, 56, 4)], ["row_anchors"]),
+        ([(1, 3), (2, 2)], []),
     ],
 )
-def test_the_layout_of_another_file_is_the_one_that_its_numbers_are_of(
-    tmp_path: Path, shapes: dict[str, tuple[int, ...]], layout: str
+def test_the_layouts_that_fit_another_file_are_listed(
+    tmp_path: Path, shapes: list[tuple[int, ...]], layouts: list[str]
 ) -> None:
-    """The YAML to start from can be run as it is."""
-    outputs = {name: np.zeros(shape) for name, shape in shapes.items()}
-    said = describe_onnx(write_known(tmp_path / "mine.onnx", outputs, (80, 40)))
-    keys = yaml.safe_load(said)
-    assert keys["layout"] == layout
-    (tmp_path / "mine.yaml").write_text(said)
-    load(read_network(tmp_path / "mine.yaml"), Fit(80, 40, 0, 0, 0, 80, 40))
+    outputs = {f"out{k}": np.zeros(shape) for k, shape in enumerate(shapes)}
+    text = describe_onnx(write_known(tmp_path / "mine.onnx", outputs, (80, 40)))
+    assert [line.split()[1] for line in text.splitlines() if "fits, as" in line] == layouts
+    assert ("no layout fits" in text) == (not layouts)
 
 
 def test_the_page_has_each_layout_each_key_and_each_network() -> None:
