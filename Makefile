@@ -54,7 +54,7 @@ notebooks: .venv/.dev
 # What results/paper/ holds: tables and figures of the paper's runs, made from the recordings.
 RUNS := results/runs
 paper: .venv/.run
-	$(BIN)/egolane reproduce --wide --out $(RUNS)/reproduced > results/paper/reproduction.md
+	$(BIN)/egolane reproduce --out $(RUNS)/reproduced > results/paper/reproduction.md
 	$(BIN)/python -m makers.pages paper
 	$(BIN)/egolane plot $(RUNS)/reproduced/run01_italy_ml --frames 1880 2700 --out $(RUNS)/figures
 	$(BIN)/egolane plot $(RUNS)/reproduced/* --out $(RUNS)/figures

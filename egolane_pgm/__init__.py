@@ -43,13 +43,13 @@ if TYPE_CHECKING:
     from egolane_pgm.types import LineLog as LineLog
     from egolane_pgm.verbs.compare import compare as compare
     from egolane_pgm.verbs.detect import detect as detect
-    from egolane_pgm.verbs.drawn import draw_network as draw_network
     from egolane_pgm.verbs.label import label as label
     from egolane_pgm.verbs.learn import learn as learn
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
     from egolane_pgm.verbs.run import run as run
     from egolane_pgm.verbs.simulate import simulate as simulate
     from egolane_pgm.verbs.tune import tune as tune
+    from egolane_pgm.views.network import draw_network as draw_network
 
 __version__ = "0.2.0"
 
@@ -72,7 +72,7 @@ _PUBLIC = {
     "cpds": "graphs",
     "load_result": "result",
     "compile": "inference.compile",
-    "draw_network": "verbs.drawn",
+    "draw_network": "views.network",
     "Result": "result",
     "Study": "studies.study",
     "Labels": "labelling",

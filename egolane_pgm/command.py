@@ -1,10 +1,11 @@
-"""The command `egolane`, made from the verbs: a command's arguments, options and help are those of
-its function's signature and docstring.
+"""The command `egolane`, made from the functions in `egolane_pgm.verbs`.
 
-Parameters before the `*` become arguments, the others options; types give their checks, and
-`verbs.given.Option` describes what name and type do not. A verb whose result has `to_text`, or
-whose module has `text`, gets `--format` and `--wide`; one whose result is a Result, a DataFrame,
-a dict or has a `document` gets `--json`.
+A verb's parameters before the `*` become arguments, the others options. Types give the checks, the
+docstring gives the help, and `verbs.options.Option` the rest. A verb's module may also define:
+
+- `text(done, style, wide)`: the output; without it `done.to_text()`.
+- `says(done, given)`: the last lines of the output, such as the path of a result.
+- `failed(done)`: what failed, and why; the exit code is then 1.
 """
 
 from __future__ import annotations
@@ -19,39 +20,51 @@ import types
 import typing
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-from click.shell_completion import CompletionItem
 
 from egolane_pgm import __version__
 
 if TYPE_CHECKING:
-    from egolane_pgm.verbs.given import Option
+    from egolane_pgm.verbs.options import Option
 
-#: The short help of each command, whose verb is the function of its name in verbs/. A verb is
-#: imported only when its command is asked for: `--help` stays quick.
-COMMANDS = {
-    "calibrate": "Find out how a camera sees the road.",
-    "compare": "Compare results, with paired intervals.",
-    "data": "List, download and check the paper's recordings.",
-    "detect": "Detect and follow lines in pictures of a camera.",
-    "label": "Label a recording's lanes, and list what a human should look at.",
-    "learn": "Fit a model to its recording; score it on held-out frames.",
-    "locate": "Find the road of a car on a map.",
-    "online": "Filter frame by frame: a JSON line in, its belief out at once.",
-    "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
-    "reproduce": "Repeat the paper's ten runs, beside the published tables.",
-    "run": "Infer the lane in a recording, score it, write a result directory.",
-    "show": "List what there is, or describe it: graphs, rules, detectors, experiments.",
-    "simulate": "Simulate a drive, as lines or as pictures.",
-    "tune": "Search parameters, and score them on frames they have not seen.",
+#: Commands by purpose, with their short help. A verb is imported only if its command is used.
+GROUPS = {
+    "Run": {
+        "run": "Infer the lane in a recording, score it, write a result directory.",
+        "online": "Filter frame by frame: JSON lines in, the lane out at once.",
+        "compare": "Compare results, with paired intervals.",
+        "reproduce": "Repeat the paper's ten runs and compare with its tables.",
+    },
+    "Search": {
+        "tune": "Search parameters; score them on held-out frames.",
+        "learn": "Fit a model to its recording; score it on held-out frames.",
+    },
+    "Look": {
+        "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",
+        "show": "List or describe graphs, evidence rules, detectors, experiments.",
+        "label": "Label the lanes of a recording; list the uncertain segments.",
+    },
+    "Prepare": {
+        "detect": "Detect and track lane lines in the pictures of a camera.",
+        "calibrate": "Calibrate a camera from pictures of boards and roads.",
+        "locate": "Match positions to the roads of a map.",
+        "simulate": "Simulate a drive, as lines or as pictures.",
+        "data": "List, check and download the paper's recordings.",
+    },
 }
 
-#: The first word of a message, which may be a parameter's name.
+#: The short help of each command.
+COMMANDS = {name: help for group in GROUPS.values() for name, help in group.items()}
+
+#: Commands that print wide tables (`--format`, `--wide`), and those with `--json`.
+WITH_TABLES = ("run", "compare", "reproduce")
+WITH_JSON = (*WITH_TABLES, "show")
+
+#: The first word of a message, which may be the name of a parameter.
 _LEADING = re.compile(r"^\w+(?=:)")
 
 
@@ -64,17 +77,16 @@ def main() -> None:
 
 
 def command_of(name: str) -> click.Command:
-    """The command that is made from the verb of a name."""
-    own = name.replace("-", "_")
-    module = import_module(f"egolane_pgm.verbs.{own}")
-    verb = getattr(module, own)
+    """Make the command of a verb."""
+    module = import_module(f"egolane_pgm.verbs.{name}")
+    verb = getattr(module, name)
     if isinstance(verb, Mapping):
         parts = {each: _made(part, each, types.ModuleType(each)) for each, part in verb.items()}
         made: click.Command = click.Group(name, parts, help=module.__doc__)
     else:
         made = _made(verb, name, module)
-    examples = "\n".join(f"  {example}" for example in getattr(module, "EXAMPLES", ()))
-    made.epilog = f"\b\nExamples:\n{examples}" if examples else None
+    examples = "\n".join(f"  {example}" for example in module.EXAMPLES)
+    made.epilog = f"\b\nExamples:\n{examples}"
     return made
 
 
@@ -82,19 +94,11 @@ def _made(verb: Callable[..., Any], name: str, module: types.ModuleType) -> clic
     from egolane_pgm.types import InputError
 
     hints = typing.get_type_hints(verb, include_extras=True)
-    text, said = _docstring(inspect.getdoc(verb) or "")
+    text, helps = _docstring(inspect.getdoc(verb) or "")
     params: list[click.Parameter] = []
     for parameter in inspect.signature(verb).parameters.values():
-        params += _params(parameter, hints[parameter.name], said.get(parameter.name, ""))
-    results, _ = _parts_of(hints["return"])
-    if hasattr(module, "text") or any(hasattr(result, "to_text") for result in results):
-        params += _tables()
-    if any(_has_document(result) for result in results):
-        help = "Write the unrounded numbers as JSON; - prints them, and nothing else."
-        params.append(
-            click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
-        )
-
+        params += _params(parameter, hints[parameter.name], helps.get(parameter.name, ""))
+    params += _common_options(name)
     names = {param.name: max(param.opts, key=len) for param in params}
 
     def callback(**values: Any) -> None:
@@ -102,56 +106,32 @@ def _made(verb: Callable[..., Any], name: str, module: types.ModuleType) -> clic
             given = {key: _given(hints.get(key), key, v) for key, v in values.items()}
             _invoke(verb, given, module)
         except InputError as error:
-            # What a Python caller knows as a parameter is an option here.
-            said = _LEADING.sub(lambda m: names.get(m[0], m[0]), str(error))
-            raise InputError(said) from error
+            # A parameter of the Python function is an option here.
+            text = _LEADING.sub(lambda m: names.get(m[0], m[0]), str(error))
+            raise InputError(text) from error
 
     return click.Command(name, callback=callback, params=params, help=text)
 
 
-def _has_document(result: Any) -> bool:
-    """Whether a verb's result, of some type, can be written as JSON."""
-    names = (*dir(result), *getattr(result, "__annotations__", ()))
-    return typing.get_origin(result) is dict or not {"document", "scores", "to_dict"}.isdisjoint(
-        names
-    )
-
-
-def document_of(done: Any) -> Any:
-    """The unrounded numbers of a verb's result, ready for JSON."""
-    from egolane_pgm.tools.files import plain
-
-    if hasattr(done, "document"):
-        return done.document
-    if hasattr(done, "scores"):
-        return {"run": done.run, "scores": done.scores}
-    if hasattr(done, "to_dict"):
-        rows = done.reset_index().astype(object)
-        return plain({"rows": rows.where(rows.notna(), None).to_dict("records")})
-    return done
-
-
 def _docstring(text: str) -> tuple[str, dict[str, str]]:
-    """What a docstring says of the verb, without what is for Python callers only (what it returns
-    and raises, and its examples), and of each parameter."""
+    """The help in a docstring: of the verb and of each parameter.
+
+    What is for Python callers only is left out: what the verb returns and raises, and examples.
+    """
     about: list[str] = []
-    said: dict[str, str] = {}
+    helps: dict[str, str] = {}
     for paragraph in text.split("\n\n"):
-        if paragraph.startswith((">>>", "Returns ", "Raises ")):
-            continue
-        if not paragraph.startswith("- "):
+        if paragraph.startswith("- "):
+            for item in re.split(r"\n(?=- )", paragraph):
+                name, _, meaning = item.removeprefix("- ").partition(":")
+                helps[name] = " ".join(meaning.split())
+        elif not paragraph.startswith((">>>", "Returns ", "Raises ")):
             about.append(paragraph)
-            continue
-        for item in re.split(r"\n(?=- )", paragraph):
-            names, _, meaning = item.removeprefix("- ").partition(":")
-            for each in names.split(","):
-                said[each.strip()] = " ".join(meaning.split())
-    return "\n\n".join(about), said
+    return "\n\n".join(about), helps
 
 
 def _parts_of(hint: Any) -> tuple[list[Any], list[Any]]:
-    """The types of a hint, of a union each without None, and what they are annotated with, the
-    outermost first."""
+    """The types in a hint, without None, and its annotations, the outermost first."""
     if typing.get_origin(hint) is typing.Annotated:
         kinds, extras = _parts_of(hint.__origin__)
         return kinds, [*hint.__metadata__, *extras]
@@ -161,63 +141,46 @@ def _parts_of(hint: Any) -> tuple[list[Any], list[Any]]:
     return [hint], []
 
 
-def _looks(extras: Sequence[Any]) -> Option:
-    from egolane_pgm.verbs.given import Option
+def _option_of(extras: Sequence[Any]) -> Option:
+    from egolane_pgm.verbs.options import Option
 
     return next((extra for extra in extras if isinstance(extra, Option)), Option())
 
 
-def _params(parameter: inspect.Parameter, hint: Any, said: str) -> list[click.Parameter]:
-    """The argument or the options of a verb's parameter.
-
-    - said: what the docstring says of it.
-    """
+def _params(parameter: inspect.Parameter, hint: Any, help: str) -> list[click.Parameter]:
+    """The argument or option of a verb's parameter; none if it is hidden."""
     name, default, (kinds, extras) = parameter.name, parameter.default, _parts_of(hint)
-    looks = _looks(extras)
-    if looks.hidden:
+    option = _option_of(extras)
+    if option.hidden:
         return []
     given = None if default in (inspect.Parameter.empty, ()) else default
-    settings: dict[str, Any] = {"metavar": looks.metavar, "type": _type_of(kinds, extras)}
-    required = looks.required or default is inspect.Parameter.empty
+    settings: dict[str, Any] = {"metavar": option.metavar, "type": _type_of(kinds, extras)}
+    settings["required"] = option.required or default is inspect.Parameter.empty
     if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
-        nargs = -1 if looks.many else 1
-        # To click a default of None is a value: nothing would be missing.
         settings |= {} if given is None else {"default": given}
-        return [click.Argument([name], nargs=nargs, required=required, **settings)]
-    value = given if looks.default is None else looks.default
-    help = f"Do not {said}" if default is True else said[:1].upper() + said[1:]
-    if looks.said or not (value is None or isinstance(value, bool)):
-        help += f"  [default: {looks.said or value}]"
+        return [click.Argument([name], nargs=-1 if option.many else 1, **settings)]
+    value = given if option.default is None else option.default
+    help = f"Do not {help}" if default is True else help[:1].upper() + help[1:]
+    if option.said or not (value is None or isinstance(value, bool)):
+        help += f"  [default: {option.said or value}]"
+    long = f"--{name.rstrip('_').replace('_', '-')}"
     if bool in kinds:
-        no = "no-" if default is True else ""
-        names = looks.names or (f"--{no}{_dashed(name)}",)
-        flag = default is not True
-        return [
-            click.Option([*names, name], is_flag=True, default=default, flag_value=flag, help=help)
-        ]
-    if name == "overrides":
-        settings |= {"metavar": "KEY=VALUE", "multiple": True}
-        looks = replace(looks, names=("--set",))
-    long = () if any(each.startswith("--") for each in looks.names) else (f"--{_dashed(name)}",)
-    settings |= {"required": required, "envvar": looks.envvar}
+        names = option.names or (f"--no-{name}" if default is True else long,)
+        flag = {"is_flag": True, "default": default, "flag_value": default is not True}
+        return [click.Option([*names, name], help=help, **flag)]
+    names = option.names if any(n.startswith("--") for n in option.names) else (*option.names, long)
+    settings |= {"multiple": option.many or _is_mapping(kinds), "envvar": option.envvar}
     settings |= {} if value is None else {"default": value}
-    if looks.many or _is_mapping(kinds):
-        settings["multiple"] = True
-    made = click.Option([*looks.names, *long, name], help=help, **settings)
-    return [made]
-
-
-def _dashed(name: str) -> str:
-    return name.rstrip("_").replace("_", "-")
+    return [click.Option([*names, name], help=help, **settings)]
 
 
 def _is_mapping(kinds: Sequence[Any]) -> bool:
-    """Whether a parameter takes names and values, and nothing else."""
+    """Whether a parameter takes only names and values."""
     return [typing.get_origin(each) for each in kinds] == [Mapping]
 
 
 def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
-    """The type that click checks a value by."""
+    """The type by which click checks a value."""
     first = kinds[0]
     if typing.get_origin(first) is typing.Literal:
         return click.Choice([*first.__args__])
@@ -235,106 +198,106 @@ def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
     return click.Path() if is_path else str
 
 
-def _tables() -> list[click.Parameter]:
-    """The options of a command that prints tables."""
-    style = click.Choice(["markdown", "latex", "csv"])
-    of_style = "Of the tables; csv is the first one alone, one number in a cell."
-    of_wide = "Whole tables, for a file, not only what fits the terminal (or COLUMNS, or 80)."
-    return [
-        click.Option(
-            ["--format", "table_style"],
-            type=style,
-            default="markdown",
-            show_default=True,
-            help=of_style,
-        ),
-        click.Option(["--wide"], is_flag=True, help=of_wide),
-    ]
+def _common_options(name: str) -> list[click.Parameter]:
+    """The options of commands that print tables and numbers."""
+    params: list[click.Parameter] = []
+    if name in WITH_TABLES:
+        style, help = (
+            click.Choice(["markdown", "latex", "csv"]),
+            "Format of tables; csv is unrounded.",
+        )
+        names, given = ["--format", "table_style"], "markdown"
+        params.append(click.Option(names, type=style, default=given, show_default=True, help=help))
+        help = "Print everything, in tables of any width: all scores, confusions, lane changes."
+        if name != "run":
+            help = "Print tables of any width; by default they are split to fit the terminal."
+        params.append(click.Option(["--wide"], is_flag=True, help=help))
+    if name in WITH_JSON:
+        help = "Write the unrounded numbers as JSON; - prints them only."
+        params.append(
+            click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
+        )
+    return params
 
 
 # --- what a command does -----------------------------------------------------------------------
 
 
 def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.ModuleType) -> None:
-    """Call a verb with what the command line gave, and print what it returns.
-
-    - values: by the names of the parameters; also `table_style`, `wide` and `json_file`.
-    - module: of the verb; its `text` and `says` make the output.
-    """
+    """Call a verb with the values of the command line, and print what it returns."""
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
-    from egolane_pgm.verbs.given import several_of
+    from egolane_pgm.verbs.options import several_of
 
     style, wide = values.pop("table_style", "markdown"), values.pop("wide", False)
     json_file = values.pop("json_file", None)
     given = {name: value for name, value in values.items() if value != ()}
     prints = io.StringIO() if json_file == "-" else sys.stdout
-    if json_file is not None and json_file != "-":
+    if json_file not in (None, "-"):
         each_given = (v for value in given.values() for v in several_of(value))
-        paths = [Path(each) for each in each_given if isinstance(each, str) and each]
-        check_not_read(Path(json_file), [file for path in paths for file in _files_of(path)])
+        check_not_read(Path(json_file), [Path(v) for v in each_given if isinstance(v, str) and v])
         check_place(Path(json_file))
-    texts, says = getattr(module, "text", None), getattr(module, "says", None)
+    text, says = getattr(module, "text", None), getattr(module, "says", None)
     with contextlib.redirect_stdout(prints):
         done = verb(**given)
-        # The file is written before anything is printed, because a reader may close the pipe.
+        # The file is written before anything is printed: a reader may close the pipe.
         if json_file not in (None, "-"):
             write_json(Path(json_file), document_of(done))
         for note in getattr(done, "notes", ()):
             warn(note)
-        printed = ""
-        if texts is not None:
-            printed = texts(done, style, wide)
-        elif hasattr(done, "to_text"):
-            printed = done.to_text(style=style, wide=wide)
-        elif isinstance(done, str):
-            printed = done
-        if printed:
+        if text is not None:
+            printed = text(done, style, wide)
+        else:
+            printed = done.to_text() if hasattr(done, "to_text") else done
+        if isinstance(printed, str) and printed:
             click.echo(printed)
-        said = says(done, given) if says is not None and done is not None else ""
-        if said:
-            click.echo(("\n" if printed else "") + said, err=style != "markdown")
+        end = says(done, given) if says is not None and done is not None else ""
+        if end:
+            click.echo(f"\n{end}" if isinstance(printed, str) else end, err=style != "markdown")
     if json_file == "-":
         click.echo(json_text(document_of(done)), nl=False)
     failed: list[tuple[str, str]] = getattr(module, "failed", lambda done: [])(done)
     for title, why in failed:
-        _say(f"failed: {title}: {why}")
+        _print_line(f"failed: {title}: {why}")
     if failed:
         raise SystemExit(1)
 
 
-def _files_of(path: Path) -> list[Path]:
-    """A file, and of an experiment those that it names."""
-    from egolane_pgm.drives import data_files
-    from egolane_pgm.loading import load_experiment
-    from egolane_pgm.types import InputError
+def document_of(done: Any) -> Any:
+    """The unrounded numbers of a verb's result, ready for JSON."""
+    from egolane_pgm.tools.files import plain
 
-    with contextlib.suppress(InputError):
-        return [path, *data_files(load_experiment(path))]
-    return [path]
+    if hasattr(done, "document"):
+        return done.document
+    if hasattr(done, "scores"):
+        return {"run": done.run, "scores": done.scores}
+    if hasattr(done, "to_dict"):
+        rows = done.reset_index().astype(object)
+        return plain({"rows": rows.where(rows.notna(), None).to_dict("records")})
+    return done
 
 
 def _given(hint: Any, name: str, value: Any) -> Any:
-    """A value of the command line as the verb takes it: several that are one as that one."""
+    """Convert a value of the command line to what the verb takes."""
     from egolane_pgm.loading import read_override
     from egolane_pgm.types import InputError
 
     kinds, extras = _parts_of(hint)
-    looks = _looks(extras)
+    option = _option_of(extras)
     if value == "" or (isinstance(value, tuple) and "" in value):
         raise InputError(f"{name}: is empty")
     if _is_mapping(kinds):
-        return dict(read_override(each, looks.example or "name=value", name) for each in value)
-    return value[0] if looks.many and len(value) == 1 else value
+        return dict(read_override(each, option.example or "name=value", name) for each in value)
+    return value
 
 
 def warn(text: str) -> None:
     """Print a warning, or a note, on standard error."""
     from egolane_pgm.types import NOTE
 
-    _say(text if text.startswith(NOTE) else f"warning: {text}")
+    _print_line(text if text.startswith(NOTE) else f"warning: {text}")
 
 
-def _say(text: str) -> None:
+def _print_line(text: str) -> None:
     from egolane_pgm.types import in_one_line
 
     click.echo(in_one_line(text), err=True)
@@ -344,8 +307,7 @@ def _say(text: str) -> None:
 
 
 class _Group(click.Group):
-    """Makes a command when it is asked for, and turns what a user can mend into one line and exit
-    code 2."""
+    """Makes commands on demand; prints a user's mistake as one line, with exit code 2."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -354,14 +316,16 @@ class _Group(click.Group):
         return command_of(name) if name in COMMANDS else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Commands"):
-            formatter.write_dl([*COMMANDS.items()])
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(f"{name:9}", help) for name, help in commands.items()])
 
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        # Click would import each command to ask it for its help.
-        names = [name for name in COMMANDS if name.startswith(incomplete)]
-        options = click.Command.shell_complete(self, ctx, incomplete)
-        return [CompletionItem(name, help=COMMANDS[name]) for name in names] + options
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> Any:
+        from egolane_pgm.types import suggestion
+
+        if args[0] not in COMMANDS and not args[0].startswith("-"):
+            ctx.fail(f"No command '{args[0]}'{suggestion(args[0], COMMANDS)}.")
+        return super().resolve_command(ctx, args)
 
     def invoke(self, ctx: click.Context) -> Any:
         # This imports NumPy, which `egolane --help` does not need.
@@ -372,20 +336,19 @@ class _Group(click.Group):
                 warnings.showwarning = lambda message, *_, **__: warn(str(message))
                 return super().invoke(ctx)
         except KeyboardInterrupt as stop:
-            # A verb that knows what was kept says so: KeyboardInterrupt("3 of 5 are in x; the same
-            # command begins anew").
-            kept = str(stop) or "nothing was left half-written; the same command begins anew"
+            # A verb may name what was kept: KeyboardInterrupt("3 of 5 runs are in results/x").
+            kept = str(stop) or "no file is half-written; repeat the command to start again"
             click.echo(f"egolane: interrupted; {kept}", err=True)
             ctx.exit(130)
         except InputError as error:
             click.echo(f"egolane: {error}", err=True)
             ctx.exit(2)
         except click.UsageError as error:
-            if isinstance(error, getattr(click.exceptions, "NoArgsIsHelpError", ())):
+            if isinstance(error, click.exceptions.NoArgsIsHelpError):
                 raise
             where = error.ctx.command_path if error.ctx else "egolane"
-            said = in_one_line(error.format_message())
-            click.echo(f"egolane: {said} See `{where} --help`.", err=True)
+            text = in_one_line(error.format_message())
+            click.echo(f"egolane: {text} See `{where} --help`.", err=True)
             ctx.exit(2)
 
 

@@ -1,4 +1,4 @@
-"""Comparisons: results side by side, with paired intervals."""
+"""Comparisons of results, with paired intervals."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import pandas as pd
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
-from egolane_pgm.runs import SUMMARY
+from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.types import InputError, IntArray
 
 ResultLike = Result | str | os.PathLike[str]
 
-#: The scores with an interval; each is the mean over the recordings.
-SCORES = ("accuracy", "f1", "log_loss")
+#: A drive, and per score its summands in each frame (`score_counts`).
+Counts = tuple[str, Mapping[str, Any]]
 
-#: Scores that are shown without one: the name of a column by the key in scores.json.
+#: Scores without an interval: the name of a column by the key in scores.json.
 EVENT_SCORES = {
     "events.within.1.precision": "event_precision",
     "events.within.1.recall": "event_recall",
@@ -38,7 +38,6 @@ def compare(
     of: str | None = None,
     by: str | None = None,
     detector: bool = False,
-    events: bool = False,
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings.
 
@@ -47,13 +46,12 @@ def compare(
       tag (`tag.driver`), `name`, `directory` (of the result) or `folder` (around it). By default
       the name if all results are of one recording, and the folder otherwise.
     - by: a second such key; results with different values of it are compared separately.
-    - detector: whether the detectors' own answers are a further side, the last one.
-    - events: whether scores of lane changes, reported within 1 s, are added.
+    - detector: whether the detectors' answers are a further side, the last one.
 
-    Returns a row per value of `by` and `of`, with each score (the mean over the recordings), its
+    Returns a row per value of `by` and `of`: each score (the mean over the recordings) with its
     95 % interval, and the difference to the first row with a paired interval over the same
-    resamples; recordings of one drive are resampled together. `tuned_on` says whether the
-    parameters have seen these frames. Raises InputError unless all rows have the same recordings.
+    resamples; recordings of one drive are resampled together. `tuned_on` tells in-sample rows
+    apart. Raises InputError unless all rows have the same recordings.
     """
     given = open_results(results)
     if not given:
@@ -63,56 +61,53 @@ def compare(
             raise InputError(f"{option}: no result has a value of {name}")
     rows, key = [], of or _default_key(given)
     for group, members in _groups(given, by).items():
-        sides = {
-            str(name): _by_recording(side, name) for name, side in _groups(members, key).items()
-        }
+        sides = {str(name): _by_recording(s, name) for name, s in _groups(members, key).items()}
         first = next(iter(sides.values()))
-        own = [(name, side, "Lane") for name, side in sides.items()]
+        nodes = [(name, side, "Lane") for name, side in sides.items()]
         if detector and all("detector" in each.scores for each in first.values()):
-            own.append(("detector alone", first, "detector"))
+            nodes.append(("detector alone", first, "detector"))
         of_first = _counts([*first.values()], "Lane")
-        for name, side, node in own:
+        for name, side, node in nodes:
             if side.keys() != first.keys():
                 raise InputError(f"{key} {name}: has other recordings, frames or labels")
             aligned = [side[recording] for recording in first]
             counts = _counts(aligned, node)
             row = {} if by is None else {by: group}
-            row |= {key: name, "recordings": len(aligned), **_cells(counts)}
+            row |= {key: name, "recordings": len(aligned), **_intervals(counts)}
             if side is not first or node != "Lane":
-                row |= _cells(counts, of_first, "_difference")
-            if events and node == "Lane":
+                row |= _intervals(counts, of_first)
+            row["tuned_on"] = ""
+            if node == "Lane":
                 row |= _event_scores(aligned)
-            tuned = dict.fromkeys(each.run["tuned_on"] for each in aligned)
-            row["tuned_on"] = "" if node != "Lane" else ", ".join(tuned)
+                row["tuned_on"] = ", ".join(dict.fromkeys(e.run["tuned_on"] for e in aligned))
             rows.append(row)
     return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
 
 
 def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
-    """Results as given, read from directories, or from the folders below a folder."""
+    """Results as given, or read from directories and from the directories below a folder.
+
+    Results of a table of runs come in the order of the table.
+    """
     several = [results] if isinstance(results, (Result, str, os.PathLike)) else list(results)
     found: list[Result] = []
     for each in several:
-        if isinstance(each, Result):
-            found.append(each)
+        if isinstance(each, Result) or is_result(each):
+            found.append(each if isinstance(each, Result) else load_result(each))
             continue
-        place = Path(each)
-        below = [] if is_result(place) else results_in(place)
-        found += [load_result(directory) for directory in below or [place]]
+        folder = Path(each)
+        below = sorted(file.parent for file in folder.glob("**/run.json"))
+        if (folder / SUMMARY).exists():
+            rows = list(read_parquet(folder / SUMMARY).index)
+            below.sort(key=lambda p: rows.index(p.name) if p.name in rows else len(rows))
+        found += map(load_result, below or [folder])
     return found
 
 
-def results_in(folder: Path) -> list[Path]:
-    """The result directories below a folder; those of a table of runs in its order."""
-    found = sorted(file.parent for file in folder.glob("**/run.json"))
-    if (folder / SUMMARY).exists():
-        rows = list(read_parquet(folder / SUMMARY).index)
-        found.sort(key=lambda place: rows.index(place.name) if place.name in rows else len(rows))
-    return found
+# --- sides ---------------------------------------------------------------------------------------
 
 
 def _default_key(results: Sequence[Result]) -> str:
-    """The key that tells the sides apart if none is given."""
     if len({_recording(each) for each in results}) > 1:
         return "folder"
     return "name" if len({each.name for each in results}) == len(results) else "directory"
@@ -125,6 +120,7 @@ def _recording(result: Result) -> str:
 
 
 def _value(result: Result, key: str | None) -> Any:
+    """The value of a key; a plugin in a file is named by the file's stem."""
     if key is None:
         return None
     if key in ("folder", "directory"):
@@ -134,7 +130,6 @@ def _value(result: Result, key: str | None) -> Any:
         return place.parent.name if key == "folder" else place.name
     value = result.value(key)
     if isinstance(value, str) and value.endswith(OWN_FILES):
-        # A graph or a rule of one's own is called by its file.
         return Path(value).stem
     return tuple(value) if isinstance(value, list) else value
 
@@ -147,25 +142,22 @@ def _groups(results: Sequence[Result], key: str | None) -> dict[Any, list[Result
     return groups
 
 
-def _kept(result: Result) -> pd.DataFrame:
-    """The annotated frames whose labels are trusted."""
+def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The annotated frames whose labels are trusted, and their ground truth."""
     frames = result.frames.dropna(subset=["true_lane"])
-    if frames.empty:
-        raise InputError(f"{result.name}: has no ground truth to compare with")
-    return frames[frames["is_trusted"]] if "is_trusted" in frames else frames
-
-
-def _truth(frames: pd.DataFrame) -> pd.DataFrame:
+    if "is_trusted" in frames:
+        frames = frames[frames["is_trusted"]]
     truth = truth_of(frames)
-    assert truth is not None
-    return truth
+    if truth is None:
+        raise InputError(f"{result.name}: has no ground truth to compare with")
+    return frames, truth
 
 
 def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
-    """Results by their recordings, which are told apart by files, frames and labels."""
+    """Results by their recordings, which are identified by file, frames and labels."""
     found: dict[str, Result] = {}
     for result in results:
-        truth = _truth(_kept(result))
+        _, truth = _kept(result)
         key = f"{_recording(result)} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
@@ -176,53 +168,43 @@ def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
     return found
 
 
-def _counts(results: Sequence[Result], node: str) -> list[tuple[str, Mapping[str, Any]]]:
-    """Per recording its drive, and per-frame summands of each score on the drive's timeline."""
-    frames = [_kept(result) for result in results]
-    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
+# --- scores --------------------------------------------------------------------------------------
+
+
+def _counts(results: Sequence[Result], node: str) -> list[Counts]:
+    """Per recording its drive, and the summands of the scores on the frames of the whole drive."""
     column = "assigned_lane" if node == "Lane" else "detector_lane"
+    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
+    kept = [_kept(each) for each in results]
     timeline: dict[str, IntArray] = {}
-    truths = [_truth(each) for each in frames]
-    for drive, truth in zip(drives, truths, strict=True):
+    for drive, (_, truth) in zip(drives, kept, strict=True):
         ids = truth.index.to_numpy()
         timeline[drive] = np.union1d(timeline.get(drive, ids), ids)
-    found: list[tuple[str, Mapping[str, Any]]] = []
-    for drive, each, truth in zip(drives, frames, truths, strict=True):
+    found: list[Counts] = []
+    for drive, (frames, truth) in zip(drives, kept, strict=True):
         lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
-        assigned = each[column].to_numpy()
-        counts = score_counts(lanes_of(each, node), lane, crossing, assigned=assigned)
-        ids = truth.index.to_numpy()
-        found.append((drive, on_timeline(counts, ids, timeline[drive])))
+        assigned = frames[column].to_numpy()
+        counts = score_counts(lanes_of(frames, node), lane, crossing, assigned=assigned)
+        found.append((drive, on_timeline(counts, truth.index.to_numpy(), timeline[drive])))
     return found
 
 
-def _cells(
-    counts: Sequence[tuple[str, Mapping[str, Any]]],
-    minus: Sequence[tuple[str, Mapping[str, Any]]] | None = None,
-    suffix: str = "",
+def _intervals(
+    counts: Sequence[Counts], minus: Sequence[Counts] | None = None
 ) -> dict[str, float | None]:
     """Each score, or difference, with the ends of its interval."""
     drives = list(dict.fromkeys(drive for drive, _ in counts))
     seeds = [drives.index(drive) for drive, _ in counts]
-    mine = [each for _, each in counts]
     theirs = None if minus is None else [each for _, each in minus]
     cells: dict[str, float | None] = {}
-    for name, interval in score_intervals(mine, theirs, seeds=seeds).items():
-        for end in ("estimate", "low", "high"):
-            label = f"{name}{suffix}" if end == "estimate" else f"{name}{suffix}_{end}"
-            cells[label] = getattr(interval, end)
+    for name, found in score_intervals([each for _, each in counts], theirs, seeds=seeds).items():
+        label = name if minus is None else f"{name}_difference"
+        cells |= {label: found.estimate, f"{label}_low": found.low, f"{label}_high": found.high}
     return cells
 
 
-def _event_scores(results: Sequence[Result]) -> dict[str, float | None]:
-    """The means over the recordings of scores of lane changes, where they are defined."""
-    found: dict[str, float | None] = {}
-    for key, name in EVENT_SCORES.items():
-        values = []
-        for result in results:
-            value: Any = result.scores
-            for part in key.split("."):
-                value = value.get(part) if isinstance(value, Mapping) else None
-            values += [] if value is None else [value]
-        found[name] = float(np.mean(values)) if values else None
-    return found
+def _event_scores(results: Sequence[Result]) -> dict[str, float]:
+    """The means over the recordings of the scores of lane changes that are defined."""
+    table = pd.DataFrame([numbers(result.scores) for result in results])
+    means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
+    return {name: means[key] for key, name in EVENT_SCORES.items()}

@@ -27,7 +27,7 @@ from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
     fill_missing,
-    join,
+    frame_range,
     rate_of,
     recording_warnings,
     select_frames,
@@ -282,12 +282,17 @@ def make_drive(
     crossing = np.zeros(len(log), dtype=bool)
     if truth is not None and (not most_lanes or np.isin(log.frame_id, truth.index).any()):
         check_lanes(truth, most_lanes or model.n_lanes)
-        rows, annotated = join(log, truth)
-        known = truth.iloc[annotated]
+        at = truth.index.get_indexer(log.frame_id)
+        rows, known = np.flatnonzero(at >= 0), truth.iloc[at[at >= 0]]
+        if not len(rows):
+            raise InputError(
+                f"no common frames: {log.source} has {frame_range(log.frame_id)},"
+                f" {truth.attrs.get('source', 'ground truth')} has"
+                f" {frame_range(truth.index.to_numpy())}"
+            )
         lane[rows], crossing[rows] = known["true_lane"], known["is_crossing"]
         notes += sign_warning(log.take(rows), known["true_lane"].to_numpy())
-        missing = len(log) - len(rows)
-        if missing:
+        if missing := len(log) - len(rows):
             notes.append(
                 f"{log.source}: {missing} of {len(log)} frames have no ground truth; filtered,"
                 " not scored"

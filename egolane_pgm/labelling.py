@@ -1,9 +1,9 @@
-"""Lane labels of a recording that nobody annotated, and the segments in which they are not sure.
+"""Lane labels of a recording without annotation, and the segments in which they are uncertain.
 
 The experiment is run smoothed, and an estimated lane width comes from all frames. The labels are
-the most probable path through the smoothed beliefs over lanes (Viterbi's recursion on posterior
-probabilities: Fariselli, Martelli and Casadio 2005). It differs from the most probable lane of each
-frame in that a lane change happens once, also while the belief hovers about a half.
+the most probable path through the smoothed posteriors (Viterbi's recursion on posterior
+probabilities: Fariselli, Martelli and Casadio 2005). Unlike the most probable lane of each frame,
+the path changes lane once while the posterior hovers about a half.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from egolane_pgm.runs import Input, run_input
 from egolane_pgm.tools.files import plain, write_text
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, joined, lane_truth
 
-#: Labels with a smaller probability are not sure.
+#: Labels with a smaller probability are uncertain.
 BELOW = 0.99
 
-#: The weight of a path that changes lane once more, per frame in which it could. Between .1 and
-#: .001 the labels of the paper's recordings hardly differ.
+#: The weight of each lane change of a path. From .1 to .001 the labels of the paper's recordings
+#: hardly differ.
 CHANGE_WEIGHT = 0.01
 
-#: Without a position in the lane, frames within this time of a lane change are crossing, seconds.
+#: Without a position in the lane, frames this close to a lane change are crossing, seconds.
 BESIDE_S = 1.0
 
-#: Segments that are closer to each other are one, seconds.
+#: Segments closer to each other are joined, seconds.
 JOIN_S = 1.0
 
 
@@ -43,10 +43,9 @@ class Labels:
     """The labels of T frames.
 
     - run: the experiment, smoothed.
-    - frames: a row per frame, by `frame_id`: `lane`, 1 (leftmost) to n; `confidence`, the smoothed
-      probability of the label, while the car crosses a line that of both lanes; `is_crossing`; and
-      `time_s`.
-    - below: labels with a smaller confidence are not sure.
+    - frames: a row per frame, by `frame_id`: `lane`, 1 (leftmost) to n; `is_crossing`; `time_s`;
+      `confidence`, the smoothed probability of the label, of both lanes during a crossing.
+    - below: labels with a smaller confidence are uncertain.
 
     >>> import egolane_pgm as ego
     >>> labels = ego.label("zero_label", overrides={"recording.frames": [0, 300]})
@@ -70,8 +69,7 @@ class Labels:
         return lane_truth(frames.index, frames["lane"], frames["is_crossing"], "labels")
 
     def segments(self) -> pd.DataFrame:
-        """A row per segment whose labels are not sure: `first_frame`, `last_frame`, `first_s`,
-        `last_s`, `frames` and `lowest_confidence`."""
+        """A row per uncertain segment: frame ids, seconds, frames and the lowest confidence."""
         ids, time_s = self.frames.index, self.frames["time_s"].to_numpy()
         confidence = self.frames["confidence"].to_numpy()
         rows = [
@@ -81,48 +79,33 @@ class Labels:
         names = ["first_frame", "last_frame", "first_s", "last_s", "frames", "lowest_confidence"]
         return pd.DataFrame(rows, columns=names)
 
-    @property
-    def document(self) -> dict[str, Any]:
-        """The content of the file of `egolane label --json`."""
-        return {
-            "name": self.run.experiment.name,
-            "n_lanes": self.run.experiment.n_lanes,
-            "frames": len(self.frames),
-            "below": self.below,
-            "segments": self.segments().to_dict("records"),
-            "warnings": self.notes,
-            "scores": self.run.scores,
-        }
-
     def __repr__(self) -> str:
         unsure, n = self.segments()["frames"], len(self.frames)
         changes = np.count_nonzero(np.diff(self.frames["lane"]))
-        said = f"{self.run.experiment.name!r}: {n} frames, {self.run.experiment.n_lanes} lanes"
-        said += (
-            f", {changes} lane changes, {len(unsure)} segments not sure ({unsure.sum() / n:.1%})"
+        text = (
+            f"{self.run.name!r}: {n} frames, {self.run.experiment.n_lanes} lanes, {changes} lane"
+            f" changes, {len(unsure)} uncertain segments ({unsure.sum() / n:.1%})"
         )
         if self.run.truth is not None:
-            said += f", accuracy {self.run.scores['model']['accuracy']:.4f}"
-        return f"Labels({said})"
+            text += f", accuracy {self.run.scores['model']['accuracy']:.4f}"
+        return f"Labels({text})"
 
-    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
-        """The segments whose labels are not sure; see `Result.to_text`."""
-        from egolane_pgm.views.tables import Table, page
+    def to_text(self) -> str:
+        """The uncertain segments, as `egolane label` prints them."""
+        from egolane_pgm.views.tables import page, table
 
-        known = "labels know the whole recording: for the frames themselves, not for a causal score"
-        table = self.segments().round(4)
-        parts: list[Any] = [f"{repr(self)[7:-1]}\n{known}"]
-        if len(table):
+        note = "labels use the whole recording: do not score a causal filter's past with them"
+        parts: list[Any] = [f"{repr(self)[7:-1]}\n{note}"]
+        if len(segments := self.segments()):
             parts += [f"segments with labels below {self.below:g}:"]
-            parts += [Table(list(table), table.astype(str).to_numpy().tolist())]
-        return page(parts, style, wide)
+            parts += [table(segments.set_index("first_frame"), {"first_s": 1, "last_s": 1})]
+        return page(parts)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
-        """Write a result directory, as a run's, with labels.txt (`frame;lane;crossing`, a
-        ground-truth file as `run` reads it) and segments.csv in it.
+        """Write a result directory, with labels.txt (a ground-truth file) and segments.csv in it.
 
-        An older result of that name is replaced. Raises InputError if the directory contains
-        anything else, or cannot be written.
+        An older result there is replaced. Raises InputError if the directory contains anything
+        else, or cannot be written.
         """
         place = self.run.save(directory)
         write_ground_truth(place / "labels.txt", self.truth)
@@ -135,7 +118,7 @@ def label_input(given: Input, below: float = BELOW) -> Labels:
 
     - below: labels with a smaller confidence are not sure.
 
-    Raises InputError for a threshold that is no probability, and for several drives.
+    Raises InputError for a threshold outside 0 to 1, and for several drives.
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
@@ -164,8 +147,10 @@ def label_input(given: Input, below: float = BELOW) -> Labels:
 
 
 def lane_path(belief: FloatArray) -> IntArray:
-    """(T,): the lanes, from 1, of the path with the largest product of beliefs (T, n), in which
-    each step of k lanes weighs CHANGE_WEIGHT ** k."""
+    """The lanes (T,), from 1, of the path with the largest product of posteriors (T, n).
+
+    Each step of k lanes weighs CHANGE_WEIGHT ** k.
+    """
     n_frames, n_lanes = belief.shape
     lanes = np.arange(n_lanes)
     step = np.log(CHANGE_WEIGHT) * np.abs(lanes[:, None] - lanes)
@@ -178,17 +163,17 @@ def lane_path(belief: FloatArray) -> IntArray:
 def crossed_lanes(
     lane: IntArray, time_s: FloatArray, n_lanes: int, on_line: FloatArray | None
 ) -> BoolArray:
-    """(T, n): the lanes that the car is in: one, or while it crosses the line between two both.
+    """The lanes that the car is in (T, n): one, or several during a crossing.
 
-    - lane, time_s (T,): the labels, and seconds.
+    - lane, time_s (T,): labels and seconds.
     - on_line (T,): the line crossing probability; None if the graph has no position in the lane.
 
-    Crossing are the frames in a row around a change of the label in which the car is more probably
-    than not on a line, or, without `on_line`, those within BESIDE_S; and the two between which the
-    label changes. A change while nothing was recorded has none.
+    A crossing is the run of frames around a change of the label with an `on_line` above 0.5, or,
+    without `on_line`, within BESIDE_S; at least the two frames of the change. A change over a gap
+    in the recording has no crossing.
     """
     n_frames = len(lane)
-    possible = lane[:, None] == np.arange(1, n_lanes + 1)
+    possible: BoolArray = lane[:, None] == np.arange(1, n_lanes + 1)
     step = np.diff(time_s)
     is_next = np.append((step >= 0) & (step <= BESIDE_S), False)
     for t in np.flatnonzero((np.diff(lane) != 0) & is_next[:-1]):
@@ -202,4 +187,4 @@ def crossed_lanes(
         while stop + 1 < n_frames and near[stop + 1] and lane[stop + 1] == after and is_next[stop]:
             stop += 1
         possible[start : stop + 1, min(before, after) - 1 : max(before, after)] = True
-    return np.asarray(possible)
+    return possible

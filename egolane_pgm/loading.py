@@ -102,8 +102,9 @@ def load_experiment(
         return experiment
     content, source = _read(experiment)
     if lines is not None:
-        content = _on_lines(content, lines, changes, source)
-        source = f"{content['recording']['path']} (with {source})"
+        content = _on_lines(content, lines, changes)
+        # The model is usually a shipped one, whose file the user has not seen.
+        source = f"{content['recording']['path']} (model {Path(source).stem})"
     content = merge(content, absolute(changes, Path.cwd()))
     return make_experiment(content, source)
 
@@ -124,19 +125,14 @@ def _read(experiment: ExperimentLike) -> tuple[dict[str, Any], str]:
     return absolute(load_yaml(path), path.parent), str(path)
 
 
-def _on_lines(
-    content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any], source: str
-) -> dict[str, Any]:
+def _on_lines(content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any]) -> dict[str, Any]:
     """The model keys of an experiment, on another recording."""
     path, name, recording = IN_MEMORY, "in_memory", content.get("recording") or {}
     if isinstance(lines, (str, os.PathLike)):
         path = find(os.fspath(lines), Path.cwd())
         name = safe_name(Path(path).stem)
     if "n_lanes" not in changes and (recording.get("simulate") or content.get("road")):
-        raise InputError(
-            f"n_lanes: is missing: give the number of lanes of the road of {path}"
-            f" ({source} is about another road)"
-        )
+        raise InputError(f"n_lanes: is missing: give the number of lanes of the road of {path}")
     kept = {key: value for key, value in content.items() if key not in RECORDING_KEYS}
     if kept.get("tuned_on") == "same_frames" and path != recording.get("path"):
         kept["tuned_on"] = "other_frames"

@@ -6,9 +6,10 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.loading import experiments_folder, load_experiment
@@ -20,20 +21,18 @@ from egolane_pgm.types import InputError
 
 PARAMETER_SETS = ("recovered", "published")
 
-
-def published_path() -> Path:
-    """The file with the published matrices and parameters."""
-    return experiments_folder() / "paper" / "published.yaml"
+#: Detector and model, and their keys in published.yaml.
+_SIDES = {"detector": "detector_only", "model": "model"}
 
 
 def load_published() -> dict[int, dict[str, Any]]:
     """The published matrices, metrics and parameters per run number."""
-    content = read_yaml(published_path(), "runs: []")
+    content = read_yaml(experiments_folder() / "paper" / "published.yaml", "runs: []")
     return {entry["run"]: entry for entry in content["runs"]}
 
 
 def paper_experiment(run: int) -> Path:
-    """The YAML of one of the paper's runs. Raises InputError for a number that is none."""
+    """The YAML of one of the paper's runs. Raises InputError for an unknown number."""
     found = sorted((experiments_folder() / "paper").glob(f"run{run:02d}_*.yaml"))
     if not found:
         raise InputError(f"run {run}: the paper has runs 1 to 10")
@@ -45,25 +44,24 @@ Runs = str | int | Sequence[int]
 
 
 def parse_runs(given: Runs) -> list[int]:
-    """`"1-3,7"` -> [1, 2, 3, 7]; numbers as they are. Raises InputError for anything else."""
+    """Run numbers: `"1-3,7"` gives [1, 2, 3, 7]. Raises InputError for an unknown run."""
     runs: list[int] = []
     if not isinstance(given, str):
-        for number in given if isinstance(given, Sequence) else [given]:
+        runs = [given] if isinstance(given, int) else list(given)
+        for number in runs:
             if not isinstance(number, int):
                 raise InputError(f"runs: {number!r} is no number; the paper has runs 1 to 10")
-            paper_experiment(number)
-            runs.append(number)
-        return list(dict.fromkeys(runs))
-    for part in given.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not first.isdecimal() or (dash and not last.isdecimal()):
-            raise InputError(f"runs: {given}: write numbers and ranges, e.g. 1-5,7")
-        low, high = int(first), int(last or first)
-        for run in (low, high):
-            paper_experiment(run)
-        if low > high:
-            raise InputError(f"runs: {given}: {low}-{high} is an empty range")
-        runs += range(low, high + 1)
+    else:
+        for part in given.split(","):
+            match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
+            if match is None:
+                raise InputError(f"runs: {given}: write numbers and ranges, e.g. 1-5,7")
+            low, high = int(match[1]), int(match[2] or match[1])
+            if low > high:
+                raise InputError(f"runs: {given}: {low}-{high} is an empty range")
+            runs += range(low, min(high, 99) + 1)
+    for number in runs:
+        paper_experiment(number)
     return list(dict.fromkeys(runs))
 
 
@@ -72,22 +70,15 @@ def parameters_for(entry: Mapping[str, Any], which: str) -> dict[str, Any]:
 
     - entry: the run's part of published.yaml.
     - which: `published` for the values as printed, or `recovered` for values that give the
-      published model matrix: run 5's stand in the authors' code, a search found the others.
+      published model matrix (run 5: from the authors' code; the others: searched).
     """
     if which not in PARAMETER_SETS:
         raise InputError(f"parameters: {which} is not one of {', '.join(PARAMETER_SETS)}")
     return dict(entry["parameters"] if which == "published" else entry["recovered"]["parameters"])
 
 
-@dataclass(frozen=True)
-class Reproduced:
-    """One run of the paper, ours beside theirs.
-
-    - number: 1 to 10.
-    - entry: its part of published.yaml.
-    - run: ours.
-    - detector_frames_off, model_frames_off: as `frames_off` counts them.
-    """
+class Reproduced(NamedTuple):
+    """One run of the paper: its entry in published.yaml, our result, and the frames off."""
 
     number: int
     entry: Mapping[str, Any]
@@ -97,18 +88,16 @@ class Reproduced:
 
 
 def reproduce_run(number: int, which: str) -> Reproduced:
-    """Run one of the paper's experiments and compare it with what was published."""
+    """Run one of the paper's experiments and compare it with the published matrices."""
     entry = load_published()[number]
     experiment = load_experiment(paper_experiment(number))
     experiment = experiment.model_copy(update={"parameters": parameters_for(entry, which)})
     run = run_experiment(experiment)
-    off = {
-        kind: frames_off(
-            np.asarray(run.scores[kind]["confusion"]), np.asarray(entry[theirs]["confusion"])
-        )
-        for kind, theirs in (("detector", "detector_only"), ("model", "model"))
-    }
-    return Reproduced(number, entry, run, off["detector"], off["model"])
+    off = [
+        frames_off(np.asarray(run.scores[side]["confusion"]), np.asarray(entry[key]["confusion"]))
+        for side, key in _SIDES.items()
+    ]
+    return Reproduced(number, entry, run, *off)
 
 
 @dataclass(frozen=True, repr=False)
@@ -116,12 +105,10 @@ class Reproduction:
     """Some runs of the paper; iterating gives their results.
 
     - parameters: recovered or published.
-    - matrices: whether every confusion matrix is printed.
     """
 
     runs: Sequence[Reproduced]
     parameters: str
-    matrices: bool = False
 
     def __len__(self) -> int:
         return len(self.runs)
@@ -144,6 +131,18 @@ class Reproduction:
         classified = sum(2 * each.run.scores["frames_scored"] for each in self.runs)
         return f"{self.frames_off} of {classified} classified frames off"
 
+    def table(self) -> pd.DataFrame:
+        """A row per run and matrix: frames off, each score, and the score in the paper."""
+        rows = []
+        for each in self.runs:
+            for side, key in _SIDES.items():
+                row = {"run": each.number, "matrix": side}
+                row["frames_off"] = getattr(each, f"{side}_frames_off")
+                for name, printed in each.entry[key]["metrics"].items():
+                    row |= {name: each.run.scores[side][name], f"{name}_in_paper": printed}
+                rows.append(row)
+        return pd.DataFrame(rows).set_index(["run", "matrix"])
+
     @property
     def document(self) -> dict[str, Any]:
         """Unrounded scores of each run, ready for JSON."""
@@ -154,19 +153,15 @@ class Reproduction:
                 "tuned_on": each.run.run["tuned_on"],
                 "detector_frames_off": each.detector_frames_off,
                 "model_frames_off": each.model_frames_off,
-                **{kind: each.run.scores[kind] for kind in ("detector", "model")},
+                **{side: each.run.scores[side] for side in _SIDES},
             }
             for each in self.runs
         ]
-        return {
-            "parameters": self.parameters,
-            "runs": rows,
-            "total_frames_off": self.frames_off,
-        }
+        return {"parameters": self.parameters, "runs": rows, "total_frames_off": self.frames_off}
 
 
 def known_parameters(experiment: Experiment) -> list[dict[str, Any]]:
-    """The recovered and the published parameters of the paper's run that an experiment is."""
+    """The recovered and the published parameters, if an experiment is one of the paper's runs."""
     match = re.fullmatch(r"run(\d\d)_(italy|spain)_[a-z]+", experiment.name)
     if match is None or not 1 <= int(match[1]) <= 10:
         return []

@@ -1,8 +1,8 @@
 """Results: one table with a row per frame, its scores and its provenance.
 
-A result directory holds experiment.yaml, run.json, scores.json, beliefs.parquet (`Result.frames` as
-it is), lines.parquet and events.csv. run.json is removed first and written last, so a directory
-that has it is complete.
+A result directory contains experiment.yaml, run.json, scores.json, beliefs.parquet
+(`Result.frames`), lines.parquet and events.csv. run.json is removed first and written last, so a
+directory with it is complete.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import shutil
 import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib import import_module, metadata
@@ -34,9 +34,8 @@ from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
-from egolane_pgm.scoring.events import TOLERANCES_S, event_delays, score_events
-from egolane_pgm.scoring.stability import delay_after_lane_change, false_switch_frames
-from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.scoring import score_all
+from egolane_pgm.scoring.events import Reported, event_delays, score_events, stability_scores
 from egolane_pgm.tools.files import (
     check_place,
     make_directory,
@@ -47,8 +46,6 @@ from egolane_pgm.tools.files import (
 )
 from egolane_pgm.tools.provenance import git_state, versions
 from egolane_pgm.types import (
-    MAX_LANES,
-    UNASSIGNED,
     Beliefs,
     Evidence,
     FloatArray,
@@ -93,7 +90,7 @@ class Result:
     - run: provenance (run.json).
     - scores: the scores (scores.json).
     - lines: the lines of each drive, by name.
-    - directory: where it was read or written; None in memory.
+    - directory: the result directory; None in memory.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
@@ -204,11 +201,10 @@ class Result:
     def network(
         self, *, evidence: bool = False, first: int | None = None, last: int | None = None
     ) -> DynamicBayesianNetwork | Unrolled:
-        """The graph in pgmpy: by itself, or some frames of it with their evidence.
+        """The graph in pgmpy, or some frames of it with their evidence.
 
         - evidence: False for the declared network of two slices, whose virtual-evidence tables
-          (`WOR_ve`) are placeholders; True for frames unrolled with the run's evidence, together
-          with the evidence as pgmpy's queries take it.
+          (`WOR_ve`) are placeholders; True for unrolled frames and the run's evidence in them.
         - first, last: with evidence: frame ids, both included; all by default. pgmpy takes seconds
           for hundreds of frames.
         """
@@ -227,10 +223,6 @@ class Result:
             found = found.get(part) if isinstance(found, Mapping) else None
         return found
 
-    def take(self, frames: Any) -> Result:
-        """Select frames by position; the scores are not recomputed."""
-        return replace(self, frames=self.frames.iloc[frames], lines={})
-
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
 
@@ -248,17 +240,17 @@ class Result:
 
         Raises InputError for a range without frames.
         """
-        from egolane_pgm.views.strips import strips_figure
+        from egolane_pgm.views.strips import result_strips
         from egolane_pgm.views.style import inline_figure
 
-        return inline_figure(lambda: strips_figure(self, first, last))
+        return inline_figure(lambda: result_strips(self, first, last))
 
     def report(self, file: str | os.PathLike[str]) -> Path:
         """Write the page of `egolane plot --out x.html`: one HTML file, with a timeline.
 
         Raises InputError if it cannot be written.
         """
-        # The page is a wing: it is imported by name, so that nothing here depends on it.
+        # The page is a wing, so the core imports it by name.
         page = import_module("egolane_pgm.page.document")
         for line in page.write_page([self], Path(file)):
             warnings.warn(line, UserWarning, stacklevel=2)
@@ -322,7 +314,7 @@ def is_result(directory: str | os.PathLike[str]) -> bool:
 
 
 def check_writable(directory: Path) -> None:
-    """Raise InputError if a result cannot be put there: before anything is computed."""
+    """Raise InputError if a result cannot be written there; called before the computation."""
     if directory.exists() and not directory.is_dir():
         raise InputError(f"{directory}: is a file, not a directory")
     # The first file of a result, which may have been interrupted.
@@ -376,7 +368,7 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
 
 
 def stored(experiment: Experiment, directory: Path, tags: Mapping[str, str]) -> Result | None:
-    """The result in a directory, if it is complete and of the same experiment, data and tags."""
+    """The result in a directory, if it is complete, with the same experiment, data and tags."""
     try:
         run = json.loads((directory / "run.json").read_text())
         is_same = run["identity"] == identity(experiment, list(map(digest, data_files(experiment))))
@@ -450,105 +442,39 @@ def score(frames: pd.DataFrame, frame_rate: float, lag: int | None = None) -> di
     """
     impossible = frames["is_impossible"].to_numpy()
     lane = lanes_of(frames)
+    events = {name: events_of(part, frame_rate, lag) for name, part in by_drive(frames)}
     scores: dict[str, Any] = {
         "frames": len(frames),
         "frames_scored": 0,
         "mean_log_evidence": frames["log_evidence"][~impossible].mean(),
         "impossible_frames": int(impossible.sum()),
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
+        "events": {"detected": sum(map(len, events.values()))},
     }
-    kept = frames[frames["is_trusted"]] if "is_trusted" in frames else frames
-    kept = kept.dropna(subset=["true_lane"])
-    truth = truth_of(kept)
-    events = [(events_of(part, frame_rate, lag), part) for _, part in by_drive(frames)]
-    scores["events"] = {"detected": sum(len(found) for found, _ in events)}
-    if truth is None:
+    every = frames.dropna(subset=["true_lane"])
+    kept = every[every["is_trusted"]] if "is_trusted" in every else every
+    if kept.empty:
         return scores
-    scores["frames_scored"] = int(np.count_nonzero(~truth["is_crossing"]))
-    if "detector_lane" in kept:
-        scores["detector"] = _score_side(kept, truth, frame_rate, "detector")
-    scores["model"] = _score_side(kept, truth, frame_rate, "Lane")
-    if len(kept) < frames["true_lane"].notna().sum():
-        every = frames.dropna(subset=["true_lane"])
-        scores["model_all_frames"] = _score_side(every, truth_of(every), frame_rate, "Lane")
-    column = "line_crossing_probability"
-    crossing = kept[column].to_numpy() if column in kept else None
-    if len(events) == 1:
-        scores["events"] = score_events(events[0][0], truth, frame_rate, crossing)
-    else:
-        parts = [found for found, _ in events], [part for _, part in by_drive(kept)]
-        scores["events"] = score_events(*_on_one_timeline(*parts, frame_rate), frame_rate, crossing)
-    return scores
-
-
-def _score_side(
-    frames: pd.DataFrame, truth: pd.DataFrame | None, frame_rate: float, node: str
-) -> dict[str, Any]:
-    """The scores of the model ("Lane") or of the detector on annotated frames."""
-    assert truth is not None
-    column = "assigned_lane" if node == "Lane" else "detector_lane"
-    assigned = frames[column].to_numpy()
-    scores = score_with_intervals(lanes_of(frames, node), truth, frame_rate, assigned=assigned)
-    if "drive" in frames:
-        scores |= _stability_over_drives(frames, column, frame_rate)
-    return scores
-
-
-def _stability_over_drives(frames: pd.DataFrame, answers: str, frame_rate: float) -> dict[str, Any]:
-    """False switches and delays of several drives; no pair of frames spans two of them."""
-    false, counted, delays = 0, 0, []
-    for _, part in by_drive(frames):
-        truth = truth_of(part)
-        assert truth is not None
-        lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
-        given = part[answers].to_numpy(), lane, crossing
-        is_false, is_counted = false_switch_frames(*given)
-        false, counted = false + is_false.sum(), counted + is_counted.sum()
-        delays.append(delay_after_lane_change(*given, truth.index).delay_frames)
-    minutes = counted / (60 * frame_rate)
-    delay = np.concatenate(delays)
-    followed = delay[~np.isnan(delay)]
-    return {
-        "false_switches_per_minute": float(false / minutes) if minutes else None,
-        "delay": {
-            "median_frames": float(np.median(followed)) if len(followed) else None,
-            "p90_frames": float(np.percentile(followed, 90)) if len(followed) else None,
-            "share_missed": float(1 - len(followed) / len(delay)) if len(delay) else None,
-            "changes": len(delay),
-        },
+    scores["frames_scored"] = int((~kept["is_crossing"]).sum())
+    sides = {
+        "detector": (kept, "detector", "detector_lane"),
+        "model": (kept, "Lane", "assigned_lane"),
     }
-
-
-def _on_one_timeline(
-    events: Sequence[pd.DataFrame],
-    parts: Sequence[pd.DataFrame],
-    frame_rate: float,
-) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Lane changes and truth of several drives, one after the other.
-
-    The gap between two drives is longer than any tolerance. Lanes are renumbered so that the true
-    lane is the same before and after a gap: a border between drives is no lane change.
-    """
-    gap = int(4 * max(TOLERANCES_S) * frame_rate) + 1
-    start, last, shifted, truths = 0, None, [], []
-    for found, part in zip(events, parts, strict=False):
-        truth = truth_of(part)
-        if truth is None:
-            continue
-        ids = truth.index.to_numpy()
-        known = truth["true_lane"][~truth["is_crossing"]].to_numpy()
-        # Lane numbers stay positive: 0 is an event without lanes.
-        added = MAX_LANES if last is None or not len(known) else last - known[0]
-        last = known[-1] + added if len(known) else last
-        move = start - ids[0]
-        moved = {key: found[key] + move for key in ("frame_id", "detected_frame_id")}
-        is_known = found["from_lane"] != UNASSIGNED
-        moved |= {key: found[key] + added * is_known for key in ("from_lane", "to_lane")}
-        shifted.append(found.assign(**moved))
-        truths.append((ids + move, truth["true_lane"] + added, truth["is_crossing"]))
-        start = ids[-1] + move + gap
-    ids, lane, is_crossing = (np.concatenate(each) for each in zip(*truths, strict=True))
-    return pd.concat(shifted), lane_truth(ids, lane, is_crossing)
+    if len(kept) < len(every):
+        sides["model_all_frames"] = (every, "Lane", "assigned_lane")
+    for side, (rows, node, column) in sides.items():
+        if column in rows:
+            scores[side] = score_all(lanes_of(rows, node), truth_of(rows), frame_rate, rows[column])
+            if "drive" in rows:
+                drives = [(part[column], truth_of(part)) for _, part in by_drive(rows)]
+                scores[side] |= stability_scores(drives, frame_rate)
+    column = "line_crossing_probability"
+    reported = [
+        Reported(events[name], truth_of(part), part[column].to_numpy() if column in part else None)
+        for name, part in by_drive(kept)
+    ]
+    scores["events"] = score_events(reported, frame_rate)
+    return scores
 
 
 # --- from drives to a result ---------------------------------------------------------------------

@@ -1,7 +1,7 @@
-"""What is run: experiments, lines, and tables of runs.
+"""Inputs of a run: experiments, lines, and tables of runs.
 
 A table of runs is one experiment with a row of overrides per run. Its columns are keys of an
-experiment (`recording.path`, `n_lanes`, `parameters.sigma1`), or tags of one's own (`tag.driver`).
+experiment (`recording.path`, `n_lanes`, `parameters.sigma1`) and the user's tags (`tag.driver`).
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import DRIVE_KEYS, Drive, read_drives
@@ -72,7 +71,7 @@ def open_input(
     graph: Any = None,
     recording: Mapping[str, Any] | None = None,
 ) -> Input:
-    """An experiment, or an experiment's model on lines, whatever it is given as.
+    """Open an experiment, or an experiment's model on lines.
 
     - given: an experiment (YAML file, name, dict, Experiment), a Result (its experiment on its
       recording), or lines (a file, a DataFrame or a LineLog).
@@ -147,11 +146,9 @@ def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[s
             raise InputError(f"{where}: unknown column '{column}'{hint}; a tag is {TAG}{column}")
     if cells.empty:
         raise InputError(f"{where}: has no rows; give it one for each run")
-    rows = [
-        {str(column): _whole(value) for column, value in row.items() if not _is_empty(value)}
-        for row in cells.to_dict("records")
-    ]
-    return rows, folder
+    # Whole numbers are floats in a column with empty cells; `convert_dtypes` makes them integers.
+    objects = cells.convert_dtypes().astype(object)
+    return [row.dropna().to_dict() for _, row in objects.iterrows()], folder
 
 
 def _read_csv(path: Path) -> pd.DataFrame:
@@ -165,15 +162,6 @@ def _read_csv(path: Path) -> pd.DataFrame:
             read = partial(parse_yaml, source=f"{path}: {column}")
             cells[column] = cells[column].astype(object).map(read, na_action="ignore")
     return cells
-
-
-def _is_empty(value: Any) -> bool:
-    return value is None or (isinstance(value, (float, np.floating)) and bool(np.isnan(value)))
-
-
-def _whole(value: Any) -> Any:
-    """A cell; whole numbers are floats in a column with empty cells."""
-    return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
 def table_inputs(
@@ -229,7 +217,7 @@ def run_table(
     - n_blocks: hold out each of some blocks, see `studies.study.run_held_out`.
     - jobs, cluster: see `tools.jobs.parallel`.
 
-    A row whose result is there with the same identity is not run again; a row that fails does not
+    A row with an existing result of the same identity is not run again; a row that fails does not
     stop the others. Returns a row per run: name, tags, every number of its scores, seconds,
     `was_there`, `error`.
     """
@@ -240,7 +228,7 @@ def run_table(
     try:
         done.extend(bar(rows, progress, total=len(inputs), unit="run"))
     except KeyboardInterrupt:
-        kept = f"{len(done)} of {len(inputs)} runs are in {folder}; the same command goes on"
+        kept = f"{len(done)} of {len(inputs)} runs are in {folder}; repeat the command to go on"
         raise KeyboardInterrupt(kept) from None
     summary = pd.DataFrame(done).set_index("name")
     summary.to_parquet(folder / SUMMARY)
@@ -248,7 +236,7 @@ def run_table(
 
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:
-    """Run one row of a table, unless its result is there; return its row of the summary."""
+    """Run one row of a table, unless its result exists; return its row of the summary."""
     experiment, place = given.experiment, folder / given.experiment.name
     row: dict[str, Any] = {"name": experiment.name}
     row |= {f"{TAG}{key}": value for key, value in given.tags.items()}

@@ -64,10 +64,17 @@ def on_recordings(folder: str, experiment: str, overrides: Any = (), graph: Any 
     return place
 
 
-def compared(heading: str, folders: Sequence[Path], **options: Any) -> str:
-    """A comparison of folders of results: means over the recordings, then each recording."""
-    found = ego.compare(folders, of="folder", **options)
-    each = ego.compare(folders, of="folder", by="name", detector=options.get("detector", False))
+def compared(
+    heading: str, folders: Sequence[Path], *, detector: bool = False, events: bool = False
+) -> str:
+    """A comparison of folders of results: means over the recordings, then each recording.
+
+    - events: show the scores of lane changes.
+    """
+    found = ego.compare(folders, of="folder", detector=detector)
+    if not events:
+        found = found.drop(columns=[c for c in found if str(c).startswith("event_")])
+    each = ego.compare(folders, of="folder", by="name", detector=detector)
     order = each.index.get_level_values("folder").unique()
     table_of_each = page([table(each["accuracy"].unstack()[order])], wide=True)
     parts = [heading, compare.text(found, "markdown", True), "Accuracy on each recording:"]

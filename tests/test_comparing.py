@@ -15,11 +15,12 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.result import Result, load_result
 from egolane_pgm.runs import open_input, run_input
-from egolane_pgm.scoring.bootstrap import bootstrap_interval, confusion_counts
-from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, bootstrap_interval, score_counts
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import geometry, run, simulated, write_drive
+
+accuracy = INTERVAL_STATISTICS["accuracy"]
 
 SIDES = ("sensor_failure", "lane_only")
 
@@ -42,7 +43,7 @@ def interval(row: Any, name: str) -> list[float]:
 def counts_of(result: Result, column: str = "assigned_lane") -> Any:
     assert result.truth is not None
     lane, crossing = result.truth["true_lane"], result.truth["is_crossing"]
-    return confusion_counts(result.frames[column], lane, crossing, result.n_lanes)
+    return score_counts(result.node("Lane"), lane, crossing, result.frames[column])["accuracy"]
 
 
 def test_a_difference_is_paired_and_to_the_first_side(results: list[Result]) -> None:
@@ -130,14 +131,13 @@ def test_untrusted_labels_are_not_compared(results: list[Result]) -> None:
 
 def test_scores_of_lane_changes_are_added(results: list[Result]) -> None:
     both = [run(geometry("one")), run(simulated("two", filter="fixed_lag", lag=9))]
-    found = compare(both, events=True)
+    found = compare(both)
     for result in both:
         within = result.scores["events"]["within"]["1"]
         row = found.loc[result.name]
         assert row["event_precision"] == within["precision"]
         assert row["event_recall"] == within["recall"]
         assert row["event_delay_s"] == result.scores["events"]["delay_s"]["median"]
-    assert "event_recall" not in compare(both)
 
 
 def test_results_are_found_below_folders_and_named_by_them(

@@ -60,7 +60,7 @@ def test_a_network_in_pgmpys_own_style_is_compiled_filtered_and_learned() -> Non
 
 def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path) -> None:
     words = [QUICKSTART, "--set", "recording.frames=[0, 600]"]
-    own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}", "--blocks", 2]
+    own = ["--set", f"graph={TUTORIAL}", "--set", "parameters={}", "--folds", 2]
     done("learn", *words, *own, "--out", tmp_path / "learned")
     learned = yaml.safe_load((tmp_path / "learned/best.graph.yaml").read_text())
     assert learned["hidden"] == ["Lane", "Sensor"]
@@ -69,7 +69,15 @@ def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path)
     graphs = ["sensor_failure", TUTORIAL, "network.bif"]
     rows = [f"{k},{graph},{{}}" for k, graph in enumerate(graphs)]
     table.write_text("\n".join(["name,graph,parameters", *rows]) + "\n")
-    options = ["--held-out", "--set", "fit.method=learn", "--blocks", 2, "--out", tmp_path / "runs"]
+    options = [
+        "--held-out",
+        "--set",
+        "fit.method=learn",
+        "--set",
+        "fit.folds=2",
+        "--out",
+        tmp_path / "runs",
+    ]
     done("run", *words, "--table", table, *options)
     compared = ego.compare(tmp_path / "runs")
     assert list(compared.index) == ["0", "1", "2"]

@@ -133,7 +133,9 @@ def test_beliefs_of_quickstart() -> None:
 
 def assert_trials(experiment: Any, trials: int, sampler: str, frozen: list[float]) -> None:
     """Check the value of each trial of an in-sample search for accuracy."""
-    study = ego.tune(experiment, trials=trials, sampler=sampler, blocks=0, progress=False)
+    study = ego.tune(
+        experiment, trials=trials, overrides={"fit.sampler": sampler}, folds=0, progress=False
+    )
     assert_frozen(study.trials["accuracy"], frozen)
 
 
@@ -153,8 +155,8 @@ def test_a_study_on_run_5(recordings: Path, sampler: str) -> None:
 @pytest.mark.parametrize("fit", ["none", "learn", "tune"])
 def test_held_out_accuracy_of_quickstart(fit: str) -> None:
     """Five blocks, each with what was fitted on the others (tune: 30 trials each)."""
-    overrides = {"fit.method": fit, "fit.trials": 30}
-    result = ego.run("quickstart", overrides=overrides, held_out=True, blocks=5)
+    overrides = {"fit.method": fit, "fit.trials": 30, "fit.folds": 5}
+    result = ego.run("quickstart", overrides=overrides, held_out=True)
     assert_frozen(result.scores["model"]["accuracy"], FROZEN["held_out_quickstart"][fit])
 
 

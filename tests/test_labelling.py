@@ -152,16 +152,10 @@ def test_a_graph_without_a_place_in_the_lane_labels_every_frame(tmp_path: Path) 
     assert labels.run.scores["model"]["accuracy"] > 0.5
 
 
-def test_a_recording_of_one_frame_is_labelled() -> None:
-    labels = simulated(**{"recording.frames": [7, 8]})
-    assert labels.frames.index.tolist() == [7]
-    assert not labels.frames["is_crossing"].any()
-
-
-@pytest.mark.parametrize("below", [-0.1, 1.1, float("nan")])
-def test_a_threshold_that_is_no_probability_is_refused(below: float) -> None:
-    with pytest.raises(InputError, match=r"below: .* is not a probability"):
-        labelled("zero_label", None, below)
+def test_a_threshold_is_a_probability() -> None:
+    for below in (-0.1, 1.1, float("nan")):
+        with pytest.raises(InputError, match=r"below: .* is not a probability"):
+            labelled("zero_label", None, below)
 
 
 # --- the paper's recordings ----------------------------------------------------------------------

@@ -154,7 +154,6 @@ def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) ->
     ("changes", "said"),
     [
         ({"recording.topik": "x", "n_lanes": 3.5}, "recording: unknown key 'topik' (did you mean"),
-        ({"recording.frame_rate": -1}, "recording.frame_rate: input should be greater than 0"),
         (
             {"recording.missing_frames": "hol"},
             "recording.missing_frames: 'hol' is not one of skip, hold, predict (did you mean"
@@ -167,7 +166,6 @@ def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) ->
         ({"lag": 3}, "lag: only filter fixed_lag waits, filter assumed_density has no lag (got 3)"),
         ({"filter": "viterbi", "min_confidence": 0.5}, "filter viterbi gives every frame a lane"),
         ({"start_lane": 5}, "start_lane: the road has lanes 1 (leftmost) to 3 (got 5)"),
-        ({"start_lane": [1, 0]}, "start_lane: needs a lane, or a number for each of the 3 lanes"),
         ({"start_lane": [0, 0, 0]}, "start_lane: the lanes' probabilities are not negative, and"),
         ({"parameters": [0.3]}, "parameters: needs keys and values"),
         ({"n_lanes": "map"}, "n_lanes: map needs a road table"),
@@ -179,7 +177,6 @@ def test_keys_that_a_file_lacks_come_from_the_one_it_includes(tmp_path: Path) ->
         ({1: 2}, "1 is not the name of a key"),
         ({"a..b": 1}, "'a..b' is not the name of a key"),
         (["n_lanes"], "overrides: n_lanes: write it as key=value"),
-        (["n_lanes=["], "overrides: n_lanes=[: the value is not YAML"),
         ("n_lanes=4", "overrides: 'n_lanes=4': needs a dict, or a list of key=value"),
     ],
 )

@@ -30,10 +30,9 @@ from egolane_pgm.result import (
     lanes_of,
     load_result,
     make_result,
-    truth_of,
 )
 from egolane_pgm.running import concat_drives, frames_of
-from egolane_pgm.scoring.summary import score_with_intervals
+from egolane_pgm.scoring import score_all
 from egolane_pgm.tools.files import file_sha256
 from egolane_pgm.tools.provenance import git_state
 from egolane_pgm.types import InputError, LineLog
@@ -78,7 +77,6 @@ def test_a_result_gives_posteriors_truth_and_answers_by_name() -> None:
     assert found.truth["true_lane"].tolist() == TRUTH[:-1]
     assert found.truth["is_crossing"].tolist() == [bool(c) for c in CROSSING[:-1]]
     np.testing.assert_array_equal(found.beliefs.lane, MODEL)
-    assert found.take(slice(2, 4)).frames.index.tolist() == [102, 103]
     assert [found.value(key) for key in ("graph", "parameters.sigma1", "tag.x", "no.key")] == [
         *("sensor_failure", 0.3, None, None)
     ]
@@ -98,7 +96,7 @@ def test_the_scores_of_a_drive_are_those_of_its_annotated_frames(result: Result)
     truth = result.truth
     assert truth is not None
     for side, node in (("model", "Lane"), ("detector", "detector")):
-        own = score_with_intervals(lanes_of(result.frames, node), truth, 10.0)
+        own = score_all(lanes_of(result.frames, node), truth, 10.0)
         assert result.scores[side] == json.loads(json.dumps(own))
     assert result.scores["frames_scored"] == (~truth["is_crossing"]).sum()
     sure = (result.node("Lane").max(axis=1) >= SURE).mean()
@@ -150,20 +148,10 @@ def test_scores_of_several_drives_are_those_of_all_their_frames() -> None:
         pd.concat([one.events for one in each], ignore_index=True),
     )
     assert [name for name, _ in by_drive(both.frames)] == ["d0", "d1"]
-
-
-def test_a_border_between_roads_of_other_widths_is_no_lane_change() -> None:
-    drives = two_drives(n_lanes=3)
-    both = of_drives(drives)
-    changes = 0
-    for _, frames in by_drive(both.frames):
-        truth = truth_of(frames)
-        assert truth is not None
-        lane = truth["true_lane"][~truth["is_crossing"]]
-        changes += np.count_nonzero(np.diff(lane))
-    assert both.scores["events"]["changes"] == changes > 0
-    alone = [of_drives([drive]).scores["events"] for drive in drives]
-    assert both.scores["events"]["detected"] == sum(each["detected"] for each in alone)
+    # The road of the second drive may have another number of lanes.
+    narrow = two_drives(n_lanes=3)
+    changes = [of_drives(given).scores["events"]["changes"] for given in (narrow, [narrow[1]])]
+    assert changes[0] - changes[1] == each[0].scores["events"]["changes"] > 0
 
 
 # --- lane changes --------------------------------------------------------------------------------

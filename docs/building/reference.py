@@ -38,7 +38,6 @@ from egolane_pgm.vision.detectors.networks.description import Network
 METRICS = (
     "confusion",
     "probabilistic",
-    "stability",
     "events",
     "bootstrap",
 )

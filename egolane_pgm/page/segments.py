@@ -10,8 +10,8 @@ import pandas as pd
 
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.result import Result, by_drive, lanes_of, truth_of
-from egolane_pgm.scoring import stability
 from egolane_pgm.scoring.events import TOLERANCES_S, match_events
+from egolane_pgm.scoring.events import lane_changes as true_changes
 from egolane_pgm.types import SIDES, FloatArray
 from egolane_pgm.views.answers import is_known, outcomes, true_lane
 
@@ -75,7 +75,7 @@ def _changes_of_drive(result: Result, frames: pd.DataFrame) -> Iterator[dict[str
     shift = frames["x_s"].iloc[0] - frames["time_s"].iloc[0]
     if truth is not None:
         matched = match_events(events, truth, result.frame_rate, max(TOLERANCES_S))
-        true = stability.lane_changes(truth["true_lane"], truth["is_crossing"])
+        true = true_changes(truth)
         time_s = frames["time_s"].loc[truth.index].to_numpy()
         for k in set(range(len(true))) - set(matched):
             begin, end = time_s[true.start[k]], time_s[true.end[k]]

@@ -6,6 +6,7 @@ the table is a line, or a frame with a column for each of its lines.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -291,6 +292,10 @@ def arrow_column(column: Any) -> Any:
     return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
 
 
+def _is_text(column: Any) -> bool:
+    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
+
+
 def to_seconds(
     path: Path,
     name: str,
@@ -304,17 +309,10 @@ def to_seconds(
     Parameters and errors: see `to_numbers`.
     """
     values, per = arrow_column(column), _PER_SECOND[unit]
-    if pa.types.is_string(values.type) or pa.types.is_large_string(values.type):
-        text = values.to_pandas()
-        dates = pd.to_datetime(text, errors="coerce", utc=True, format="ISO8601")
-        if dates.notna().any() and pd.to_numeric(text, errors="coerce").isna().all():
-            bad = (dates.isna() & text.notna()).to_numpy()
-            if bad.any():
-                k = int(np.argmax(bad))
-                raise InputError(
-                    f"{path}: row {k + 1}: {theirs or name} is {text[k]!r}, not a date"
-                )
-            values = pa.array(dates)
+    if _is_text(values):
+        # Other texts are refused as numbers.
+        with contextlib.suppress(ValueError):
+            values = pa.array(pd.to_datetime(values.to_pandas(), utc=True, format="ISO8601"))
     if pa.types.is_timestamp(values.type):
         values, per = values.cast(pa.timestamp("ns", values.type.tz)).cast(pa.int64()), 10**9
     if pa.types.is_integer(values.type) and not values.null_count:
@@ -350,7 +348,7 @@ def to_numbers(
     needed = "true, false, 1 or 0" if is_flag else needed
     try:
         column = arrow_column(column)
-        if pa.types.is_string(column.type) or pa.types.is_large_string(column.type):
+        if _is_text(column):
             text = column.to_pandas().str.strip().str.lower().replace("", None)
             text = text.replace({"true": "1", "false": "0"}) if is_flag else text
             values = np.asarray(pd.to_numeric(text, errors="coerce"), dtype=np.float64)

@@ -1,16 +1,12 @@
-"""Select the frames of a recording, join them with the ground truth, and warn of oddities."""
+"""Select the frames of a recording, fill in missing ones, and warn of oddities."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: Valid lines with an offset beyond this, metres, are warned of: no motorway is wider.
 ABSURD_OFFSET_M = 100.0
@@ -34,7 +30,7 @@ def select_frames(log: LineLog, first: int | None = None, stop: int | None = Non
         high = "end" if stop is None else stop
         raise InputError(
             f"{log.source}: no frame from {low} to before {high}; the recording has"
-            f" {_range(log.frame_id)}"
+            f" {frame_range(log.frame_id)}"
         )
     return log if keep.all() else log.take(keep)
 
@@ -106,23 +102,6 @@ def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
     return float(f"{1 / step:.4g}") if step > 0 else None
 
 
-def join(log: LineLog, truth: pd.DataFrame) -> tuple[IntArray, IntArray]:
-    """Join a log and a ground truth by frame id: the index of each common frame in the log and in
-    the truth, (K,) both.
-
-    Raises InputError, with both ranges, if there is no common frame.
-    """
-    common, in_log, in_truth = np.intersect1d(
-        log.frame_id, truth.index.to_numpy(), assume_unique=True, return_indices=True
-    )
-    if len(common) == 0:
-        raise InputError(
-            f"no common frames: {log.source} has {_range(log.frame_id)},"
-            f" {truth.attrs.get('source', 'ground truth')} has {_range(truth.index.to_numpy())}"
-        )
-    return in_log.astype(np.int64), in_truth.astype(np.int64)
-
-
 def recording_warnings(log: LineLog, n_lanes: int, max_lri: float = 10) -> list[str]:
     """Warn of oddities, one line each: an LRI of a valid line outside 0..max_lri, an absurd offset,
     more valid lines than the n_lanes + 1 of the road, and no valid line at all."""
@@ -172,5 +151,6 @@ def sign_warning(log: LineLog, true_lane: IntArray) -> list[str]:
     ]
 
 
-def _range(frame_id: IntArray) -> str:
+def frame_range(frame_id: IntArray) -> str:
+    """The first and the last of some frame ids, for messages."""
     return f"frames {frame_id[0]} to {frame_id[-1]}" if len(frame_id) else "no frames"

@@ -68,7 +68,9 @@ def _command(path: Path, **options: Any) -> list[str]:
     except InputError as error:
         why = str(error).removeprefix(f"{path}: ")
         return [f"  to run it, name the columns with --columns: {why}"]
-    given = "".join(f" --{name} {shlex.quote(value)}" for name, value in options.items())
+    given = "".join(
+        f" --set recording.{name}={shlex.quote(value)}" for name, value in options.items()
+    )
     n_gaps = (np.diff(log.frame_id) > 1).sum()
     return [
         f"  {len(log)} frames, {rate_of(log.frame_id, log.time_s)} per second, gaps: {n_gaps}",

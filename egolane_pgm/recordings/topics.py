@@ -121,8 +121,8 @@ def read_topic(
     Raises InputError as `messages` and `recordings.columns.lines_of_columns`.
     """
     path = Path(path)
-    table, row = table_of(fields_of(path, topic))
     names = columns or Columns()
+    table, row = table_of(fields_of(path, topic), names)
     if names.get("offset_m") is None and {"line", "way_id"} <= table.keys():
         is_ros1 = path.suffix == ".bag"
         published: Any = {**_PUBLISHED, "is_valid": _VALID[is_ros1], **names}
@@ -139,7 +139,7 @@ def read_topic(
                 # The stamps of the published ROS 1 bags are times of processing: they jump by
                 # minutes or are zero. Time is frame id over frame rate there.
                 del table["time_s"]
-    return _lines_of(table, row, names, path, frame_rate)
+    return lines_of_columns(table, names, path, frame_rate, row=row)
 
 
 def lines_of_messages(
@@ -165,31 +165,17 @@ def lines_of_messages(
     >>> lines_of_messages([message], columns, "drive.mcap").offset_m.tolist()
     [[-1.8, 1.7]]
     """
-    table, row = table_of(fields_of_dicts(messages, where))
-    return _lines_of(table, row, columns, Path(where), frame_rate, first)
+    table, row = table_of(fields_of_dicts(messages, where), columns or Columns())
+    return lines_of_columns(table, columns, Path(where), frame_rate, first=first, row=row)
 
 
-def _lines_of(
-    table: Mapping[str, Any],
-    row: IntArray,
-    columns: Columns | None,
-    path: Path,
-    frame_rate: float,
-    first: int = 0,
-) -> LineLog:
-    if "line" in table and table["line"].null_count == len(row):
-        # The fields of lists that are always empty may be unknown.
-        given: Mapping[str, Any] = columns or {}
-        names = [given.get(name) or name for name in ("offset_m", *OF_LINE)]
-        table = {**dict.fromkeys(names, pa.nulls(len(row))), **table}
-    return lines_of_columns(table, columns, path, frame_rate, first=first, row=row)
-
-
-def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
+def table_of(fields: Fields, columns: Columns | None = None) -> tuple[dict[str, Any], IntArray]:
     """The columns of messages, and the message of each row, (N,).
 
     Messages with a list of lines (`lines`, or their only list) have a row per line, or an empty
     one; other messages have one row.
+
+    - columns: names of the fields of a line, for lists that are empty in every message.
     """
     lists = [name for name, values in fields.items() if isinstance(values, Items)]
     of_lines = "lines" if "lines" in lists else lists[0] if len(lists) == 1 else None
@@ -199,6 +185,10 @@ def table_of(fields: Fields) -> tuple[dict[str, Any], IntArray]:
         table |= {name: pa.array([[None] * n for n in fields[name].counts]) for name in lists}
         return table, np.arange(len(next(iter(table.values()), ())))
     counts, of_line = fields[of_lines]
+    if not of_line and columns is not None:
+        given: Mapping[str, Any] = columns
+        names = [given.get(name) or name for name in ("offset_m", *OF_LINE)]
+        of_line = dict.fromkeys(names, pa.nulls(0))
     rows = np.maximum(counts, 1)
     row = np.repeat(np.arange(len(counts)), rows)
     is_empty = (counts == 0)[row]

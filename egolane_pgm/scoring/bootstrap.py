@@ -1,7 +1,7 @@
-"""How far a score can be trusted: intervals by a circular block bootstrap.
+"""Confidence intervals of scores by a circular block bootstrap.
 
-Neighbouring frames are much alike, so a bootstrap of single frames says nothing about the next
-drive: contiguous blocks of frames are drawn instead.
+Neighbouring frames are nearly the same frame, so resampling single frames would give intervals far
+too short: contiguous blocks of frames are drawn instead.
 """
 
 from __future__ import annotations
@@ -13,17 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from egolane_pgm.scoring.confusion import accuracy, assigned_lane, confusion_cell, macro_f1
+from egolane_pgm.scoring.confusion import confusion_cell, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.types import FloatArray, InputError, IntArray
 
 BLOCK_FRAMES = 300
 RESAMPLES = 2000
 LEVEL = 0.95
-
-#: The most numbers in memory at once while resamples are summed. It does not change the result.
-_CHUNK = 1 << 22
-
 
 #: Sums (R, ...) of per-frame counts -> the statistic of each resample (R,).
 Statistic = Callable[[NDArray[np.generic]], FloatArray]
@@ -33,7 +29,7 @@ Statistic = Callable[[NDArray[np.generic]], FloatArray]
 class Interval:
     """A statistic of all frames with its bootstrap interval (percentiles of the resamples).
 
-    low and high are None where a recording is too short.
+    low and high are None if a recording is too short.
     """
 
     estimate: float
@@ -44,10 +40,10 @@ class Interval:
 def circular_blocks(n_frames: int, block: int, resamples: int, seed: int) -> IntArray:
     """Draw the resamples of a circular block bootstrap (Politis & Romano 1992).
 
-    Each resample strings together blocks of `block` frames whose first frames are uniform over the
-    drive, K = ceil(n_frames / block) of them, cut to n_frames. A block runs on from the last frame
-    of the drive to the first. The same arguments give the same resamples, so that two sides of a
-    difference share them.
+    Each resample concatenates K = ceil(n_frames / block) blocks of `block` frames and is cut to
+    n_frames. The first frames of the blocks are uniform over the drive; a block continues from the
+    last frame of the drive with the first. The same arguments give the same resamples, so that two
+    sides of a difference share them.
 
     Returns (R, K): the first frames of the blocks.
     """
@@ -73,29 +69,12 @@ def resampled_sums(
     last_length = n_frames - (n_blocks - 1) * block
     whole = wrapped[block:][:n_frames] - wrapped[:n_frames]
     last = wrapped[last_length:][:n_frames] - wrapped[:n_frames]
-    sums = last[starts[:, -1]]
-    step = max(1, _CHUNK // max(1, n_blocks * flat.shape[1]))
-    for k in range(0, len(starts), step):
-        sums[k : k + step] += whole[starts[k : k + step, :-1]].sum(axis=1)
+    sums = last[starts[:, -1]] + whole[starts[:, :-1]].sum(axis=1)
     return np.asarray(sums.reshape(len(starts), *values.shape[1:]))
 
 
-def confusion_counts(
-    assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_lanes: int
-) -> BoolArray:
-    """Per frame its confusion matrix, (T, n + 1, n): True in one cell, none where it is crossing.
-
-    Arguments as `scoring.confusion.confusion`.
-    """
-    cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
-    counts = np.zeros((len(cell), (n_lanes + 1) * n_lanes), dtype=bool)
-    is_scored = cell >= 0
-    counts[np.flatnonzero(is_scored), cell[is_scored]] = True
-    return counts.reshape(len(cell), n_lanes + 1, n_lanes)
-
-
 def ratio(sums: NDArray[np.generic]) -> FloatArray:
-    """First over second of (..., 2), NaN where the second is 0."""
+    """First over second of (..., 2), NaN if the second is 0."""
     array = np.asarray(sums, dtype=np.float64)
     below = array[..., 1]
     return np.asarray(array[..., 0] / np.where(below == 0, np.nan, below))
@@ -103,8 +82,8 @@ def ratio(sums: NDArray[np.generic]) -> FloatArray:
 
 #: The scores that have an interval in every result.
 INTERVAL_STATISTICS: Mapping[str, Statistic] = {
-    "accuracy": accuracy,
-    "f1": macro_f1,
+    "accuracy": lambda sums: np.asarray(scores_from_confusion(sums)["accuracy"]),
+    "f1": lambda sums: np.asarray(scores_from_confusion(sums)["f1"]),
     "log_loss": ratio,
 }
 
@@ -119,20 +98,22 @@ def bootstrap_interval(
     seeds: Sequence[int] | None = None,
     level: float = LEVEL,
 ) -> Interval:
-    """A statistic with its circular-block-bootstrap percentile interval: of one recording, or the
-    mean over several; of one side, or the difference of two over the same resamples.
+    """A statistic with its circular-block-bootstrap percentile interval.
 
-    counts: per recording (T, ...), per frame what the statistic sums over (`score_counts`), in the
-        order of the drive, with crossing frames in their place, counting nothing.
-    statistic: sums (R, ...) -> (R,), such as `scoring.confusion.accuracy`, `macro_f1`, or `ratio`.
-    minus: the other side of a difference, the same frames of the same recordings.
-    seeds: one per recording; recordings of the same length with the same seed are resampled
-        together. By default 0, 1, 2, ...
+    For several recordings, the mean over them; for two sides, their difference over the same
+    resamples.
 
-    Resamples in which the statistic is undefined (NaN) are left out; NaN bounds if none is left.
-    The bounds are None where a recording is shorter than two blocks: its resamples would be nearly
-    the same, and the interval far too short. Raises InputError where the two sides have different
-    numbers of frames.
+    - counts: per recording (T, ...), the per-frame summands (`score_counts`) in the order of the
+      drive; crossing frames are included and count zero.
+    - statistic: sums (R, ...) -> (R,), see `INTERVAL_STATISTICS`.
+    - minus: the other side of a difference, the same frames of the same recordings.
+    - seeds: one per recording; recordings of the same length with the same seed are resampled
+      together. By default 0, 1, 2, ...
+
+    Resamples with an undefined statistic (NaN) are left out; without any other the bounds are NaN.
+    They are None if a recording is shorter than two blocks: its resamples would
+    be nearly the same, and the interval far too short. Raises InputError if the two sides have
+    different numbers of frames.
     """
     is_short = any(len(mine) < 2 * block for mine in counts)
     estimates, of_resamples = [], []
@@ -164,19 +145,25 @@ def score_counts(
     belief: ArrayLike,
     lane: ArrayLike,
     is_crossing: ArrayLike,
-    assigned: ArrayLike | None = None,
+    assigned: ArrayLike,
 ) -> dict[str, NDArray[np.generic]]:
-    """Per score that has an interval, what it sums over in each frame; for `score_intervals`.
+    """The per-frame summands of each score that has an interval; for `score_intervals`.
 
-    belief (T, n), lane (T,), is_crossing (T,). assigned: as in `score_all`.
+    belief (T, n), lane (T,), is_crossing (T,), assigned (T,): 1..n or UNASSIGNED.
+
+    The summand of accuracy and F1 is the frame's confusion matrix, (n + 1, n): True in one cell,
+    in none if the frame is crossing.
     """
-    if assigned is None:
-        assigned = assigned_lane(belief)
-    cells = confusion_counts(assigned, lane, is_crossing, np.shape(belief)[1])
+    n_lanes = np.shape(belief)[1]
+    cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
+    counts = np.zeros((len(cell), (n_lanes + 1) * n_lanes), dtype=bool)
+    is_scored = cell >= 0
+    counts[np.flatnonzero(is_scored), cell[is_scored]] = True
+    counts = counts.reshape(len(cell), n_lanes + 1, n_lanes)
     losses = log_loss_per_frame(belief, lane)
     return {
-        "accuracy": cells,
-        "f1": cells,
+        "accuracy": counts,
+        "f1": counts,
         "log_loss": np.stack([losses, np.ones_like(losses)], axis=1),
     }
 
@@ -187,8 +174,7 @@ def score_intervals(
     *,
     seeds: Sequence[int] | None = None,
 ) -> dict[str, Interval]:
-    """The interval of accuracy, F1 and log-loss: the mean over recordings, or the difference of
-    that to the same of another side.
+    """The intervals of accuracy, F1 and log-loss, or of their differences.
 
     - counts, minus: per recording the counts of `score_counts`.
     - seeds: see `bootstrap_interval`.
@@ -204,9 +190,9 @@ def score_intervals(
 def on_timeline(
     counts: Mapping[str, NDArray[np.generic]], frame_id: IntArray, timeline: IntArray
 ) -> dict[str, NDArray[np.generic]]:
-    """The counts of frames (K,), placed among the frames of their whole drive (T,): 0 elsewhere.
+    """The counts of K frames, placed among all T frames of their drive, with zeros elsewhere.
 
-    Recordings of one drive, by several detectors, are resampled together so.
+    This way recordings of one drive by several detectors are resampled together.
     """
     at = np.searchsorted(timeline, frame_id)
     placed = {}

@@ -1,45 +1,172 @@
-"""How right the reported lane changes are, and how early the car is seen to cross a line.
+"""Scores over time: false switches, delays of the answers, reported lane changes, early warnings.
 
-The true changes are those of `stability.lane_changes`: between two successive non-crossing rows
-with different lanes. The truth knows each of them as an interval: from `begin`, its first crossing
-frame, to `end`, the first frame in the new lane. Where in the interval the label changes is a habit
-of the annotator (at the end in the Italian recordings, after two thirds in the Spanish ones).
+A true **lane change** is a pair of successive non-crossing rows with different lanes: with crossing
+rows between them (their labels are ignored), or without (a change that was not flagged). A crossing
+that ends in the lane it began in was aborted and is no lane change; nor is a crossing at the
+beginning or the end of a drive, whose other side is unknown. A change lasts from `begin`, its first
+crossing frame, to `end`, the first frame in the new lane. Annotators change the label at different
+places within it (at the end in the Italian recordings, after two thirds in the Spanish ones).
 
-- **Right**: an event is right within a tolerance if it is reported at most that long before `begin`
-  or after `end`. Anywhere inside is exact: the truth does not know it better. Both lanes must be
-  the true ones; of an event without lanes, the direction. Each event is matched with at most one
-  true change and each change with at most one event, as many as can be.
-- **Delay**: from `end`, when the car is in the new lane by anybody's reckoning, to the report;
-  negative for a change that is reported before it is over. It is that of the events that are right
-  within the largest tolerance.
-- **False**: an event that is not matched. It can only be false where the truth speaks: in annotated
-  frames, from the first non-crossing one to the last (what came before and after is unknown).
-- **Warning**: the probability that the car is on a line is at least WARNED. A warning lasts for
-  successive rows. A change is warned of if a warning lasts in one of its rows, from `begin` to
-  before `end`; its **lead** is the time from the first row of the first such warning to the row in
-  which the label changes. A warning is false if no crossing row is less than the largest tolerance
-  from it.
+Scores of the answers, row by row:
+
+- **False switch**: the assigned lane differs between consecutive rows, neither of them crossing,
+  while the true lane does not. Frame ids that are missing between them do not separate them.
+  Unassigned is an answer like a lane: going from lane 2 to Unassigned is a switch, and so is coming
+  back. The rate is per minute of such pairs, one frame period each.
+- **Delay** of a change: frames from `end` to the first of the HELD_FRAMES rows that hold the new
+  lane, in frame ids. A hold may begin at the first crossing row, so the delay is at least minus the
+  length of the crossing, and never negative for an unflagged change. The hold must be complete
+  before the next change begins, or the drive ends, or its last crossing begins; otherwise the
+  change is missed. An aborted crossing does not end the search. Median and 90th percentile are over
+  the changes that were not missed; read them together with the share missed.
+
+Scores of reported lane changes (events):
+
+- **Right**: reported at most a tolerance before `begin` or after `end`, with the true lanes; an
+  event without lanes needs the true direction. Each event is matched with at most one change and
+  each change with at most one event, as many as possible.
+- **Delay**: from `end` to the report, over the events that are right within the largest tolerance;
+  negative if reported earlier.
+- **False**: an event without a match. Only events in annotated frames between the first and the
+  last non-crossing one can be false.
+
+Scores of the line crossing probability:
+
+- **Warning**: successive rows with a probability of at least WARNED. A change is warned of if a
+  warning is on in one of its rows, from `begin` to before `end`; its **lead** is the time from the
+  first row of the first such warning to the row in which the label changes. A warning is false if
+  no crossing row is less than the largest tolerance from it.
 """
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.stability import LaneChanges, lane_changes
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray, runs_of
 
 if TYPE_CHECKING:
     import pandas as pd
 
+#: The new lane counts as found once it is held for this many frames.
+HELD_FRAMES = 5
+
 #: Seconds before and after a true crossing in which an event may be reported.
 TOLERANCES_S = (0.5, 1.0, 2.0)
 
-#: The probability of being on a line from which the car is warned.
+#: The line crossing probability that counts as a warning.
 WARNED = 0.5
+
+
+def lane_changes(truth: pd.DataFrame) -> pd.DataFrame:
+    """The true lane changes of a drive, a row each; rules in the module.
+
+    Columns: `start` (first crossing row, equal to `end` if no row is flagged), `end` (first row in
+    the new lane after the crossing), `until` (end of the search for the new lane, exclusive),
+    `from_lane`, `to_lane`. Rows are counted from 0.
+    """
+    import pandas as pd
+
+    actual = truth["true_lane"].to_numpy()
+    scored = np.flatnonzero(~truth["is_crossing"].to_numpy())
+    before, after = scored[:-1], scored[1:]
+    is_change = actual[before] != actual[after]
+    before, after = before[is_change], after[is_change]
+    start = before + 1
+    until = np.append(start[1:], scored[-1] + 1) if len(start) else start
+    lanes = {"from_lane": actual[before], "to_lane": actual[after]}
+    return pd.DataFrame({"start": start, "end": after, "until": until, **lanes})
+
+
+# --- answers -------------------------------------------------------------------------------------
+
+
+def stability_scores(
+    drives: Sequence[tuple[ArrayLike, pd.DataFrame]],
+    frame_rate: float,
+    used: Sequence[BoolArray] | None = None,
+) -> dict[str, Any]:
+    """False switches and delays in one or more drives; None if a score is undefined.
+
+    - drives: per drive the answers (T,), 0 for Unassigned, and the ground truth of these frames.
+    - frame_rate: frames per second.
+    - used: per drive (T,), marks frames; pairs of frames and lane changes count if all their frames
+      are marked. By default all.
+
+    Keys: `false_switches_per_minute`, `delay` {`median_frames`, `p90_frames`, `share_missed`,
+    `changes`}.
+    """
+    false, counted = 0, 0
+    delays: list[float] = []
+    for k, (assigned, truth) in enumerate(drives):
+        is_used = np.ones(len(truth), dtype=bool) if used is None else used[k]
+        is_false, is_counted = false_switches(assigned, truth)
+        is_counted[1:] &= is_used[1:] & is_used[:-1]
+        false += int((is_false & is_counted).sum())
+        counted += int(is_counted.sum())
+        changes = lane_changes(truth)
+        found = answer_delays(assigned, truth, changes)
+        for delay, start, until in zip(found, changes["start"], changes["until"], strict=True):
+            if is_used[start:until].all():
+                delays.append(float(delay))
+    delay = np.array(delays)
+    followed = np.count_nonzero(~np.isnan(delay))
+    return {
+        "false_switches_per_minute": _ratio(false, counted / (60 * frame_rate)),
+        "delay": {
+            "median_frames": _percentile(delay, 50),
+            "p90_frames": _percentile(delay, 90),
+            "share_missed": 1.0 - followed / len(delay) if len(delay) else None,
+            "changes": len(delay),
+        },
+    }
+
+
+def false_switches(assigned: ArrayLike, truth: pd.DataFrame) -> tuple[BoolArray, BoolArray]:
+    """(T,) each: marks false switches from the row before, and rows that can be one."""
+    predicted, actual = np.asarray(assigned), truth["true_lane"].to_numpy()
+    crossing = truth["is_crossing"].to_numpy()
+    is_counted = np.zeros(len(predicted), dtype=bool)
+    is_counted[1:] = ~crossing[1:] & ~crossing[:-1] & (actual[1:] == actual[:-1])
+    is_false = is_counted.copy()
+    is_false[1:] &= predicted[1:] != predicted[:-1]
+    return is_false, is_counted
+
+
+def answer_delays(assigned: ArrayLike, truth: pd.DataFrame, changes: pd.DataFrame) -> FloatArray:
+    """(C,): frames from the end of each change until the new lane is held; NaN if missed.
+
+    - changes: C true ones, see `lane_changes`.
+    """
+    predicted, ids = np.asarray(assigned), truth.index.to_numpy()
+    delay = np.full(len(changes), np.nan)
+    for c, change in enumerate(changes.itertuples()):
+        is_right = predicted[change.start : change.until] == change.to_lane
+        so_far = np.concatenate([[0], np.cumsum(is_right)])
+        held = np.flatnonzero(so_far[HELD_FRAMES:] - so_far[:-HELD_FRAMES] == HELD_FRAMES)
+        if held.size:
+            delay[c] = ids[change.start + held[0]] - ids[change.end]
+    return delay
+
+
+# --- reported lane changes -----------------------------------------------------------------------
+
+
+class Reported(NamedTuple):
+    """The lane changes that were reported in a drive, with its ground truth.
+
+    - events: E of them, see `inference.events.lane_events`.
+    - truth: K annotated frames, those that count.
+    - crossing (K,): the line crossing probability, if there is one.
+    """
+
+    events: pd.DataFrame
+    truth: pd.DataFrame
+    crossing: FloatArray | None = None
 
 
 def match_events(
@@ -50,10 +177,11 @@ def match_events(
     - truth: K annotated frames, those that count.
     - frame_rate: frames per second.
     """
-    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
+    changes = lane_changes(truth)
+    from_lane, to_lane = changes["from_lane"].to_numpy(), changes["to_lane"].to_numpy()
     reach = tolerance_s * frame_rate
-    first = truth.index.to_numpy()[changes.start] - reach
-    last = truth.index.to_numpy()[changes.end] + reach
+    first = truth.index.to_numpy()[changes["start"]] - reach
+    last = truth.index.to_numpy()[changes["end"]] + reach
     found = np.full(len(events), -1, dtype=np.int64)
     is_open = np.ones(len(changes), dtype=bool)
     # Events in order, each taking the open change that closes first: no matching has more pairs
@@ -61,9 +189,9 @@ def match_events(
     left_lane, entered_lane = events["from_lane"].to_numpy(), events["to_lane"].to_numpy()
     direction = events["direction"].to_numpy()
     for e, at in enumerate(events["detected_frame_id"].to_numpy()):
-        # The changes are in order, so those within reach stand together.
+        # The changes are in order, so those within reach are neighbours.
         near = slice(*np.searchsorted(last, [at]), *np.searchsorted(first, [at], side="right"))
-        left, entered = changes.from_lane[near], changes.to_lane[near]
+        left, entered = from_lane[near], to_lane[near]
         if left_lane[e] == UNASSIGNED:
             is_right = np.sign(entered - left) == direction[e]
         else:
@@ -76,100 +204,22 @@ def match_events(
 
 
 def event_delays(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -> FloatArray:
-    """(E,): seconds from the end of the true crossing to the report; NaN for an event that is not
-    right within the largest tolerance."""
+    """(E,): seconds from the end of the true crossing to the report of each event.
+
+    NaN for an event that is not right within the largest tolerance.
+    """
     matched = match_events(events, truth, frame_rate, max(TOLERANCES_S))
-    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
-    ends = truth.index.to_numpy()[changes.end]
+    ends = truth.index.to_numpy()[lane_changes(truth)["end"]]
     delay = np.full(len(events), np.nan)
     is_right = matched >= 0
-    delay[is_right] = (
-        events["detected_frame_id"].to_numpy()[is_right] - ends[matched[is_right]]
-    ) / frame_rate
+    at = events["detected_frame_id"].to_numpy()[is_right]
+    delay[is_right] = (at - ends[matched[is_right]]) / frame_rate
     return delay
 
 
-def score_events(
-    events: pd.DataFrame,
-    truth: pd.DataFrame,
-    frame_rate: float,
-    crossing: FloatArray | None = None,
-) -> dict[str, Any]:
-    """The scores of lane-change events, ready for JSON; None where a score is undefined.
-
-    - truth: K annotated frames, those that count.
-    - frame_rate: frames per second.
-    - crossing (K,): the line crossing probability, see `inference.events.across_lanes`.
-
-    Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
-    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
-    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}, `crossing` (see
-    `score_crossing`; None without a probability).
-    """
-    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
-    hours = len(truth) / frame_rate / 3600
-    within: dict[str, dict[str, Any]] = {}
-    for tolerance in TOLERANCES_S:
-        is_right = match_events(events, truth, frame_rate, tolerance) >= 0
-        right = int(is_right.sum())
-        false = int((is_judged(events, truth) & ~is_right).sum())
-        within[f"{tolerance:g}"] = {
-            "right": right,
-            "false": false,
-            "missed": len(changes) - right,
-            "precision": _ratio(right, right + false),
-            "recall": _ratio(right, len(changes)),
-            "false_per_hour": _ratio(false, hours),
-        }
-    delay = event_delays(events, truth, frame_rate)
-    return {
-        "changes": len(changes),
-        "detected": right + false,
-        "hours": hours,
-        "within": within,
-        "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
-        "crossing": None if crossing is None else score_crossing(crossing, truth, frame_rate),
-    }
-
-
-def score_crossing(crossing: ArrayLike, truth: pd.DataFrame, frame_rate: float) -> dict[str, Any]:
-    """The scores of the probability that the car is on a line, (K,), as early warning; ready for
-    JSON, None where a score is undefined.
-
-    Keys: `auc` (area under the ROC curve for "this frame is crossing"), `precision`, `recall` (of
-    the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
-    them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
-    """
-    values = np.asarray(crossing, dtype=np.float64)
-    is_crossing = truth["is_crossing"].to_numpy()
-    is_warned = values >= WARNED
-    both = int((is_warned & is_crossing).sum())
-    ids = truth.index.to_numpy()
-    begin, end = np.array(runs_of(is_warned), dtype=np.int64).reshape(-1, 2).T
-    end = end - 1
-    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
-    lead = _leads(begin, end, changes, truth) / frame_rate
-    crossing_id = ids[is_crossing]
-    reach = max(TOLERANCES_S) * frame_rate
-    # The nearest crossing frame at or after the warning's first row, and the last before it.
-    after = np.searchsorted(crossing_id, ids[begin])
-    padded = np.concatenate([[-math.inf], crossing_id, [math.inf]])
-    is_false = (padded[after + 1] - ids[end] >= reach) & (ids[begin] - padded[after] >= reach)
-    auc = roc_auc(values, is_crossing)
-    return {
-        "auc": None if math.isnan(auc) else auc,
-        "precision": _ratio(both, int(is_warned.sum())),
-        "recall": _ratio(both, int(is_crossing.sum())),
-        "changes": len(changes),
-        "warned": int(np.count_nonzero(~np.isnan(lead))),
-        "lead_s": {"median": _percentile(lead, 50), "p10": _percentile(lead, 10)},
-        "warnings": len(begin),
-        "false_per_hour": _ratio(int(is_false.sum()), len(truth) / frame_rate / 3600),
-    }
-
-
 def is_judged(events: pd.DataFrame, truth: pd.DataFrame) -> BoolArray:
-    """(E,): whether the truth has the car's lanes before and after, where an event is reported."""
+    """(E,): whether an event can be false: it is reported in an annotated frame, with non-crossing
+    frames before and after."""
     known = truth.index.to_numpy()[~truth["is_crossing"]]
     if not len(known):
         return np.zeros(len(events), dtype=bool)
@@ -177,21 +227,121 @@ def is_judged(events: pd.DataFrame, truth: pd.DataFrame) -> BoolArray:
     return np.asarray(np.isin(at, truth.index.to_numpy()) & (known[0] <= at) & (at <= known[-1]))
 
 
-def _leads(begin: IntArray, end: IntArray, changes: LaneChanges, truth: pd.DataFrame) -> FloatArray:
+def score_events(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any]:
+    """The scores of reported lane changes in one or more drives; None if a score is undefined.
+
+    - frame_rate: frames per second.
+
+    Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
+    annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
+    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}, `crossing` (see
+    `score_crossing`; None without a probability).
+    """
+    changes = sum(len(lane_changes(truth)) for _, truth, _ in drives)
+    hours = sum(len(truth) for _, truth, _ in drives) / frame_rate / 3600
+    within: dict[str, dict[str, Any]] = {}
+    for tolerance in TOLERANCES_S:
+        right, false = 0, 0
+        for events, truth, _ in drives:
+            is_right = match_events(events, truth, frame_rate, tolerance) >= 0
+            right += int(is_right.sum())
+            false += int((is_judged(events, truth) & ~is_right).sum())
+        within[f"{tolerance:g}"] = {
+            "right": right,
+            "false": false,
+            "missed": changes - right,
+            "precision": _ratio(right, right + false),
+            "recall": _ratio(right, changes),
+            "false_per_hour": _ratio(false, hours),
+        }
+    delay = np.concatenate([event_delays(events, truth, frame_rate) for events, truth, _ in drives])
+    has_crossing = all(each.crossing is not None for each in drives)
+    return {
+        "changes": changes,
+        "detected": right + false,
+        "hours": hours,
+        "within": within,
+        "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
+        "crossing": score_crossing(drives, frame_rate) if has_crossing else None,
+    }
+
+
+# --- early warnings ------------------------------------------------------------------------------
+
+
+def score_crossing(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any]:
+    """The scores of the line crossing probability as early warning; None if undefined.
+
+    Keys: `auc` (area under the ROC curve for "this frame is crossing"), `precision`, `recall` (of
+    the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
+    them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
+    """
+    reach = max(TOLERANCES_S) * frame_rate
+    warnings, false = 0, 0
+    leads = []
+    for _, truth, crossing in drives:
+        ids, is_crossing = truth.index.to_numpy(), truth["is_crossing"].to_numpy()
+        runs = runs_of(np.asarray(crossing) >= WARNED)
+        begin, end = np.array(runs, dtype=np.int64).reshape(-1, 2).T
+        end = end - 1
+        leads.append(_leads(begin, end, truth) / frame_rate)
+        # The nearest crossing frame at or after the warning's first row, and the last before it.
+        after = np.searchsorted(ids[is_crossing], ids[begin])
+        padded = np.concatenate([[-math.inf], ids[is_crossing], [math.inf]])
+        is_far = (padded[after + 1] - ids[end] >= reach) & (ids[begin] - padded[after] >= reach)
+        warnings, false = warnings + len(begin), false + int(is_far.sum())
+    values = np.concatenate([np.asarray(each.crossing, dtype=np.float64) for each in drives])
+    is_crossing = np.concatenate([each.truth["is_crossing"].to_numpy() for each in drives])
+    is_warned, lead = values >= WARNED, np.concatenate(leads)
+    both = int((is_warned & is_crossing).sum())
+    auc = roc_auc(values, is_crossing)
+    return {
+        "auc": None if math.isnan(auc) else auc,
+        "precision": _ratio(both, int(is_warned.sum())),
+        "recall": _ratio(both, int(is_crossing.sum())),
+        "changes": len(lead),
+        "warned": int(np.count_nonzero(~np.isnan(lead))),
+        "lead_s": {"median": _percentile(lead, 50), "p10": _percentile(lead, 10)},
+        "warnings": warnings,
+        "false_per_hour": _ratio(false, len(values) / frame_rate / 3600),
+    }
+
+
+def _leads(begin: IntArray, end: IntArray, truth: pd.DataFrame) -> FloatArray:
     """(C,): frames from the first warning of each change to its label; NaN without a warning.
 
     - begin, end: the first and the last rows of the warnings, in order.
     """
+    changes, ids, actual = (
+        lane_changes(truth),
+        truth.index.to_numpy(),
+        truth["true_lane"].to_numpy(),
+    )
     lead = np.full(len(changes), np.nan)
-    for c in range(len(changes)):
-        start, stop = changes.start[c], changes.end[c]
-        label = start + int(
-            np.argmax(truth["true_lane"].to_numpy()[start : stop + 1] == changes.to_lane[c])
-        )
+    for c, change in enumerate(changes.itertuples()):
+        start, stop = change.start, change.end
+        label = start + int(np.argmax(actual[start : stop + 1] == change.to_lane))
         first = int(np.searchsorted(end, start))
         if first < len(begin) and begin[first] < max(stop, start + 1):
-            lead[c] = truth.index.to_numpy()[label] - truth.index.to_numpy()[begin[first]]
+            lead[c] = ids[label] - ids[begin[first]]
     return lead
+
+
+def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:
+    """The area under the ROC curve: the probability that a positive frame has a larger score than
+    a negative one, ties counting half (Hanley & McNeil 1982).
+
+    score (T,), is_positive (T,). NaN without a positive or without a negative frame.
+    """
+    from scipy.stats import rankdata
+
+    positive = np.asarray(is_positive)
+    n_positive = int(positive.sum())
+    n_negative = len(positive) - n_positive
+    if not n_positive or not n_negative:
+        return float("nan")
+    total = float(rankdata(score)[positive].sum())
+    return (total - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative)
 
 
 def _ratio(count: float, of: float) -> float | None:
@@ -202,21 +352,3 @@ def _percentile(values: FloatArray, share: float) -> float | None:
     """A percentile of the values that are not NaN; None without any."""
     known = values[~np.isnan(values)]
     return float(np.percentile(known, share)) if known.size else None
-
-
-def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:
-    """The area under the ROC curve: the probability that a positive frame has a larger score than
-    a negative one, ties counting half (Hanley & McNeil 1982).
-
-    score (T,), is_positive (T,). NaN without a positive or without a negative frame.
-    """
-    values, positive = np.asarray(score, dtype=np.float64), np.asarray(is_positive)
-    n_positive = int(positive.sum())
-    n_negative = len(values) - n_positive
-    if not n_positive or not n_negative:
-        return float("nan")
-    _, index, count = np.unique(values, return_inverse=True, return_counts=True)
-    # The mean rank of equal scores, counted from 1.
-    rank = np.cumsum(count) - (count - 1) / 2
-    total = float(rank[index][positive].sum())
-    return (total - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative)

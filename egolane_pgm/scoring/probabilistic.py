@@ -1,17 +1,17 @@
-"""Scores of the belief itself: log-loss, Brier score, calibration.
+"""Scores of the posterior: log-loss, Brier score, calibration, coverage.
 
-Without any frame to score they are NaN (None in JSON), because 0 would be a perfect score.
+Without frames to score they are NaN (None in JSON); 0 would be a perfect score.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.types import UNASSIGNED, FloatArray, IntArray
+from egolane_pgm.types import UNASSIGNED, FloatArray
 
 #: Smaller probabilities count as this in the log-loss: a certain error costs 34.5, not infinity.
 SMALLEST_PROBABILITY = 1e-15
@@ -20,48 +20,21 @@ SMALLEST_PROBABILITY = 1e-15
 N_BINS = 15
 
 
-@dataclass(frozen=True)
-class CalibrationCurve:
-    """How often the belief is right, by how sure it is.
-
-    Bin k holds the frames whose largest probability lies in (k / n_bins, (k + 1) / n_bins].
-
-    confidence (n_bins,): mean of the largest probability in the bin, NaN in an empty bin.
-    accuracy (n_bins,): share of the bin's frames whose assigned lane is right, NaN in an empty bin.
-    count (n_bins,): number of frames in the bin.
-    """
-
-    confidence: FloatArray
-    accuracy: FloatArray
-    count: IntArray
-
-
 def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
     """(T,): minus the natural log of the probability given to the annotated lane.
 
-    `-ln belief[t, lane[t]]`
+    `log_loss = -(1 / T) sum_t ln belief[t, lane[t]]`
 
-    Probabilities are clipped below at SMALLEST_PROBABILITY (1e-15). belief (T, n), rows sum to 1;
-    lane (T,).
+    belief (T, n), rows sum to 1; lane (T,). The log-loss is the mean over ALL frames, crossing ones
+    included, as in the paper's tables. Probabilities are clipped below at SMALLEST_PROBABILITY.
     """
     values = np.asarray(belief)
     given = values[np.arange(len(values)), np.asarray(lane) - 1]
     return np.asarray(-np.log(np.maximum(given, SMALLEST_PROBABILITY)))
 
 
-def log_loss(belief: ArrayLike, lane: ArrayLike) -> float:
-    """Mean of `log_loss_per_frame` over ALL frames, crossing ones included (the paper's tables).
-
-    `log_loss = -(1 / T) sum_t ln belief[t, lane[t]]`
-
-    NaN without frames.
-    """
-    losses = log_loss_per_frame(belief, lane)
-    return float(losses.mean()) if losses.size else float("nan")
-
-
 def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
-    """Multi-class Brier score: mean over the non-crossing frames.
+    """Multi-class Brier score, the mean over the non-crossing frames.
 
     `brier = (1 / N) sum_t sum_k (belief[t, k] - [k = lane[t]])^2`, over N frames
 
@@ -76,11 +49,14 @@ def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
 
 def calibration_curve(
     belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike, n_bins: int = N_BINS
-) -> CalibrationCurve:
+) -> dict[str, Any]:
     """The calibration curve over the non-crossing frames, equal-width bins of the maximum.
 
-    Arguments as `brier`. An Unassigned frame counts as wrong, as everywhere: a tie does
-    not go to the lane that happens to come first.
+    Arguments as `brier`. Bin k has the frames whose largest probability lies in
+    (k / n_bins, (k + 1) / n_bins]. An Unassigned frame counts as wrong, as everywhere.
+
+    Keys, (n_bins,) each: `confidence` (mean of the largest probability), `accuracy` (share of
+    frames with the right lane; both NaN in an empty bin), `count` (frames).
     """
     is_scored = ~np.asarray(is_crossing)
     values, actual = np.asarray(belief)[is_scored], np.asarray(lane)[is_scored]
@@ -89,9 +65,11 @@ def calibration_curve(
     k = np.clip(np.ceil(largest * n_bins).astype(np.int64) - 1, 0, n_bins - 1)
     count = np.bincount(k, minlength=n_bins)
     divisor = np.where(count == 0, np.nan, count)
-    confidence = np.bincount(k, weights=largest, minlength=n_bins) / divisor
-    accuracy = np.bincount(k, weights=is_right, minlength=n_bins) / divisor
-    return CalibrationCurve(confidence, accuracy, count)
+    return {
+        "confidence": np.bincount(k, weights=largest, minlength=n_bins) / divisor,
+        "accuracy": np.bincount(k, weights=is_right, minlength=n_bins) / divisor,
+        "count": count,
+    }
 
 
 def expected_calibration_error(
@@ -104,63 +82,33 @@ def expected_calibration_error(
     Arguments and the treatment of ties as `calibration_curve`. NaN without a non-crossing frame.
     """
     curve = calibration_curve(belief, lane, is_crossing, n_bins)
-    filled = curve.count > 0
+    count = curve["count"]
+    filled = count > 0
     if not filled.any():
         return float("nan")
-    gap = np.abs(curve.confidence[filled] - curve.accuracy[filled])
-    return float((gap * curve.count[filled]).sum() / curve.count.sum())
+    gap = np.abs(curve["confidence"][filled] - curve["accuracy"][filled])
+    return float((gap * count[filled]).sum() / count.sum())
 
 
-@dataclass(frozen=True)
-class CoverageCurve:
+def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> dict[str, Any]:
     """The accuracy-coverage curve over the non-crossing frames, one point per distinct threshold.
 
-    threshold (K,): the least probability that is answered, decreasing.
-    answered (K,): number of frames with an answer.
-    right (K,): number of right answers.
-    frames_scored: number of non-crossing frames.
+    Arguments as `brier`. Frames without a unique most probable lane are never answered.
 
-    Frames without a unique most probable lane are never answered.
+    Keys, (K,) each: `threshold` (the least probability that is answered, decreasing), `coverage`
+    (share of the frames with an answer), `accuracy` (share of the answers that are right).
     """
-
-    threshold: FloatArray
-    answered: IntArray
-    right: IntArray
-    frames_scored: int
-
-    @property
-    def coverage(self) -> FloatArray:
-        """(K,): share of the non-crossing frames that get an answer."""
-        return np.asarray(self.answered / max(self.frames_scored, 1), dtype=np.float64)
-
-    @property
-    def accuracy(self) -> FloatArray:
-        """(K,): share of the answers that are right (not of all frames)."""
-        return np.asarray(self.right / self.answered, dtype=np.float64)
-
-    def at(self, min_confidence: float) -> tuple[float, float]:
-        """(coverage, accuracy of the answers) with that reject option; accuracy is NaN where
-        nothing is answered."""
-        k = int(np.count_nonzero(self.threshold >= min_confidence)) - 1
-        if k < 0:
-            return 0.0, float("nan")
-        return float(self.coverage[k]), float(self.accuracy[k])
-
-
-def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> CoverageCurve:
-    """The curve of a belief (T, n), rows summing to 1, against lane (T,) and is_crossing (T,)."""
     values, is_scored = np.asarray(belief), ~np.asarray(is_crossing)
     assigned = assigned_lane(values)
     is_answered = is_scored & (assigned != UNASSIGNED)
     confidence = values.max(axis=1)[is_answered]
     order = np.argsort(-confidence, kind="stable")
-    sorted_ = confidence[order]
+    threshold = confidence[order]
     right = np.cumsum((assigned == np.asarray(lane))[is_answered][order])
     # The last of equal probabilities: they are answered together or not at all.
-    last = np.flatnonzero(np.append(sorted_[1:] != sorted_[:-1], sorted_.size > 0))
-    return CoverageCurve(
-        threshold=sorted_[last],
-        answered=(last + 1).astype(np.int64),
-        right=right[last].astype(np.int64),
-        frames_scored=int(is_scored.sum()),
-    )
+    last = np.flatnonzero(np.append(threshold[1:] != threshold[:-1], threshold.size > 0))
+    return {
+        "threshold": threshold[last],
+        "coverage": (last + 1) / max(int(is_scored.sum()), 1),
+        "accuracy": right[last] / (last + 1),
+    }

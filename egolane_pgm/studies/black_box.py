@@ -1,5 +1,4 @@
-"""The score of an experiment as a function of its parameters, for any optimiser: Optuna, CMA-ES, a
-grid, or a loop of your own."""
+"""The score of an experiment as a function of its parameters, for any optimiser."""
 
 from __future__ import annotations
 
@@ -14,8 +13,8 @@ from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies import fits
-from egolane_pgm.studies.objective import check_filter, check_objective
-from egolane_pgm.studies.space import Dimension, Point, SearchSpace, distributions
+from egolane_pgm.studies.objective import check_objective
+from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.studies.study import check_labels, tuning_of
 from egolane_pgm.types import InputError, not_one_of, suggestion
 
@@ -26,8 +25,8 @@ class Objective:
 
     - name: of the score.
     - drives: the recording and the model.
-    - search_space: what is searched.
-    - start: the experiment's own values of it; they may lie out of bounds.
+    - search_space: its dimensions and fixed parameters.
+    - start: the experiment's values; they may lie out of bounds.
 
     >>> import egolane_pgm as ego
     >>> accuracy = ego.objective("quickstart", overrides={"recording.frames": [0, 300]})
@@ -47,11 +46,7 @@ class Objective:
     @property
     def space(self) -> dict[str, list[Any]]:
         """Per parameter [low, high], both included, or the names of a choice."""
-        found: dict[str, list[Any]] = {}
-        for d in self.search_space.dimensions:
-            number = int if d.is_integer else float
-            found[d.key] = list(d.choices) or [number(d.low), number(d.high)]
-        return found
+        return {d.key: d.ends for d in self.search_space.dimensions}
 
     @property
     def distributions(self) -> dict[str, BaseDistribution]:
@@ -60,20 +55,27 @@ class Objective:
 
     @property
     def direction(self) -> Literal["minimize", "maximize"]:
-        """Whether less or more is better, in Optuna's words."""
+        """Whether to minimise or to maximise, in Optuna's words."""
         return "maximize" if is_maximised(self.name) else "minimize"
 
     def __call__(self, parameters: Mapping[str, Any]) -> float:
-        """The score of some parameters; those that are left out keep the experiment's values.
+        """The score of some parameters; all others keep the experiment's values.
 
         Raises InputError for an unknown name, and for a value out of its range.
         """
         known = {d.key: d for d in self.search_space.dimensions}
         point = dict(self.start)
-        for name, value in parameters.items():
+        for name, given in parameters.items():
             if name not in known:
                 raise InputError(f"{name}: is not searched{suggestion(name, known)}")
-            point[name] = _checked(known[name], value)
+            value = given.item() if isinstance(given, np.generic) else given
+            ends = known[name].ends
+            if value not in known[name]:
+                if isinstance(ends[0], str):
+                    raise InputError(f"{name}: {not_one_of(value, ends)}")
+                kind = "a whole number" if isinstance(ends[0], int) else "a number"
+                raise InputError(f"{name}: {value!r} is not {kind} from {ends[0]:g} to {ends[1]:g}")
+            point[name] = type(ends[0])(value)
         return float(self.score(point)[0])
 
 
@@ -86,18 +88,18 @@ def objective(
     lines: Any = None,
     ground_truth: Any = None,
 ) -> Objective:
-    """Prepare an experiment once, to score many sets of its parameters as `tune` does.
+    """Prepare an experiment to score many sets of its parameters as `tune` does.
 
-    - experiment, overrides: as `load_experiment` takes them. Its `tuning.parameters` are searched.
-    - score: its name; by default the first of the experiment's `tuning.objective`, accuracy.
+    - experiment, overrides: as `load_experiment` takes them. Its `fit.parameters` are searched.
+    - score: its name; by default the first of the experiment's `fit.objective`, accuracy.
     - frames: first frame id that counts and the one after the last; None for no end. The filter
       sees every frame.
     - lines, ground_truth: data in memory, for `recording.path: in memory`.
 
     Returns a function of a dict of parameters, with `space`, `distributions` and `direction`. The
-    score is in-sample: the best of many trials is better than the parameters are on other drives.
-    To hold out, search with the `frames` of one part and score the best ones on another; `tune`
-    does so for each block.
+    score is in-sample: the best of many trials does worse on other drives. To hold out, search with
+    the `frames` of one part and score the best parameters on another; `tune` does so for each
+    block.
 
     Raises InputError for an experiment without ground truth, and without a frame to score.
 
@@ -116,8 +118,7 @@ def objective(
     """
     chosen = load_experiment(experiment, overrides)
     tuning = tuning_of(chosen)
-    name = check_objective(score or tuning.objective[0], "score" if score else "tuning.objective")
-    check_filter(chosen)
+    name = check_objective(score or tuning.objective[0], "score" if score else "fit.objective")
     drives = read_drives(chosen, lines, ground_truth)
     check_labels(drives, "tune")
     first, stop = frames
@@ -127,24 +128,9 @@ def objective(
         low, high = -np.inf if first is None else first, np.inf if stop is None else stop
         used.append((ids >= low) & (ids < high))
         if not (used[-1] & ~drive.is_crossing[drive.rows]).any():
-            raise InputError(f"{chosen.source}: frames {frames}: there is nothing to score in them")
-    spaces = fits.search_spaces(drives, tuning)
+            raise InputError(f"{chosen.source}: frames {frames}: contain no frame to score")
+    space = fits.search_space([drive.model for drive in drives], tuning)
     values = fits.current_values(drives[0].model, tuning)
-    start = {d.key: d.value_in(values) for d in spaces[0].dimensions}
-    scored = fits.objective(drives, spaces, used, [name])
-    return Objective(name, drives, spaces[0], start, scored)
-
-
-def _checked(dimension: Dimension, value: Any) -> float | int | str:
-    """The value of a dimension. Raises InputError for one that is not in its range."""
-    d = dimension
-    value = value.item() if isinstance(value, np.generic) else value
-    if d.choices:
-        if value not in d.choices:
-            raise InputError(f"{d.key}: {not_one_of(value, d.choices)}")
-        return str(value)
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if not is_number or not d.low <= value <= d.high or (d.is_integer and value != int(value)):
-        kind = "whole number" if d.is_integer else "number"
-        raise InputError(f"{d.key}: {value!r} is no {kind} from {d.low:g} to {d.high:g}")
-    return int(value) if d.is_integer else float(value)
+    start = {d.key: d.value_in(values) for d in space.dimensions}
+    scored = fits.objective(drives, space, tuning, used, [name])
+    return Objective(name, drives, space, start, scored)

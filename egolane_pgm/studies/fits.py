@@ -20,17 +20,17 @@ import optuna
 import pandas as pd
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import DETECTOR, Experiment, FitSettings
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.model import Model, make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Parameter, Value, held_fixed, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
-from egolane_pgm.studies.em import Training, fit_tables_pooled, with_learned
+from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
+    DETECTOR,
     check_filter,
-    check_objective,
     posterior_at,
     scores_of,
     searched_of_detector,
@@ -38,13 +38,11 @@ from egolane_pgm.studies.objective import (
     with_detector,
 )
 from egolane_pgm.studies.search import (
-    TRIALS,
-    Settings,
     best_trial,
-    check_sampler,
     new_study,
     quiet,
     search,
+    settings_of,
 )
 from egolane_pgm.studies.space import (
     Point,
@@ -56,14 +54,13 @@ from egolane_pgm.studies.space import (
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
 from egolane_pgm.tools.files import plain
-from egolane_pgm.types import BoolArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, Evidence, InputError, IntArray
 
 
 class Fitted(dict[str, Value]):
     """Parameters and tables by name; unchanged ones are omitted.
 
-    - trials: a row per trial of a search: number, state, a column per score and per number
-      searched; None of other fits.
+    - trials: a row per trial, see `trials_of`; None without a search.
     """
 
     trials: pd.DataFrame | None = None
@@ -80,7 +77,7 @@ _SLICES = (".first", ".next")
 
 
 def fit_nothing(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
-    """Keep the experiment's own parameters."""
+    """Keep the experiment's parameters."""
     return Fitted()
 
 
@@ -89,12 +86,7 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
     tables = {name: value for name, value in fitted.items() if name.startswith(TABLES)}
     own, detector = split({name: v for name, v in fitted.items() if name not in tables})
     if own:
-        values = _resolve(model, {**model.parameters, **own})
-        of_graph = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
-        if of_graph.isdisjoint(own):
-            model = replace(model, parameters=values)
-        else:
-            model = with_parameters(model, values)
+        model = with_parameters(model, _resolve(model, {**model.parameters, **own}))
     if detector:
         model = replace(model, experiment=with_detector(model.experiment, detector))
     if tables:
@@ -104,7 +96,7 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
             for name, table in _by_name(start, counted_tables(start)).items()
             if name in tables
         }
-        model = replace(model, compiled=with_learned(start, learned))
+        model = replace(model, compiled=em.with_learned(start, learned))
     return model
 
 
@@ -128,20 +120,14 @@ def learns_rule(model: Model) -> bool:
     return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
 
 
-def needs_labels(experiment: Experiment, model: Model, method: str) -> bool:
-    """Whether a fit (none, learn, tune) needs ground truth."""
-    is_by_em = method == "learn" and not learns_rule(model)
-    return method != "none" and not (is_by_em and not experiment.fit.labels)
-
-
 def check_learnable(model: Model) -> None:
-    """Raise InputError, naming the YAML key, if nothing can be learned."""
+    """Raise InputError, naming the YAML key, for a model without anything to learn."""
     if not learns_rule(model):
         learnable_tables(model)
 
 
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """The parameters that an evidence rule learns; it starts from their defaults."""
+    """Learn the parameters of an evidence rule; it starts from their defaults."""
     model = drives[0].model
     rule, where = model.rule, model.experiment.source
     given = {name: v for name, v in model.parameters.items() if name not in rule.LEARNED}
@@ -169,7 +155,7 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
 
 
 def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """The tables of the graph, by EM over all drives.
+    """Learn the tables of the graph by EM over all drives.
 
     With `fit.labels` the lane of a labelled frame is known, except while crossing.
     """
@@ -178,23 +164,26 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
-            f"{source}: n_lanes: tables are learned from drives on roads of one number of lanes;"
-            f" these have {', '.join(map(str, n_lanes))}"
+            f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
+            f" {', '.join(map(str, n_lanes))}"
         )
     notes = seen_before(model)
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
+    evidence, lanes, begins = zip(*training, strict=True)
+    lane = np.concatenate(lanes)
     if options.labels:
-        lanes = {lane for each in training for lane in np.unique(each.known["Lane"]).tolist()}
         notes += [
             f"{source}: no frame to learn from has lane {k + 1}; it keeps its start"
             for k in range(model.n_lanes)
-            if k not in lanes
+            if k not in lane
         ]
     start = start_of_learning(model).compiled
-    fitted = fit_tables_pooled(
+    fitted = em.fit_tables(
         start,
-        training,
+        Evidence.joined(evidence),
+        {"Lane": lane},
+        np.concatenate(begins),
         nodes={name for name, _ in learnable_tables(model)},
         strength=options.strength,
         iterations=ITERATIONS,
@@ -202,8 +191,8 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     impossible = int(fitted.is_impossible.sum())
     if impossible == len(fitted.is_impossible):
         raise InputError(
-            f"{source}: graph {model.experiment.graph} allows none of the {impossible} frames to"
-            " learn from; do the evidence rule and the graph fit together?"
+            f"{source}: graph {model.experiment.graph} allows no frame of the {impossible} to learn"
+            " from; do the evidence rule and the graph fit together?"
         )
     if impossible:
         notes.append(
@@ -220,8 +209,10 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     return Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
 
 
-def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
-    """The evidence and known lanes of the training frames of a drive.
+def training_of(
+    drive: Drive, train: IntArray, *, labels: bool
+) -> tuple[Evidence, IntArray, BoolArray]:
+    """The evidence of the training frames of a drive, their known lanes, and where sequences begin.
 
     A frame that is not annotated is used if its annotated neighbours on both sides are.
     """
@@ -235,10 +226,10 @@ def training_of(drive: Drive, train: IntArray, *, labels: bool) -> Training:
     if labels:
         known = rows[train][~drive.is_crossing[rows[train]]]
         lane[known] = drive.true_lane[known] - 1
-    # A rule may look at the frames before: its evidence is made for the whole drive.
+    # A rule may have a memory: its evidence is computed for the whole drive.
     evidence, _ = make_evidence(drive.model, whole_rule(drive.model), drive.log)
     is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
-    return Training(evidence.take(used), {"Lane": lane[used]}, is_first)
+    return evidence.take(used), lane[used], is_first
 
 
 def learnable_tables(model: Model) -> dict[SliceNode, Table]:
@@ -251,8 +242,8 @@ def learnable_tables(model: Model) -> dict[SliceNode, Table]:
     }
     if not tables:
         raise InputError(
-            f"{source}: nothing to learn: all tables of graph {model.experiment.graph} are certain"
-            " or selected by an input; search parameters with `egolane tune`"
+            f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
+            " input, none can be learned; search parameters with `egolane tune`"
         )
     return tables
 
@@ -274,7 +265,7 @@ def _defaults(model: Model) -> dict[str, Value]:
 
 
 def seen_before(model: Model) -> list[str]:
-    """Warnings that parameters may have been tuned on the frames that are learned from."""
+    """Warnings for parameters that may have been tuned on the training frames."""
     e = model.experiment
     if e.tuned_on not in ("same_frames", "unknown"):
         return []
@@ -285,19 +276,13 @@ def seen_before(model: Model) -> list[str]:
         for spec in getattr(model.rule, "PARAMETERS", ())
         if spec.is_searched and model.parameters[spec.name] != spec.default
     ]
+    if e.tuned_on == "same_frames" and not reset:
+        kept.append(f"graph {e.graph}")
     notes = []
     if changed:
         notes.append(f"{where}: learning starts from the defaults of {', '.join(changed)}")
     if kept:
-        notes.append(
-            f"{where}: {', '.join(kept)} of the evidence rule stay as given, so held-out scores may"
-            " be in-sample"
-        )
-    if e.tuned_on == "same_frames" and not reset:
-        notes.append(
-            f"{where}: graph {e.graph} has no parameters with defaults to start from, so held-out"
-            " scores are in-sample"
-        )
+        notes.append(f"{where}: {', '.join(kept)} kept, so held-out scores may be in-sample")
     return notes
 
 
@@ -321,40 +306,35 @@ def fit_tune(
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
 ) -> Fitted:
-    """The best parameters of an Optuna study on the training frames.
+    """Search the best parameters on the training frames, in an Optuna study.
 
     - tuning: objective, sampler, number of trials, seed, bounds.
     - storage: a URL as Optuna takes it, or a journal file; None for a study in memory. Each fold
       has its own study in it; an interrupted study is resumed.
-    - starts: parameter sets that the study on everything tries first. A study without a fold starts
+    - starts: parameter sets that the study on everything tries first. The study of a fold starts
       from scratch: known values may have been tuned on the frames that are held out.
     - pooled: whether all frames count alike; otherwise all drives do.
     """
-    for drive in drives:
-        check_filter(drive.experiment)
-    spaces = search_spaces(drives, tuning)
+    space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    score = objective(drives, spaces, used, settings.objectives, pooled=pooled)
+    score = objective(drives, space, tuning, used, settings.objective, pooled=pooled)
     with storage_errors(storage):
-        study = open_study(drives, train, fold, settings, spaces[0], storage)
+        study = open_study(drives, train, fold, settings, space, storage)
         if fold is None and not study.get_trials(deepcopy=False):
             own = current_values(drives[0].model, tuning)
-            points = (to_point(spaces[0], {**own, **each}) for each in starts)
+            points = (to_point(space, {**own, **each}) for each in starts)
             with quiet():
                 for point in filter(None, points):
                     study.enqueue_trial(dict(point), skip_if_exists=True)
-        search(study, spaces[0], score, settings)
-    values = to_parameters(spaces[0], best_trial(study).params)
-    found = {d.parameter for d in spaces[0].dimensions}.union(tuning.parameters)
-    fitted = Fitted({name: value for name, value in values.items() if name in found})
+        search(study, space, score, settings)
+    fitted = Fitted(searched_values(space, tuning, best_trial(study).params))
     fitted.trials = trials_of(study)
     return fitted
 
 
 def trials_of(study: optuna.Study) -> pd.DataFrame:
     """A row per trial: `number`, `state`, each score (in-sample) and each number searched."""
-    trials = study.get_trials(deepcopy=False)
     rows = [
         {
             "number": trial.number,
@@ -362,50 +342,35 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
             **dict(zip(study.metric_names or (), trial.values or (), strict=False)),
             **trial.params,
         }
-        for trial in trials
+        for trial in study.get_trials(deepcopy=False)
     ]
     return pd.DataFrame(rows)
 
 
-def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit") -> Settings:
-    """The settings of a study, checked. Each fold has its own seed, or all would share its luck."""
-    where = f"{source}: fit"
-    names = tuple(check_objective(name, f"{where}.objective") for name in tuning.objective)
-    if len(set(names)) < len(names):
-        raise InputError(f"{where}.objective: a score is named twice")
-    sampler = check_sampler(tuning.sampler, names, f"{where}.sampler")
-    seed = tuning.seed
-    if fold is not None:
-        seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
-    return Settings(names, sampler, tuning.trials or TRIALS, seed)
+def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
+    """The search space of a model, or of several whose dimensions are the same.
 
-
-def search_spaces(drives: Sequence[Drive], tuning: FitSettings) -> list[SearchSpace]:
-    """The search space of each drive; they may differ in the fixed values only."""
-    spaces = [search_space(drive.model, tuning) for drive in drives]
-    for drive, space in zip(drives, spaces, strict=True):
-        if space.dimensions != spaces[0].dimensions:
+    Raises InputError for models with other parameters or lanes than the first one.
+    """
+    spaces = []
+    for model in models:
+        specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
+        if searches_detector(tuning):
+            specs = held_fixed([*specs, *searched_of_detector(model.experiment)[0]])
+        current, source = current_values(model, tuning), model.experiment.source
+        where = f"{source}: fit.parameters"
+        spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
+        if spaces[-1].dimensions != spaces[0].dimensions:
             raise InputError(
-                f"{drive.experiment.source}: has other parameters or lanes than"
-                f" {drives[0].experiment.source}; one set for both needs the same plugins, and a"
-                " parameter with a value per lane cannot be shared between different roads"
+                f"{source}: has other parameters or lanes than {models[0].experiment.source}; one"
+                " set for both needs the same plugins, and a parameter with a value per lane cannot"
+                " be shared between different roads"
             )
-    return spaces
-
-
-def search_space(model: Model, tuning: FitSettings) -> SearchSpace:
-    """The search space of a model."""
-    experiment = model.experiment
-    specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
-    if searches_detector(tuning):
-        specs = held_fixed([*specs, *searched_of_detector(experiment)[0]])
-    current = current_values(model, tuning)
-    where = f"{experiment.source}: fit.parameters"
-    return make_space(specs, current, tuning.parameters, model.n_lanes, where)
+    return spaces[0]
 
 
 def current_values(model: Model, tuning: FitSettings) -> dict[str, Value]:
-    """The values of all parameters of a model; those of its detector too, if they are searched."""
+    """The values of all parameters of a model, and of its detector if they are searched."""
     if not searches_detector(tuning):
         return dict(model.parameters)
     return {**model.parameters, **searched_of_detector(model.experiment)[1]}
@@ -413,12 +378,19 @@ def current_values(model: Model, tuning: FitSettings) -> dict[str, Value]:
 
 def searches_detector(tuning: FitSettings) -> bool:
     """Whether parameters of the detector are searched; then all others are kept unless named."""
-    return any(name.startswith(f"{DETECTOR}.") for name in tuning.parameters)
+    return any(name.startswith(DETECTOR) for name in tuning.parameters)
+
+
+def searched_values(space: SearchSpace, tuning: FitSettings, point: Point) -> dict[str, Value]:
+    """The parameters that are searched, or fixed by `fit.parameters`, at a point."""
+    names = {d.parameter for d in space.dimensions}.union(tuning.parameters)
+    return {name: v for name, v in to_parameters(space, point).items() if name in names}
 
 
 def objective(
     drives: Sequence[Drive],
-    spaces: Sequence[SearchSpace],
+    space: SearchSpace,
+    tuning: FitSettings,
     used: Sequence[BoolArray],
     names: Sequence[str],
     *,
@@ -427,12 +399,18 @@ def objective(
     """The scores of a point of the search space; see `objective.scores_of`.
 
     - used: per drive (K,), marks the annotated frames that are scored.
+
+    Raises InputError for a filter that looks ahead.
     """
+    for drive in drives:
+        check_filter(drive.experiment)
     posteriors = [posterior_at(drive) for drive in drives]
+    currents = [current_values(drive.model, tuning) for drive in drives]
 
     def values(point: Point) -> list[float]:
-        pairs = zip(posteriors, spaces, strict=True)
-        found = [posterior(to_parameters(space, point)) for posterior, space in pairs]
+        changed = searched_values(space, tuning, point)
+        pairs = zip(posteriors, currents, strict=True)
+        found = [posterior({**current, **changed}) for posterior, current in pairs]
         return scores_of(drives, found, used, names, pooled=pooled)
 
     return values
@@ -442,7 +420,7 @@ def open_study(
     drives: Sequence[Drive],
     train: Sequence[IntArray],
     fold: int | None,
-    settings: Settings,
+    settings: FitSettings,
     space: SearchSpace,
     storage: str | None,
 ) -> optuna.Study:
@@ -452,7 +430,7 @@ def open_study(
     name = drives[0].experiment.name + ("" if fold is None else f" without fold {fold + 1}")
     study = new_study(settings, storage=open_storage(storage), study_name=name)
     content = {
-        "objective": settings.objectives,
+        "objective": settings.objective,
         "sampler": settings.sampler,
         "seed": settings.seed,
         "space": describe(space),

@@ -1,4 +1,4 @@
-"""From parameters to a score of some drives: evidence, filter, confusion matrix and others."""
+"""The scores of some drives as a function of parameters: evidence, filter, scores."""
 
 from __future__ import annotations
 
@@ -13,15 +13,22 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.model import make_evidence, whole_rule, with_parameters
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.scoring import confusion as confusions
-from egolane_pgm.scoring import probabilistic, stability
-from egolane_pgm.scoring.confusion import assigned_lane
+from egolane_pgm.scoring.confusion import (
+    SCORES,
+    assigned_lane,
+    confusion,
+    on_widest,
+    scores_from_confusion,
+)
+from egolane_pgm.scoring.events import stability_scores
+from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss_per_frame
 from egolane_pgm.types import (
     BoolArray,
     Evidence,
     FloatArray,
     InputError,
     IntArray,
+    lane_truth,
     suggestion,
 )
 
@@ -35,19 +42,19 @@ BELIEF_SCORES = (
     "share_missed",
 )
 
-#: What the names of a detector's parameters begin with in a search.
+#: The prefix of a detector's parameters in a search.
 DETECTOR = "detector."
 
-#: What a score counts as that is endless: the delay where no lane change was followed, say.
+#: The value of an undefined score, such as the delay if no lane change was followed.
 UNDEFINED = 1e6
 
-#: How many evidences of a drive a search keeps; `bonus_value`, which is searched, has 10 values.
+#: The number of cached evidences per drive; `bonus_value`, which is searched, has 10 values.
 KEPT_EVIDENCE = 12
 
 
 def check_objective(name: str, where: str = "objective") -> str:
     """Return the name of a score. Raises InputError for an unknown one, with a suggestion."""
-    known = {*confusions.SCORES, *BELIEF_SCORES}
+    known = {*SCORES, *BELIEF_SCORES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
     return name
@@ -63,8 +70,10 @@ def check_filter(experiment: Experiment) -> None:
 
 
 def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[str, Value]]:
-    """The parameters of an experiment's detector, and their values, as a search names them. Raises
-    InputError for a recording without one."""
+    """The parameters of an experiment's detector, and their values, with prefixed names.
+
+    Raises InputError for a recording without a detector.
+    """
     from egolane_pgm.vision.detectors.pictures import detector_of
 
     detector = detector_of(experiment, "fit.parameters: detector")
@@ -74,7 +83,7 @@ def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[
 
 
 def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
-    """Separate a parameter set into that of graph and evidence rule, and that of the detector."""
+    """Split a parameter set: graph and evidence rule, and the detector without its prefix."""
     own = {k: v for k, v in parameters.items() if not k.startswith(DETECTOR)}
     detector = {k: v for k, v in parameters.items() if k.startswith(DETECTOR)}
     return own, {name.removeprefix(DETECTOR): v for name, v in detector.items()}
@@ -89,8 +98,8 @@ def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Ex
 def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
     """A function of all parameters: the posterior over lanes in the annotated frames, (K, n).
 
-    It caches the last evidences, since most trials change only the graph. If parameters of the
-    detector are among them, the detector processes all pictures again.
+    The last evidences are cached, since most trials change only the graph. Parameters of the
+    detector make it process all pictures again.
     """
     names = [spec.name for spec in getattr(drive.model.rule, "PARAMETERS", ())]
 
@@ -124,14 +133,14 @@ def scores_of(
 ) -> list[float]:
     """Score a parameter set: per objective the mean over the drives, equal weight each.
 
-    A drive on which a score is undefined, such as one without a lane change for the delay, does
-    not count in it; a score that no drive defines is `UNDEFINED`.
+    Drives with an undefined score are left out of its mean, such as drives without a lane change
+    for the delay; a score that no drive defines is `UNDEFINED`.
 
     - posteriors: per drive (K, n).
     - is_used: per drive (K,), marks the annotated frames that count.
     - objectives: names of scores.
-    - pooled: whether all frames count alike instead: the confusion matrices are added; of other
-      scores it is the mean weighted by frames.
+    - pooled: whether all frames count alike instead: confusion matrices are added, other scores
+      are weighted by frames.
     """
     values = np.zeros((len(drives), len(objectives)))
     weights = np.ones_like(values)
@@ -140,11 +149,11 @@ def scores_of(
         rows = drive.rows
         lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
         assigned = assigned_lane(posterior, drive.experiment.min_confidence)
-        counts = confusions.confusion(assigned, lane, crossing | ~used, posterior.shape[1])
-        matrices.append(counts)
+        matrices.append(confusion(assigned, lane, crossing | ~used, posterior.shape[1]))
+        of_matrix = scores_from_confusion(matrices[k])
         for j, name in enumerate(objectives):
-            if name not in BELIEF_SCORES:
-                values[k, j] = confusions.SCORES[name](counts)
+            if name in SCORES:
+                values[k, j] = of_matrix[name]
                 continue
             value = belief_score(drive, posterior, used, name)
             # The log-loss counts crossing frames as well.
@@ -157,41 +166,34 @@ def scores_of(
     found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
     found[total == 0] = UNDEFINED
     if pooled:
-        added = confusions.on_widest(matrices).sum(axis=0)
+        of_matrix = scores_from_confusion(on_widest(matrices).sum(axis=0))
         for j, name in enumerate(objectives):
-            if name in confusions.SCORES:
-                found[j] = confusions.SCORES[name](added)
+            found[j] = of_matrix[name] if name in SCORES else found[j]
     return found.tolist()  # type: ignore[no-any-return]
 
 
 def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
-    """Compute one score of a belief (K, n) over the frames that are used (K,).
+    """One score of a posterior (K, n) over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
-    are all used. NaN where nothing is counted; an endless score is `UNDEFINED`, a large number.
+    are all used. NaN without any; `UNDEFINED`, a large number, if no change is followed.
     """
     rows = drive.rows
     lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
-    if name in ("log_loss", "brier", "expected_calibration_error"):
-        used, lane, crossing = belief[is_used], lane[is_used], crossing[is_used]
-        if name == "log_loss":
-            return min(probabilistic.log_loss(used, lane), UNDEFINED)
-        return min(float(getattr(probabilistic, name)(used, lane, crossing)), UNDEFINED)
+    is_left_out = crossing | ~is_used
+    if name == "log_loss":
+        losses = log_loss_per_frame(belief, lane)[is_used]
+        return float(losses.mean()) if losses.size else float("nan")
+    if name == "brier":
+        return brier(belief, lane, is_left_out)
+    if name == "expected_calibration_error":
+        return expected_calibration_error(belief, lane, is_left_out)
+    truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     assigned = assigned_lane(belief, drive.experiment.min_confidence)
-    if name == "false_switches_per_minute":
-        false, counted = stability.false_switch_frames(assigned, lane, crossing)
-        counted[1:] &= is_used[1:] & is_used[:-1]
-        minutes = counted.sum() / (60 * drive.experiment.recording.frame_rate)
-        return float((false & counted).sum() / minutes) if minutes else float("nan")
-    changes = stability.lane_changes(lane, crossing)
-    delay = stability.delay_after_lane_change(
-        assigned, lane, crossing, drive.log.frame_id[rows]
-    ).delay_frames
-    spans = zip(changes.start, changes.until, strict=True)
-    delay = delay[[bool(is_used[a:b].all()) for a, b in spans]] if len(delay) else delay
-    if not len(delay):
-        return float("nan")
-    followed = delay[~np.isnan(delay)]
-    if name == "share_missed":
-        return 1 - len(followed) / len(delay)
-    return float(np.median(followed)) if len(followed) else UNDEFINED
+    rate = drive.experiment.recording.frame_rate
+    found = stability_scores([(assigned, truth)], rate, [is_used])
+    delay = found["delay"]
+    if name == "delay" and delay["changes"] and delay["median_frames"] is None:
+        return UNDEFINED
+    value = {**found, "delay": delay["median_frames"], **delay}[name]
+    return float("nan") if value is None else float(value)

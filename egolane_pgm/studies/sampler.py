@@ -1,11 +1,11 @@
 """Shade, a sampler for Optuna: differential evolution for scores that are piecewise constant.
 
-It needs no gradient and no model of the score, and a child as good as its parent takes its place,
-so that plateaus are walked across. SHADE (Tanabe and Fukunaga 2013,
-doi:10.1109/CEC.2013.6557555): current-to-pbest/1 with an archive and a memory of the scale factors
-and crossover rates that worked; the population is drawn anew once no member has improved for a
-while. Every draw depends on the seed and the generation alone, so the state of a search follows
-from the seed and its finished trials.
+It needs no gradient and no model of the score, and a child as good as its parent replaces it, so
+that the search crosses plateaus. SHADE (Tanabe and Fukunaga 2013, doi:10.1109/CEC.2013.6557555):
+current-to-pbest/1 with an archive and a memory of successful scale factors and crossover rates; the
+population is redrawn after PATIENCE generations without improvement. Every draw depends on the
+seed and the generation alone, so the state of a search follows from the seed and its finished
+trials.
 
     import optuna
     from egolane_pgm.studies.sampler import Shade
@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import optuna
@@ -33,153 +33,141 @@ from egolane_pgm.types import FloatArray
 #: Members of the population: trials of one generation.
 MEMBERS = 30
 
-#: Share of the population that a child is drawn towards.
+#: The best share of the population; a child moves towards one of these members.
 BEST_SHARE = 0.15
 
 #: Entries of the memory of scale factors and crossover rates.
 MEMORY = 6
 
-#: Generations in which no member has improved, after which a new population is drawn.
+#: Generations without improvement after which a new population is drawn.
 PATIENCE = 15
 
 
-@dataclass
-class Population:
-    """N members in the unit cube, and what the search has learned.
+@dataclass(frozen=True)
+class Generation:
+    """N members in the unit cube, their children, and the memory of the search.
 
+    - number: from 0.
     - units (N, D): the members.
-    - values (N,): their scores, more is better; -inf where a score is not known.
-    - scale, crossover (MEMORY,): means of the scale factors and crossover rates that worked.
+    - values (N,): their scores, larger is better; -inf if unknown.
+    - memory (2, MEMORY): means of the successful scale factors, and crossover rates.
     - archive (A, D): members that were replaced by better ones.
-    - slot: entry of the memory that is written next.
+    - slot: the next entry of the memory to write.
     - stagnant: number of generations since a member last improved.
-    - generation: number of the next generation of children; 0 for the first draw.
+    - children (N, D), rates (2, N): the proposals, and scale factor and crossover rate of each.
     """
 
+    number: int
     units: FloatArray
     values: FloatArray
-    scale: FloatArray = field(default_factory=lambda: np.full(MEMORY, 0.5))
-    crossover: FloatArray = field(default_factory=lambda: np.full(MEMORY, 0.5))
-    archive: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
-    slot: int = 0
-    stagnant: int = 0
-    generation: int = 0
+    memory: FloatArray
+    archive: FloatArray
+    slot: int
+    stagnant: int
+    children: FloatArray
+    rates: FloatArray
 
 
-@dataclass(frozen=True)
-class Children:
-    """One generation: units (N, D), and the scale factor and crossover rate of each child, (N,)."""
-
-    units: FloatArray
-    scale: FloatArray
-    crossover: FloatArray
-
-
-def empty(n_dimensions: int) -> Population:
-    """The population before the first generation."""
-    return Population(
-        np.zeros((MEMBERS, n_dimensions)),
-        np.full(MEMBERS, -np.inf),
-        archive=np.zeros((0, n_dimensions)),
+def first_generation(n_dimensions: int, seed: int, number: int = 0) -> Generation:
+    """A new population, whose children are drawn uniformly."""
+    units, memory = np.zeros((MEMBERS, n_dimensions)), np.full((2, MEMORY), 0.5)
+    return propose(
+        seed, number, units, np.full(MEMBERS, -np.inf), memory, np.zeros((0, n_dimensions)), 0, 0
     )
 
 
-def propose(population: Population, seed: int) -> Children:
-    """Draw the next generation; the same population and seed give the same one."""
-    rng = np.random.default_rng([seed, population.generation])
-    n, d = population.units.shape
-    memory = rng.integers(MEMORY, size=n)
-    scale = population.scale[memory] + 0.1 * rng.standard_cauchy(n)
-    scale = np.clip(scale, 0.05, 1.0)
-    crossover = np.clip(population.crossover[memory] + 0.1 * rng.standard_normal(n), 0.0, 1.0)
-    is_first = not np.isfinite(population.values).any()
-    if is_first:
-        return Children(rng.random((n, d)), scale, crossover)
-    parents = population.units
-    order = np.argsort(-population.values, kind="stable")
-    towards = parents[order[rng.integers(max(2, int(BEST_SHARE * n)), size=n)]]
-    others = np.concatenate([parents, population.archive])
-    step = towards - parents + parents[rng.integers(n, size=n)]
+def propose(
+    seed: int,
+    number: int,
+    units: FloatArray,
+    values: FloatArray,
+    memory: FloatArray,
+    archive: FloatArray,
+    slot: int,
+    stagnant: int,
+) -> Generation:
+    """Draw the children of a generation; the same arguments give the same ones."""
+    rng = np.random.default_rng([seed, number])
+    n, d = units.shape
+    entry = rng.integers(MEMORY, size=n)
+    scale = memory[0, entry] + 0.1 * rng.standard_cauchy(n)
+    crossover = np.clip(memory[1, entry] + 0.1 * rng.standard_normal(n), 0.0, 1.0)
+    rates = np.stack([np.clip(scale, 0.05, 1.0), crossover])
+    state = (number, units, values, memory, archive, slot, stagnant)
+    if not np.isfinite(values).any():
+        return Generation(*state, rng.random((n, d)), rates)
+    order = np.argsort(-values, kind="stable")
+    towards = units[order[rng.integers(max(2, int(BEST_SHARE * n)), size=n)]]
+    others = np.concatenate([units, archive])
+    step = towards - units + units[rng.integers(n, size=n)]
     step -= others[rng.integers(len(others), size=n)]
-    children = parents + scale[:, None] * step
+    children = units + rates[0][:, None] * step
     is_kept = rng.random((n, d)) > crossover[:, None]
     is_kept[np.arange(n), rng.integers(d, size=n)] = False
-    children = np.where(is_kept, parents, children)
+    children = np.where(is_kept, units, children)
     # Outside of the cube: anywhere between the parent and the side that was crossed.
     back = rng.random((n, d))
-    children = np.where(children < 0, back * parents, children)
-    children = np.where(children > 1, 1 - back * (1 - parents), children)
-    return Children(children, scale, crossover)
+    children = np.where(children < 0, back * units, children)
+    children = np.where(children > 1, 1 - back * (1 - units), children)
+    return Generation(*state, children, rates)
 
 
-def select(population: Population, children: Children, values: FloatArray, seed: int) -> Population:
-    """Return the population after a generation; values (N,) are NaN where a child has no score."""
-    rng = np.random.default_rng([seed, population.generation, 1])
-    scored = np.where(np.isnan(values), -np.inf, values)
-    before = population.values
+def select(now: Generation, tried: FloatArray, scores: FloatArray, seed: int) -> Generation:
+    """The next generation, from the children as tried (N, D) and their scores (N,), or NaN."""
+    rng = np.random.default_rng([seed, now.number, 1])
+    scored = np.where(np.isnan(scores), -np.inf, scores)
+    before, number = now.values, now.number + 1
     is_better = scored > before
+    stagnant = 0 if is_better.any() else now.stagnant + 1
+    if stagnant >= PATIENCE:
+        return first_generation(now.units.shape[1], seed, number)
     replaces = (scored >= before) & np.isfinite(scored)
-    memory = (population.scale.copy(), population.crossover.copy())
-    slot, archive = population.slot, population.archive
+    memory, slot, archive = now.memory.copy(), now.slot, now.archive
     learns = is_better & np.isfinite(before)
     if learns.any():
         gain = scored[learns] - before[learns]
         weight = gain / gain.sum()
-        f, c = children.scale[learns], children.crossover[learns]
-        memory[0][slot] = (weight * f**2).sum() / (weight * f).sum()
-        memory[1][slot] = (weight * c).sum()
+        scale, crossover = now.rates[:, learns]
+        memory[:, slot] = (
+            (weight * scale**2).sum() / (weight * scale).sum(),
+            (weight * crossover).sum(),
+        )
         slot = (slot + 1) % MEMORY
-        archive = np.concatenate([archive, population.units[learns]])
-        archive = archive[rng.permutation(len(archive))[: len(values)]]
-    stagnant = 0 if is_better.any() else population.stagnant + 1
-    # A member without a score, whose trial is not finished yet, is wherever it was drawn.
+        archive = np.concatenate([archive, now.units[learns]])
+        archive = archive[rng.permutation(len(archive))[: len(scores)]]
+    # A member without a score, whose trial is not finished yet, stays at its draw.
     moves = replaces | ~np.isfinite(before)
-    after = Population(
-        np.where(moves[:, None], children.units, population.units),
-        np.where(replaces, scored, before),
-        *memory,
-        archive,
-        slot,
-        stagnant,
-        population.generation + 1,
-    )
-    if stagnant < PATIENCE:
-        return after
-    fresh = empty(population.units.shape[1])
-    fresh.generation = after.generation
-    return fresh
+    units = np.where(moves[:, None], tried, now.units)
+    values = np.where(replaces, scored, before)
+    return propose(seed, number, units, values, memory, archive, slot, stagnant)
 
 
-@dataclass(frozen=True)
-class _State:
-    """How far a study has come, as the sampler sees it.
+class _State(NamedTuple):
+    """The progress of a study.
 
     - space: name and distribution of each of the D dimensions, in the order of the unit cube.
-    - places: per trial its place in the order of proposals; a trial that was tried again shares
-      its place with the one that it repeats.
+    - places: per trial its place in the order of proposals; a repeated trial has the place of the
+      first one with its values.
     - n_places: number of places.
-    - population, children: the current generation.
     """
 
     space: Mapping[str, BaseDistribution]
     places: list[int]
     n_places: int
-    population: Population
-    children: Children
+    generation: Generation
 
 
 class Shade(optuna.samplers.BaseSampler):
     """A sampler for any `optuna.create_study` with one objective.
 
     - seed: of every draw.
-    - search_space: distributions by parameter name. Without it the space is what the finished
-      trials have in common (Optuna's `IntersectionSearchSpace`), and parameters outside of that
-      space, those of the first trial included, are drawn at random.
+    - search_space: distributions by parameter name; by default the parameters that all finished
+      trials have (Optuna's `IntersectionSearchSpace`). Other parameters are drawn at random.
 
-    Trial k is member `k % MEMBERS` of generation `k // MEMBERS`. A generation is selected from the
-    trials of it that are complete when the next one is begun; with several workers those that are
-    still running count as not scored. A failed trial that Optuna's retry callback repeats keeps
-    its place. Raises ValueError for a study with several objectives.
+    Trial k is member `k % MEMBERS` of generation `k // MEMBERS`. A generation is selected from its
+    complete trials when the next one begins; with several workers, running trials count as not
+    scored. A failed trial that Optuna's retry callback repeats keeps its place. Raises ValueError
+    for a study with several objectives.
     """
 
     def __init__(
@@ -203,17 +191,16 @@ class Shade(optuna.samplers.BaseSampler):
             raise ValueError("Shade searches one objective; take NSGAIISampler for several")
         if not search_space:
             return {}
-        # The state is replaced as a whole, so that threads of one study do not disturb each other.
+        # The state is replaced as a whole: several threads may run one study.
         state = self._state
         if state is None or dict(state.space) != search_space:
-            population = empty(len(search_space))
-            state = _State(search_space, [], 0, population, propose(population, self._seed))
-        state = self._caught_up(state, study, trial.number)
+            state = _State(search_space, [], 0, first_generation(len(search_space), self._seed))
+        state = self._updated(state, study, trial.number)
         self._state = state
-        member = state.places[trial.number] - state.population.generation * MEMBERS
-        if member < 0:  # A trial of an earlier generation that is repeated: its values are fixed.
+        member = state.places[trial.number] - state.generation.number * MEMBERS
+        if member < 0:  # A trial of an earlier generation is repeated: its values are fixed.
             return {}
-        units = state.children.units[member].tolist()
+        units = state.generation.children[member].tolist()
         return {
             name: from_unit(d, u) for (name, d), u in zip(search_space.items(), units, strict=True)
         }
@@ -228,7 +215,7 @@ class Shade(optuna.samplers.BaseSampler):
         rng = np.random.default_rng([self._seed, trial.number, *param_name.encode()])
         return from_unit(param_distribution, rng.random())
 
-    def _caught_up(self, state: _State, study: Study, number: int) -> _State:
+    def _updated(self, state: _State, study: Study, number: int) -> _State:
         """The state at the generation of a trial."""
         trials = study.get_trials(deepcopy=False)
         places, n_places = list(state.places), state.n_places
@@ -237,11 +224,11 @@ class Shade(optuna.samplers.BaseSampler):
             first = trial.system_attrs.get("failed_trial")
             places.append(n_places if first is None else places[first])
             n_places += first is None
-        population, children = state.population, state.children
+        generation = state.generation
         sign = 1.0 if study.direction == StudyDirection.MAXIMIZE else -1.0
-        while places[number] >= (population.generation + 1) * MEMBERS:
-            tried, scores = children.units.copy(), np.full(MEMBERS, np.nan)
-            begin = population.generation * MEMBERS
+        while places[number] >= (generation.number + 1) * MEMBERS:
+            tried, scores = generation.children.copy(), np.full(MEMBERS, np.nan)
+            begin = generation.number * MEMBERS
             for place, trial in zip(places, trials, strict=True):
                 member = place - begin
                 if not 0 <= member < MEMBERS or not set(state.space) <= set(trial.params):
@@ -249,10 +236,8 @@ class Shade(optuna.samplers.BaseSampler):
                 tried[member] = [to_unit(d, trial.params[n]) for n, d in state.space.items()]
                 if trial.values is not None:
                     scores[member] = sign * trial.values[0]
-            tried_children = Children(tried, children.scale, children.crossover)
-            population = select(population, tried_children, scores, self._seed)
-            children = propose(population, self._seed)
-        return _State(state.space, places, n_places, population, children)
+            generation = select(generation, tried, scores, self._seed)
+        return _State(state.space, places, n_places, generation)
 
 
 def from_unit(distribution: BaseDistribution, unit: float) -> Any:
@@ -287,8 +272,8 @@ def to_unit(distribution: BaseDistribution, value: Any) -> float:
 
 
 def _ends(d: Any) -> tuple[float, float]:
-    """The ends of a range in the scale that it is searched in; whole numbers on a logarithmic scale
-    have half a number more on either side."""
+    """The ends of a range, or their logarithms; whole numbers on a logarithmic scale have half a
+    number more on either side."""
     if not d.log:
         return d.low, d.high
     half = 0.5 if isinstance(d, IntDistribution) else 0.0

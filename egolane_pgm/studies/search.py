@@ -5,50 +5,39 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import optuna
 from optuna import samplers
+from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.exceptions import ExperimentalWarning
-from optuna.study import MaxTrialsCallback
+from optuna.study import MaxTrialsCallback, StudyDirection
 from optuna.trial import FrozenTrial, Trial, TrialState
 
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError, suggestion
 
-SAMPLERS = ("evolution", "tpe", "cma-es", "random", "nsga2")
+#: The samplers, each made with its `seed`; `evolution` takes the search space as well.
+SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
+    "evolution": Shade,
+    "tpe": samplers.TPESampler,
+    "cma-es": partial(samplers.CmaEsSampler, warn_independent_sampling=False),
+    "random": samplers.RandomSampler,
+    "nsga2": samplers.NSGAIISampler,
+}
 
-#: Trials of a study where nothing else is said.
+#: The default number of trials of a study.
 TRIALS = 3000
 
 #: Scores a point: one number per objective.
 Score = Callable[[Point], Sequence[float]]
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How a study is run.
-
-    - objectives: names of scores.
-    - sampler: one of `SAMPLERS`.
-    - trials: total of complete trials.
-    - seed: of the sampler.
-    """
-
-    objectives: tuple[str, ...] = ("accuracy",)
-    sampler: str = "evolution"
-    trials: int = TRIALS
-    seed: int = 0
-
-    @property
-    def directions(self) -> list[Any]:
-        """Optuna's direction of each objective."""
-        return ["maximize" if is_maximised(name) else "minimize" for name in self.objectives]
 
 
 @contextmanager
@@ -64,107 +53,91 @@ def quiet() -> Iterator[None]:
         optuna.logging.set_verbosity(before)
 
 
-def check_sampler(name: str | None, objectives: Sequence[str], where: str) -> str:
-    """Return the sampler's name; by default evolution, for several objectives NSGA-II.
+def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit") -> FitSettings:
+    """The settings of a study, complete and checked. Each fold has its own seed.
 
-    Raises InputError for an unknown one, with a suggestion, for one that searches a single
-    objective where several are given, and for one whose package is not installed.
+    Raises InputError for an unknown score or sampler, a score given twice, a sampler of a single
+    objective for several, and a sampler whose package is not installed.
     """
-    if name is None:
-        return "evolution" if len(objectives) == 1 else "nsga2"
-    if name not in SAMPLERS:
-        raise InputError(f"{where}: unknown sampler '{name}'{suggestion(name, SAMPLERS)}")
-    if len(objectives) > 1 and name in ("evolution", "cma-es"):
+    where = f"{source}: fit"
+    names = [check_objective(name, f"{where}.objective") for name in tuning.objective]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}.objective: a score is named twice")
+    sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
+    if sampler not in SAMPLERS:
+        hint = suggestion(sampler, SAMPLERS)
+        raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
+    if len(names) > 1 and sampler in ("evolution", "cma-es"):
         raise InputError(
-            f"{where}: {name} searches one objective; for {', '.join(objectives)} take nsga2, tpe"
-            " or random"
+            f"{where}.sampler: {sampler} searches one objective; for {', '.join(names)} take nsga2,"
+            " tpe or random"
         )
-    if name == "cma-es":
-        with needed(f"{where}: {name}", "cmaes"):
+    if sampler == "cma-es":
+        with needed(f"{where}.sampler: cma-es", "cmaes"):
             import cmaes  # noqa: F401
-    return name
+    seed = tuning.seed
+    if fold is not None:
+        seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
+    trials = tuning.trials or TRIALS
+    return tuning.model_copy(update={"sampler": sampler, "trials": trials, "seed": seed})
 
 
-def make_sampler(settings: Settings, space: SearchSpace, n_trials: int = 0) -> samplers.BaseSampler:
+def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
     """Make the sampler of a study.
 
-    - n_trials: trials that the study has already. Shade goes on from them; Optuna's samplers, which
-      keep no state, are seeded anew, so that a resumed study repeats no trial.
+    - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
+      keep no state, get another seed, so that a resumed study repeats no trial.
     """
     if settings.sampler == "evolution":
         return Shade(settings.seed, distributions(space))
     entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
     with quiet():
-        if settings.sampler == "tpe":
-            return samplers.TPESampler(seed=seed)
-        if settings.sampler == "cma-es":
-            return samplers.CmaEsSampler(seed=seed, warn_independent_sampling=False)
-        if settings.sampler == "nsga2":
-            return samplers.NSGAIISampler(seed=seed)
-        return samplers.RandomSampler(seed=seed)
+        return SAMPLERS[str(settings.sampler)](seed=seed)
 
 
-def new_study(settings: Settings, **given: Any) -> optuna.Study:
+def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
     """Create a study, in memory unless a storage and a name are given, or load that one."""
+    names = settings.objective
+    up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
+    directions = [up if is_maximised(name) else down for name in names]
     with quiet():
         study = optuna.create_study(
-            directions=settings.directions, load_if_exists="storage" in given, **given
+            directions=directions, load_if_exists="storage" in given, **given
         )
         if not study.metric_names:
-            study.set_metric_names(list(settings.objectives))
+            study.set_metric_names(list(names))
     return study
 
 
-def search(study: optuna.Study, space: SearchSpace, score: Score, settings: Settings) -> None:
-    """Go on with a study until it has its number of complete trials, those of others included."""
-    n_trials = len(study.get_trials(deepcopy=False))
-    if n_complete(study) >= settings.trials:
+def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
+    """Run a study until its number of trials, by all workers, is complete."""
+    total, trials = settings.trials or TRIALS, study.get_trials(deepcopy=False)
+    if sum(trial.state == TrialState.COMPLETE for trial in trials) >= total:
         return
-    study.sampler = make_sampler(settings, space, n_trials)
-    with quiet(), _interruptions():
+    study.sampler = make_sampler(settings, space, len(trials))
+    with quiet():
         study.optimize(
             lambda trial: score(suggest(space, trial)),
-            callbacks=[MaxTrialsCallback(settings.trials)],
+            callbacks=[MaxTrialsCallback(total)],
         )
 
 
-@contextmanager
-def _interruptions() -> Iterator[None]:
-    """Let Ctrl-C come out as itself. Where it meets Optuna while a trial's result is stored, or a
-    journal is locked, Optuna raises an error of its own (UnboundLocalError, RuntimeError)."""
-    try:
-        yield
-    except Exception as error:
-        cause: BaseException | None = error
-        while cause is not None and isinstance(cause, Exception):
-            cause = cause.__context__
-        if cause is None:
-            raise
-        raise type(cause)(*cause.args) from None
-
-
 def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:
-    """The point of a trial."""
-    point: dict[str, Any] = {}
-    for d in space.dimensions:
-        if d.choices:
-            point[d.key] = trial.suggest_categorical(d.key, d.choices)
-        elif d.is_integer:
-            point[d.key] = trial.suggest_int(d.key, int(d.low), int(d.high))
-        else:
-            point[d.key] = trial.suggest_float(d.key, d.low, d.high, log=d.is_log)
-    return point
-
-
-def n_complete(study: optuna.Study) -> int:
-    """How many trials are complete."""
-    return len(study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)))
+    """Let the sampler choose the point of a trial."""
+    for key, d in distributions(space).items():
+        if isinstance(d, CategoricalDistribution):
+            trial.suggest_categorical(key, d.choices)
+        elif isinstance(d, IntDistribution):
+            trial.suggest_int(key, d.low, d.high)
+        elif isinstance(d, FloatDistribution):
+            trial.suggest_float(key, d.low, d.high, log=d.log)
+    return trial.params
 
 
 def best_trial(study: optuna.Study) -> FrozenTrial:
     """The best trial, the first among equals; of a Pareto front the best in the first objective."""
-    sign = 1 if study.directions[0].name == "MAXIMIZE" else -1
+    sign = 1 if study.directions[0] == StudyDirection.MAXIMIZE else -1
     trials = study.best_trials if len(study.directions) > 1 else study.get_trials(deepcopy=False)
     complete = [t for t in trials if t.state == TrialState.COMPLETE]
     return max(complete, key=lambda t: (sign * t.values[0], -t.number))

@@ -27,7 +27,7 @@ from egolane_pgm.types import InputError
 #: The journal in the directory of a study.
 JOURNAL_NAME = "study.journal"
 
-#: Seconds between signs of life of a worker on a database, and until its trial is run again.
+#: Seconds between heartbeats of a worker on a database, and until its trial is run again.
 HEARTBEAT_S, GRACE_S = 15, 60
 
 
@@ -52,14 +52,16 @@ def open_storage(storage: str) -> BaseStorage:
         raise InputError(
             f"{named(storage)}: needs the package {name}: pip install {name}"
         ) from error
-    # A database's driver raises errors of its own, and Optuna for a damaged journal.
+    # Drivers of databases have different errors; a damaged journal raises others in Optuna.
     except Exception as error:
         raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
 
 
 class _Journal(JournalFileBackend):
-    """Optuna's journal, without waiting for the disk after each line, which takes longer than a
-    trial. A machine that loses power loses its last seconds."""
+    """Optuna's journal without flushing the disk after each line, which takes longer than a trial.
+
+    A power failure loses the last seconds.
+    """
 
     def __init__(self, path: Path) -> None:
         # A lock older than five seconds was left by a process that was killed.
@@ -97,20 +99,29 @@ def _database(url: str) -> RDBStorage:
 
 @contextmanager
 def storage_errors(storage: str | None) -> Iterator[None]:
-    """Turn errors of a storage while a study runs into InputError: a lost database, a full disk."""
+    """Turn errors of a storage into InputError: a lost database, a full disk.
+
+    Ctrl-C comes out as KeyboardInterrupt: while Optuna stores a result or locks a journal, it
+    raises UnboundLocalError or RuntimeError instead.
+    """
     try:
         yield
     except InputError:
         raise
     except Exception as error:
-        first: BaseException = error
-        # Optuna may raise an error of its own over it.
-        while not isinstance(first, (OSError, SQLAlchemyError, StorageInternalError)):
-            if first.__context__ is None:
-                raise
-            first = first.__context__
-        kept = "complete trials are kept, repeat the command to go on"
-        raise InputError(f"{named(storage or 'study')}: {_reason(first)}; {kept}") from error
+        # Optuna may raise another error while it handles the first one.
+        chain: list[BaseException] = [error]
+        while chain[-1].__context__ is not None:
+            chain.append(chain[-1].__context__)
+        for each in chain:
+            if not isinstance(each, Exception):
+                raise type(each)(*each.args) from None
+        for each in chain:
+            if isinstance(each, (OSError, SQLAlchemyError, StorageInternalError)):
+                kept = "complete trials are kept, repeat the command to go on"
+                place = named(storage or "study")
+                raise InputError(f"{place}: {_reason(each)}; {kept}") from error
+        raise
 
 
 def named(storage: str) -> str:

@@ -1,7 +1,7 @@
 """Studies: fit on some frames, infer and score the others.
 
 `fit_folds` and `test_frames` are the only engine. `run --held-out`, `tune`, `learn` and transfer
-from some drives to others differ in the fit and in the folds.
+between drives differ in the fit and in the folds.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import Experiment, FitSettings, resolved, validated
+from egolane_pgm.loading import merge
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
@@ -32,12 +33,12 @@ from egolane_pgm.studies.fits import (
     fit_learn,
     fit_nothing,
     fit_tune,
-    needs_labels,
-    search_spaces,
-    settings_of,
+    learns_rule,
+    search_space,
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
+from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
 from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
@@ -51,7 +52,7 @@ if TYPE_CHECKING:
 #: The default number of blocks.
 N_BLOCKS = 5
 
-#: Trials per fold of `run --held-out` with `fit.method: tune`; a study of its own has more.
+#: Trials per fold of `run --held-out` with `fit.method: tune`; `tune` has more.
 TRIALS_PER_FOLD = 300
 
 #: The file that makes the directory of a study complete.
@@ -78,30 +79,29 @@ def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]
     Blocks are `np.array_split` of the annotated frames, crossing ones included. Raises InputError
     for fewer than 2 blocks, and for more than frames.
     """
-    whole = everything(drives)
-    fewest = min(map(len, whole.test))
+    fewest = min(map(len, drives))
     if not 2 <= n_blocks <= fewest:
-        raise InputError(f"blocks: {n_blocks} is not between 2 and the {fewest} frames of a drive")
-    blocks = [np.array_split(frames, n_blocks) for frames in whole.test]
-    return [
-        Fold(
-            tuple(np.setdiff1d(t, mine[b]) for t, mine in zip(whole.train, blocks, strict=True)),
-            tuple(mine[b] for mine in blocks),
-        )
-        for b in range(n_blocks)
-    ]
+        raise InputError(f"folds: {n_blocks} is not between 2 and the {fewest} frames of a drive")
+    lengths = [[len(b) for b in np.array_split(np.arange(len(d)), n_blocks)] for d in drives]
+    return _folds(drives, [np.repeat(np.arange(n_blocks), each) for each in lengths])
 
 
 def group_folds(drives: Sequence[Drive], groups: Sequence[Any]) -> list[Fold]:
     """Hold out the drives of each group in turn. groups: a label per drive, such as a tag."""
-    whole, none = everything(drives), np.zeros(0, dtype=np.int64)
-    folds = []
-    for value in dict.fromkeys(groups):
-        is_out = [group == value for group in groups]
-        train = (none if out else t for out, t in zip(is_out, whole.train, strict=True))
-        test = (t if out else none for out, t in zip(is_out, whole.test, strict=True))
-        folds.append(Fold(tuple(train), tuple(test)))
-    return folds
+    numbers, _ = pd.factorize(np.array(groups, dtype=object))
+    return _folds(drives, [np.full(len(d), k) for d, k in zip(drives, numbers, strict=True)])
+
+
+def _folds(drives: Sequence[Drive], numbers: Sequence[IntArray]) -> list[Fold]:
+    """Hold out each number in turn. numbers: of the fold of each frame, per drive (K,), from 0."""
+    pairs = list(zip(drives, numbers, strict=True))
+    return [
+        Fold(
+            tuple(np.flatnonzero((number != b) & drive.is_trusted) for drive, number in pairs),
+            tuple(np.flatnonzero(number == b) for number in numbers),
+        )
+        for b in range(1 + max(map(np.max, numbers)))
+    ]
 
 
 def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -> list[Fold]:
@@ -111,28 +111,28 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
     """
     experiments = [drive.experiment for drive in drives]
     keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
-    first = {key: k for k, key in reversed(list(enumerate(keys)))}
-    if tag is not None:
+    groups: list[Any]
+    if tag is None:
+        unique = list(dict.fromkeys(keys))
+        parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
+        part_of = {unique[k]: p for p, part in enumerate(parts) for k in part}
+        groups = [part_of[key] for key in keys]
+        which = "folds: all rows are of one drive"
+    else:
         known = {name for drive in drives for name in drive.tags}
         groups = [drive.tags.get(tag) for drive in drives]
+        which = f"by_tag: all have one {tag}"
         for drive, key, group in zip(drives, keys, groups, strict=True):
+            first = keys.index(key)
             if group is None:
                 raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
-            if group != groups[first[key]]:
+            if group != groups[first]:
                 raise InputError(
-                    f"{drive.name}: is the same drive as {drives[first[key]].name}, with another"
-                    f" tag.{tag}: the one would give the other's labels away"
+                    f"{drive.name}: is the same drive as {drives[first].name} with another"
+                    f" tag.{tag}; held-out labels would leak"
                 )
-    else:
-        unique = list(first)[::-1]
-        parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
-        part_of = {unique[k]: str(p) for p, part in enumerate(parts) for k in part}
-        groups = [part_of[key] for key in keys]
     if len(set(groups)) < 2:
-        which = (
-            "blocks: all rows are of one drive" if tag is None else f"by_tag: all have one {tag}"
-        )
-        raise InputError(f"{which}, so none can be held out; with blocks 0 none is")
+        raise InputError(f"{which}, so nothing would be left to fit to; folds 0 holds out nothing")
     return group_folds(drives, groups)
 
 
@@ -168,13 +168,11 @@ def fit_folds(
     """The fit of each numbered fold; see `fit_fold`."""
     work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
-    caught: dict[str, None] = {}
     fitted = []
     for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
         fitted.append(fold)
-        caught |= dict.fromkeys(notes)
-    for note in caught:
-        warnings.warn(note, UserWarning, stacklevel=2)
+        for note in notes:
+            warnings.warn(note, UserWarning, stacklevel=2)
     return fitted
 
 
@@ -187,42 +185,34 @@ def test_frames(
     """
     tables = []
     for k, drive in enumerate(drives):
-        inferred: list[tuple[Fitted, pd.DataFrame]] = []
+        inferred: dict[frozenset[Any], pd.DataFrame] = {}
         parts = []
-        for b, fold in enumerate(folds):
-            if not len(fold.test[k]):
-                continue
-            frames = next((f for known, f in inferred if known == fitted[b]), None)
-            if frames is None:
-                frames = frames_of(fitted_drive(drive, fitted[b]))
-                inferred.append((fitted[b], frames))
-            parts.append(frames.iloc[drive.rows[fold.test[k]]].assign(block=b))
-        table = pd.concat(parts).sort_index()
-        if not drive.is_trusted.all():
-            table["is_trusted"] = drive.is_trusted
-        tables.append(table)
+        for b in (b for b, fold in enumerate(folds) if len(fold.test[k])):
+            fit = frozenset(fitted[b].items())
+            if fit not in inferred:
+                inferred[fit] = inferred_frames(fitted_drive(drive, fitted[b]))
+            parts.append(inferred[fit].iloc[drive.rows[folds[b].test[k]]].assign(block=b))
+        tables.append(pd.concat(parts).sort_index())
     return concat_drives(drives, tables)
 
 
+def inferred_frames(drive: Drive) -> pd.DataFrame:
+    """The table of all frames of a drive; with `is_trusted` if some labels are not."""
+    frames = frames_of(drive)
+    if not drive.is_trusted.all():
+        trusted = np.ones(len(frames), dtype=bool)
+        trusted[drive.rows] = drive.is_trusted
+        frames["is_trusted"] = trusted
+    return frames
+
+
 def fitted_drive(drive: Drive, fitted: Fitted) -> Drive:
-    """The drive with a fit in its model; with other detector parameters its lines are made anew."""
+    """The drive with a fit in its model; other detector parameters detect its lines again."""
     model = apply_fit(drive.model, fitted)
     if model.experiment.recording == drive.experiment.recording:
         return replace(drive, model=model)
     [again] = read_drives(model.experiment)
     return replace(again, model=model)
-
-
-def lacking_lanes(drives: Sequence[Drive], folds: Sequence[Fold]) -> list[str]:
-    """A warning per lane that no training frame of a fold has, though it is driven."""
-    found = []
-    for drive in drives if len(drives) == 1 else ():
-        rows = drive.rows
-        lane = np.where(drive.is_crossing[rows], 0, drive.true_lane[rows])
-        for b, fold in enumerate(folds):
-            lost = set(lane[fold.test[0]]) - set(lane[fold.train[0]]) - {0}
-            found += [f"{drive.name}: only block {b + 1} has lane {k}" for k in sorted(lost)]
-    return found
 
 
 # --- studies -------------------------------------------------------------------------------------
@@ -233,20 +223,21 @@ class Study:
     """A fit to some drives, with scores on held-out frames.
 
     - name: of the experiment, or of a list of them.
-    - experiments: the experiments that were fitted.
+    - experiments: the fitted experiments.
     - method: learn or tune.
-    - model: with everything fitted to all trusted frames.
-    - fitted: these parameters and tables by name.
+    - model: with the final fit, to all trusted frames.
+    - fitted: its parameters and tables by name.
     - in_sample: the result of the training frames, with `fitted`.
     - held_out: the result of the test frames of all folds, each with the fit of its fold; None
       without folds.
-    - trials: a row per trial of the search on everything; empty without one.
+    - trials: a row per trial of the final search; empty without one.
     - settings: of the search.
-    - directory: where it is kept; None in memory.
+    - directory: the study directory; None in memory.
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 200]})
-    >>> study = ego.tune(experiment, trials=4, sampler="random", blocks=0)
+    >>> changes = {"fit.sampler": "random"}
+    >>> study = ego.tune(experiment, trials=4, overrides=changes, folds=0)
     >>> study
     Study('quickstart': tune, 4 trials, accuracy 0.969 in-sample)
     >>> sorted(study.fitted)[:2]
@@ -282,14 +273,14 @@ class Study:
 
     @property
     def network(self) -> DynamicBayesianNetwork:
-        """The fitted graph in pgmpy. Handed to `run`, its scores say where it was learned."""
+        """The fitted graph in pgmpy, with its origin for the `tuned_on` of a run."""
         network = self.model.network
         network.learned_from = self.learned_from
         return network
 
     @property
     def learned_from(self) -> str:
-        """The recording that was learned from; empty for several."""
+        """The training recording; empty for several."""
         return recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
 
     def experiment(self) -> dict[str, Any]:
@@ -309,7 +300,7 @@ class Study:
         return content
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
-        """The text that `egolane tune` prints: scores in-sample and held out, and what was found.
+        """The text that `egolane tune` prints: scores in-sample and held out, and fitted values.
 
         - style: one of `views.tables.STYLES`.
         - wide: whether tables may be wider than the terminal.
@@ -378,12 +369,10 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
-    experiment = drives[0].experiment
-    notes = [*notes, *found]
     if fit != "none":
         keys["tuned_on"] = "other_frames"
-        notes += lacking_lanes(drives, folds)
-    return make_result(experiment, drives, frames, notes, begin=begin, **keys)
+    notes = [*notes, *found]
+    return make_result(drives[0].experiment, drives, frames, notes, begin=begin, **keys)
 
 
 def run_held_out(
@@ -391,23 +380,22 @@ def run_held_out(
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
-    jobs: int = 1,
     progress: bool | None = False,
 ) -> Result:
     """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
-    tuning = tuning_of(experiment, trials=None, default=TRIALS_PER_FOLD)
+    tuning = tuning_of(experiment)
+    tuning = tuning_of(experiment, trials=tuning.trials or TRIALS_PER_FOLD)
     fits: dict[str, Fit] = {
         "none": fit_nothing,
         "learn": fit_learn,
         "tune": partial(fit_tune, tuning=tuning),
     }
     folds = block_folds(drives, n_blocks)
-    numbered = list(enumerate(folds))
     with noting() as found:
-        fitted = fit_folds(drives, fits[method], numbered, jobs=jobs, progress=progress)
+        fitted = fit_folds(drives, fits[method], list(enumerate(folds)), progress=progress)
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -431,13 +419,13 @@ def run_study(
     """Fit to everything, and hold out each fold in turn.
 
     - method: learn or tune.
-    - folds: none for no held-out scores.
-    - name: of the study; by default that of the first experiment.
-    - experiments: by default those of the drives.
+    - folds: empty for no held-out scores.
+    - name: of the study; by default the first experiment's.
+    - experiments: by default the experiments of the drives.
     - tuning: the settings of a search.
-    - starts: parameter sets that a search on everything tries first; by default the current ones.
-    - storage: where Optuna keeps a study per fold; by default a journal in `directory`, or memory.
-    - directory: where the study is kept: it is saved there.
+    - starts: parameter sets that the final search tries first; by default the current ones.
+    - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
+    - directory: the study is saved here.
     - pooled: whether all frames count alike in a search; otherwise all drives do.
     """
     begin, first = time.perf_counter(), drives[0]
@@ -452,9 +440,13 @@ def run_study(
     if method == "learn":
         check_learnable(first.model)
     else:
-        space = search_spaces(drives, tuning)[0]
+        space = search_space([drive.model for drive in drives], tuning)
         found = settings_of(tuning, None, first.experiment.source)
-        settings = {**plain(found.__dict__), **describe(space)}
+        settings = {
+            "objectives": list(found.objective),
+            **{key: getattr(found, key) for key in ("sampler", "trials", "seed")},
+            **describe(space),
+        }
         current = [drive.model.parameters for drive in drives] if starts is None else starts
         if directory is not None:
             storage = storage or str(directory / JOURNAL_NAME)
@@ -473,14 +465,7 @@ def run_study(
             kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
             raise KeyboardInterrupt(kept) from None
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
-        tables = [frames_of(drive) for drive in fitted_drives]
-        for drive, table in zip(drives, tables, strict=True):
-            if not drive.is_trusted.all():
-                # Unlabelled frames are trusted: nothing is known that may be wrong.
-                trusted = np.ones(len(table), dtype=bool)
-                trusted[drive.rows] = drive.is_trusted
-                table["is_trusted"] = trusted
-        frames = concat_drives(fitted_drives, tables)
+        frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
     notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
@@ -514,7 +499,8 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
                 f"{e.source}: filter: viterbi is for `egolane run`; fits and held-out scores need"
                 " another one"
             )
-        if not needs_labels(e, drive.model, method):
+        is_by_em = method == "learn" and not learns_rule(drive.model)
+        if method == "none" or (is_by_em and not e.fit.labels):
             continue
         if not drive.has_truth:
             what = "a search needs it" if method == "tune" else "learning needs it"
@@ -523,15 +509,8 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
             raise InputError(f"{e.source}: every annotated frame is a crossing, nothing to score")
 
 
-def tuning_of(experiment: Experiment, *, default: int | None = None, **changes: Any) -> FitSettings:
-    """The `fit` section of an experiment, with changes; `parameters` are added to its own.
-
-    - default: the number of trials if none is given.
-    """
+def tuning_of(experiment: Experiment, **changes: Any) -> FitSettings:
+    """The `fit` section of an experiment, with changes; None and `{}` change nothing."""
     content = experiment.fit.model_dump(exclude_unset=True)
-    given = {key: value for key, value in changes.items() if value is not None}
-    parameters = {**content.get("parameters", {}), **given.pop("parameters", {})}
-    content |= {**given, "parameters": parameters}
-    if default is not None:
-        content.setdefault("trials", default)
-    return validated(FitSettings, content, f"{experiment.source}: fit")
+    given = {key: value for key, value in changes.items() if value not in (None, {})}
+    return validated(FitSettings, merge(content, given), f"{experiment.source}: fit")

@@ -12,7 +12,7 @@ from typing import Annotated, Any
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option, Progress, StrPath, several_of
+from egolane_pgm.verbs.options import Option, Progress, StrPath, several_of
 from egolane_pgm.vision.calibration.chessboard import (
     calibrate_lens,
     describe_lens,

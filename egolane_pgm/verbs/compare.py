@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import pandas as pd
 
 from egolane_pgm.comparing import compare as compare_results
-from egolane_pgm.verbs.given import Option, StrPath, path_of, several_of
+from egolane_pgm.verbs.options import Option, StrPath, path_of, several_of
 
 EXAMPLES = (
     "egolane compare results/a results/b",
@@ -22,7 +22,6 @@ def compare(
     of: Annotated[str | None, Option("KEY")] = None,
     by: Annotated[str | None, Option("KEY")] = None,
     detector: bool = False,
-    events: bool = False,
     out: Annotated[StrPath | None, Option("FILE.png")] = None,
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings, with paired intervals.
@@ -32,12 +31,12 @@ def compare(
       default the name of each result; of several recordings the folder of their results.
     - by: a second such key: results with different values of it are compared separately.
     - detector: add the detectors' own answers.
-    - events: add scores of lane changes that are reported within 1 s.
     - out: draw accuracy with its intervals.
 
     Returns a row per side, with each score (the mean over the recordings), its 95 % interval, and
     the difference to the first side with a paired interval; recordings of one drive are resampled
-    together. Raises InputError unless all sides have the same recordings.
+    together. Columns `event_...` score the lane changes that are reported within 1 s. Raises
+    InputError unless all sides have the same recordings.
 
     >>> import egolane_pgm as ego
     >>> short = {"recording.frames": [0, 800]}
@@ -46,7 +45,7 @@ def compare(
     >>> ego.compare([one, other], of="filter")["accuracy"].round(3).to_dict()
     {'assumed_density': 0.836, 'exact': 0.832}
     """
-    table = compare_results(several_of(results), of=of, by=by, detector=detector, events=events)
+    table = compare_results(several_of(results), of=of, by=by, detector=detector)
     if out is not None:
         from egolane_pgm.views.comparisons import comparison_figure
         from egolane_pgm.views.style import write_figure

@@ -16,7 +16,7 @@ from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
-from egolane_pgm.verbs.given import (
+from egolane_pgm.verbs.options import (
     CameraFile,
     Frames,
     Option,

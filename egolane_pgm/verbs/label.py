@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import Ge, Le
 
 from egolane_pgm.labelling import BELOW, Labels, label_input
-from egolane_pgm.loading import ExperimentLike, Overrides
+from egolane_pgm.loading import ExperimentLike
+from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.result import check_writable
 from egolane_pgm.runs import open_input
-from egolane_pgm.verbs.given import ColumnNames, Detector, Lines, Option, StrPath, Truth, path_of
-from egolane_pgm.verbs.run import recording_keys
+from egolane_pgm.verbs.options import (
+    ColumnNames,
+    Lines,
+    Option,
+    Overrides,
+    StrPath,
+    Truth,
+    place_of,
+)
 
 EXAMPLES = ("egolane label drive/lines.csv --n-lanes 4 --out labels",)
 
@@ -26,38 +33,34 @@ def label(
     overrides: Overrides = (),
     below: Annotated[float, Ge(0), Le(1)] = BELOW,
     ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
-    camera: Annotated[StrPath | None, Option("FILE")] = None,
-    detector: Detector = None,
     columns: ColumnNames = None,
     out: Annotated[
         StrPath | None, Option("DIR", default="results/*_labels", said="results/NAME_labels")
     ] = None,
 ) -> Labels:
-    """Label the lanes of a recording, and list the segments in which a label is not sure.
+    """Label the lanes of a recording, and list the segments in which labels are uncertain.
 
-    The labels are made from the whole recording (smoothed posteriors, lane width of all frames),
-    and no label is needed for that. labels.txt in the output folder is a ground-truth file as
-    `egolane run --ground-truth` reads it; segments.csv lists the segments.
+    The labels come from the whole recording: smoothed posteriors, and a lane width estimated from
+    all frames. No annotation is needed. labels.txt in the output folder is a ground-truth file for
+    `egolane run --ground-truth`; segments.csv lists the uncertain segments.
 
     - given: an experiment, or lines, as `run` takes them.
-    - experiment: the model for LINES. Its filter is replaced by the smoother.
+    - experiment: the model for LINES. Its filter is replaced with the smoother.
     - n_lanes: number of lanes of the road.
     - overrides: override a key of the experiment, e.g. recording.frame_rate=25.
-    - below: labels with a smaller probability are not sure.
+    - below: labels with a smaller probability are uncertain.
     - ground_truth: annotation to score the labels with.
-    - camera: camera of pictures, or of lines in pixels.
-    - detector: line detector for a video or pictures.
     - columns: names and units of a table's columns, as for `run`.
     - out: folder of the labels. A `*` in it is the experiment's name.
 
-    Returns the `Labels`. Without `out` nothing is written. Raises InputError, one line, for
-    whatever does not fit.
+    Returns the `Labels`; writes them only with `out`. Raises InputError if the arguments do not
+    fit.
 
     >>> import tempfile
     >>> import egolane_pgm as ego
     >>> found = ego.label("zero_label", overrides={"recording.frames": [0, 600]})
     >>> found  # of a simulated drive
-    Labels('zero_label': 600 frames, 3 lanes, ... segments not sure (...), accuracy 0.99...)
+    Labels('zero_label': 600 frames, 3 lanes, ... uncertain segments (...), accuracy 0.99...)
     >>> found.truth["true_lane"].head(2).to_list()
     [3, 3]
     >>> with tempfile.TemporaryDirectory() as folder:
@@ -71,11 +74,10 @@ def label(
         overrides=overrides,
         n_lanes=n_lanes,
         ground_truth=ground_truth,
-        recording=recording_keys(camera, detector, None, columns),
+        recording={"columns": None if columns is None else column_keys(columns)},
     )
-    place = None
-    if out is not None:
-        place = Path(path_of(out, "out").replace("*", chosen.experiment.name))
+    place = place_of(out, chosen.experiment.name)
+    if place is not None:
         check_writable(place)
     labels = label_input(chosen, below)
     if place is not None:
@@ -84,5 +86,5 @@ def label(
 
 
 def says(done: Labels, given: Mapping[str, Any]) -> str:
-    """Where the labels are."""
-    return f"labels: {Path(given['out'].replace('*', done.run.name)) / 'labels.txt'}"
+    """The path of the labels."""
+    return f"labels: {place_of(given['out'], done.run.name)}/labels.txt"

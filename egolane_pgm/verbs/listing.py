@@ -1,4 +1,4 @@
-"""What comes with the package, by kind."""
+"""The names of plugins, experiments and others that come with the package, by kind."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from egolane_pgm.loading import experiments_folder, load_yaml
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.recordings import FORMATS
 from egolane_pgm.simulation import PRESETS
-from egolane_pgm.verbs.given import shown
+from egolane_pgm.verbs.options import shown
 from egolane_pgm.views.tables import line_width
 from egolane_pgm.vision.detectors.networks.description import ready_networks
 

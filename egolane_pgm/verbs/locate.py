@@ -16,7 +16,7 @@ from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option, StrPath
+from egolane_pgm.verbs.options import Option, StrPath
 
 EXAMPLES = ("egolane locate roads.osm.pbf drive.gpx -o road.parquet",)
 

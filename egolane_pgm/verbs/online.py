@@ -7,11 +7,11 @@ import sys
 from collections.abc import Sequence
 from typing import Annotated
 
-from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
+from egolane_pgm.loading import ExperimentLike, load_experiment
 from egolane_pgm.online import online as answers
 from egolane_pgm.online import read_messages
 from egolane_pgm.recordings.columns import column_keys
-from egolane_pgm.verbs.given import ColumnNames, Option
+from egolane_pgm.verbs.options import ColumnNames, Option, Overrides
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
@@ -26,11 +26,11 @@ def online(
     """Filter frame by frame: a JSON line in, the lane out at once.
 
     Reads `{"frame_id": 7, "lines": [{"offset_m": -1.8, "is_valid": true, "is_continuous": false,
-    "lri": 10}]}` per line on standard input; of a line of the road only `offset_m` is needed. A
-    time stamp, `"time_s": 12.3`, may accompany or replace the frame id. Each answer has the lane,
-    its probability, the probability that the car is on a line, and the lane changes since the
-    answer before. With `filter: fixed_lag` it comes `lag` frames later. With `n_lanes: map` frames
-    need the clock of the road table.
+    "lri": 10}]}` per line on standard input; only `offset_m` is required of a lane line. A time
+    stamp, `"time_s": 12.3`, may accompany or replace the frame id. Each answer has the lane, its
+    probability, the line crossing probability, and the lane changes since the previous answer. With
+    `filter: fixed_lag` it comes `lag` frames later. With `n_lanes: map` frames need the clock of
+    the road table.
 
     - nodes: add the posterior of this hidden node, e.g. Lane.
     - columns: names and units of other messages' fields, e.g. offset_m=c0,left_positive=true.

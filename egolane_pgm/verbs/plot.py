@@ -9,18 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from egolane_pgm.comparing import open_results
-from egolane_pgm.result import Result, is_result, load_result
+from egolane_pgm.result import is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Option, StrPath, several_of
+from egolane_pgm.verbs.options import Option, StrPath, several_of
+from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.figures import (
     confusion_figure,
     coverage_figure,
     dispersion_figure,
     reliability_figure,
 )
-from egolane_pgm.views.strips import strips_figure
+from egolane_pgm.views.strips import result_strips
 from egolane_pgm.views.studies import draw_study
 from egolane_pgm.views.style import write_figures
 
@@ -34,7 +35,7 @@ EXAMPLES = (
     "egolane plot results/drive --out drive.mcap",
 )
 
-#: Endings of --out that are one file instead of a folder of figures.
+#: Extensions of --out that are one file instead of a folder of figures.
 _FILES = (".html", ".mp4", ".mcap")
 
 
@@ -45,7 +46,7 @@ def plot(
     out: Annotated[StrPath | None, Option("DIR|FILE")] = None,
     style: Literal["png", "pdf", "svg"] = "png",
 ) -> list[Path]:
-    """Draw result directories and studies; the ending of --out chooses the format:
+    """Draw result directories and studies; the extension of --out sets the format:
 
     \b
     a folder    figures; of several results also the dispersion of their errors
@@ -56,7 +57,7 @@ def plot(
     - results: directories that `run` and `tune` wrote, or folders of results.
     - frames: frame ids of the belief strips, of a video or of an MCAP file.
     - out: by default figures/ in the result.
-    - style: of the figures.
+    - style: format of the figures.
 
     Returns the files. Raises InputError for directories and options that do not fit.
     """
@@ -71,20 +72,26 @@ def plot(
     found = open_results(place for place in places if place not in studies)
     is_several = len(found) + len(studies) > 1
 
-    def target(place: Path) -> Path:
+    def target(place: Path | None) -> Path:
+        assert place is not None
         if out is None:
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 
-    files = []
-    for place in studies:
-        files += draw_study(place, target(place), style)
+    files = [file for place in studies for file in draw_study(place, target(place), style)]
     for result in found:
-        assert result.directory is not None
-        files += write_figures(_figures(result, frames), target(result.directory), style)
+        makes: dict[str, Callable[[], Figure]] = {
+            "strips": partial(result_strips, result, *(frames or ()))
+        }
+        if result.scores["frames_scored"]:
+            for draw in (confusion_figure, reliability_figure, coverage_figure):
+                name = draw.__name__.removesuffix("_figure")
+                makes[name] = partial(draw, result.frames, title_of(result))
+        files += write_figures(makes, target(result.directory), style)
     if len(found) > 1:
-        together = {"dispersion": lambda: dispersion_figure(found)}
         folder = places[0].parent if is_result(places[0]) else places[0]
+        titled = [(title_of(result), result.frames) for result in found]
+        together = {"dispersion": partial(dispersion_figure, titled)}
         files += write_figures(together, Path(out or folder), style)
     return files
 
@@ -94,7 +101,7 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
     check_place(file)
     ending = file.suffix.lower()
     if ending == ".html":
-        # Its packages are an extra, and `egolane plot --help` needs none of them.
+        # Its packages are an extra, which `egolane plot --help` does not need.
         from egolane_pgm.page.document import write_page
 
         if frames:
@@ -114,18 +121,6 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
 
         write_video(file, result, frames)
     return file
-
-
-def _figures(result: Result, frames: tuple[int, int] | None) -> dict[str, Callable[[], Figure]]:
-    """The strips of a result and, with ground truth, the figures of its scores, by name."""
-    makes: dict[str, Callable[[], Figure]] = {
-        "strips": lambda: strips_figure(result, *(frames or (None, None)))
-    }
-    if result.scores["frames_scored"]:
-        makes["confusion"] = partial(confusion_figure, result)
-        makes["reliability"] = partial(reliability_figure, result)
-        makes["coverage"] = partial(coverage_figure, result)
-    return makes
 
 
 def says(done: list[Path], given: Mapping[str, Any]) -> str:

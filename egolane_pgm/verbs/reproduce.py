@@ -5,11 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
-from egolane_pgm.paper import Reproduction, Runs, load_published, parse_runs, reproduce_run
+import pandas as pd
+
+from egolane_pgm.paper import Reproduction, Runs, parse_runs, reproduce_run
 from egolane_pgm.recordings import catalog
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.verbs.given import Option, Progress, StrPath, path_of
-from egolane_pgm.views.tables import Table, confusion_table, page, reproduction_rows
+from egolane_pgm.verbs.options import Option, Progress, StrPath, path_of
+from egolane_pgm.views.tables import page, table
 
 EXAMPLES = ("egolane reproduce --runs 1-5", "egolane reproduce --format latex > table.tex")
 
@@ -18,7 +20,6 @@ def reproduce(
     *,
     runs: Annotated[Runs, Option("TEXT")] = "1-10",
     parameters: Literal["recovered", "published"] = "recovered",
-    matrices: bool = False,
     if_available: bool = False,
     out: Annotated[StrPath | None, Option("DIR")] = None,
     progress: Progress = None,
@@ -27,10 +28,9 @@ def reproduce(
 
     - runs: e.g. 1-5,7.
     - parameters: recovered (by a search; run 5 from the authors' code), or as printed (truncated).
-    - matrices: print every confusion matrix too.
-    - if_available: without the recordings: say how to get them, and end well.
-    - out: keep a result directory per run.
-    - progress: whether a bar shows how far it is; None for in a terminal.
+    - if_available: without the recordings, print how to get them and succeed.
+    - out: folder for a result directory per run.
+    - progress: whether to show a bar; by default in a terminal only.
 
     Returns a `Reproduction`; iterating gives the `Result` of each run. Raises InputError for a run
     that the paper does not have, and if a recording is missing.
@@ -51,36 +51,32 @@ def reproduce(
         done.append(reproduce_run(number, parameters))
         if out is not None:
             done[-1].run.save(Path(path_of(out, "out")) / done[-1].run.name)
-    return Reproduction(done, parameters, matrices)
+    return Reproduction(done, parameters)
 
 
 def text(done: Reproduction | None, style: str, wide: bool) -> str:
-    """The output of the command."""
+    """The output of the command: accuracy, F1 and log-loss, with the paper's in parentheses."""
     if done is None:
         return ""
-    document = done.document
-    parts: list[str | Table] = [Table(*reproduction_rows(document, load_published()), labels=2)]
-    if done.matrices:
-        parts += [
-            confusion_table(entry[kind]["confusion"], f"run {entry['run']}, {kind}")
-            for entry in document["runs"]
-            for kind in ("detector", "model")
-        ]
-    parts.append(
+    scores = done.table()
+    shown = pd.DataFrame({"off": scores["frames_off"]})
+    for key, name in {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}.items():
+        pairs = zip(scores[key], scores[f"{key}_in_paper"], strict=True)
+        shown[f"{name} (paper)"] = [f"{ours:.4f} ({theirs:.2f})" for ours, theirs in pairs]
+    last = (
         f"{done.summary}: cells of the published matrices that differ (parameters:"
         f" {done.parameters}; in-sample, as in the paper)"
     )
-    return page(parts, style, wide)
+    return page([table(scores if style == "csv" else shown), last], style, wide)
 
 
 def _have_recordings() -> bool:
-    """Whether the paper's recordings are there. If not, print where they were looked for and how to
-    get them."""
+    """Whether the paper's recordings are there; if not, print how to get them."""
     files, folders = catalog.list_files(), catalog.data_folders()
     if all(file.path.is_file() for file in files):
         return True
     places, size = " and ".join(map(str, folders)), sum(file.size for file in files) / 1e6
-    print(f"The paper's recordings (rle/*.bag) are not there; looked in {places}.")
+    print(f"The paper's recordings (rle/*.bag) are not in {places}.")
     print(
         f"To get them: `egolane data fetch` ({size:.0f} MB), or set EGOLANE_DATA to the folder that"
         " has rle/."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping
 from dataclasses import replace
@@ -12,15 +13,14 @@ import pandas as pd
 from annotated_types import Ge
 
 from egolane_pgm.drives import check_sources
-from egolane_pgm.experiment import FROM_MAP, FitSettings
-from egolane_pgm.loading import IN_MEMORY, ExperimentLike, Overrides, load_experiment
+from egolane_pgm.experiment import FROM_MAP, Experiment, FitSettings
+from egolane_pgm.loading import IN_MEMORY, ExperimentLike, load_experiment
 from egolane_pgm.model import compile_model
 from egolane_pgm.recordings.columns import column_keys
-from egolane_pgm.result import Result, check_writable
+from egolane_pgm.result import Result, check_writable, is_result
 from egolane_pgm.runs import Input, open_input, run_input, run_table, table_inputs
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import (
-    Blocks,
+from egolane_pgm.verbs.options import (
     Cluster,
     ColumnNames,
     Detector,
@@ -28,11 +28,13 @@ from egolane_pgm.verbs.given import (
     Jobs,
     Lines,
     Option,
+    Overrides,
     Progress,
     StrPath,
     TableOfRuns,
     Truth,
     path_of,
+    place_of,
 )
 
 EXAMPLES = (
@@ -62,13 +64,11 @@ def run(  # type: ignore[misc]
     n_lanes: int | None = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
     detector: Detector = None,
-    topic: str | None = None,
     columns: ColumnNames = None,
     graph: Graph = None,
     table: TableOfRuns = None,
     chunk_frames: Annotated[int | None, Ge(1)] = None,
     held_out: bool = False,
-    blocks: Blocks = 5,
     dry_run: bool = False,
     out: Annotated[StrPath | None, Option("DIR", default="results/*", said="results/NAME")] = None,
     figures: bool = True,
@@ -79,40 +79,38 @@ def run(  # type: ignore[misc]
     """Infer the lane in each frame of a recording, score it, and list lane changes.
 
     EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines,
-    run with the model of another experiment.
+    which is run with the model of an experiment.
 
     With a table the experiment is run once per row of overrides: a result directory for each, and
-    summary.parquet. Rows whose result is there are not run again; a row that fails does not stop
-    the others.
+    summary.parquet. Rows that have a result already are skipped; a row that fails does not stop the
+    others.
 
     - given: an experiment; lines: a file, a DataFrame (see `read_lines`) or a LineLog; or a Result,
       whose experiment is run again on its recording.
     - experiment: the model for LINES (evidence, graph, filter, parameters).
-    - overrides: override a key of the YAML, e.g. parameters.bonus_value=0.
-    - ground_truth: annotation of the recording, a file or a DataFrame with frame_id, lane and
-      crossing; "none" for none.
+    - overrides: override a key of the YAML, e.g. parameters.bonus_value=0, recording.topic=/lanes.
+    - ground_truth: annotated lanes, a file or a DataFrame with frame_id, lane and crossing; "none"
+      to run without.
     - n_lanes: number of lanes of the road.
     - camera: camera of pictures, or of lines in pixels.
     - detector: line detector for a video or pictures.
-    - topic: topic of a bag, of its lines or pictures.
     - columns: names and units of a table's columns or of fields, e.g.
       offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
-    - graph: another graph; in Python also a module or a pgmpy network.
+    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
     - table: table of runs: columns are YAML keys (recording.path, parameters.sigma1) and tag.X.
     - chunk_frames: infer this many frames at a time, to save memory on long drives.
-    - held_out: infer each block of the annotated frames with parameters that were found without
-      it (`fit`: none, learn, tune).
-    - blocks: with held_out: number of blocks.
-    - dry_run: check keys, plugins, parameters and files, and compute nothing. A .py that a YAML
-      names is executed.
-    - out: result directory; of a table, the folder of its results. A `*` in it is the run's name.
+    - held_out: infer each block of the annotated frames with parameters that were fitted to the
+      others (`fit.method`: none, learn, tune; `fit.folds`: number of blocks).
+    - dry_run: check keys, plugins, parameters and files without a run. A .py that a YAML names is
+      executed.
+    - out: result directory; with a table, the folder of its results. A `*` in it is the run's name.
     - figures: draw the posterior over time.
     - jobs: processes that share the rows of a table.
     - cluster: Dask cluster for the rows of a table.
-    - progress: whether a bar is shown; None for in a terminal.
+    - progress: whether to show a bar; by default in a terminal only.
 
-    Returns a `Result`; of a table a DataFrame with a row per run; of a dry run a line. Without
-    `out` nothing is written. Raises InputError, one line, for whatever does not fit.
+    Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Writes
+    files only with `out`. Raises InputError if the arguments do not fit.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
@@ -123,26 +121,6 @@ def run(  # type: ignore[misc]
     >>> ego.run(lines, n_lanes=4)
     Result('in_memory': 300 frames, no ground truth; not tuned, causal)
     """
-    recording = recording_keys(camera, detector, topic, columns)
-    n_blocks = blocks if held_out else None
-    if table is not None:
-        if out is None:
-            raise InputError("table: needs out, the folder of its results")
-        if any(each is not None for each in (experiment, ground_truth, chunk_frames)):
-            raise InputError(
-                "table: does not go with experiment, ground_truth and chunk_frames; name files in"
-                " its columns recording.path and ground_truth.path"
-            )
-        base = open_input(
-            given, overrides=overrides, n_lanes=n_lanes, graph=graph, recording=recording
-        ).experiment
-        inputs = table_inputs(base, table)
-        if dry_run:
-            return "\n".join(check_input(each) for each in inputs)
-        folder = Path(path_of(out, "out").replace("*", base.name))
-        return run_table(
-            inputs, folder, n_blocks=n_blocks, jobs=jobs, cluster=cluster, progress=progress
-        )
     chosen = open_input(
         given,
         experiment=experiment,
@@ -150,14 +128,33 @@ def run(  # type: ignore[misc]
         n_lanes=n_lanes,
         ground_truth=ground_truth,
         graph=graph,
-        recording=recording,
+        recording={
+            "camera": None if camera is None else path_of(camera, "camera"),
+            "detector": None if detector is None else path_of(detector, "detector"),
+            "columns": None if columns is None else column_keys(columns),
+        },
     )
+    place = place_of(out, chosen.experiment.name)
+    n_blocks = chosen.experiment.fit.folds if held_out else None
+    if table is not None:
+        if place is None:
+            raise InputError("table: needs out, the folder of its results")
+        if any(each is not None for each in (experiment, ground_truth, chunk_frames)):
+            raise InputError(
+                "table: does not go with experiment, ground_truth and chunk_frames; name files in"
+                " its columns recording.path and ground_truth.path"
+            )
+        inputs = table_inputs(chosen.experiment, table)
+        if dry_run:
+            return "\n".join(check_input(each) for each in inputs)
+        return run_table(
+            inputs, place, n_blocks=n_blocks, jobs=jobs, cluster=cluster, progress=progress
+        )
     if dry_run:
         return check_input(chosen)
-    place = None
-    if out is not None:
-        place = Path(path_of(out, "out").replace("*", chosen.experiment.name))
+    if place is not None:
         check_writable(place)
+        check_same_drive(place, chosen.experiment)
     result = run_input(chosen, n_blocks=n_blocks, chunk_frames=chunk_frames, progress=progress)
     if place is None:
         return result
@@ -169,14 +166,15 @@ def run(  # type: ignore[misc]
     return result
 
 
-def recording_keys(camera: Any, detector: Any, topic: Any, columns: Any) -> dict[str, Any]:
-    """The keys of `recording` that have options of their own."""
-    return {
-        "camera": None if camera is None else path_of(camera, "camera"),
-        "detector": None if detector is None else path_of(detector, "detector"),
-        "topic": topic,
-        "columns": None if columns is None else column_keys(columns),
-    }
+def check_same_drive(place: Path, experiment: Experiment) -> None:
+    """Raise InputError if a directory has the result of another recording."""
+    if not is_result(place):
+        return
+    old = json.loads((place / "run.json").read_text())["config"]["recording"]
+    new = experiment.model_dump(mode="json")["recording"]
+    if any(old.get(key) != new.get(key) for key in ("path", "simulate")):
+        name = old.get("path") or old.get("simulate")
+        raise InputError(f"out: {place} has the result of another recording, {name}; name another")
 
 
 def check_input(given: Input) -> str:
@@ -185,15 +183,16 @@ def check_input(given: Input) -> str:
     if experiment.recording.path != IN_MEMORY:
         check_sources(experiment)
     if experiment.n_lanes == FROM_MAP:
-        # The number of lanes is known after reading only: any number shows whether plugins fit.
+        # The number of lanes is known after reading only; any number shows whether plugins fit.
         experiment = load_experiment(experiment, {"road": None}, n_lanes=2)
     model = compile_model(experiment)
     if experiment.fit != FitSettings():
         # Optuna is loaded for this only.
-        from egolane_pgm.studies.fits import search_space, settings_of
+        from egolane_pgm.studies.fits import search_space
+        from egolane_pgm.studies.search import settings_of
 
         settings_of(experiment.fit, source=experiment.source)
-        search_space(model, experiment.fit)
+        search_space([model], experiment.fit)
     return (
         f"{given.experiment.source}: ok ({model.n_lanes} lanes,"
         f" {model.compiled.n_states} joint states)"
@@ -203,14 +202,14 @@ def check_input(given: Input) -> str:
 def text(done: Result | pd.DataFrame | str, style: str, wide: bool) -> str:
     """The output of the command."""
     if isinstance(done, pd.DataFrame):
-        from egolane_pgm.views.runs import runs_text
+        from egolane_pgm.views.display import runs_text
 
         return runs_text(done, style, wide)
     return done if isinstance(done, str) else done.to_text(style=style, wide=wide)
 
 
 def says(done: Result | pd.DataFrame | str, given: Mapping[str, Any]) -> str:
-    """Where the results are."""
+    """The paths of the results."""
     if isinstance(done, str):
         return ""
     if isinstance(done, Result):

@@ -1,5 +1,4 @@
-"""JSON Schemas (draft 2020-12) of the YAML files.
-Editors complete and check keys by them, and the documentation's reference is made from them."""
+"""JSON Schemas (draft 2020-12) of the YAML files, for editors and the reference."""
 
 from __future__ import annotations
 
@@ -16,38 +15,34 @@ from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import YAML_VERSION
 from egolane_pgm.verbs.studied import TuningFile
 
-#: The files that have a schema: what is in them.
-KINDS: dict[str, Any] = {
-    "experiment": Experiment,
-    "tuning": TuningFile,
-}
+#: The files that have a schema, and their models.
+KINDS: dict[str, Any] = {"experiment": Experiment, "tuning": TuningFile}
 
-#: The keys of every YAML file, and of those that may lack keys; neither is the experiment's own.
+#: Keys of YAML files that are not fields of the models.
 _VERSION = {
     "const": YAML_VERSION,
     "default": YAML_VERSION,
-    "description": "version of the keys that the file is written in",
+    "description": "version of the format",
 }
 _INCLUDE = {
     "type": "string",
-    "description": "YAML file beside this one, whose keys are taken where this one has none",
+    "description": "YAML file, relative to this one, that gives the missing keys",
     "examples": ["_shared.yaml"],
 }
 
 
 class _Untitled(GenerateJsonSchema):
-    """A key's title would be its own name again."""
+    """Leaves out titles, which would repeat the names of the keys."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
         return False
 
 
 def schema(kind: str = "experiment") -> dict[str, Any]:
-    """The JSON Schema of a YAML file, by which an editor completes and checks its keys.
+    """The JSON Schema of a YAML file.
 
-    Unknown keys are refused; what a plugin of the package is called is checked, files of one's own
-    are not looked at. A file with `include` need not have all keys, and neither a file without
-    `name`, which others include.
+    Unknown keys are refused; names of the package's plugins are checked, a user's files are not. A
+    file with `include` may lack keys, and so may a file without `name`, which others include.
     """
     found = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
     definitions = found.get("$defs", {})
@@ -69,7 +64,7 @@ def schema(kind: str = "experiment") -> dict[str, Any]:
 
 
 def _name_plugins(keys: dict[str, Any]) -> None:
-    """Let keys have the names of what the package has, or of files of one's own."""
+    """Limit keys to the names of the package's plugins, or to files."""
     for key, names, endings in (
         ("graph", plugin_names("graphs"), OWN_FILES),
         ("evidence", plugin_names("evidence"), (".py",)),
@@ -82,7 +77,7 @@ def _name_plugins(keys: dict[str, Any]) -> None:
 
 
 def _one_of(key: dict[str, Any], names: Iterable[str], endings: Iterable[str] = ()) -> None:
-    """Let a key have one of some names, or that of a file with one of some endings."""
+    """Limit a key to some names, or to files with some extensions."""
     other = [each for each in key.pop("anyOf", []) if each.get("type") == "null"]
     key.pop("type", None)
     files = "|".join(ending.lstrip(".") for ending in endings)

@@ -17,11 +17,11 @@ from egolane_pgm.model import compile_graph, matching_evidence_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import format_of
-from egolane_pgm.runs import open_input
+from egolane_pgm.recordings.showing import show_recording
 from egolane_pgm.tools.files import check_not_read, plain
 from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
 from egolane_pgm.verbs import listing
-from egolane_pgm.verbs.given import Option, StrPath, path_of, shown
+from egolane_pgm.verbs.options import Option, StrPath, path_of, shown
 from egolane_pgm.views.description import (
     describe_detector,
     describe_graph,
@@ -29,7 +29,7 @@ from egolane_pgm.views.description import (
     description_text,
 )
 from egolane_pgm.views.network import check_ending, write_network
-from egolane_pgm.views.tables import box_text, wrapped
+from egolane_pgm.views.tables import wrapped
 
 EXAMPLES = (
     "egolane show",
@@ -51,28 +51,26 @@ def show(
     *,
     n_lanes: NLanes = 3,
     tables: bool = False,
-    frame: int | None = None,
     out: Annotated[StrPath | None, Option("FILE")] = None,
 ) -> dict[str, Any]:
-    """Show what there is, or describe one thing.
+    """List graphs, evidence rules, detectors and experiments, or describe one.
 
     Without NAME, or with a KIND (graphs, evidence, detectors, experiments, ...), the names are
-    listed. NAME is one of these or a file of your own: a graph, an evidence rule, a detector or an
-    experiment. `graph:NAME`, `evidence:NAME`, `detector:NAME` and `experiment:NAME` tell apart what
-    has the same name. `schema` is the JSON Schema of experiments, `schema:tuning` that of tuning
-    files.
+    listed. NAME is one of these or your own file: a graph, an evidence rule, a detector or an
+    experiment. Prefixes tell apart equal names: `graph:NAME`, `evidence:NAME`, `detector:NAME`,
+    `experiment:NAME`. `schema` and `schema:tuning` print the JSON Schemas of experiments and
+    tuning files.
 
     For a recording (a table or a bag), print its content and, if names and signs are clear, the
     command that runs it. For a lane network (FILE.onnx), print its inputs and outputs, the layout
     that fits, and the YAML to start from.
 
     - n_lanes: number of lanes of the road.
-    - tables: print a graph's tables in numbers.
-    - frame: print the lines of this frame of an experiment's recording, as in the paper's Box 1.
+    - tables: print the numbers of a graph's tables.
     - out: write a graph: a picture (.png, .svg, .pdf), or both slices with their tables for
       other programs (.bif).
 
-    Returns the description. Raises InputError, one line, for whatever does not fit.
+    Returns the description. Raises InputError if the arguments do not fit.
     """
     given = "" if name is None else path_of(name, "name")
     if out is not None:
@@ -82,17 +80,18 @@ def show(
     elif given.partition(":")[0] == "schema":
         found = _schema(given.partition(":")[2] or "experiment")
     elif given.endswith(".onnx"):
-        found = _onnx(Path(given))
+        # OpenCV is imported only if it is needed.
+        from egolane_pgm.vision.detectors.networks.checking import describe_onnx
+
+        found = {"name": given, "text": describe_onnx(Path(given))}
     elif _is_recording(Path(given)):
-        found = _recording(Path(given))
+        found = {"name": given, "text": show_recording(Path(given))}
     elif _is_yaml(given):
-        found = _yaml(given.removeprefix("experiment:"), frame)
+        found = _yaml(given.removeprefix("experiment:"))
     else:
         found = _plugin(given, n_lanes, tables, out)
     if out is not None and found.get("kind") != "graph":
         raise InputError(f"out: {out}: only a graph is written to a file")
-    if frame is not None and "keys" not in found:
-        raise InputError("frame: goes with an experiment")
     return found
 
 
@@ -111,29 +110,16 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     return description_text({**done, "file": shown(done["file"])})
 
 
-def _onnx(path: Path) -> dict[str, Any]:
-    # OpenCV is imported only if it is needed.
-    from egolane_pgm.vision.detectors.networks.checking import describe_onnx
-
-    return {"name": str(path), "text": describe_onnx(path)}
-
-
 def _is_recording(path: Path) -> bool:
-    """Whether a name is that of a table or a bag."""
+    """Whether a file is a table or a bag."""
     try:
         return format_of(path) in ("table", "rosbag")
     except InputError:
         return False
 
 
-def _recording(path: Path) -> dict[str, Any]:
-    from egolane_pgm.recordings.showing import show_recording
-
-    return {"name": str(path), "text": show_recording(path)}
-
-
 def _schema(kind: str) -> dict[str, Any]:
-    # It imports whatever has a schema.
+    # Schemas import all rooms that have one.
     from egolane_pgm.verbs.schema import KINDS, schema
 
     if kind not in KINDS:
@@ -141,11 +127,8 @@ def _schema(kind: str) -> dict[str, Any]:
     return schema(kind)
 
 
-# --- experiments -------------------------------------------------------------------------------
-
-
 def _is_yaml(name: str) -> bool:
-    """Whether a name is that of an experiment, or a YAML file that is no graph."""
+    """Whether a name is an experiment, or a YAML file without a graph."""
     if name.startswith("experiment:"):
         return True
     if name.lower().endswith((".yaml", ".yml")):
@@ -156,24 +139,21 @@ def _is_yaml(name: str) -> bool:
     return any(path.stem == name for path in listing.yaml_files())
 
 
-def _yaml(name: str, frame: int | None) -> dict[str, Any]:
-    """The keys of an experiment or of a tuning file, and the lines of a frame."""
+def _yaml(name: str) -> dict[str, Any]:
+    """The keys of an experiment or of a tuning file."""
     path = experiment_path(name)
     keys = load_yaml(path)
-    found: dict[str, Any] = {
-        "kind": "tuning file" if "experiments" in keys else "experiment",
+    kind = "tuning file" if "experiments" in keys else "experiment"
+    return {
+        "kind": kind,
         "name": keys.get("name", path.stem),
         "file": str(path),
         "keys": plain(keys),
     }
-    if frame is not None:
-        [drive] = open_input(path).drives()
-        found["text"] = box_text(drive.log, frame)
-    return found
 
 
 def _yaml_text(found: Mapping[str, Any]) -> str:
-    """The keys of a YAML file, with those of the files that it includes."""
+    """The keys of a YAML file, included ones too, as text."""
     keys = {
         key: value for key, value in found["keys"].items() if key not in ("name", "description")
     }
@@ -182,9 +162,6 @@ def _yaml_text(found: Mapping[str, Any]) -> str:
     lines += ["", wrapped(str(about))] if about else []
     text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None)
     return "\n".join([*lines, "", text.rstrip("\n")])
-
-
-# --- graphs, evidence rules, detectors ---------------------------------------------------------
 
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:

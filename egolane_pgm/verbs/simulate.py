@@ -15,7 +15,7 @@ from egolane_pgm.simulation import simulate as make_drive
 from egolane_pgm.tools.files import make_directory, write_yaml
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import Hidden, Option, Progress, StrPath
+from egolane_pgm.verbs.options import Hidden, Option, Progress, StrPath
 from egolane_pgm.vision.simulated import write_drive
 
 EXAMPLES = (
@@ -31,7 +31,9 @@ def simulate(
     seed: Annotated[int, Ge(0), Hidden] = 0,
     n_lanes: Annotated[int | None, Hidden] = None,
     frames: int | None = None,
-    overrides: Annotated[Mapping[str, Any] | None, Option(example="change_s=5")] = None,
+    overrides: Annotated[
+        Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="change_s=5")
+    ] = None,
     images: bool = False,
     progress: Progress = None,
 ) -> SimulatedDrive | Road:

@@ -1,4 +1,4 @@
-"""The drives and folds of a study, as `tune` and `learn` are given them.
+"""The drives and folds of a study, from the arguments of `tune` and `learn`.
 
 A list of experiments may be a file:
 
@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
@@ -25,7 +24,7 @@ from egolane_pgm.running import noting
 from egolane_pgm.runs import is_lines, open_input, table_inputs
 from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.given import path_of, several_of
+from egolane_pgm.verbs.options import several_of
 
 
 class TuningFile(Section):
@@ -36,7 +35,7 @@ class TuningFile(Section):
         description="short name; the study is written to results/tuning/NAME",
         examples=["all_italy"],
     )
-    description: str = Field(default="", description="what it is, in a line")
+    description: str = Field(default="", description="one line of text")
     fit: FitSettings = Field(default=FitSettings(), description="settings of the search")
     experiments: tuple[str, ...] = Field(
         min_length=1,
@@ -45,11 +44,11 @@ class TuningFile(Section):
     )
 
 
-@dataclass(frozen=True)
-class Studied:
-    """Drives to fit to, the folds that are held out, and warnings of reading the drives.
+class Studied(NamedTuple):
+    """Drives to fit to, and the folds.
 
-    - experiments: as they were given: a recording with a road table is cut into several drives.
+    - experiments: as given; one with a road table has several drives.
+    - notes: warnings of reading the drives.
     """
 
     name: str
@@ -60,12 +59,12 @@ class Studied:
 
 
 def open_studied(
-    experiments: Any, *, table: Any, by_tag: str | None, blocks: int | None, **options: Any
+    experiments: Any, *, table: Any, by_tag: str | None, folds: int | None, **options: Any
 ) -> Studied:
     """Read the drives of some experiments, or of a table of runs, and make the folds.
 
-    - blocks: number of blocks of each drive, of parts of a table, or 0 for no folds; by default
-      `fit.folds` of the first experiment.
+    - folds: number of blocks of each drive, or of groups of a table's drives; 0 for no folds; by
+      default `fit.folds` of the first experiment.
     - options: as `runs.open_input` takes them.
     """
     given = several_of(experiments)
@@ -74,9 +73,8 @@ def open_studied(
     listed = _list_of(given[0]) if len(given) == 1 else None
     if listed is not None:
         file, folder = listed
-        given = [folder / name for name in file.experiments]
         fit = file.fit.model_dump(exclude_unset=True)
-        given = [load_experiment(each, {"fit": fit}) for each in given]
+        given = [load_experiment(folder / name, {"fit": fit}) for name in file.experiments]
     inputs = [open_input(each, **options) for each in given]
     name = inputs[0].experiment.name if listed is None else listed[0].name
     if by_tag is not None and table is None:
@@ -87,17 +85,15 @@ def open_studied(
         inputs = table_inputs(inputs[0].experiment, table)
     with noting() as notes:
         drives = [drive for each in inputs for drive in each.drives()]
-    if blocks is None:
-        blocks = inputs[0].experiment.fit.folds
-    folds: Sequence[Fold] = []
-    if blocks == 1:
-        raise InputError("blocks: 1 leaves nothing to fit to; 0 holds out nothing")
-    if blocks and table is not None and len(drives) > 1:
-        folds = drive_folds(drives, blocks, by_tag)
-    elif blocks:
-        folds = block_folds(drives, blocks)
-    experiments = [each.experiment for each in inputs]
-    return Studied(name, experiments, drives, folds, notes)
+    n_folds = inputs[0].experiment.fit.folds if folds is None else folds
+    if n_folds == 1:
+        raise InputError("folds: 1 leaves nothing to fit to; 0 holds out nothing")
+    found: Sequence[Fold] = []
+    if n_folds and table is not None and len(drives) > 1:
+        found = drive_folds(drives, n_folds, by_tag)
+    elif n_folds:
+        found = block_folds(drives, n_folds)
+    return Studied(name, [each.experiment for each in inputs], drives, found, notes)
 
 
 def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
@@ -111,11 +107,6 @@ def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
     return validated(TuningFile, content, str(path)), path.parent
 
 
-def study_place(out: Any, given: Studied) -> Path | None:
-    """The directory of a study; `*` is the name of its experiment."""
-    return None if out is None else Path(path_of(out, "out").replace("*", given.name))
-
-
 def says(done: Study, given: Mapping[str, Any]) -> str:
-    """Where the study is; the last line of the commands."""
+    """The path of the study."""
     return f"study: {done.directory}; run its best.yaml, or `include:` it"

@@ -1,4 +1,4 @@
-"""Answers and ground truth of a result, as figures, tables and the page show them."""
+"""Answers and ground truth of a table of frames (`Result.frames`)."""
 
 from __future__ import annotations
 
@@ -15,11 +15,6 @@ def title_of(result: Result) -> str:
     return result.name + (" (in-sample)" if result.run["tuned_on"] == "same_frames" else "")
 
 
-def title_with_frames(result: Result) -> str:
-    """The title with the number of scored frames. Raises InputError if there are none."""
-    return f"{title_of(result)}: {len(scored(result)):,} frames"
-
-
 def is_known(frames: pd.DataFrame) -> BoolArray:
     """Mark the frames, (T,), that are annotated and not crossing."""
     known = frames["true_lane"].notna() & ~frames["is_crossing"].eq(True).fillna(False)
@@ -27,15 +22,12 @@ def is_known(frames: pd.DataFrame) -> BoolArray:
     return marked
 
 
-def scored(result: Result) -> pd.DataFrame:
+def scored(frames: pd.DataFrame) -> pd.DataFrame:
     """The frames that are annotated and not crossing. Raises InputError if there are none."""
-    frames = result.frames[is_known(result.frames)]
-    if frames.empty:
-        raise InputError(
-            f"{result.directory or result.name}: has no ground truth to compare with (no annotated"
-            " frame that is not crossing); run the experiment with a ground_truth"
-        )
-    return frames
+    known = frames[is_known(frames)]
+    if known.empty:
+        raise InputError("no annotated frame that is not crossing; run with a ground_truth")
+    return known
 
 
 def frames_between(frames: pd.DataFrame, first: int | None, last: int | None) -> pd.DataFrame:
@@ -50,7 +42,7 @@ def frames_between(frames: pd.DataFrame, first: int | None, last: int | None) ->
 
 
 def answers(frames: pd.DataFrame) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Posterior (T, n) and assigned lane (T,) of "Detector", if it has an answer, and "Model"."""
+    """Posterior (T, n) and assigned lane (T,) of "Model" and, if it has an answer, "Detector"."""
     both = {}
     if "detector_lane" in frames:
         both["Detector"] = lanes_of(frames, "detector"), frames["detector_lane"].to_numpy()

@@ -18,37 +18,33 @@ LEGEND = (
     " row, with paired intervals. Frames of untrusted labels are left out."
 )
 
-#: Accuracies that the axis names; larger ones than the last are drawn there.
+#: Ticks of the axis; accuracies above the last are drawn there.
 _ACCURACIES = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9997)
 
 
 def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
-    """The text of `egolane compare`: a table per score, and the lane changes if they were compared.
+    """The output of `egolane compare`: a table per score, and one of the lane changes.
 
     - found: as `comparing.compare` returns it.
     """
-    shown = found.assign(
-        tuned_on=[
-            ", ".join(TUNED_ON_SHORT.get(each, each) for each in str(cell).split(", "))
-            for cell in found["tuned_on"]
-        ]
-    )
     if style == "csv":
         return page([table(found)], style)
+    short = [
+        ", ".join(TUNED_ON_SHORT.get(each, each) for each in str(cell).split(", "))
+        for cell in found["tuned_on"]
+    ]
     counts = sorted(set(found["recordings"].astype(str)))
     parts: list[str | Table] = [f"recordings per row: {', '.join(counts)}"]
     for key, name in _SCORES.items():
-        columns = [c for c in found if c == key or c.startswith((f"{key}_low", f"{key}_high"))]
-        columns += [c for c in found if c.startswith(f"{key}_difference")]
-        of_score = shown[[*columns, *(["tuned_on"] if key == "accuracy" else [])]]
+        of_score = found[[c for c in found if c == key or c.startswith(f"{key}_")]]
         renamed = of_score.rename(columns=lambda c, key=key, name=name: c.replace(key, name, 1))
-        digits = {f"{name}_difference": "+.3f"}
-        parts.append(table(renamed, digits))
-    events = [c for c in found if c.startswith("event_")]
-    if events:
-        renamed = found[events].rename(columns=lambda c: c.removeprefix("event_"))
-        renamed = renamed.rename(columns={"delay_s": "median delay, s"}).dropna(how="all")
-        parts.append("lane changes, detected within 1 s")
+        renamed = renamed.assign(tuned_on=short) if key == "accuracy" else renamed
+        parts.append(table(renamed, {f"{name}_difference": "+.3f"}))
+    events = found.filter(regex="^event_").dropna(how="all")
+    if len(events.columns) and len(events):
+        renamed = events.rename(columns=lambda c: c.removeprefix("event_"))
+        renamed = renamed.rename(columns={"delay_s": "median delay, s"})
+        parts.append("lane changes, reported within 1 s")
         parts.append(table(renamed, {"false_per_hour": 1, "median delay, s": "+.2f"}))
     return page([*parts, LEGEND], style, wide)
 

@@ -1,4 +1,4 @@
-"""Descriptions of graphs, evidence rules and detectors: as plain data, and as text."""
+"""Descriptions of graphs, evidence rules and detectors, as data and as text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.plugins import plugin_errors
@@ -31,29 +30,30 @@ _BEFORE = " before"
 def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> dict[str, Any]:
     """The nodes of a compiled graph with their roles, its edges, tables and parameters.
 
-    - numbers: add the `values` of each table, an axis per parent and the node's own last.
+    - numbers: add the `values` of each table: an axis per parent, then the axis of the node.
     """
     structure = structure_of(compiled)
-    nodes = [
-        {"name": name, "role": kind, "values": list(compiled.values.get(name, ()))}
-        for name, kind in structure.kind.items()
-    ]
-    tables = []
+    tables: list[dict[str, Any]] = []
     for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
-        first, later = compiled.tables[name, 0], compiled.tables[name, 1]
-        if compiled.has_one_table(name):
-            tables.append(_table("every frame", first, numbers))
-        else:
-            tables.append(_table("first frame", first, numbers))
-            tables.append(_table("later frames", later, numbers))
+        frames = ["first frame", "later frames"]
+        for s, when in enumerate(["every frame"] if compiled.has_one_table(name) else frames):
+            each = compiled.tables[name, s]
+            parents = [parent + _BEFORE * (t != s) for parent, t in each.parents]
+            axes, shape = [*parents, name], list(each.values.shape)
+            tables.append({"node": name, "frames": when, "axes": axes, "shape": shape})
+            if numbers:
+                tables[-1]["values"] = each.values
     return {
-        **_head("graph", module),
+        "kind": "graph",
         "n_lanes": compiled.cardinality.get("Lane"),
         "joint_states": compiled.n_states,
-        "nodes": nodes,
+        "nodes": [
+            {"name": name, "role": role, "values": list(compiled.values.get(name, ()))}
+            for name, role in structure.kind.items()
+        ],
         "edges": {"within": structure.within, "across": structure.across},
         "tables": tables,
-        "parameters": _parameters(module),
+        **_of_module(module),
     }
 
 
@@ -65,37 +65,24 @@ def describe_rule(module: ModuleType, defaults: Parameters) -> dict[str, Any]:
             reason = module.looks_ahead(defaults)
     keys = getattr(module, "PROVIDES", ())
     return {
-        **_head("evidence rule", module),
+        "kind": "evidence rule",
         "gives": [key if isinstance(key, str) else list(key) for key in keys],
         "inputs": list(getattr(module, "INPUTS", ())),
         "detector_only": getattr(module, "TENTATIVE", None),
         "looks_ahead": reason,
         "can_learn": hasattr(module, "fit"),
-        "parameters": _parameters(module),
+        **_of_module(module),
     }
 
 
 def describe_detector(module: ModuleType) -> dict[str, Any]:
     """Whether a detector needs `stereo` pictures, and its parameters."""
-    parameters = _parameters(module)
-    return {**_head("detector", module), "stereo": bool(module.STEREO), "parameters": parameters}
+    return {"kind": "detector", "stereo": bool(module.STEREO), **_of_module(module)}
 
 
-def _head(kind: str, module: ModuleType) -> dict[str, Any]:
-    about = inspect.cleandoc(module.__doc__ or "")
-    return {"kind": kind, "file": str(module.__file__), "about": about}
-
-
-def _table(frames: str, table: Table, numbers: bool) -> dict[str, Any]:
-    name, now = table.node
-    axes = [parent if s == now else parent + _BEFORE for parent, s in table.parents]
-    shape = list(table.values.shape)
-    found = {"node": name, "frames": frames, "axes": [*axes, name], "shape": shape}
-    return {**found, "values": table.values} if numbers else found
-
-
-def _parameters(module: ModuleType) -> list[dict[str, Any]]:
-    return [
+def _of_module(module: ModuleType) -> dict[str, Any]:
+    """The file of a plugin, its docstring and its parameters."""
+    parameters = [
         {
             "name": spec.name,
             "kind": spec.kind,
@@ -107,6 +94,8 @@ def _parameters(module: ModuleType) -> list[dict[str, Any]]:
         }
         for spec in getattr(module, "PARAMETERS", ())
     ]
+    about = inspect.cleandoc(module.__doc__ or "")
+    return {"file": str(module.__file__), "about": about, "parameters": parameters}
 
 
 # --- as text -------------------------------------------------------------------------------------
@@ -124,27 +113,43 @@ def description_text(found: Mapping[str, Any]) -> str:
         lines += _rule_lines(found)
     else:
         lines += ["", "cameras: two, as a stereo pair" if found["stereo"] else "cameras: one"]
-    return "\n".join([*lines, "", *_parameter_lines(found["parameters"])])
+    lines += ["", "parameters" if found["parameters"] else "parameters: none"]
+    for each in found["parameters"]:
+        searched = f"searched {_short(each['range'])}" if each["range"] else "not searched"
+        facts = (
+            f"{each['kind']}{' (or one per lane)' * each['per_lane']},"
+            f" default {_short(each['default'])}, {searched}"
+        )
+        text = each["meaning"]
+        if each["choices"]:
+            number = "a number or " * (each["kind"] != "choice")
+            text = f"{number}{' or '.join(each['choices'])}: {text}"
+        lines += [wrapped(f"  {each['name']}  {facts}", 4), wrapped(f"      {text}")]
+    return "\n".join(lines)
 
 
 def _graph_lines(found: Mapping[str, Any]) -> list[str]:
     lines = ["", f"nodes ({found['n_lanes']} lanes, {found['joint_states']} joint states)"]
-    width = max(len(node["name"]) for node in found["nodes"])
-    roles = {node["name"]: node["role"] for node in found["nodes"]}
-    values = {node["name"]: node["values"] for node in found["nodes"]}
-    for name, role in roles.items():
-        text = _values_text(values[name])
+    nodes = {node["name"]: node for node in found["nodes"]}
+    width = max(map(len, nodes))
+    for name, node in nodes.items():
+        values, role = node["values"], node["role"]
+        text = ", ".join(values)
+        if len(values) > 6 and values[0].isdecimal():
+            text = f"{values[0]} to {values[-1]}"
         if role == "virtual evidence":
             of = [parent for parent, child in found["edges"]["within"] if child == name]
             text = f"the likelihood of {', '.join(of)}"
         lines.append(wrapped(f"  {name:{width}}  {role:16}  {text}", width + 20))
     for title, which in (("within a frame", "within"), ("to the next frame", "across")):
         lines += ["", f"edges {title}"]
-        edges = [edge for edge in found["edges"][which] if roles[edge[1]] != "virtual evidence"]
-        for parent in dict.fromkeys(parent for parent, _ in edges):
-            children = ", ".join(child for each, child in edges if each == parent)
-            lines.append(wrapped(f"  {parent:{width}}  -> {children}", width + 5))
-    lines += ["", "tables (the axes are the parents and the node itself)"]
+        children: dict[str, list[str]] = {}
+        for parent, child in found["edges"][which]:
+            if nodes[child]["role"] != "virtual evidence":
+                children.setdefault(parent, []).append(child)
+        for parent, names in children.items():
+            lines.append(wrapped(f"  {parent:{width}}  -> {', '.join(names)}", width + 5))
+    lines += ["", "tables (the axes are the parents and the node)"]
     for each in found["tables"]:
         *given, node = each["axes"]
         frames = "" if each["frames"] == "every frame" else f"  ({each['frames']})"
@@ -152,30 +157,21 @@ def _graph_lines(found: Mapping[str, Any]) -> list[str]:
         text = f"  P({node}{' | ' if given else ''}{', '.join(given)})"
         lines.append(wrapped(f"{text:58} {shape}{frames}", 2))
         if "values" in each:
-            lines.append(_numbers_text(each, values))
+            names = [nodes[axis.removesuffix(_BEFORE)]["values"] for axis in each["axes"]]
+            lines.append(_numbers_text(each, names))
     lines[-1] = lines[-1].rstrip()
     return lines
 
 
-def _values_text(names: Sequence[str]) -> str:
-    first = int(names[0]) if names and names[0].isdecimal() else 0
-    if len(names) > 6 and list(names) == [str(first + k) for k in range(len(names))]:
-        return f"{names[0]} to {names[-1]}"
-    return ", ".join(names)
-
-
-def _numbers_text(found: Mapping[str, Any], names: Mapping[str, Sequence[str]]) -> str:
+def _numbers_text(found: Mapping[str, Any], names: Sequence[Sequence[str]]) -> str:
     """A table of probabilities: a row for each combination of the parents' values."""
     values = found["values"]
     if values.size > MAX_PRINTED:
-        return f"    {values.size} numbers, which JSON lists"
-    *given, node = found["axes"]
-    of_parents = (names[axis.removesuffix(_BEFORE)] for axis in given)
-    rows = [", ".join(combination) for combination in itertools.product(*of_parents)]
-    cells = np.reshape(values, (len(rows), -1))
-    frame = pd.DataFrame(cells, index=pd.Index(rows, name=", ".join(given) or " "))
-    printed = table(frame.set_axis(list(names[node]), axis=1), dict.fromkeys(names[node], ".4g"))
-    return f"\n{page([printed])}\n"
+        return f"    {values.size} numbers, printed by --json - only"
+    rows = [", ".join(combination) for combination in itertools.product(*names[:-1])]
+    parents = pd.Index(rows, name=", ".join(found["axes"][:-1]) or " ")
+    frame = pd.DataFrame(np.reshape(values, (len(rows), -1)), parents, list(names[-1]))
+    return f"\n{page([table(frame, dict.fromkeys(frame, '.4g'))])}\n"
 
 
 def _rule_lines(found: Mapping[str, Any]) -> list[str]:
@@ -186,25 +182,11 @@ def _rule_lines(found: Mapping[str, Any]) -> list[str]:
     lines += [f"  the likelihood of {key}" for key in keys] or ["  unknown (no PROVIDES)"]
     lines += [f"  the value of the input {name}" for name in found["inputs"]]
     if found["detector_only"]:
-        lines.append(f"  {found['detector_only']} is also the detector's own answer")
+        lines.append(f"  {found['detector_only']} is also the answer of the detector alone")
     if found["looks_ahead"]:
         lines.append(wrapped(f"  it is not causal: {found['looks_ahead']}", 2))
     if found["can_learn"]:
         lines.append("  it learns from a recording (`egolane learn`)")
-    return lines
-
-
-def _parameter_lines(parameters: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = ["parameters" if parameters else "parameters: none"]
-    for each in parameters:
-        facts = [each["kind"] + (" (or one per lane)" if each["per_lane"] else "")]
-        facts.append(f"default {_short(each['default'])}")
-        facts.append(f"searched {_short(each['range'])}" if each["range"] else "not searched")
-        text = each["meaning"]
-        if each["choices"]:
-            number = "" if each["kind"] == "choice" else "a number or "
-            text = f"{number}{' or '.join(each['choices'])}: {text}"
-        lines += [wrapped(f"  {each['name']}  {', '.join(facts)}", 4), wrapped(f"      {text}")]
     return lines
 
 

@@ -1,23 +1,24 @@
-"""The text of a result: its title, and what `egolane run` prints."""
+"""The text of a result: its title, and the output of `egolane run`."""
 
 from __future__ import annotations
 
 import html
-import math
 from typing import Any
 
 import pandas as pd
 
 from egolane_pgm.inference.events import CONFIDENT, SURE
-from egolane_pgm.result import Result, by_drive, lanes_of
+from egolane_pgm.result import TAG, Result, by_drive, lanes_of
 from egolane_pgm.views.answers import is_known
 from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
 from egolane_pgm.views.tables import (
     TUNED_ON,
     TUNED_ON_SHORT,
     Table,
+    cell,
     confusion_table,
     page,
+    percent,
     score_table,
     table,
     with_interval,
@@ -30,9 +31,23 @@ _FITS = {
     "tune": "parameters tuned on the other blocks",
 }
 
+#: The columns of a table of runs that are printed, and their names.
+_COLUMNS = {
+    "frames": "frames",
+    "frames_scored": "scored",
+    "detector.accuracy": "detector",
+    "model.accuracy": "accuracy",
+    "model.intervals.accuracy.low": "accuracy_low",
+    "model.intervals.accuracy.high": "accuracy_high",
+    "model.f1": "F1",
+    "model.log_loss": "log-loss",
+    "seconds": "seconds",
+    "error": "error",
+}
+
 
 def scores_by_side(result: Result) -> dict[str, Any]:
-    """The scores of the detector, if it has an answer of its own, and of the model."""
+    """The scores of the detector, if it has an answer, and of the model."""
     return {who: result.scores[who] for who in ("detector", "model") if who in result.scores}
 
 
@@ -55,53 +70,100 @@ def result_html(result: Result) -> str:
     scores = scores_by_side(result)
     if scores:
         found = score_table(scores)
-        frame = pd.DataFrame(found.rows, columns=found.header)
-        parts.append(frame.to_html(index=False))
+        parts.append(pd.DataFrame(found.rows, columns=found.header).to_html(index=False))
     notes = [f"<p>{html.escape(note)}</p>" for note in result.notes]
     return f"<div>{''.join([*parts, *notes])}</div>"
 
 
-def result_text(result: Result, style: str, wide: bool) -> str:
-    """The text of `egolane run`: scores and confusion matrices, or the lane over time; then the
-    lane changes."""
-    run, scores = result.run, result.scores
-    mean = scores["mean_log_evidence"]
-    first = [
-        f"{run['name']}: {len(result)} frames, {result.n_lanes} lanes,"
-        f" graph {run['config']['graph']},"
-        f" mean log evidence {math.nan if mean is None else mean:.4f}",
-        *run["why_not_causal"],
-    ]
-    if "blocks" in run:
-        first.append(f"held out, {run['blocks']} blocks: each with {_FITS[run['fit']]}")
-    sides = scores_by_side(result)
-    parts: list[str | Table] = []
-    if sides:
-        n_scored = scores["frames_scored"]
-        first.append(f"{n_scored} frames scored, without those of lane changes")
-        first.append(f"parameters: {TUNED_ON[run['tuned_on']]}")
-        parts.append(score_table(sides))
+def result_text(result: Result, style: str = "markdown", wide: bool = False) -> str:
+    """The output of `egolane run`: the score, or the lane over time, then the lane changes.
+
+    - style: of the tables; LaTeX and CSV are always wide.
+    - wide: add all scores, confusion matrices, and every drive and lane change.
+    """
+    wide = wide or style != "markdown"
+    run, sides, events = result.run, scores_by_side(result), result.events
+    several = "drive" in result.frames
+    most = None if wide else LISTED
+    parts: list[str | Table] = ["\n".join(_head(result, sides))]
+    if wide and sides:
+        parts += _score_parts(result, sides)
+    if several:
+        parts += drive_parts(result, most)
+    if len(events) and (wide or not several):
+        parts.append(event_table(events[:most]))
+    if wide and "within" in result.scores["events"]:
+        parts.append("\n".join(event_lines(result.scores["events"])))
+    if wide:
+        mean = cell(result.scores["mean_log_evidence"], 4)
+        share = f"{percent(result.scores['sure'])} % of the frames"
+        parts.append(
+            f"graph {run['config']['graph']}: mean log evidence {mean}; probability of the lane at"
+            f" least {SURE:g} in {share}"
+        )
     else:
-        first.append("no ground truth: beliefs only, no scores (ground_truth names a file)")
-    if "model_all_frames" in scores:
-        every = scores["model_all_frames"]
+        more = f"{len(events) - LISTED} more lane changes: events.csv or --wide"
+        last = [more] * (len(events) > LISTED and not several)
+        last += ["all scores and confusion matrices: scores.json or --wide"] * bool(sides)
+        parts.append("\n".join(last))
+    return page(parts, style, wide)
+
+
+def _head(result: Result, sides: dict[str, Any]) -> list[str]:
+    """The first lines: score or lane over time, the drive, and the number of lane changes."""
+    run, scores = result.run, result.scores
+    if sides:
+        accuracy = sides["model"]["accuracy"]
+        detector = sides.get("detector", {}).get("accuracy")
+        alone = f", detector alone {percent(detector)} %" if detector is not None else ""
+        lines = [
+            f"{run['name']}: right in {percent(accuracy)} % of {scores['frames_scored']}"
+            f" frames{alone}"
+        ]
+    elif "drive" in result.frames:
+        lines = [f"{run['name']}: no ground truth, no scores"]
+    else:
+        last = result.node("Lane")[-1]
+        lines = [
+            f"{run['name']}: {segments_text(result.segments)}",
+            f"most probable at the end: lane {last.argmax() + 1} ({last.max():.2f});"
+            " no ground truth, no scores",
+        ]
+    causal = "causal" if run["is_causal"] else "not causal"
+    lines.append(
+        f"{len(result)} frames, {result.n_lanes} lanes, {causal}; parameters:"
+        f" {TUNED_ON[run['tuned_on']]}"
+    )
+    lines += run["why_not_causal"]
+    if "blocks" in run:
+        lines.append(f"held out, {run['blocks']} blocks: each with {_FITS[run['fit']]}")
+    found, n_events = scores["events"], len(result.events)
+    if "within" in found:
+        within = found["within"]["1"]
+        lines.append(
+            f"lane changes: {found['changes']} annotated, {n_events} reported; within 1 s recall"
+            f" {cell(within['recall'], 2)}, precision {cell(within['precision'], 2)}"
+        )
+    else:
+        lines.append(f"lane changes: {n_events} reported")
+    return lines
+
+
+def _score_parts(result: Result, sides: dict[str, Any]) -> list[str | Table]:
+    """All scores and the confusion matrices."""
+    parts: list[str | Table] = [score_table(sides)]
+    if "model_all_frames" in result.scores:
+        every = result.scores["model_all_frames"]
         parts.append(f"the same with the frames of untrusted labels: {every['frames_scored']}")
         parts.append(score_table({"model": every}))
-    if "drive" in result.frames:
-        parts += drive_parts(result)
-    if sides:
-        parts += [confusion_table(each["confusion"], who) for who, each in sides.items()]
-    elif "drive" not in result.frames:
-        last = result.node("Lane")[-1]
-        at_the_end = f"at the end lane {last.argmax() + 1} is the most probable ({last.max():.2f})"
-        parts.append(f"{segments_text(result.segments)}; {at_the_end}")
-    share = f"{100 * scores['sure']:.1f} % of the frames"
-    parts += [f"sure (a belief of at least {SURE:g}) in {share}", *event_parts(result)]
-    return page(["\n".join(first), *parts], style, wide)
+    return parts + [confusion_table(each["confusion"], who) for who, each in sides.items()]
 
 
-def drive_parts(result: Result) -> list[str | Table]:
-    """A table with a row per drive: its scores, or its lane at the end."""
+def drive_parts(result: Result, most: int | None = LISTED) -> list[str | Table]:
+    """A table with a row per drive: its scores, or its lane at the end.
+
+    - most: number of rows; None for all.
+    """
     is_scored = "model" in result.scores
     rows = []
     for name, frames in by_drive(result.frames):
@@ -113,29 +175,28 @@ def drive_parts(result: Result) -> list[str | Table]:
             row["scored"] = len(known)
             for who, column in (("detector", "detector_lane"), ("accuracy", "assigned_lane")):
                 if column in frames:
-                    right = known[column] == known["true_lane"]
-                    row[who] = float(right.mean()) if len(known) else None
+                    row[who] = (known[column] == known["true_lane"]).mean() if len(known) else None
         else:
             last = lanes_of(frames)[-1]
-            is_believed = last.max() >= CONFIDENT
-            row["lane at the end"] = str(last.argmax() + 1) if is_believed else "-"
+            row["lane at the end"] = str(last.argmax() + 1) if last.max() >= CONFIDENT else "-"
             row["probability"] = float(last.max())
         rows.append(row)
-    n_sure = sum(row.get("lane at the end", "-") != "-" for row in rows)
-    parts: list[str | Table] = [table(pd.DataFrame(rows[:LISTED]).set_index("drive"))]
-    if len(rows) > LISTED:
-        parts.append(f"and {len(rows) - LISTED} more drives")
-    if not is_scored:
-        parts.append(f"{n_sure} of {len(rows)} drives end in a lane of at least {CONFIDENT:.2f}")
+    parts: list[str | Table] = [table(pd.DataFrame(rows[:most]).set_index("drive"))]
+    if most is not None and len(rows) > most:
+        parts.append(f"and {len(rows) - most} more drives")
     return parts
 
 
-def event_parts(result: Result) -> list[str | Table]:
-    """The table of lane changes, and their scores."""
-    events = result.events
-    parts: list[str | Table] = [event_table(events) if len(events) else "no lane change detected"]
-    if len(events) > LISTED:
-        parts.append(f"and {len(events) - LISTED} more in events.csv")
-    if "within" in result.scores["events"]:
-        parts.append("\n".join(event_lines(result.scores["events"])))
-    return parts
+def runs_text(summary: pd.DataFrame, style: str, wide: bool) -> str:
+    """The output of `egolane run --table`: a row per run.
+
+    - summary: as `runs.run_table` returns it.
+    """
+    if style == "csv":
+        return page([table(summary)], style)
+    tags = [column for column in summary if str(column).startswith(TAG)]
+    shown = summary[[*tags, *(c for c in _COLUMNS if c in summary)]].dropna(axis=1, how="all")
+    counts = [c for c in ("frames", "frames_scored") if c in shown]
+    shown = shown.astype(dict.fromkeys(counts, "Int64"))
+    names = {tag: str(tag).removeprefix(TAG) for tag in tags}
+    return page([table(shown.rename(columns=names | _COLUMNS), {"seconds": 1})], style, wide)

@@ -12,32 +12,29 @@ from egolane_pgm.types import DATED_S, UNASSIGNED
 from egolane_pgm.views.tables import Table, cell, table
 
 #: Number of rows of a table of drives or lane changes, and of segments in words.
-LISTED = 20
+LISTED = 10
 
 #: The times of a shorter drive have a decimal, seconds.
 SHORT_S = 60.0
 
 
 def event_table(events: pd.DataFrame) -> Table:
-    """The first lane changes, a row each."""
-    shown = events.head(LISTED)
-    is_known = shown["from_lane"] != UNASSIGNED
-    side = shown["direction"].map({-1: "left", 1: "right"})
+    """A table of lane changes, a row each."""
+    is_known, side = events["from_lane"] != UNASSIGNED, {-1: "left", 1: "right"}
     columns = {
-        "drive": shown.get("drive"),
-        "time, s": shown["time_s"],
-        "frame": shown["frame_id"],
-        "from": shown["from_lane"].astype(object).where(is_known, "?"),
-        "to": shown["to_lane"].astype(object).where(is_known, side),
-        "probability": shown["probability"].where(is_known),
-        "detected, s": shown["detected_time_s"],
+        "drive": events.get("drive"),
+        "time, s": events["time_s"],
+        "frame": events["frame_id"],
+        "from": events["from_lane"].astype(object).where(is_known, "?"),
+        "to": events["to_lane"].astype(object).where(is_known, events["direction"].map(side)),
+        "probability": events["probability"].where(is_known),
+        "detected, s": events["detected_time_s"],
     }
-    if "delay_s" in shown:
-        delay = shown["delay_s"].map(lambda value: cell(value, "+.1f"))
-        columns["delay, s"] = delay.where(shown["delay_s"].notna(), "no change")
-    columns = {name: values for name, values in columns.items() if values is not None}
-    frame = pd.DataFrame(columns)
-    frame = frame.set_index(next(iter(columns)))
+    if "delay_s" in events:
+        delay = events["delay_s"].map(lambda value: cell(value, "+.1f"))
+        columns["delay, s"] = delay.where(events["delay_s"].notna(), "no change")
+    frame = pd.DataFrame({name: values for name, values in columns.items() if values is not None})
+    frame = frame.set_index(frame.columns[0])
     frame.index = frame.index.map(lambda value: cell(value, 1))
     return table(frame, {"time, s": 1, "detected, s": 1})
 
@@ -54,9 +51,8 @@ def segments_text(segments: Sequence[tuple[int, float, float]]) -> str:
         f"lane {lane or 'unknown'} from {clock(start, digits)} to {clock(end, digits)}"
         for lane, start, end in segments[:LISTED]
     ]
-    if len(segments) > LISTED:
-        parts.append(f"and {len(segments) - LISTED} more")
-    return ", ".join(parts)
+    more = [f"and {len(segments) - LISTED} more"] * (len(segments) > LISTED)
+    return ", ".join([*parts, *more])
 
 
 def clock(seconds: float, digits: int = 0) -> str:
@@ -71,7 +67,7 @@ def clock(seconds: float, digits: int = 0) -> str:
 
 def event_lines(scores: Mapping[str, Any]) -> list[str]:
     """The scores of lane changes (`events` in scores.json) in a few lines of text."""
-    lines = [f"{scores['changes']} true lane changes, {scores['detected']} detected:"]
+    lines = [f"{scores['changes']} true lane changes, {scores['detected']} reported:"]
     for seconds, found in scores["within"].items():
         lines.append(
             f"  within {seconds} s: precision {cell(found['precision'])},"

@@ -1,6 +1,6 @@
-"""Figures of the scores of results: confusion matrices, reliability, coverage, error dispersion.
+"""Figures of scores: confusion matrices, reliability, coverage, error dispersion.
 
-All raise InputError for a result without ground truth.
+Each is a function of the frames of a result (`Result.frames`); InputError without annotated ones.
 """
 
 from __future__ import annotations
@@ -13,18 +13,15 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from egolane_pgm.result import Result
-from egolane_pgm.scoring.confusion import accuracy, confusion
+from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import (
     N_BINS,
-    CalibrationCurve,
-    CoverageCurve,
     calibration_curve,
     coverage_curve,
     expected_calibration_error,
 )
-from egolane_pgm.types import IntArray
-from egolane_pgm.views.answers import answers, scored, title_of, title_with_frames
+from egolane_pgm.types import FloatArray, IntArray
+from egolane_pgm.views.answers import answers, scored
 from egolane_pgm.views.style import (
     ANSWER_STYLE,
     ERROR_RAMP,
@@ -34,9 +31,9 @@ from egolane_pgm.views.style import (
     PROBABILITY_RAMP,
     UNASSIGNED_COLOUR,
     new_figure,
-    percent,
     text_colour,
 )
+from egolane_pgm.views.tables import percent
 
 T = TypeVar("T")
 
@@ -50,34 +47,39 @@ MARKED, LEAST_COVERAGE = (0.5, 0.9, 0.99), 0.01
 LABELLED = 0.04
 
 
-def _measured(result: Result, measure: Callable[..., T]) -> dict[str, T]:
-    """A score of "Detector", if it has an answer, and "Model".
+def _measured(frames: pd.DataFrame, measure: Callable[..., T]) -> dict[str, T]:
+    """A score of the detector, if it has an answer, and of the model.
 
-    - measure: called with beliefs, assigned and true lanes of the scored frames, and that none is
-      crossing.
+    - measure: function of posterior, assigned lane, true lane and crossing flag.
     """
-    frames = scored(result)
-    truth = frames["true_lane"].to_numpy(np.int64), np.zeros(len(frames), dtype=bool)
-    return {name: measure(*answer, *truth) for name, answer in answers(frames).items()}
+    known = scored(frames)
+    truth = known["true_lane"].to_numpy(np.int64), np.zeros(len(known), dtype=bool)
+    return {name: measure(*answer, *truth) for name, answer in answers(known).items()}
 
 
-def confusions(result: Result) -> dict[str, IntArray]:
+def confusions(frames: pd.DataFrame) -> dict[str, IntArray]:
     """The confusion matrices (n + 1, n) of the answers."""
-    return _measured(
-        result, lambda _, lane, truth, crossing: confusion(lane, truth, crossing, result.n_lanes)
-    )
+
+    def measure(belief: FloatArray, lane: Any, truth: Any, crossing: Any) -> IntArray:
+        return confusion(lane, truth, crossing, belief.shape[1])
+
+    return _measured(frames, measure)
 
 
-def confusion_figure(result: Result) -> Figure:
+def _titled(frames: pd.DataFrame, title: str) -> str:
+    return f"{title}: {len(scored(frames)):,} frames" if title else ""
+
+
+def confusion_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     """Draw the confusion matrices of detector and model.
 
     Colour and upper number are the percentage of a true lane's frames, the lower number counts
     frames.
     """
-    matrices = confusions(result)
-    n = result.n_lanes
+    matrices = confusions(frames)
+    n = matrices["Model"].shape[1]
     size = 1.8 + len(matrices) * max(0.8 * n + 0.2, 2.2), 1.4 + 0.48 * (n + 1)
-    figure = new_figure(*size, title_with_frames(result))
+    figure = new_figure(*size, _titled(frames, title))
     axes = figure.subplots(1, len(matrices), squeeze=False, sharey=True)[0]
     ramp = PROBABILITY_RAMP.with_extremes(bad="#efefef")
     for ax, (name, counts) in zip(axes, matrices.items(), strict=True):
@@ -94,7 +96,9 @@ def confusion_figure(result: Result) -> Figure:
         ax.vlines(np.arange(1, n) - 0.5, -0.5, n + 0.5, FAINT, lw=0.5)
         ax.hlines(np.arange(1, n) - 0.5, -0.5, n - 0.5, FAINT, lw=0.5)
         ax.hlines(n - 0.5, -0.5, n - 0.5, INK, lw=1)
-        ax.set_title(f"{name}: {percent(float(accuracy(counts)))} % correct")
+        ax.set_title(
+            f"{name}: {percent(float(scores_from_confusion(counts)['accuracy']))} % correct"
+        )
         ax.set_xticks(range(n), [f"lane {k + 1}\n{int(t):,}" for k, t in enumerate(total)])
         ax.set_yticks(range(n + 1), [*(f"lane {k + 1}" for k in range(n)), "Unassigned"])
         ax.set_xlabel("true lane, number of frames")
@@ -106,10 +110,10 @@ def confusion_figure(result: Result) -> Figure:
     return figure
 
 
-def reliabilities(result: Result) -> dict[str, tuple[CalibrationCurve, float]]:
+def reliabilities(frames: pd.DataFrame) -> dict[str, tuple[dict[str, FloatArray], float]]:
     """The calibration curves of the answers, and their expected calibration errors."""
     return _measured(
-        result,
+        frames,
         lambda belief, _, *truth: (
             calibration_curve(belief, *truth),
             expected_calibration_error(belief, *truth),
@@ -117,32 +121,31 @@ def reliabilities(result: Result) -> dict[str, tuple[CalibrationCurve, float]]:
     )
 
 
-def reliability_figure(result: Result) -> Figure:
+def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     """Draw the calibration curves of detector and model, and the number of frames in each bin.
 
     The legend has the expected calibration error (ECE).
     """
-    found = reliabilities(result)
-    figure = new_figure(5, 5.4, title_with_frames(result))
+    found = reliabilities(frames)
+    figure = new_figure(5, 5.4, _titled(frames, title))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.plot([0, 1], [0, 1], color=FAINT, lw=1.2, label="perfect calibration")
     edges, width = np.arange(N_BINS) / N_BINS, 0.84 / N_BINS / len(found)
     lowest, has_few = 1.0, False
     for k, (name, (curve, error)) in enumerate(found.items()):
         colour, marker, dashes = ANSWER_STYLE[name]
-        enough = curve.count >= FEW_FRAMES
-        few = ~enough & (curve.count > 0)
+        count = curve["count"]
+        enough = count >= FEW_FRAMES
+        few = ~enough & (count > 0)
         has_few |= bool(few.any())
+        look: Any = {"color": colour, "marker": marker, "ms": 5}
         for mask, face, line in ((enough, colour, dashes), (few, "w", "")):
-            upper.plot(
-                curve.confidence[mask], curve.accuracy[mask], ls=line, marker=marker, ms=5,
-                color=colour, mfc=face, lw=1.3,
-            )  # fmt: skip
-        label = f"{name}, ECE {error:.3f}"
-        upper.plot([], [], color=colour, marker=marker, ls=dashes, ms=5, label=label)
+            x, y = curve["confidence"][mask], curve["accuracy"][mask]
+            upper.plot(x, y, ls=line, mfc=face, lw=1.3, **look)
+        upper.plot([], [], ls=dashes, label=f"{name}, ECE {error:.3f}", **look)
         left = edges + k * width + 0.08 / N_BINS
-        lower.bar(left, curve.count, width, align="edge", color=colour)
-        lowest = min(lowest, float(edges[curve.count > 0].min()))
+        lower.bar(left, count, width, align="edge", color=colour)
+        lowest = min(lowest, float(edges[count > 0].min()))
     if has_few:
         upper.plot([], [], "o", mfc="w", mec=INK, ms=5, label=f"fewer than {FEW_FRAMES} frames")
     upper.set(xlim=(lowest - 0.01, 1.01), ylim=(-0.03, 1.03))
@@ -154,34 +157,34 @@ def reliability_figure(result: Result) -> Figure:
     return figure
 
 
-def coverage_curves(result: Result) -> dict[str, CoverageCurve]:
+def coverage_curves(frames: pd.DataFrame) -> dict[str, dict[str, FloatArray]]:
     """The coverage curves of the answers."""
-    return _measured(result, lambda belief, _, *truth: coverage_curve(belief, *truth))
+    return _measured(frames, lambda belief, _, *truth: coverage_curve(belief, *truth))
 
 
-def coverage_figure(result: Result) -> Figure:
+def coverage_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     """Draw the share of correct answers over the share of frames with an answer.
 
     Some values of `min_confidence`, the least probability of an answer, are marked.
     """
-    curves = coverage_curves(result)
-    figure = new_figure(5, 4, title_with_frames(result))
+    curves = coverage_curves(frames)
+    figure = new_figure(5, 4, _titled(frames, title))
     ax = figure.subplots()
     lowest = 1.0
     for name, curve in curves.items():
         colour, marker, dashes = ANSWER_STYLE[name]
-        shown = curve.coverage >= LEAST_COVERAGE
+        coverage, accuracy = curve["coverage"], curve["accuracy"]
+        shown = coverage >= LEAST_COVERAGE
         ax.plot(
-            curve.coverage[shown], curve.accuracy[shown], ls=dashes, color=colour, lw=1.5,
-            label=name,
+            coverage[shown], accuracy[shown], ls=dashes, color=colour, lw=1.5, label=name
         )  # fmt: skip
-        lowest = min(lowest, float(curve.accuracy[shown].min(initial=1.0)))
+        lowest = min(lowest, float(accuracy[shown].min(initial=1.0)))
         for below in MARKED:
-            coverage, accuracy = curve.at(below)
-            if coverage < LEAST_COVERAGE:
+            k = np.count_nonzero(curve["threshold"] >= below) - 1
+            if k < 0 or coverage[k] < LEAST_COVERAGE:
                 continue
-            ax.plot(coverage, accuracy, marker=marker, ms=5.5, color=colour, zorder=3)
-            at = coverage, accuracy
+            at = float(coverage[k]), float(accuracy[k])
+            ax.plot(*at, marker=marker, ms=5.5, color=colour, zorder=3)
             ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
     margin = 0.08 * (1 - lowest) + 0.002
     ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))
@@ -194,29 +197,31 @@ def coverage_figure(result: Result) -> Figure:
 def dispersion(matrix: IntArray) -> dict[str, int]:
     """Count the frames of a confusion matrix (n + 1, n) by how many lanes the answer is off."""
     lanes = np.arange(matrix.shape[1])
-    off = np.abs(lanes[:, None] - lanes)
-    counts = {
-        f"off by {k}" if k else "correct": int(matrix[:-1][off == k].sum()) for k in lanes.tolist()
-    }
-    return {**counts, "unassigned": int(matrix[-1].sum())}
+    off = np.bincount(np.abs(lanes[:, None] - lanes).ravel(), matrix[:-1].ravel()).astype(int)
+    names = ["correct", *(f"off by {k}" for k in lanes[1:])]
+    return {**dict(zip(names, off.tolist(), strict=True)), "unassigned": int(matrix[-1].sum())}
 
 
-def dispersions(results: Sequence[Result]) -> pd.DataFrame:
-    """The counts of several results: a row per result and answer."""
+def dispersions(results: Sequence[tuple[str, pd.DataFrame]]) -> pd.DataFrame:
+    """The counts of several results: a row per result and answer.
+
+    - results: titles and frames.
+    """
     rows = {}
-    for k, result in enumerate(results):
-        matrices = confusions(result)
-        note = f"{result.n_lanes} lanes, {int(matrices['Model'].sum()):,} frames"
-        for name, matrix in matrices.items():
-            rows[k, f"{title_of(result)}\n{note}", name] = dispersion(matrix)
+    for k, (title, frames) in enumerate(results):
+        for name, matrix in confusions(frames).items():
+            note = f"{matrix.shape[1]} lanes, {int(matrix.sum()):,} frames"
+            rows[k, f"{title}\n{note}", name] = dispersion(matrix)
     table = pd.DataFrame.from_dict(rows, orient="index").fillna(0)
     return table[[*(c for c in table if c != "unassigned"), "unassigned"]]
 
 
-def dispersion_figure(results: Sequence[Result]) -> Figure:
+def dispersion_figure(results: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
     """Draw stacked bars of the share of correct answers, answers off by 1, 2, ... and unassigned.
 
     As the paper's Figures `fig:graph-all-italy`, `fig:graph-all-spain` and `fig:comparisonBV-run3`.
+
+    - results: titles and frames.
     """
     counts = dispersions(results)
     share = counts.div(counts.sum(axis=1), axis=0)

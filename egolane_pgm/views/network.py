@@ -1,4 +1,4 @@
-"""Drawing of a network: its two slices, with the kind of every node; and the network as BIF."""
+"""The structure of a network: as a picture of its two slices, or in a BIF file."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, FancyBboxPatch,
 from egolane_pgm.graphs.cpds import SliceNode, ve_name
 from egolane_pgm.graphs.flat import bif
 from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.model import Model
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
-from egolane_pgm.views.style import FORMATS, INK, new_figure, write_figure
+from egolane_pgm.views.style import FORMATS, INK, inline_figure, new_figure, write_figure
 
 #: Extensions of the files that a network can be written to.
 ENDINGS = (*FORMATS, ".bif")
@@ -45,8 +46,7 @@ _RADIUS, _SMALL, _STEP, _MARGIN, _GAP, _INCH = 0.52, 0.17, 1.5, 0.75, 1.3, 0.8
 class Structure:
     """Nodes and edges of a network of two slices.
 
-    - kind: of each node, "hidden", "function" (of its parents), "observed", "input" or "virtual
-      evidence".
+    - kind: by node: "hidden", "function" (of its parents), "observed", "input", "virtual evidence".
     - edges: the parent first; slice 0 is frame t, slice 1 is frame t + 1.
     """
 
@@ -66,15 +66,9 @@ class Structure:
 
 def structure_of(compiled: Compiled) -> Structure:
     """The structure of a compiled network, with its virtual-evidence nodes."""
-    roles = {
-        "input": compiled.inputs,
-        "function": compiled.functions,
-        "hidden": compiled.hidden,
-    }
-    kind = {
-        name: next((role for role, names in roles.items() if name in names), "observed")
-        for name, _ in compiled.tables
-    }
+    kind = {name: "observed" for name, _ in compiled.tables}
+    kind |= dict.fromkeys(compiled.hidden, "hidden") | dict.fromkeys(compiled.functions, "function")
+    kind |= dict.fromkeys(compiled.inputs, "input")
     edges = [(parent, node) for node, table in compiled.tables.items() for parent in table.parents]
     for key in compiled.observed:
         kind[ve_name(key)] = "virtual evidence"
@@ -102,6 +96,21 @@ def write_network(compiled: Compiled, path: str | Path) -> None:
 
 
 # --- the picture ---------------------------------------------------------------------------------
+
+
+def draw_network(network: Model | Compiled) -> Figure:
+    """Draw the two slices of a network: hidden, observed, input and function nodes.
+
+    - network: the model of a run, or a network as `compile` returns it.
+
+    Raises InputError for a network without nodes or with a cycle.
+
+    >>> import egolane_pgm as ego
+    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> figure = ego.draw_network(run.model)
+    """
+    compiled = network if isinstance(network, Compiled) else network.compiled
+    return inline_figure(lambda: network_figure(structure_of(compiled)))
 
 
 def network_figure(structure: Structure) -> Figure:
@@ -135,14 +144,6 @@ def network_figure(structure: Structure) -> Figure:
             nodes[name, s].set_gid(f"node {name} {s}")
     for edge in structure.edges:
         _draw_edge(ax, edge, nodes)
-    entries = _legend(structure)
-    columns = min(3, max(2, int(figure.get_figwidth() / 1.8)))
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
-    return figure
-
-
-def _legend(structure: Structure) -> dict[str, Any]:
-    """The marks of the legend by their labels; a function has two circles."""
     entries: dict[str, Any] = {}
     for kind, fill in _FILL.items():
         if kind in structure.kind.values():
@@ -153,13 +154,15 @@ def _legend(structure: Structure) -> dict[str, Any]:
     entries["within a frame"] = Line2D([], [], color=INK, lw=1.1)
     if structure.across:
         entries["to the next frame"] = Line2D([], [], color=_TEMPORAL, lw=1.9)
-    return entries
+    columns = min(3, max(2, int(figure.get_figwidth() / 1.8)))
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+    return figure
 
 
 def _places(structure: Structure) -> dict[str, tuple[float, float]]:
     """The centre (x, y) of each node of a slice, y downwards: children below their parents.
 
-    A node with an edge to the next slice has a row of its own, which keeps these edges free.
+    A node with an edge to the next slice has a separate row, which keeps these edges free.
     """
     depth = dict.fromkeys(structure.kind, 0)
     for _ in depth:

@@ -1,7 +1,7 @@
 """Lane-belief strips: the posterior of model and detector over time, and the ground truth.
 
-Lane 1, the leftmost, is the top row and time runs to the right, as on a road seen from above on
-which the car drives from left to right (the paper's Figure `fig:lanetransition01`).
+Lane 1, the leftmost, is the top row and time runs to the right: a road seen from above, with the
+car driving from left to right (the paper's Figure `fig:lanetransition01`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
@@ -50,25 +49,40 @@ MAX_ROWS = 8
 #: Lanes of the map that are absent from a drive's road, with a belief below this, are left blank.
 UNSEEN = 0.02
 
-# The layout, in inches; and the gap between two strips, in lanes.
-_WIDTH, _LEFT, _RIGHT, _HEAD, _FOOT = 9.0, 1.25, 0.15, 0.5, 0.3
-_LANE, _ROW_GAP, _GAP = 0.16, 0.45, 0.6
+_ERRORS = {"wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR}
+
+# Heights in inches; and the gap between two strips, in lanes.
+_HEAD, _FOOT, _LANE, _ROW_GAP, _GAP = 0.5, 0.3, 0.16, 0.45, 0.6
 
 
 def draw_strips(result: Result, file: str | Path) -> Path:
     """Draw the strips of a whole result. Raises InputError as `write_figure`."""
-    return write_figure(lambda: strips_figure(result), file)
+    return write_figure(lambda: result_strips(result), file)
 
 
-def strips_figure(result: Result, first: int | None = None, last: int | None = None) -> Figure:
+def result_strips(result: Result, first: int | None = None, last: int | None = None) -> Figure:
+    """Draw the strips of a result; see `strips_figure`."""
+    credit = "; lanes: © OpenStreetMap contributors, ODbL" * (result.experiment.road is not None)
+    return strips_figure(result.frames, result.events, title_of(result), credit, first, last)
+
+
+def strips_figure(
+    frames: pd.DataFrame,
+    events: pd.DataFrame,
+    title: str = "",
+    note: str = "",
+    first: int | None = None,
+    last: int | None = None,
+) -> Figure:
     """Draw the posterior over time, errors below each strip, lane changes and the ground truth.
 
-    - first, last: frame ids, both included; the whole drive by default. Several drives are drawn
-      one after the other, with frames numbered from 0.
+    - frames, events: as a `Result` has them. Several drives follow one another, numbered from 0.
+    - note: end of the title.
+    - first, last: frame ids, both included; all by default.
 
     A long range continues in further rows. Raises InputError for a range without frames.
     """
-    frames, events = _on_one_axis(result)
+    frames, events = _on_one_axis(frames, events)
     low, high = frames_between(frames, first, last).index[[0, -1]].tolist()
     n_frames = high - low + 1
     n_rows = min(MAX_ROWS, -(-n_frames // MAX_COLUMNS))
@@ -85,12 +99,12 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
     # Constrained layout would take seconds.
     row = total * _LANE
     tall = _HEAD + n_rows * (row + _ROW_GAP) + _FOOT
-    figure = new_figure(_WIDTH, tall, layout="none")
-    edges = {"left": _LEFT / _WIDTH, "right": 1 - _RIGHT / _WIDTH, "top": 1 - _HEAD / tall}
+    figure = new_figure(9.0, tall, layout="none")
+    edges = {"left": 0.14, "right": 0.98, "top": 1 - _HEAD / tall}
     edges |= {"bottom": (_FOOT + _ROW_GAP) / tall, "hspace": _ROW_GAP / row}
     axes = figure.subplots(n_rows, 1, squeeze=False, gridspec_kw=edges)[:, 0]
     mean = f"; a column is the mean of {each} frames" if each > 1 else ""
-    title = f"{title_of(result)}: frames {low} to {high}{mean}"
+    title = f"{title}: frames {low} to {high}{mean}{note}".removeprefix(": ")
     figure.text(0.01, 1 - 0.08 / tall, title, va="top", fontsize=10)
     for ax, start in zip(axes, range(0, n_columns, per_row), strict=False):
         part = {name: values[start : start + per_row] for name, values in cells.items()}
@@ -101,25 +115,15 @@ def strips_figure(result: Result, first: int | None = None, last: int | None = N
         _draw_changes(ax, events, top + 0.5)
         ax.set(xlim=(left, left + each * per_row), ylim=(total - 0.3, 0))
         _draw_ticks(ax, frames, left, right)
-    place: dict[str, Any] = {
-        "transform": axes[0].transAxes,
-        "ha": "center",
-        "va": "bottom",
-        "linespacing": 1.6,
-    }
-    axes[0].text(0.5, 1, "frame\n", **place)
+    place: dict[str, Any] = {"ha": "center", "va": "bottom", "linespacing": 1.6}
+    axes[0].text(0.5, 1, "frame\n", transform=axes[0].transAxes, **place)
     axes[-1].set_xlabel("time (s)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
-    if result.run["config"].get("road"):
-        credit = "lanes of the map: © OpenStreetMap contributors, ODbL"
-        figure.text(0.99, 0.01, credit, fontsize=7, ha="right", va="bottom")
     return figure
 
 
-def _on_one_axis(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The frames and lane changes of all drives, numbered from 0 if there are several drives, and
-    the outcome of each change."""
-    frames, events = result.frames, result.events
+def _on_one_axis(frames: pd.DataFrame, events: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Frames and lane changes with their outcome; several drives are numbered from 0."""
     if "drive" not in frames:
         return frames, events.assign(outcome=outcomes(events, frames))
     found, start = [], 0
@@ -161,11 +165,7 @@ def strip_cells(frames: pd.DataFrame, low: int, high: int, each: int = 1) -> dic
 
 
 def _draw_strips(
-    ax: Axes,
-    cells: Mapping[str, FloatArray],
-    heights: Mapping[str, int],
-    left: float,
-    right: float,
+    ax: Axes, cells: Mapping[str, FloatArray], heights: Mapping[str, int], left: float, right: float
 ) -> None:
     """Draw one row of strips; y counts lanes from the top, x frames."""
     step = (right - left) / len(cells["crossing"])
@@ -184,10 +184,8 @@ def _draw_strips(
             ax.hlines(top + np.arange(1, n), left, right, FAINT, lw=0.5, zorder=2)
             ticks |= {top + k + 0.5: f"{k + 1}{' (left)' * (k == 0)}" for k in range(n)}
         if f"wrong {name}" in cells:
-            ends = [[(x, top), (x, top + n)] for x in edges]
-            dashes = (0, (3, 2))
-            ax.add_collection(LineCollection(ends, colors=INK, linestyles=[dashes], linewidths=0.5))
-            for mark, colour in (("wrong", DETECTOR_COLOUR), ("unassigned", UNASSIGNED_COLOUR)):
+            ax.vlines(edges, top, top + n, INK, (0, (3, 2)), lw=0.5, zorder=2)
+            for mark, colour in _ERRORS.items():
                 spans = _spans(cells[f"{mark} {name}"], left, step)
                 ax.broken_barh(spans, (top + n + 0.06, 0.3), color=colour, lw=0, zorder=2)
         if name == "Truth":
@@ -224,7 +222,7 @@ def _draw_ticks(ax: Axes, frames: pd.DataFrame, left: float, right: float) -> No
         seconds = _ticks(*np.interp([left, right], ids, time_s))
         ax.set_xticks(np.interp(seconds, time_s, ids), [f"{t:g}" for t in seconds])
     else:
-        ax.set_xticks([])  # Each drive has a clock of its own.
+        ax.set_xticks([])  # Clocks of drives differ.
     ax.tick_params(axis="x", length=2.5, pad=1.5)
     marks, above = _ticks(left, right), ax.secondary_xaxis("top")
     above.set_xticks(marks, [f"{x:.12g}" for x in marks])
@@ -241,24 +239,16 @@ def _draw_legend(figure: Figure, cells: Mapping[str, FloatArray], events: pd.Dat
     shades = [Patch(fc=PROBABILITY_RAMP(p / 4), ec=FAINT, label=f"{p / 4:g}") for p in range(5)]
     entries: list[Any] = [Line2D([], [], ls="", label="probability:"), *shades]
     if "Truth" in cells:
-        colours = {
-            "wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR, "crossing": CROSSING,
-        }  # fmt: skip
+        colours = {**_ERRORS, "crossing": CROSSING}
         entries += [Patch(color=colour, label=label) for label, colour in colours.items()]
     is_elsewhere = ~(cells["crossing"][:, 0] > 0)
     if any(np.isnan(values[is_elsewhere]).any() for values in cells.values()):
         entries.append(Patch(fc="w", ec=FAINT, hatch="//////", lw=0, label="no data"))
-    if len(events):
-        entries += [
-            Line2D([], [], ls="", marker=marker, color=INK, label=label)
-            for marker, label in (("^", "change to the left"), ("v", "to the right"))
-        ]
+    marks = [("^", INK, "change to the left"), ("v", INK, "to the right")] * bool(len(events))
+    if not set(events["outcome"]) <= {"not annotated"}:
         known = [name for name in OUTCOMES if name in set(events["outcome"])]
-        if known != ["not annotated"]:
-            entries += [
-                Line2D([], [], ls="", marker="d", color=OUTCOMES[name], label=name)
-                for name in known
-            ]
+        marks += [("d", OUTCOMES[name], name) for name in known]
+    entries += [Line2D([], [], ls="", marker=m, color=c, label=label) for m, c, label in marks]
     figure.legend(
         handles=entries, loc="lower left", bbox_to_anchor=(0.01, 0), ncols=len(entries),
         handlelength=1.1, columnspacing=0.8, handletextpad=0.4, fontsize=7.5,

@@ -49,8 +49,7 @@ def study_title(study: Study) -> str:
     """A study in one line: method, trials, and accuracy in-sample and held out."""
     more = len(study.experiments) - 1
     parts = [f"{study.name!r}{f' and {more} more' if more else ''}: {study.method}"]
-    if study.n_trials:
-        parts.append(f"{study.n_trials} trials")
+    parts += [f"{study.n_trials} trials"] if study.n_trials else []
     accuracy = [
         f"{found['model']['accuracy']:.3f} {name}"
         for name, found in _scores(study).items()
@@ -61,44 +60,38 @@ def study_title(study: Study) -> str:
 
 
 def study_text(study: Study, style: str, wide: bool) -> str:
-    """The text of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
+    """The output of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
     parts: list[str | Table] = [study_title(study)]
-    found, folds = _scores(study), []
-    if study.held_out is not None:
-        folds = study.held_out.run["fitted"]
+    found, folds, held_out = _scores(study), [], study.held_out
+    if held_out is not None:
+        folds = held_out.run["fitted"]
         parts.append(f"held out: {len(folds)} folds, each scored with a fit to the others")
     scores = {name: each["model"] for name, each in found.items() if "model" in each}
     if scores:
         parts.append(score_table(scores))
-    if study.held_out is not None and "drive" in study.held_out.frames:
-        parts += drive_parts(study.held_out)
+    if held_out is not None and "drive" in held_out.frames:
+        parts += drive_parts(held_out)
     evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in found.items()]
     parts.append(f"mean log evidence per frame: {', '.join(evidence)}")
     values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
     if values:
-        parts.append(_best_table(study, values, folds))
+        before = study.experiments[0].parameters
+        columns = {"before": [cell(before.get(name)) for name in values]}
+        columns["best"] = [cell(value) for value in values.values()]
+        if folds:
+            columns["folds"] = [_range([f[name] for f in folds if name in f]) for name in values]
+        parts.append(table(pd.DataFrame(columns, index=pd.Index(values, name="parameter"))))
     tables = [name for name in study.fitted if name not in values]
     if tables:
         parts.append(f"fitted tables and lists: {', '.join(tables)}")
     return page(parts, style, wide)
 
 
-def _best_table(
-    study: Study, values: Mapping[str, Any], folds: Sequence[Mapping[str, Any]]
-) -> Table:
-    """The best parameters, beside the first experiment's own and the range of the folds' best."""
-    before = study.experiments[0].parameters
-    rows = []
-    for name, value in values.items():
-        row = {"parameter": name, "before": cell(before.get(name)), "best": cell(value)}
-        of_folds = [fold[name] for fold in folds if name in fold]
-        if of_folds:
-            is_number = all(isinstance(each, (int, float)) for each in of_folds)
-            ends = (min(of_folds), max(of_folds)) if is_number else dict.fromkeys(of_folds)
-            words = dict.fromkeys(cell(each) for each in ends)
-            row["folds"] = (" to " if is_number else ", ").join(words)
-        rows.append(row)
-    return table(pd.DataFrame(rows).set_index("parameter"))
+def _range(values: Sequence[Any]) -> str:
+    """The range of a parameter's values in the folds, or its different words."""
+    if all(isinstance(each, (int, float)) for each in values):
+        return " to ".join(dict.fromkeys(cell(end) for end in (min(values), max(values))))
+    return ", ".join(dict.fromkeys(map(str, values)))
 
 
 # --- figures -------------------------------------------------------------------------------------
@@ -125,10 +118,7 @@ def draw_study(
 
 
 def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The content of study.json, and the complete trials.
-
-    The column `score` is the first objective; those of the parameters follow.
-    """
+    """The content of study.json, and the complete trials: `number`, `score`, the parameters."""
     if not (directory / "trials.parquet").is_file():
         raise InputError(
             f"{directory}: is not the directory of a search; draw the results of another study with"
@@ -146,7 +136,7 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
 
 
 def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
-    """The share of each parameter in what sets the best tenth of the trials apart (PED-ANOVA).
+    """Importance of each parameter for reaching the best tenth of the trials (PED-ANOVA).
 
     The most important one is first. Empty for too few trials, and if all have one score.
     """
@@ -156,19 +146,18 @@ def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, 
 
     from egolane_pgm.studies.search import quiet
 
-    space: dict[str, Any] = {}
-    for name, ends in settings["searched"].items():
-        if isinstance(ends[0], str):
-            space[name] = optuna.distributions.CategoricalDistribution(ends)
-        else:
-            space[name] = optuna.distributions.FloatDistribution(*ends)
+    space: dict[str, Any] = {
+        name: optuna.distributions.CategoricalDistribution(ends)
+        if isinstance(ends[0], str)
+        else optuna.distributions.FloatDistribution(*ends)
+        for name, ends in settings["searched"].items()
+    }
     with quiet():
         is_up = is_maximised(settings["objectives"][0])
         study = optuna.create_study(direction="maximize" if is_up else "minimize")
         for row in trials.to_dict("records"):
-            point = {name: row[name] for name in space}
-            trial = optuna.trial.create_trial(params=point, distributions=space, value=row["score"])
-            study.add_trial(trial)
+            given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
+            study.add_trial(optuna.trial.create_trial(distributions=space, **given))
         evaluator = optuna.importance.PedAnovaImportanceEvaluator()
         return optuna.importance.get_param_importances(study, evaluator=evaluator)
 
@@ -226,14 +215,10 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
         ax.set_title(f"{name}{share}")
         ax.set_ylim(low, high)
     axes[0, 0].set_ylabel(score.replace("_", " "))
-    note = "in titles: share in what sets the best tenth of the trials apart (PED-ANOVA)"
-    figure.legend(
-        *axes[0, 0].get_legend_handles_labels(),
-        loc="outside lower left",
-        ncols=4,
-        title=note if importance else None,
-        alignment="left",
-    )
+    note = "in titles: importance for reaching the best tenth of the trials (PED-ANOVA)"
+    look: Any = {"loc": "outside lower left", "ncols": 4, "alignment": "left"}
+    entries = axes[0, 0].get_legend_handles_labels()
+    figure.legend(*entries, title=note if importance else None, **look)
     return figure
 
 
@@ -244,7 +229,7 @@ def _score(document: Mapping[str, Any]) -> tuple[str, int]:
 
 
 def _limits(trials: pd.DataFrame, sign: int, *others: float | None) -> tuple[float, float]:
-    """The range of scores that is shown: the worst trials would squeeze the good ones together."""
+    """The range of the score axis, without the worst trials."""
     gain = sign * trials["score"]
     shown = [sign * gain.max(), sign * gain.quantile(0.3), *(v for v in others if v is not None)]
     margin = 0.08 * float(np.ptp(shown)) or 0.01

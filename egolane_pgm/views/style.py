@@ -93,19 +93,9 @@ def new_figure(width: float, height: float, title: str = "", layout: Any = "cons
 
 
 def text_colour(background: Any) -> str:
-    """Return black or white, whichever has the higher contrast (WCAG 2) on the background."""
+    """Return black or white, the one with the higher contrast (WCAG 2) on the background."""
     red, green, blue = (c**2.2 for c in to_rgb(background))
     return "black" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else "white"
-
-
-def percent(share: float) -> str:
-    """Return a share in percent with one decimal; without one for exactly 0 and 1."""
-    value = 100 * float(share)
-    if 0 < value < 0.05:
-        return "<0.1"
-    if 99.95 <= value < 100:
-        return ">99.9"
-    return f"{value:.0f}" if value in (0.0, 100.0) else f"{value:.1f}"
 
 
 # --- writing -------------------------------------------------------------------------------------

@@ -1,7 +1,4 @@
-"""Tables as text: a DataFrame as Markdown, LaTeX or CSV, in the width of the terminal.
-
-`page` prints the text and the tables of a command; `box_text` the lines of one frame.
-"""
+"""Tables as text: a DataFrame as Markdown, LaTeX or CSV, in the width of the terminal."""
 
 from __future__ import annotations
 
@@ -13,8 +10,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-
-from egolane_pgm.types import InputError, LineLog
 
 #: The words for `tuned_on` next to a score.
 TUNED_ON = {
@@ -42,17 +37,15 @@ SCORES = {
 
 
 class Table(NamedTuple):
-    """A table of text.
+    """A table of text, and its numbers for CSV.
 
-    - header, rows: a cell of the header for each cell of a row.
     - labels: number of columns at the left that name the rows.
-    - frame: the numbers, for CSV.
     """
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
     labels: int = 1
-    frame: pd.DataFrame | None = None
+    frame: pd.DataFrame = pd.DataFrame()
 
 
 def table(frame: pd.DataFrame, digits: Mapping[Any, int | str] | None = None) -> Table:
@@ -97,6 +90,16 @@ def cell(value: Any, form: int | str = 3) -> str:
     return str(value)
 
 
+def percent(share: float) -> str:
+    """Return a share in percent with one decimal; without one for exactly 0 and 1."""
+    value = 100 * float(share)
+    if 0 < value < 0.05:
+        return "<0.1"
+    if 99.95 <= value < 100:
+        return ">99.9"
+    return f"{value:.0f}" if value in (0.0, 100.0) else f"{value:.1f}"
+
+
 def with_interval(value: Any, interval: Sequence[Any] | None, form: int | str = 3) -> str:
     """A value and its interval, if it has one, e.g. "0.912 [0.905, 0.919]"; see `cell`."""
     if not interval or pd.isna(interval).any():
@@ -106,9 +109,12 @@ def with_interval(value: Any, interval: Sequence[Any] | None, form: int | str = 
 
 # --- printing ------------------------------------------------------------------------------------
 
+#: The styles of tables (`--format`).
+STYLES = ("markdown", "latex", "csv")
+
 
 def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = False) -> str:
-    """The output of a command, text and tables, with an empty line between them.
+    """The output of a command: text and tables, separated by empty lines.
 
     - style: one of STYLES; LaTeX has the tables only, CSV the first table only.
     - wide: whether Markdown tables may be wider than the terminal.
@@ -116,22 +122,15 @@ def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = Fal
     shown = list(parts)
     tables = [part for part in shown if isinstance(part, Table)]
     if style == "csv":
-        return _csv(tables[0]) if tables else ""
+        return str(tables[0].frame.to_csv(lineterminator="\n")).rstrip("\n") if tables else ""
     if style == "latex":
         return "\n\n".join(latex(each.header, each.rows) for each in tables)
-    texts = [wrapped(p) if isinstance(p, str) else _drawn(p, wide) for p in shown]
+    texts = [wrapped(p) if isinstance(p, str) else _fitted(p, wide) for p in shown]
     return "\n\n".join(filter(None, texts))
 
 
-def _csv(found: Table) -> str:
-    frame = found.frame
-    if frame is None:
-        frame = pd.DataFrame(found.rows, columns=list(found.header)).set_index(found.header[0])
-    return str(frame.to_csv(lineterminator="\n")).rstrip("\n")
-
-
 def terminal_width() -> int:
-    """Characters in a line of the terminal: COLUMNS, or its own width, or 80."""
+    """Characters in a line of the terminal: COLUMNS, its width, or 80."""
     return max(40, shutil.get_terminal_size().columns)
 
 
@@ -141,46 +140,34 @@ def line_width() -> int:
 
 
 def wrapped(text: str, hanging: int = 0) -> str:
-    """Wrap text to `line_width`, each line with its own indent, and `hanging` more after breaks."""
+    """Wrap text to `line_width`, keeping each line's indent; `hanging` indents broken lines."""
     lines = []
     for line in text.splitlines():
         indent = " " * (len(line) - len(line.lstrip()))
-        lines.append(
-            textwrap.fill(
-                line.strip(),
-                line_width(),
-                initial_indent=indent,
-                subsequent_indent=indent + " " * hanging,
-                break_long_words=False,
-                break_on_hyphens=False,
-            )
+        wrapper = textwrap.TextWrapper(
+            line_width(),
+            initial_indent=indent,
+            subsequent_indent=indent + " " * hanging,
+            break_long_words=False,
+            break_on_hyphens=False,
         )
+        lines.append(wrapper.fill(line.strip()))
     return "\n".join(lines)
 
 
-def _drawn(table: Table, wide: bool) -> str:
-    """A Markdown table; unless `wide`, columns that do not fit continue in further tables."""
-    columns, n = _columns(table.header, table.rows), table.labels
-    labels, others, room = columns[:n], columns[n:], terminal_width() - 1
-    if wide or sum(map(_width, columns)) <= room:
+def _fitted(table: Table, wide: bool) -> str:
+    """A Markdown table; unless `wide`, columns that do not fit the terminal are named below it."""
+    columns = _columns(table.header, table.rows)
+    used = 1 + np.cumsum([3 + max(map(len, column)) for column in columns])
+    n = max(int((used <= terminal_width()).sum()), table.labels + 1)
+    if wide or n >= len(columns):
         return _lines(columns)
-    # The labels leave room for one more column.
-    for_labels = room - min(max(map(_width, others), default=0), room // 2)
-    if sum(map(_width, labels)) > for_labels:
-        labels = [_cut(column, for_labels // n) for column in labels]
-    start = used = sum(map(_width, labels))
-    pieces = [[*labels]]
-    for column in (_cut(column, room - start) for column in others):
-        if used > start and used + _width(column) > room:
-            pieces.append([*labels])
-            used = start
-        pieces[-1].append(column)
-        used += _width(column)
-    return "\n\n".join(map(_lines, pieces))
+    missing = ", ".join(column[0] for column in columns[n:])
+    return f"{_lines(columns[:n])}\n\n{wrapped(f'Not shown at this width: {missing}.')}"
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table, aligned to be read as plain text; the first column is aligned left."""
+    """A Markdown table, aligned for reading as plain text; the first column is aligned left."""
     return _lines(_columns(header, rows))
 
 
@@ -192,21 +179,11 @@ def _columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[
     ]
 
 
-def _width(column: Sequence[str]) -> int:
-    """The width of a column, with its separator."""
-    return 3 + max(1, *map(len, column))
-
-
-def _cut(column: Sequence[str], width: int) -> list[str]:
-    most = width - 3
-    return [each if len(each) <= most else each[: most - 1] + "\u2026" for each in column]
-
-
 def _lines(columns: Sequence[Sequence[str]]) -> str:
     """A Markdown table of escaped columns."""
     padded = []
     for k, column in enumerate(columns):
-        width = _width(column) - 3
+        width = max(1, *map(len, column))
         rule = "-" * width if k == 0 else "-" * (width - 1) + ":"
         cells = (column[0], rule, *column[1:])
         padded.append([c.rjust(width) if k else c.ljust(width) for c in cells])
@@ -215,27 +192,18 @@ def _lines(columns: Sequence[Sequence[str]]) -> str:
 
 _LATEX = str.maketrans(
     {character: "\\" + character for character in "&%$#_{}"}
-    | {
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-    }
+    | {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
 )
 
 
 def latex(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A LaTeX tabular with booktabs rules."""
-
-    def line(cells: Sequence[str]) -> str:
-        return " & ".join(str(c).translate(_LATEX) for c in cells) + r" \\"
-
+    head, *body = (
+        " & ".join(str(c).translate(_LATEX) for c in cells) + r" \\" for cells in (header, *rows)
+    )
     start = rf"\begin{{tabular}}{{l{'r' * (len(header) - 1)}}}"
-    body = [line(header), r"\midrule", *map(line, rows)]
-    return "\n".join([start, r"\toprule", *body, r"\bottomrule", r"\end{tabular}"])
-
-
-#: The styles of tables, which `--format` names.
-STYLES = ("markdown", "latex", "csv")
+    end = [r"\bottomrule", r"\end{tabular}"]
+    return "\n".join([start, r"\toprule", head, r"\midrule", *body, *end])
 
 
 # --- tables that several commands print ----------------------------------------------------------
@@ -271,54 +239,3 @@ def confusion_table(matrix: Sequence[Sequence[int]], header: str = "predicted") 
     frame = pd.DataFrame(counts, index=names, columns=[f"actual {k + 1}" for k in range(n)])
     frame.loc["support"] = counts.sum(axis=0)
     return table(frame.assign(total=frame.sum(axis=1)).rename_axis(header))
-
-
-def reproduction_rows(
-    document: Mapping[str, Any], published: Mapping[int, Any]
-) -> tuple[list[str], list[list[str]]]:
-    """Header and rows of `egolane reproduce`: our score, the published one, and the difference.
-
-    - document: key `runs`, for each run: run, detector_frames_off, model_frames_off, and the scores
-      of detector and model.
-    - published: the published values of each run (`paper.load_published`).
-    """
-    header = ["run", "matrix", "frames off"]
-    keys = ("accuracy", "precision", "recall", "f1", "log_loss")
-    for key in keys:
-        header += [key, f"{key} in paper", f"{key} diff"]
-    rows = []
-    for entry in document["runs"]:
-        for kind, theirs in (("detector", "detector_only"), ("model", "model")):
-            printed = published[entry["run"]][theirs]["metrics"]
-            row = [str(entry["run"]), kind, str(entry[f"{kind}_frames_off"])]
-            for key in keys:
-                ours = entry[kind][key]
-                row += [f"{ours:.4f}", f"{printed[key]:.2f}", f"{ours - printed[key]:+.4f}"]
-            rows.append(row)
-    return header, rows
-
-
-def box_text(log: LineLog, frame_id: int) -> str:
-    """The lines of one frame, in the form of the paper's Box `box:box1`.
-
-    A row per line, `Line1: isValid = 1; continuous=1; LRI: 10; offset: -9.15m`, with `--` for an
-    unknown LRI or offset. Raises InputError, with the nearest frame, if the log lacks the frame.
-    """
-    ids = log.frame_id.tolist()
-    if frame_id not in ids:
-        nearest = min(ids, key=lambda each: abs(each - frame_id), default="none")
-        raise InputError(f"{log.source}: has no frame {frame_id}; the nearest is {nearest}")
-    at = ids.index(frame_id)
-    offset, lri = log.offset_m[at], log.lri[at]
-    valid, continuous = log.is_valid[at], log.is_continuous[at]
-    # Slots without any value are padding.
-    is_there = np.isfinite(offset) | np.isfinite(lri) | valid | continuous
-    rows = []
-    for k in np.flatnonzero(is_there):
-        reliability = f"{lri[k]:02.0f}" if np.isfinite(lri[k]) else "--"
-        place = f"{offset[k]:+.2f}m" if np.isfinite(offset[k]) else "--"
-        rows.append(
-            f"Line{k + 1}: isValid = {int(valid[k])}; continuous={int(continuous[k])};"
-            f" LRI: {reliability}; offset: {place}"
-        )
-    return "\n".join(rows) if rows else "no lines"

@@ -20,7 +20,7 @@ import pandas as pd
 import egolane_pgm as ego
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.scoring.bootstrap import RESAMPLES
-from egolane_pgm.scoring.confusion import assigned_lane, confusion, recall
+from egolane_pgm.scoring.confusion import assigned_lane, confusion, scores_from_confusion
 from egolane_pgm.scoring.probabilistic import log_loss_per_frame
 from egolane_pgm.tools.files import temporary_folder, write_text
 from egolane_pgm.tools.jobs import parallel
@@ -87,7 +87,7 @@ def score_recording(recording: Recording, belief: FloatArray) -> dict[str, float
     right = (assigned == lane) & scored
     sure = (belief.max(axis=1) >= SURE) & scored
     return {
-        "recalls": recall(matrix)[is_driven].sum(),
+        "recalls": scores_from_confusion(matrix)["per_lane"]["recall"][is_driven].sum(),
         "lanes_driven": is_driven.sum(),
         "losses": log_loss_per_frame(belief, lane).sum(),
         "frames": len(lane),

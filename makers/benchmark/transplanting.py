@@ -17,7 +17,7 @@ import pandas as pd
 
 from egolane_pgm.evidence.line_geometry.habits import is_placed
 from egolane_pgm.inference.kernels.sweeps import best_path
-from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.scoring.events import lane_changes
 from egolane_pgm.types import FloatArray, IntArray, LineLog, lane_truth, runs_of
 
 #: Frames per second of every drive.
@@ -112,7 +112,7 @@ def _across(log: LineLog, truth: pd.DataFrame, width_m: float) -> FloatArray:
     true_lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
     # Each stretch between two changes of the label gets the whole number that puts it in its lane;
     # a crossing goes with the stretch before it as far as the circle does.
-    changes = lane_changes(true_lane, crossing)
+    changes = lane_changes(truth)
     across = np.empty(len(steady))
     for start, stop in itertools.pairwise([0, *changes.end.tolist(), len(steady)]):
         kept = np.flatnonzero(~crossing[start:stop]) + start

@@ -10,7 +10,7 @@ import numpy as np
 from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.scoring.events import score_events
+from egolane_pgm.scoring.events import Reported, score_events
 from egolane_pgm.types import LineLog, lane_truth
 from makers.beyond.strangers import RUNS, evidence_of, zero_label
 from tests.kits.strangers import (
@@ -105,7 +105,7 @@ def scores(drive: Drive, start: int | None = None) -> list[float]:
     rows = np.arange(np.flatnonzero(is_scored)[0], np.flatnonzero(is_scored)[-1] + 1)
     before = np.maximum.accumulate(np.where(is_scored, np.arange(len(is_scored)), 0))
     truth = lane_truth(drive.log.frame_id[rows], drive.lane[before[rows]], ~is_scored[rows])
-    within = score_events(events, truth, rate)["within"]["2"]
+    within = score_events([Reported(events, truth)], rate)["within"]["2"]
     return [
         *(float(np.count_nonzero(each)) for each in (is_scored, is_right)),
         *(float(np.count_nonzero(each)) for each in (sure & is_scored, sure & is_right)),

@@ -53,7 +53,7 @@ def detector(name: str, **given: Any) -> Any:
         return find_detector(name, given, Path(), "lstr")
     onnx = data_file()
     assert onnx is not None
-    return find_detector("network", {"network": "lstr", **given}, onnx.parent, "lstr")
+    return find_detector("network", {"network": str(onnx.parent / "lstr"), **given}, Path(), "lstr")
 
 
 def look_at(labels: Path, which: slice) -> list[tusimple.Still]:

@@ -15,8 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.studies.black_box import Objective, objective
-from egolane_pgm.studies.search import Settings, new_study, search
+from egolane_pgm.studies.search import new_study, search
 from egolane_pgm.studies.storage import open_storage
 from tests.kits.studies import points_at, search_in_memory
 
@@ -53,7 +54,7 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
     seconds = timed(lambda: [score(point) for point in points], 256)
     yield "our share, 10,000 frames", share * seconds
     for sampler in ("random", "evolution"):
-        settings = Settings(("accuracy",), sampler, 2000, 0)
+        settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=2000, seed=0)
         seconds = timed(lambda s=settings: search_in_memory(space, score, s), 2000)
         yield f"{sampler}, in memory, whole trial", seconds
         for kept in ("journal", "SQLite"):
@@ -61,13 +62,17 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
                 is_journal = kept == "journal"
                 place = f"{folder}/study" if is_journal else f"sqlite:///{folder}/study.db"
                 trials = 1000 if is_journal else 100
-                run = _kept(problem, place, Settings(("accuracy",), sampler, trials, 0))
+                run = _kept(
+                    problem,
+                    place,
+                    FitSettings(objective=("accuracy",), sampler=sampler, trials=trials, seed=0),
+                )
                 yield f"{sampler}, {kept}", timed(run, trials, 1)
     for sampler in ("tpe", "cma-es"):
         yield from _at(problem, sampler)
 
 
-def _kept(problem: Objective, place: str, settings: Settings) -> Callable[[], object]:
+def _kept(problem: Objective, place: str, settings: FitSettings) -> Callable[[], object]:
     def run() -> None:
         study = new_study(settings, storage=open_storage(place), study_name="bench")
         search(study, problem.search_space, problem.score, settings)
@@ -83,7 +88,7 @@ def _at(problem: Objective, sampler: str) -> list[Line]:
         clock.append(time.perf_counter())
         return problem.score(point)
 
-    settings = Settings(("accuracy",), sampler, 1011, 0)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=1011, seed=0)
     search_in_memory(problem.search_space, timed, settings)
     return [
         (f"{sampler}, in memory, at the {n}th trial", (clock[n + 10] - clock[n - 10]) / 20)

@@ -41,7 +41,7 @@ class Data:
 def load() -> Data:
     from egolane_pgm.recordings import read_lines
     from egolane_pgm.recordings.ground_truth import read_ground_truth
-    from egolane_pgm.recordings.select import join, select_frames
+    from egolane_pgm.recordings.select import select_frames
     from egolane_pgm.simulation import simulate
 
     folder = Path(os.environ.get("EGOLANE_DATA", ""))
@@ -49,8 +49,8 @@ def load() -> Data:
     if os.environ.get("EGOLANE_DATA") and bag.exists():
         log = select_frames(read_lines(bag), *FRAMES)
         truth = read_ground_truth(folder / TRUTH)
-        in_log, in_truth = join(log, truth)
-        log, truth = log.take(in_log), truth.iloc[in_truth]
+        log = log.take(np.isin(log.frame_id, truth.index))
+        truth = truth.loc[log.frame_id]
         source = "run 1 of the paper"
         read = lambda: read_lines(bag)  # noqa: E731
     else:

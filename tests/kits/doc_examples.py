@@ -45,7 +45,7 @@ NOT_RUN = {
 
 #: What is run in place of what would take minutes: a pattern, and its replacement.
 QUICKER = (
-    (r"^(egolane run .*)--held-out", r"\1--held-out --blocks 2"),
+    (r"^(egolane run .*)--held-out", r"\1--held-out --set fit.folds=2"),
     (r"experiments/paper/recordings.csv", "examples/two_runs.csv"),
     (r"(egolane run paper_tuned .*)", r"\1 --set fit.trials=2"),
     (r"--jobs \d+", "--jobs 1"),

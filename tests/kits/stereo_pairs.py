@@ -82,5 +82,5 @@ def plane_of(
     """The pair, the plane that was found, and the disparities."""
     parameters = settled(**more)
     pair = _stereo.make_pair(camera, parameters)
-    disparity = _stereo.disparities(pair, *_stereo.reduced(pair, frame.picture))
+    disparity = _stereo.disparities(pair, frame.picture)
     return pair, _stereo.find_plane(pair, disparity), disparity

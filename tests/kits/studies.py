@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import Experiment, FitSettings
 from egolane_pgm.loading import experiments_folder, load_experiment
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.runs import open_input
 from egolane_pgm.studies.sampler import from_unit
-from egolane_pgm.studies.search import Settings, new_study, search
+from egolane_pgm.studies.search import new_study, search
 from egolane_pgm.studies.space import Point, SearchSpace, distributions, make_space
 from egolane_pgm.types import FloatArray, IntArray
 from tests.kits.drives import simulated
@@ -69,7 +69,7 @@ def bowl(point: Point) -> list[float]:
     return [float(np.round(1 - np.abs(values - 0.3).mean(), 3))]
 
 
-def search_in_memory(space: SearchSpace, score: Any, settings: Settings) -> Any:
+def search_in_memory(space: SearchSpace, score: Any, settings: FitSettings) -> Any:
     """A study in memory with all its trials."""
     study = new_study(settings)
     search(study, space, score, settings)

@@ -36,11 +36,7 @@ def test_frames_have_the_lanes_known_last(
     n_lanes: list[int], time_s: list[float], expected: list[int]
 ) -> None:
     assert lanes_along(road_rows(n_lanes, 10.0), log_of(time_s)).tolist() == expected
-
-
-def test_a_single_time_may_be_after_the_last_row() -> None:
-    road = road_rows([3, 4], 10.0)
-    assert lanes_at(road, np.array([9.0, 10.5, 11.0, 99.0])).tolist() == [3, 3, 4, 4]
+    assert lanes_at(road_rows(n_lanes, 10.0), np.array([99.0])).tolist() == n_lanes[-1:]
 
 
 @pytest.mark.parametrize(

@@ -74,18 +74,28 @@ def test_results_as_the_benchmark_takes_them_have_its_rows(tmp_path: Path, first
         read(tusimple(tmp_path / "b.json", [{**said, "lanes": [*lanes, [1.0] * 47]}]))
 
 
-def test_two_drives_are_two_clips_and_their_folders_still_count_frames(tmp_path: Path) -> None:
-    rows = [entry(0, raw_file=f"clips/0313-{d}/{n}/20.jpg") for d, n in ((1, 60), (1, 62), (2, 7))]
+@pytest.mark.parametrize(
+    ("names", "clips"),
+    [
+        # Numbered folders of one picture each count the frames of a drive.
+        (
+            ["0313-1/60/20", "0313-1/62/20", "0313-2/7/20"],
+            [("clips/0313-1", [0, 2]), ("clips/0313-2", [3])],
+        ),
+        # A numbered folder with several pictures is a clip.
+        (
+            ["0313-1/60/19", "0313-1/60/20", "0313-1/120/20"],
+            [("clips/0313-1/60", [0, 1]), ("clips/0313-1", [2])],
+        ),
+    ],
+)
+def test_numbered_folders_are_frames_or_clips(
+    tmp_path: Path, names: list[str], clips: list[tuple[str, list[int]]]
+) -> None:
+    rows = [entry(0, raw_file=f"clips/{name}.jpg") for name in names]
     with pytest.warns(UserWarning, match="its 2 clips"):
         log = read(tusimple(tmp_path / "a.json", rows))
-    assert clips_of(log) == [("clips/0313-1", [0, 2]), ("clips/0313-2", [3])]
-
-
-def test_a_counted_folder_with_several_pictures_is_a_clip_too(tmp_path: Path) -> None:
-    rows = pictures("clips/0313-1/60", [19, 20]) + pictures("clips/0313-1/120", [20])
-    with pytest.warns(UserWarning, match="its 2 clips"):
-        log = read(tusimple(tmp_path / "a.json", rows))
-    assert clips_of(log) == [("clips/0313-1/60", [0, 1]), ("clips/0313-1", [2])]
+    assert clips_of(log) == clips
 
 
 def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.recordings.select import (
     fill_missing,
-    join,
     recording_warnings,
     select_frames,
 )
-from egolane_pgm.types import InputError, LineLog, lane_truth
+from egolane_pgm.types import InputError, LineLog
 
 
 def make_log(frames: list[int], n_lines: int = 3, seed: int = 0) -> LineLog:
@@ -30,11 +28,6 @@ def make_log(frames: list[int], n_lines: int = 3, seed: int = 0) -> LineLog:
         lri=rng.integers(0, 11, shape).astype(float),
         source="drive.bag",
     )
-
-
-def make_truth(frames: list[int]) -> pd.DataFrame:
-    n = len(frames)
-    return lane_truth(frames, np.ones(n), np.zeros(n), "gt.txt")
 
 
 frame_lists = st.lists(st.integers(-20, 60), min_size=1, max_size=30, unique=True).map(sorted)
@@ -90,14 +83,6 @@ def test_ids_that_cannot_be_frame_numbers_are_not_filled() -> None:
     assert fill_missing(log, "skip", 10.0) is log
     with pytest.raises(InputError, match=r"drive\.bag.*are these ids frame numbers"):
         fill_missing(log, "hold", 10.0)
-
-
-def test_the_join_is_by_frame_id() -> None:
-    in_log, in_truth = join(make_log([1, 2, 5, 8]), make_truth([0, 2, 3, 5, 8, 9]))
-    np.testing.assert_array_equal(in_log, [1, 2, 3])
-    np.testing.assert_array_equal(in_truth, [1, 3, 4])
-    with pytest.raises(InputError, match=r"has frames 1 to 2, gt\.txt has frames 5 to 9"):
-        join(make_log([1, 2]), make_truth([5, 9]))
 
 
 def test_each_oddity_is_one_line_with_its_count_and_first_frame() -> None:

@@ -22,33 +22,13 @@ LANE = np.array([1, 1, 1, 1, 2])
 NO_CROSSING = np.zeros(5, dtype=bool)
 
 
-def test_a_lane_below_the_threshold_is_unassigned_and_one_at_it_is_not() -> None:
-    assert assigned_lane(BELIEF, 0.9).tolist() == [0, 1, 0, 0, 1]
-    assert assigned_lane(BELIEF).tolist() == [1, 1, 0, 2, 1]
-    assert assigned_lane(np.array([[1.0], [0.8]]), 0.9).tolist() == [1, 0]
-
-
 def test_the_curve_counts_answers_and_right_ones_from_the_surest_on() -> None:
     curve = coverage_curve(BELIEF, LANE, NO_CROSSING)
-    assert curve.threshold.tolist() == [0.95, 0.9, 0.8, 0.6]
-    assert curve.answered.tolist() == [1, 2, 3, 4]
-    assert curve.right.tolist() == [1, 1, 1, 2]
+    assert curve["threshold"].tolist() == [0.95, 0.9, 0.8, 0.6]
     # The tie is never answered.
-    assert curve.coverage.tolist() == [0.2, 0.4, 0.6, 0.8]
-    assert curve.at(0.9) == (0.4, 0.5)
-    assert curve.at(0.0) == (0.8, 0.5)
-    coverage, accuracy = curve.at(0.99)
-    assert coverage == 0.0
-    assert np.isnan(accuracy)
-
-
-def test_crossing_frames_are_left_out_and_none_at_all_is_an_empty_curve() -> None:
-    crossing = np.array([True, False, False, False, True])
-    assert coverage_curve(BELIEF, LANE, crossing).frames_scored == 3
-    assert coverage_curve(BELIEF, LANE, crossing).answered.tolist() == [1, 2]
-    nothing = coverage_curve(BELIEF, LANE, np.ones(5, dtype=bool))
-    assert nothing.threshold.size == nothing.coverage.size == 0
-    assert nothing.at(0.0)[0] == 0.0
+    assert curve["coverage"].tolist() == [0.2, 0.4, 0.6, 0.8]
+    assert curve["accuracy"].tolist() == [1, 1 / 2, 1 / 3, 2 / 4]
+    assert coverage_curve(BELIEF, LANE, ~NO_CROSSING)["threshold"].size == 0
 
 
 @given(
@@ -66,13 +46,13 @@ def test_every_point_of_the_curve_is_what_the_reject_option_gives(
     lane = rng.integers(1, 4, size=len(belief))
     crossing = rng.random(len(belief)) < 0.2
     matrix = confusion(assigned_lane(belief, below), lane, crossing, 3)
-    coverage, accuracy = coverage_curve(belief, lane, crossing).at(below)
+    curve = coverage_curve(belief, lane, crossing)
+    k = np.count_nonzero(curve["threshold"] >= below) - 1
     answered = int(matrix[:-1].sum())
-    assert coverage == pytest.approx(answered / max(1, int((~crossing).sum())))
+    assert (k >= 0) == (answered > 0)
     if answered:
-        assert accuracy == pytest.approx(np.trace(matrix[:-1]) / answered)
-    else:
-        assert np.isnan(accuracy)
+        assert curve["coverage"][k] == pytest.approx(answered / (~crossing).sum())
+        assert curve["accuracy"][k] == pytest.approx(np.trace(matrix[:-1]) / answered)
 
 
 def test_a_run_rejects_the_models_answers_only(drive: Path) -> None:
@@ -88,19 +68,19 @@ def test_a_run_rejects_the_models_answers_only(drive: Path) -> None:
     truth = careful.truth
     assert truth is not None
     matrix = confusion(rejected, truth["true_lane"], truth["is_crossing"], 3)
-    assert after["accuracy"] == scores_from_confusion(matrix).accuracy
+    assert after["accuracy"] == scores_from_confusion(matrix)["accuracy"]
 
 
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
     result = a_result()
-    curves = coverage_curves(result)
+    curves = coverage_curves(result.frames)
     assert list(curves) == ["Detector", "Model"]
-    (ax,) = coverage_figure(result).axes
+    (ax,) = coverage_figure(result.frames).axes
     line = next(line for line in ax.lines if line.get_label() == "Model")
-    assert np.asarray(line.get_xdata()).tolist() == curves["Model"].coverage.tolist()
-    assert np.asarray(line.get_ydata()).tolist() == curves["Model"].accuracy.tolist()
+    assert np.asarray(line.get_xdata()).tolist() == curves["Model"]["coverage"].tolist()
+    assert np.asarray(line.get_ydata()).tolist() == curves["Model"]["accuracy"].tolist()
     labels = {t.get_text() for t in ax.texts}
     assert labels <= {f"{below:g}" for below in MARKED}
     assert "0.5" in labels
-    with pytest.raises(InputError, match="no ground truth"):
-        coverage_figure(without_truth())
+    with pytest.raises(InputError, match="no annotated frame"):
+        coverage_figure(without_truth().frames)

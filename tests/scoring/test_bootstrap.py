@@ -10,16 +10,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.scoring.bootstrap import (
+    INTERVAL_STATISTICS,
     bootstrap_interval,
     circular_blocks,
-    confusion_counts,
     on_timeline,
     ratio,
     resampled_sums,
     score_counts,
     score_intervals,
 )
-from egolane_pgm.scoring.confusion import accuracy, confusion, macro_f1
+from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import InputError
 
 
@@ -36,18 +36,22 @@ def mean_counts(values: np.ndarray, is_counted: np.ndarray | None = None) -> np.
     return np.stack([values * counted, counted], axis=1)
 
 
+accuracy, macro_f1 = INTERVAL_STATISTICS["accuracy"], INTERVAL_STATISTICS["f1"]
+
+
+def confusion_counts(
+    assigned: np.ndarray, lane: np.ndarray, is_crossing: np.ndarray, n_lanes: int
+) -> np.ndarray:
+    belief = np.full((len(lane), n_lanes), 1 / n_lanes)
+    return score_counts(belief, lane, is_crossing, assigned)["accuracy"]
+
+
 def a_drive(n_frames: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """assigned (right in four of five), lane, is_crossing for 3 lanes."""
     rng = np.random.default_rng(seed)
     lane = np.repeat(rng.integers(1, 4, n_frames), 20)[:n_frames]
     assigned = np.where(rng.random(n_frames) < 0.8, lane, rng.integers(0, 4, n_frames))
     return assigned, lane, rng.random(n_frames) < 0.1
-
-
-def test_every_frame_is_resampled_equally_often_on_average() -> None:
-    counts = np.bincount(resampled(40, 10, 4000, 0).ravel(), minlength=40) / 4000
-    # Each count has mean 1 and, with 4 blocks of a quarter each, variance 0.75.
-    assert np.abs(counts - 1).max() < 5 * math.sqrt(0.75 / 4000)
 
 
 @settings(max_examples=60)
@@ -68,26 +72,6 @@ def test_sums_over_resamples_equal_indexing_frame_by_frame(
     sums = resampled_sums(values, circular_blocks(n_frames, block, 7, seed), block)
     assert sums.shape == expected.shape
     np.testing.assert_allclose(sums, expected, rtol=1e-12)
-
-
-def test_sums_taken_in_pieces_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    values = np.random.default_rng(0).integers(0, 9, (100, 4))
-    starts = circular_blocks(100, 7, 50, 0)
-    at_once = resampled_sums(values, starts, 7)
-    monkeypatch.setattr("egolane_pgm.scoring.bootstrap._CHUNK", 1)
-    np.testing.assert_array_equal(resampled_sums(values, starts, 7), at_once)
-
-
-def test_a_frame_counts_in_the_cell_of_its_confusion_and_a_crossing_one_in_none() -> None:
-    assigned, lane, is_crossing = a_drive(200)
-    counts = confusion_counts(assigned, lane, is_crossing, 3)
-    assert counts.shape == (200, 4, 3)
-    np.testing.assert_array_equal(counts.sum(axis=(1, 2)), ~is_crossing)
-    for k in range(200):
-        one = slice(k, k + 1)
-        np.testing.assert_array_equal(
-            counts[k], confusion(assigned[one], lane[one], is_crossing[one], 3)
-        )
 
 
 def test_the_interval_is_the_percentiles_of_the_statistic_over_the_resamples() -> None:
@@ -175,13 +159,16 @@ def test_several_recordings_are_resampled_one_by_one_and_count_alike() -> None:
 def test_the_intervals_of_a_result_are_of_accuracy_f1_and_log_loss() -> None:
     assigned, lane, is_crossing = a_drive(700)
     belief = 0.9 * np.eye(3)[np.maximum(assigned, 1) - 1] + 0.1 / 3
-    sides = [score_counts(b, lane, is_crossing) for b in (belief, np.roll(belief, 1, axis=1))]
+    sides = [
+        score_counts(b, lane, is_crossing, assigned_lane(b))
+        for b in (belief, np.roll(belief, 1, axis=1))
+    ]
     found = score_intervals(sides[:1], sides[1:])
     assert list(found) == ["accuracy", "f1", "log_loss"]
     for name, statistic in (("accuracy", accuracy), ("f1", macro_f1), ("log_loss", ratio)):
         counts = [side[name] for side in sides]
         assert found[name] == bootstrap_interval(counts[:1], statistic, minus=counts[1:])
-    short = score_counts(belief[:599], lane[:599], is_crossing[:599])
+    short = score_counts(belief[:599], lane[:599], is_crossing[:599], assigned[:599])
     for name, interval in score_intervals([sides[0], short], [sides[1], short]).items():
         assert (interval.low, interval.high) == (None, None)
         assert interval.estimate == pytest.approx(found[name].estimate / 2)
@@ -200,7 +187,7 @@ def counts_of(seed: int) -> dict[str, np.ndarray]:
     rng = np.random.default_rng(seed)
     belief = rng.dirichlet(np.ones(3), N_COUNTED)
     lane = np.repeat([1, 2, 3], N_COUNTED // 3)
-    return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0)
+    return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0, assigned_lane(belief))
 
 
 def test_frames_that_one_recording_lacks_count_nothing_on_the_timeline_of_the_drive() -> None:

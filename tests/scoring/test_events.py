@@ -13,13 +13,14 @@ from hypothesis import strategies as st
 
 from egolane_pgm.scoring.events import (
     TOLERANCES_S,
+    Reported,
     event_delays,
+    lane_changes,
     match_events,
     roc_auc,
     score_crossing,
     score_events,
 )
-from egolane_pgm.scoring.stability import lane_changes
 from egolane_pgm.types import lane_truth
 
 
@@ -50,6 +51,10 @@ def truth_of(lanes: str, crossing: str, first: int = 0) -> pd.DataFrame:
 ONE = truth_of("1" * 110 + "2" * 90, "." * 100 + "x" * 20 + "." * 80)
 
 
+def scored(events: pd.DataFrame, truth: pd.DataFrame = ONE) -> dict[str, Any]:
+    return score_events([Reported(events, truth)], 10.0)
+
+
 @pytest.mark.parametrize(
     ("frame", "right"),
     [
@@ -69,7 +74,7 @@ ONE = truth_of("1" * 110 + "2" * 90, "." * 100 + "x" * 20 + "." * 80)
 def test_an_event_is_right_inside_the_crossing_and_a_tolerance_around_it(
     frame: int, right: tuple[int, ...]
 ) -> None:
-    scores = score_events(events_at((frame, 1, 2)), ONE, 10.0)
+    scores = scored(events_at((frame, 1, 2)))
     assert tuple(found["right"] for found in scores["within"].values()) == right
     assert list(scores["within"]) == ["0.5", "1", "2"]
     for found in scores["within"].values():
@@ -83,46 +88,18 @@ def test_the_delay_is_counted_from_the_end_of_the_crossing() -> None:
     assert np.isnan(event_delays(events_at((150, 1, 2)), ONE, 10.0)).all()
 
 
-@pytest.mark.parametrize("event", [(110, 2, 1), (110, 1, 3), (110, 3, 2)])
-def test_both_lanes_must_be_the_true_ones(event: tuple[int, int, int]) -> None:
-    found = score_events(events_at(event), ONE, 10.0)["within"]["2"]
-    assert (found["right"], found["false"], found["missed"]) == (0, 1, 1)
-
-
-def test_a_change_there_and_back_that_the_car_does_not_make_is_two_false_ones() -> None:
-    scores = score_events(events_at((30, 1, 2), (50, 2, 1), (118, 1, 2)), ONE, 10.0)
-    found = scores["within"]["2"]
-    assert (found["right"], found["false"], found["missed"]) == (1, 2, 0)
-    assert found["precision"] == pytest.approx(1 / 3)
-    assert found["recall"] == 1.0
-    assert found["false_per_hour"] == pytest.approx(2 / (200 / 10 / 3600))
-    assert scores["delay_s"] == {"median": pytest.approx(-0.2), "p90": pytest.approx(-0.2)}
-
-
-def test_an_aborted_crossing_is_no_change_and_what_is_told_there_is_false() -> None:
-    truth = truth_of("1" * 50, "." * 20 + "x" * 5 + "." * 25)
-    scores = score_events(events_at((22, 1, 2), (24, 2, 1)), truth, 10.0)
-    assert scores["changes"] == 0
-    assert scores["within"]["2"]["false"] == 2
-    assert scores["within"]["2"]["recall"] is None
-
-
-def test_nothing_is_false_where_the_truth_does_not_speak() -> None:
-    # Frames before 1000 are not annotated; the truth begins and ends in a crossing.
-    truth = truth_of("1" * 40, "x" * 10 + "." * 20 + "x" * 10, first=1000)
-    told = events_at((5, 1, 2), (1004, 2, 1), (1035, 1, 2))
-    assert score_events(told, truth, 10.0)["detected"] == 0
-    assert score_events(events_at((1015, 1, 2)), truth, 10.0)["within"]["2"]["false"] == 1
-    # Nor between them, where rows are missing.
-    holed = ONE.take(np.r_[0:20, 60:200])
-    assert score_events(events_at((40, 1, 2), (70, 1, 2)), holed, 10.0)["detected"] == 1
-    nothing = truth_of("111", "xxx")
-    assert score_events(events_at((1, 1, 2)), nothing, 10.0)["detected"] == 0
-
-
-def test_of_two_events_for_one_change_one_is_false() -> None:
-    scores = score_events(events_at((105, 1, 2), (115, 1, 2)), ONE, 10.0)
-    assert (scores["within"]["2"]["right"], scores["within"]["2"]["false"]) == (1, 1)
+def test_several_drives_are_scored_as_one_with_their_counts_added() -> None:
+    other = truth_of("2" * 50, "." * 50)
+    drives = [
+        Reported(events_at((110, 1, 2)), ONE, np.linspace(0, 1, 200)),
+        Reported(events_at((10, 2, 1)), other, np.zeros(50)),
+    ]
+    both, alone = score_events(drives, 10.0), score_events(drives[:1], 10.0)
+    assert both["delay_s"] == alone["delay_s"]
+    assert both["crossing"]["lead_s"] == alone["crossing"]["lead_s"]
+    assert both["hours"] == pytest.approx(250 / 10 / 3600)
+    found = both["within"]["1"]
+    assert (found["right"], found["false"], found["missed"]) == (1, 1, 0)
 
 
 def test_an_event_takes_the_change_that_leaves_the_other_to_the_next_event() -> None:
@@ -130,6 +107,45 @@ def test_an_event_takes_the_change_that_leaves_the_other_to_the_next_event() -> 
     truth = truth_of("1" * 10 + "2" * 5 + "1" * 5 + "2" * 40, "." * 60)
     found = match_events(events_at((15, 1, 2), (36, 1, 2)), truth, 10.0, 2.0)
     assert found.tolist() == [0, 2]
+
+
+ABORTED = truth_of("1" * 50, "." * 20 + "x" * 5 + "." * 25)
+
+#: Frames before 1000 are not annotated; the truth begins and ends in a crossing.
+INSIDE = truth_of("1" * 40, "x" * 10 + "." * 20 + "x" * 10, first=1000)
+
+
+@pytest.mark.parametrize(
+    ("truth", "events", "right", "false", "missed"),
+    [
+        # Both lanes must be the true ones.
+        (ONE, [(110, 2, 1)], 0, 1, 1),
+        (ONE, [(110, 1, 3)], 0, 1, 1),
+        (ONE, [(110, 3, 2)], 0, 1, 1),
+        # A change there and back that the car does not make; two events for one change.
+        (ONE, [(30, 1, 2), (50, 2, 1), (118, 1, 2)], 1, 2, 0),
+        (ONE, [(105, 1, 2), (115, 1, 2)], 1, 1, 0),
+        # An aborted crossing is no change.
+        (ABORTED, [(22, 1, 2), (24, 2, 1)], 0, 2, 0),
+        # Only between the first and the last non-crossing frame, in annotated frames.
+        (INSIDE, [(5, 1, 2), (1004, 2, 1), (1035, 1, 2)], 0, 0, 0),
+        (INSIDE, [(1015, 1, 2)], 0, 1, 0),
+        (ONE.take(np.r_[0:20, 60:200]), [(40, 1, 2), (70, 1, 2)], 0, 1, 1),
+        (truth_of("111", "xxx"), [(1, 1, 2)], 0, 0, 0),
+    ],
+)
+def test_right_false_and_missed(
+    truth: pd.DataFrame, events: list[Any], right: int, false: int, missed: int
+) -> None:
+    scores = scored(events_at(*events), truth)
+    found = scores["within"]["2"]
+    assert (found["right"], found["false"], found["missed"]) == (right, false, missed)
+    detected, changes = right + false, right + missed
+    assert (scores["detected"], scores["changes"]) == (detected, changes)
+    assert found["precision"] == (pytest.approx(right / detected) if detected else None)
+    assert found["recall"] == (pytest.approx(right / changes) if changes else None)
+    hours = len(truth) / 10 / 3600
+    assert found["false_per_hour"] == pytest.approx(false / hours)
 
 
 @st.composite
@@ -165,7 +181,7 @@ def test_no_other_matching_has_more_pairs(
     drive: tuple[pd.DataFrame, pd.DataFrame], tolerance: float, rate: float
 ) -> None:
     events, truth = drive
-    changes = lane_changes(truth["true_lane"], truth["is_crossing"])
+    changes = lane_changes(truth)
     ids = truth.index.to_numpy()
     fits = [
         [
@@ -192,7 +208,7 @@ def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
     drive: tuple[pd.DataFrame, pd.DataFrame],
 ) -> None:
     events, truth = drive
-    scores = score_events(events, truth, 10.0, np.linspace(0, 1, len(truth)))
+    scores = score_events([Reported(events, truth, np.linspace(0, 1, len(truth)))], 10.0)
     json.dumps(scores, allow_nan=False)
     right = [found["right"] for found in scores["within"].values()]
     assert right == sorted(right)
@@ -207,7 +223,7 @@ def test_scores_are_plain_numbers_and_a_wider_tolerance_is_kinder(
 def warned(truth: pd.DataFrame, *frames: int) -> dict[str, Any]:
     crossing = np.zeros(len(truth))
     crossing[list(frames)] = 0.5
-    return score_crossing(crossing, truth, 10.0)
+    return score_crossing([Reported(events_at(), truth, crossing)], 10.0)
 
 
 def test_the_lead_is_from_the_beginning_of_the_warning_to_the_change_of_the_label() -> None:
@@ -246,10 +262,10 @@ def test_a_change_without_crossing_frames_is_warned_of_in_its_first_row() -> Non
 
 
 def test_a_probability_that_is_the_flag_has_no_error() -> None:
-    found = score_crossing(ONE["is_crossing"].astype(float), ONE, 10.0)
+    found = warned(ONE, *range(100, 120))
     assert (found["auc"], found["precision"], found["recall"]) == (1.0, 1.0, 1.0)
-    assert score_crossing(np.zeros(200), ONE, 10.0)["precision"] is None
-    assert score_events(events_at(), ONE, 10.0)["crossing"] is None
+    assert warned(ONE)["precision"] is None
+    assert scored(events_at())["crossing"] is None
 
 
 @given(
@@ -264,12 +280,3 @@ def test_the_area_is_the_share_of_pairs_in_the_right_order(pairs: list[tuple[int
     ]
     assert roc_auc(score, positive) == pytest.approx(np.mean(wins))
     assert roc_auc(-score, positive) == pytest.approx(1 - np.mean(wins))
-
-
-def test_the_area_of_extremes() -> None:
-    positive = np.array([False, True, False, True])
-    assert roc_auc(positive, positive) == 1.0
-    assert roc_auc(np.zeros(4), positive) == 0.5
-    assert np.isnan(roc_auc(np.arange(4), np.zeros(4, dtype=bool)))
-    assert np.isnan(roc_auc(np.arange(4), np.ones(4, dtype=bool)))
-    assert np.isnan(roc_auc(np.zeros(0), np.zeros(0, dtype=bool)))

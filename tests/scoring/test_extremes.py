@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.inference.events import lane_events
-from egolane_pgm.scoring.events import score_crossing, score_events
+from egolane_pgm.scoring import score_all
+from egolane_pgm.scoring.events import Reported, score_crossing, score_events
 from egolane_pgm.scoring.probabilistic import SMALLEST_PROBABILITY
-from egolane_pgm.scoring.summary import score_with_intervals
 from egolane_pgm.types import Beliefs, lane_truth
 
 #: What a lane may have; the last one gets the rest.
@@ -33,9 +33,10 @@ def test_sure_beliefs_have_plain_scores(n_lanes: int, n_frames: int, seed: int) 
     beliefs = Beliefs(ids, {"Lane": lane}, np.zeros(n_frames), np.zeros(n_frames, dtype=bool))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        scores = score_with_intervals(lane, truth, 10.0)
-        told = score_events(lane_events(beliefs, 10.0), truth, 10.0)
-        warned = score_crossing(rng.choice(SHARES, n_frames), truth, 10.0)
+        scores = score_all(lane, truth, 10.0)
+        reported = Reported(lane_events(beliefs, 10.0), truth, rng.choice(SHARES, n_frames))
+        events = score_events([reported], 10.0)
+        warned = score_crossing([reported], 10.0)
     # Neither NaN nor infinity.
-    json.dumps([scores, told, warned], allow_nan=False)
+    json.dumps([scores, events, warned], allow_nan=False)
     assert 0 <= scores["log_loss"] <= -np.log(SMALLEST_PROBABILITY)

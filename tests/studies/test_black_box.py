@@ -64,10 +64,10 @@ def test_a_part_of_the_frames_counts_and_lines_may_be_in_memory() -> None:
     ("parameters", "said"),
     [
         ({"sigm1": 1}, "sigm1: is not searched (did you mean 'sigma1'?)"),
-        ({"sigma1": 9}, "sigma1: 9 is no number from 3e-06 to 3"),
-        ({"sigma1": "a"}, "sigma1: 'a' is no number from 3e-06 to 3"),
-        ({"p1": float("nan")}, "p1: nan is no number from 1e-06 to 0.999999"),
-        ({"bonus_value": 2.5}, "bonus_value: 2.5 is no whole number from 0 to 9"),
+        ({"sigma1": 9}, "sigma1: 9 is not a number from 3e-06 to 3"),
+        ({"sigma1": "a"}, "sigma1: 'a' is not a number from 3e-06 to 3"),
+        ({"p1": float("nan")}, "p1: nan is not a number from 1e-06 to 0.999999"),
+        ({"bonus_value": 2.5}, "bonus_value: 2.5 is not a whole number from 0 to 9"),
     ],
 )
 def test_what_is_out_of_the_space_is_refused(parameters: dict[str, Any], said: str) -> None:
@@ -79,7 +79,7 @@ def test_what_is_out_of_the_space_is_refused(parameters: dict[str, Any], said: s
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"frames": (5000, None)}, "frames (5000, None): there is nothing to score"),
+        ({"frames": (5000, None)}, "frames (5000, None): contain no frame to score"),
         ({"score": "acuracy"}, "score: unknown score 'acuracy' (did you mean 'accuracy'?)"),
         ({"overrides": {"filter": "smoothed"}}, "filter: a search takes assumed_density or exact"),
     ],

@@ -13,12 +13,10 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.studies import em
-from egolane_pgm.studies.em import Training, fit_tables, fit_tables_pooled
+from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.types import Evidence, IntArray
 from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
-from tests.reference import inference as reference
 
 
 def a_case(seed: int, n_frames: int = 40) -> tuple[Compiled, Evidence, Any, Any]:
@@ -42,19 +40,6 @@ def test_no_iteration_lowers_the_log_posterior(seed: int, strength: float) -> No
     assert (np.diff(history) >= -1e-9 * np.abs(history[:-1]) - 1e-9).all()
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_the_counts_in_plain_numpy_teach_the_same(
-    seed: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    compiled, evidence, known, is_first = a_case(seed)
-    one = fit_tables(compiled, evidence, known, is_first, iterations=4)
-    monkeypatch.setattr(em, "expected_counts", reference.expected_counts)
-    other = fit_tables(compiled, evidence, known, is_first, iterations=4)
-    np.testing.assert_allclose(one.log_posterior, other.log_posterior, atol=1e-7)
-    for node in one.tables:
-        np.testing.assert_allclose(one.tables[node].values, other.tables[node].values, atol=1e-7)
-
-
 @given(seed=st.integers(0, 2**32 - 1))
 @settings(max_examples=20, deadline=None)
 def test_what_was_possible_stays_so_and_nothing_else_becomes_so(seed: int) -> None:
@@ -67,33 +52,6 @@ def test_what_was_possible_stays_so_and_nothing_else_becomes_so(seed: int) -> No
     for node, table in compiled.tables.items():
         if (node[0], 1) not in start and node not in start:
             assert after.tables[node] is table
-
-
-@given(seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=8, deadline=None)
-def test_pooled_is_one_behind_the_other_in_any_order(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    compiled, _, known, _ = a_case(seed)
-    [node] = known
-    parts = []
-    for n in rng.integers(1, 30, 3).tolist():
-        value = rng.integers(compiled.cardinality[node], size=n)
-        own = {node: np.where(rng.random(n) < 0.7, FREE, value)}
-        evidence = draw_evidence(compiled, n, rng, zeros=0.1)
-        parts.append(Training(evidence, own, rng.random(n) < 0.1))
-    begins = [np.concatenate([[True], part.is_first[1:]]) for part in parts]  # type: ignore[index]
-    whole = fit_tables(
-        compiled,
-        Evidence.joined([part.evidence for part in parts]),
-        {node: np.concatenate([part.known[node] for part in parts])},
-        np.concatenate(begins),
-        iterations=5,
-    )
-    for order in (parts, parts[::-1]):
-        pooled = fit_tables_pooled(compiled, order, iterations=5)
-        np.testing.assert_allclose(pooled.log_posterior, whole.log_posterior, rtol=1e-12)
-        for name, table in whole.tables.items():
-            np.testing.assert_allclose(pooled.tables[name].values, table.values, atol=1e-12)
 
 
 def paper_case(n_lanes: int = 3, **changes: float) -> Compiled:

@@ -24,11 +24,10 @@ from egolane_pgm.studies.study import (
     fit_fold,
     fit_folds,
     group_folds,
-    lacking_lanes,
 )
 from egolane_pgm.types import InputError
 from tests.kits.drives import simulated, write_drive
-from tests.kits.studies import drive_of, two_drives, with_labels
+from tests.kits.studies import drive_of, two_drives
 
 
 def drive(**keys: Any) -> Drive:
@@ -99,9 +98,9 @@ def test_recordings_of_one_drive_are_held_out_together(tmp_path: Path) -> None:
     assert out(drive_folds(tagged, 5, "who")) == [[0, 1, 2, 3], [4, 5]]
     split = [replace(each, tags={"who": f"w{k % 2}"}) for k, each in enumerate(drives)]
     for some, tag, said in (
-        (drives[:2], None, "blocks: all rows are of one drive, so none"),
+        (drives[:2], None, "blocks: all rows are of one drive, so nothing"),
         (tagged, "woh", r"by_tag: x0 has no tag\.woh \(did you mean 'who'\?\)"),
-        (split, "who", r"y0: is the same drive as x0, with another tag\.who"),
+        (split, "who", r"y0: is the same drive as x0 with another tag\.who"),
     ):
         with pytest.raises(InputError, match=said):
             drive_folds(some, 5, tag)
@@ -156,13 +155,3 @@ def test_each_test_frame_has_the_posterior_of_its_own_fold() -> None:
             alone = frames_of(replace(one, model=apply_fit(one.model, fitted[b])))
             there = mine[mine["block"] == b]
             assert_frame_equal(there[alone.columns], alone.iloc[fold.test[k]])
-
-
-def test_a_lane_that_one_block_alone_has_is_said() -> None:
-    one = drive()
-    lane = np.where(np.arange(len(one)) // 10 % 2, 1, 2)
-    lane[250:260] = 3
-    changed = replace(with_labels(one, np.arange(len(one)), lane), is_crossing=lane > 9)
-    assert lacking_lanes([changed], block_folds([changed])) == ["a: only block 2 has lane 3"]
-    everywhere = with_labels(changed, np.arange(1000, 1010), 3)
-    assert lacking_lanes([everywhere], block_folds([everywhere])) == []

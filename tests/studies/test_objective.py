@@ -13,11 +13,12 @@ from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
-from egolane_pgm.scoring.stability import lane_changes
+from egolane_pgm.scoring.events import lane_changes
 from egolane_pgm.studies import objective
-from egolane_pgm.studies.fits import search_space, settings_of
+from egolane_pgm.studies.fits import search_space
+from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import to_parameters
-from egolane_pgm.types import InputError
+from egolane_pgm.types import InputError, lane_truth
 from tests.kits.drives import run
 from tests.kits.studies import drive_of, points_at, scrambled
 
@@ -37,7 +38,7 @@ def everything() -> Any:
 @cache
 def posteriors(n: int) -> list[tuple[dict[str, Any], np.ndarray]]:
     """Some parameter sets, and the posterior (K, lanes) of each."""
-    space = search_space(quickstart().model, FitSettings())
+    space = search_space([quickstart().model], FitSettings())
     units = np.random.default_rng(0).random((n, len(space.dimensions)))
     sets = [to_parameters(space, point) for point in points_at(space, units)]
     posterior_at = objective.posterior_at(quickstart())
@@ -108,8 +109,8 @@ def test_drives_weigh_the_same_whatever_their_length_unless_they_are_pooled() ->
 def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) -> None:
     drive = quickstart()
     rows = drive.rows
-    changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
-    straight = np.arange(len(drive)) < changes.start[0]
+    changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
+    straight = np.arange(len(drive)) < changes["start"][0]
     for _, posterior in posteriors(5):
 
         def found(*used: Any, posterior: Any = posterior) -> list[float]:
@@ -125,9 +126,9 @@ def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) 
 def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() -> None:
     drive = quickstart()
     rows = drive.rows
-    changes = lane_changes(drive.true_lane[rows], drive.is_crossing[rows])
-    belief = np.tile(np.eye(drive.model.n_lanes)[changes.from_lane[0] - 1], (len(drive), 1))
-    used = np.arange(len(drive)) < changes.until[0]
+    changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
+    belief = np.tile(np.eye(drive.model.n_lanes)[changes["from_lane"][0] - 1], (len(drive), 1))
+    used = np.arange(len(drive)) < changes["until"][0]
     assert objective.belief_score(drive, belief, used, "share_missed") == 1
     assert objective.belief_score(drive, belief, used, "delay") == objective.UNDEFINED
 
@@ -140,7 +141,7 @@ def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
 
 
 def test_settings_that_do_not_fit_are_refused() -> None:
-    assert settings_of(FitSettings(objective="f1")).objectives == ("f1",)
+    assert settings_of(FitSettings(objective="f1")).objective == ("f1",)
     for given, said in (
         (["acuracy"], r"fit.objective: unknown score 'acuracy' \(did you mean 'accuracy'\?\)"),
         (["f1", "f1"], "fit.objective: a score is named twice"),

@@ -102,24 +102,6 @@ def test_the_expected_counts_add_up_to_the_lines() -> None:
     assert found.frames.tolist() == np.bincount(lane, minlength=3).tolist()
 
 
-def test_a_prior_worth_more_than_the_frames_is_kept() -> None:
-    offset, kind, lane = drawn_from(truth_model(), 100, seed=4)
-    first = line_model(3, resolved())
-    found, _ = fit_lines(offset, kind, lane, first, W, 16, strength=1e9)
-    np.testing.assert_allclose(found.rates, first.rates, atol=1e-5)
-    np.testing.assert_allclose(found.sigma_m, first.sigma_m, atol=1e-5)
-
-
-def test_a_lane_without_a_frame_keeps_the_first_guess() -> None:
-    offset, kind, lane = drawn_from(truth_model(), 300, seed=5, lanes=(0, 1))
-    first = line_model(3, resolved())
-    for strength in (0.0, 50.0):
-        found, _ = fit_lines(offset, kind, lane, first, W, 16, strength=strength)
-        np.testing.assert_allclose(found.rates[2], first.rates[2])
-        assert np.abs(found.rates[0] - first.rates[0]).max() > 0.05
-        assert all(np.isfinite(getattr(found, f)).all() for f in ("rates", "sigma_m", "clutter"))
-
-
 # --- fits ----------------------------------------------------------------------------------------
 
 

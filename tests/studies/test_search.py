@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import optuna
 import pytest
 from optuna.trial import TrialState
 
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.studies.search import (
     SAMPLERS,
-    Settings,
     best_trial,
-    check_sampler,
     new_study,
     search,
+    settings_of,
 )
 from egolane_pgm.types import InputError
 from tests.kits.studies import bowl, plain_space, search_in_memory, tried
@@ -30,16 +29,19 @@ def complete(study: optuna.Study) -> list[Any]:
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_the_same_seed_gives_the_same_study_and_another_one_another(sampler: str) -> None:
-    settings = Settings(("accuracy",), sampler, 40, 3)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=40, seed=3)
     first = tried(search_in_memory(SPACE, bowl, settings).trials)
     assert tried(search_in_memory(SPACE, bowl, settings).trials) == first
-    assert tried(search_in_memory(SPACE, bowl, replace(settings, seed=4)).trials) != first
+    assert (
+        tried(search_in_memory(SPACE, bowl, settings.model_copy(update={"seed": 4})).trials)
+        != first
+    )
     assert len(first) == 40
 
 
 @pytest.mark.parametrize("stops", [(0,), (29,), (30,), (7, 77, 199)])
 def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> None:
-    settings = Settings(("accuracy",), "evolution", 200, 0)
+    settings = FitSettings(objective=("accuracy",), sampler="evolution", trials=200, seed=0)
     whole = tried(search_in_memory(SPACE, bowl, settings).trials)
     study = new_study(settings)
     for stop in stops:
@@ -59,34 +61,24 @@ def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> No
 
 @pytest.mark.parametrize("sampler", ["tpe", "cma-es", "nsga2", "random"])
 def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str) -> None:
-    settings = Settings(("accuracy",), sampler, 15, 0)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=15, seed=0)
     study = new_study(settings)
     search(study, SPACE, bowl, settings)
-    search(study, SPACE, bowl, replace(settings, trials=30))
+    search(study, SPACE, bowl, settings.model_copy(update={"trials": 30}))
     points = [tuple(t.params.values()) for t in study.trials]
     assert len(points) == len(set(points)) == 30
 
 
-def test_evolution_beats_random_on_steps() -> None:
-    space = plain_space(7)
-
-    def best(sampler: str, seed: int) -> float:
-        settings = Settings(("accuracy",), sampler, 600, seed)
-        return float(best_trial(search_in_memory(space, bowl, settings)).values[0])
-
-    assert min(best("evolution", s) for s in range(3)) > max(best("random", s) for s in range(3))
-
-
 def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
-    settings = Settings(("accuracy", "log_loss"), "nsga2", 60, 0)
+    settings = FitSettings(objective=("accuracy", "log_loss"), sampler="nsga2", trials=60, seed=0)
     done = search_in_memory(SPACE, lambda p: [float(p["x0"]), float(p["x0"]) ** 2], settings)
     assert best_trial(done).values[0] == max(t.values[0] for t in done.trials)
 
 
 def test_a_sampler_that_does_not_fit_is_refused() -> None:
-    assert check_sampler(None, ["accuracy"], "x") == "evolution"
-    assert check_sampler(None, ["accuracy", "log_loss"], "x") == "nsga2"
-    with pytest.raises(InputError, match=r"x: unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
-        check_sampler("tpee", ["accuracy"], "x")
-    with pytest.raises(InputError, match="x: evolution searches one objective; for accuracy, f1"):
-        check_sampler("evolution", ["accuracy", "f1"], "x")
+    assert settings_of(FitSettings()).sampler == "evolution"
+    assert settings_of(FitSettings(objective=("accuracy", "log_loss"))).sampler == "nsga2"
+    with pytest.raises(InputError, match=r"unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
+        settings_of(FitSettings(sampler="tpee"))
+    with pytest.raises(InputError, match="evolution searches one objective; for accuracy, f1"):
+        settings_of(FitSettings(objective=("accuracy", "f1"), sampler="evolution"))

@@ -117,7 +117,7 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
     assert fixed.fixed["p3"] == (0.2, 0.4, 0.6)
     assert not any(key.startswith("p3") for key in distributions(fixed))
     narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
-    assert [d.high for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
+    assert [d.ends[1] for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
 
 
 @pytest.mark.parametrize(

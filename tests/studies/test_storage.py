@@ -9,7 +9,8 @@ import pytest
 from optuna.storages import JournalStorage
 from optuna.storages.journal import JournalFileBackend
 
-from egolane_pgm.studies.search import Settings, new_study, search
+from egolane_pgm.experiment import FitSettings
+from egolane_pgm.studies.search import new_study, search
 from egolane_pgm.studies.storage import JOURNAL_NAME, open_storage
 from egolane_pgm.types import InputError
 from tests.kits.studies import bowl, plain_space, search_in_memory, tried
@@ -17,8 +18,8 @@ from tests.kits.studies import bowl, plain_space, search_in_memory, tried
 SPACE = plain_space()
 
 
-def settings(trials: int) -> Settings:
-    return Settings(("accuracy",), "evolution", trials, 0)
+def settings(trials: int) -> FitSettings:
+    return FitSettings(objective=("accuracy",), sampler="evolution", trials=trials, seed=0)
 
 
 def study_in(storage: str, trials: int = 30) -> optuna.Study:

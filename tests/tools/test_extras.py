@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from egolane_pgm.experiment import FitSettings
 from egolane_pgm.maps.lane_graph import Plane
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
-from egolane_pgm.studies.search import check_sampler
+from egolane_pgm.studies.search import settings_of
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
@@ -28,7 +29,7 @@ def exported(file: Path) -> None:
 
 
 def sampler(_: Path) -> None:
-    check_sampler("cma-es", ["f1"], "sampler")
+    settings_of(FitSettings(objective=("f1",), sampler="cma-es"))
 
 
 def cluster(_: Path) -> None:
@@ -49,7 +50,7 @@ def position(_: Path) -> None:
         ("pyproj", "", position, "a position on a map needs pyproj|maps"),
         ("onnx", "a.onnx", lambda p: read_onnx(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
         ("distributed", "", cluster, "a cluster needs distributed|cluster"),
-        ("cmaes", "", sampler, "sampler: cma-es needs cmaes|cmaes"),
+        ("cmaes", "", sampler, "fit: fit.sampler: cma-es needs cmaes|cmaes"),
     ],
 )  # fmt: skip
 def test_a_package_that_is_not_installed_is_named_with_its_extra(

@@ -42,7 +42,7 @@ def test_two_directories_are_compared_by_name(results: Path) -> None:
 def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
     results: Path, tmp_path: Path
 ) -> None:
-    words = ("compare", results, "--of", "graph", "--events", "--json", tmp_path / "x.json")
+    words = ("compare", results, "--of", "graph", "--json", tmp_path / "x.json")
     done(*words, "--out", tmp_path / "x.png")
     rows = json.loads((tmp_path / "x.json").read_text())["rows"]
     assert [row["graph"] for row in rows] == ["sensor_failure", "lane_only"] or [

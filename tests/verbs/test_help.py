@@ -16,9 +16,7 @@ from tests.kits.drives import done
 HELP = Path(__file__).with_name("help.txt")
 
 #: The examples of each command.
-EXAMPLES = {
-    name: import_module(f"egolane_pgm.verbs.{name.replace('-', '_')}").EXAMPLES for name in COMMANDS
-}
+EXAMPLES = {name: import_module(f"egolane_pgm.verbs.{name}").EXAMPLES for name in COMMANDS}
 
 
 def words_of(example: str) -> list[str]:

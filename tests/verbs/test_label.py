@@ -57,7 +57,7 @@ def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> N
     words = ("--experiment", "zero_label", "--n-lanes", 3, "--ground-truth", truth)
     said = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
     is_crossing = read_ground_truth(truth)["is_crossing"]
-    assert f"{np.count_nonzero(~is_crossing)} frames scored" in said
+    assert f"of {np.count_nonzero(~is_crossing)} frames" in said
 
 
 def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) -> None:
@@ -65,10 +65,10 @@ def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) ->
     truth = read_ground_truth(mine)
     write_ground_truth(tmp_path / "other.txt", truth.assign(true_lane=truth["true_lane"] % 3 + 1))
     for file, accuracy in ((mine, 1), (tmp_path / "other.txt", 0)):
-        words = ("--n-lanes", 3, "--ground-truth", file, "--json", tmp_path / "x.json")
-        said = done("label", lines, *words, "--out", tmp_path / "x").stdout
-        found = json.loads((tmp_path / "x.json").read_text())
-        assert found["scores"]["model"]["accuracy"] == accuracy
+        words = ("--n-lanes", 3, "--ground-truth", file, "--out", tmp_path / "x")
+        said = done("label", lines, *words).stdout
+        found = json.loads((tmp_path / "x" / "scores.json").read_text())
+        assert found["model"]["accuracy"] == accuracy
         assert f"accuracy {accuracy:.4f}" in said
 
 
@@ -89,7 +89,7 @@ def test_a_lower_threshold_leaves_fewer_frames_unsure(lines: Path, tmp_path: Pat
         ("odd.csv", "--n-lanes 3", "odd.csv: the table has no rows"),
         ("lines.csv", "--n-lanes 3 --ground-truth {0}/some.txt", "lane 5 is outside 1..3"),
         ("lines.csv", "--n-lanes 3 --below 2", "'--below': 2.0 is not in the range"),
-        ("lines.csv", "--n-lanes 3 --camera {0}/cam.yaml", "cam.yaml"),
+        ("lines.csv", "--n-lanes 3 --set recording.camera={0}/cam.yaml", "cam.yaml"),
     ],
 )
 def test_what_cannot_be_labelled_is_refused_in_a_line(

@@ -24,7 +24,7 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("rn", "No such command 'rn'"),
+        ("rn", "No command 'rn' (did you mean 'run'?)."),
         ("run", "Missing argument 'EXPERIMENT|LINES'."),
         ("run x.yaml --filter stamp", "egolane run --help"),
         ("run x.yaml", "x.yaml: cannot be read: No such file or directory"),
@@ -67,7 +67,7 @@ def test_ctrl_c_keeps_the_rows_that_are_done(tmp_path: Path) -> None:
     assert "Traceback" not in said
     [line] = [line for line in said.splitlines() if line.startswith("egolane: ")]
     assert re.fullmatch(
-        rf"egolane: interrupted; \d+ of 60 runs are in {out}; the same command goes on", line
+        rf"egolane: interrupted; \d+ of 60 runs are in {out}; repeat the command to go on", line
     )
 
 

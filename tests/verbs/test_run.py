@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,27 +29,12 @@ from tests.kits.drives import (
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An earlier result, which no refused command may touch."""
-    folder = tmp_path_factory.mktemp("earlier")
-    done("run", write_drive(folder), "--no-figures", "--out", folder / "result")
-    return folder / "result"
-
-
-@pytest.fixture
-def earlier(result: Path) -> Iterator[Path]:
-    before = contents(result.parent)
-    yield result
-    assert contents(result.parent) == before, "a refused command changed an earlier result"
-
-
 def kept(folder: Path, recording: Path, **changes: Any) -> tuple[list[str], Result]:
     """The warnings of a run of a recording without ground truth, and its result."""
     experiment = write_experiment(
         folder / "e.yaml", recording__path=recording.name, ground_truth=None, **changes
     )
-    out = folder / "out"
+    out = folder / f"out_{recording.stem}"
     ran = done("run", experiment, "--no-figures", "--out", out)
     said = [line.removeprefix("warning: ") for line in ran.stderr.splitlines()]
     found = load_result(out)
@@ -72,9 +57,9 @@ def test_run_writes_its_numbers_unrounded_and_prints_the_scores(
     out = tmp_path / "out"
     assert json.loads((out / "scores.json").read_text()) == said["scores"]
     ran = done("run", drive, "--no-figures", "--out", out)
-    assert f"drive: {N_FRAMES} frames, 3 lanes, graph sensor_failure" in ran.stdout
-    assert f"| accuracy {'':>13} | {right.scores['detector']['accuracy']:>8.3f} |" in ran.stdout
-    assert "parameters: not tuned" in ran.stdout
+    share = f"right in {100 * right.scores['model']['accuracy']:.1f} % of"
+    assert ran.stdout.startswith(f"drive: {share}")
+    assert f"{N_FRAMES} frames, 3 lanes, causal; parameters: not tuned" in ran.stdout
     assert ran.stdout.endswith(f"result: {out}\n")
     assert ran.stderr.splitlines() == [f"warning: {note}" for note in right.notes]
 
@@ -86,9 +71,8 @@ def test_lines_are_run_with_the_model_of_an_experiment(drive: Path, tmp_path: Pa
     same = run(drive, {"filter": "exact"})
     assert scored["scores"] == json.loads(json.dumps(same.scores))
     shown = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
-    assert "lines: 150 frames" in shown
-    assert "no ground truth: beliefs only" in shown
-    assert "at the end lane " in shown
+    assert "most probable at the end: lane " in shown
+    assert "no ground truth, no scores" in shown
     found = load_result(tmp_path / "out")
     assert found.truth is None
     assert (found.experiment.filter, found.experiment.graph) == ("exact", "sensor_failure")
@@ -117,16 +101,18 @@ def test_lane_changes_are_printed_with_their_scores(tmp_path: Path) -> None:
     events = (out / "events.csv").read_text().splitlines()[1:]
     scores = load_result(out).scores["events"]
     assert scores["detected"] == len(events) > 10
-    assert f"{scores['changes']} true lane changes" in shown
+    assert f"lane changes: {scores['changes']} annotated, {len(events)} reported;" in shown
     blind = done("run", path, "--ground-truth", "none", "--no-figures", "--out", out).stdout
-    assert "true lane changes" not in blind
+    assert f"lane changes: {len(events)} reported" in blind
     assert len((out / "events.csv").read_text().splitlines()) == len(events) + 1
 
 
 def test_chunks_and_held_out_blocks_have_options(drive: Path, tmp_path: Path) -> None:
     whole, chunked = run_json(drive, tmp_path), run_json(drive, tmp_path, "--chunk-frames", 40)
     assert chunked["scores"] == whole["scores"]
-    shown = done("run", drive, "--held-out", "--blocks", 3, "--no-figures", "--out", tmp_path / "o")
+    shown = done(
+        "run", drive, "--held-out", "--set", "fit.folds=3", "--no-figures", "--out", tmp_path / "o"
+    )
     assert "held out, 3 blocks: each with the experiment's own parameters" in shown.stdout
     assert load_result(tmp_path / "o").frames["block"].nunique() == 3
 
@@ -205,19 +191,36 @@ def half_a_bag(folder: Path) -> None:
         (bag(1, 2, truth=[(9, 1, 0)]), "a.bag", "", "no common frames: "),
         (bag(1), "a.bag", "--graph no_wro", "graph: unknown name 'no_wro' (did you mean"),
         (bag(1), "a.bag", "--ground-truth gone.txt", "gone.txt: no such file"),
-        (bag(1), "a.bag", "--held-out --blocks 7", "--blocks: 7 is not between 2 and the 1 frames"),
+        (
+            bag(1),
+            "a.bag",
+            "--held-out --set fit.folds=7",
+            "folds: 7 is not between 2 and the 1 frames",
+        ),
         (bag(1), "a.bag", "--chunk-frames 0", "'--chunk-frames'"),
         (bag(1), "a.bag", "--chunk-frames 9 --set filter=smoothed", "needs the whole drive"),
         (bag(1), "a.bag", "--table gone.csv", "gone.csv: cannot be read as a table"),
     ],
 )
-def test_what_does_not_fit_is_refused_and_an_earlier_result_stays(
-    tmp_path: Path, earlier: Path, make: Callable[[Path], object], name: str, words: str, said: str
+def test_what_does_not_fit_is_refused_and_nothing_is_written(
+    tmp_path: Path, make: Callable[[Path], object], name: str, words: str, said: str
 ) -> None:
     make(tmp_path)
     experiment = write_experiment(tmp_path / "e.yaml", recording__path=name)
-    line = refused("run", experiment, "--no-figures", "--out", earlier, *words.split())
+    line = refused("run", experiment, "--no-figures", "--out", tmp_path / "x", *words.split())
     assert said.format(folder=tmp_path) in line
+    assert not (tmp_path / "x").exists()
+
+
+def test_the_result_of_another_drive_is_not_replaced(tmp_path: Path) -> None:
+    one, other = write_drive(tmp_path / "one", 20), write_drive(tmp_path / "other", 20)
+    out = tmp_path / "out"
+    done("run", one, "--no-figures", "--out", out)
+    before = contents(out)
+    line = refused("run", other, "--no-figures", "--out", out)
+    assert line.startswith(f"--out: {out} has the result of another recording, {tmp_path}/one/")
+    assert contents(out) == before
+    done("run", one, "--set", "filter=exact", "--no-figures", "--out", out)
 
 
 @pytest.mark.parametrize(
@@ -231,11 +234,11 @@ def test_what_does_not_fit_is_refused_and_an_earlier_result_stays(
     ],
 )
 def test_a_key_that_does_not_fit_is_refused_by_dry_run_and_by_run(
-    tmp_path: Path, earlier: Path, override: str, said: str
+    tmp_path: Path, override: str, said: str
 ) -> None:
     experiment = write_drive(tmp_path, 20)
     by_dry_run = refused("run", "--dry-run", experiment, "--set", override)
-    assert refused("run", experiment, "--set", override, "--out", earlier) == by_dry_run
+    assert refused("run", experiment, "--set", override, "--out", tmp_path / "x") == by_dry_run
     assert by_dry_run.startswith(f"{experiment}: ")
     assert said in by_dry_run
     # The same written in the file.

@@ -11,9 +11,7 @@ import pytest
 from egolane_pgm.loading import experiments_folder
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.recordings import catalog
-from egolane_pgm.recordings.table import write_table
-from tests.kits.box import BOX, box_log
-from tests.kits.drives import done, refused, write_experiment
+from tests.kits.drives import done, refused
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -85,15 +83,6 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
     assert content["parameters"][0]["range"] == [0.0, 3.0]
 
 
-def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> None:
-    write_table(tmp_path / "box.parquet", box_log())
-    recording = {"path": "box.parquet"}
-    experiment = write_experiment(tmp_path / "e.yaml", recording=recording, ground_truth=None)
-    assert done("show", experiment, "--frame", 1234).stdout == BOX + "\n"
-    said = refused("show", experiment, "--frame", 1235)
-    assert said.endswith("has no frame 1235; the nearest is 1234")
-
-
 @pytest.mark.parametrize(
     ("words", "said"),
     [
@@ -103,8 +92,6 @@ def test_a_frame_of_an_experiment_is_printed_as_in_the_paper(tmp_path: Path) -> 
         ("none.py", "graph: no file "),
         ("{0}/both.py", "both.py is of several kinds; write graph:{0}/both.py or evidence:{0}"),
         ("detector:{0}/both.py", "does not define"),
-        ("schema:x", "(known: "),
-        ("lane_only --frame 1", "--frame: goes with an experiment"),
         ("lane_only --n-lanes 51", "'--n-lanes': 51 is not in the range"),
         ("lane_only --json {0}/both.py/x.json", "cannot be written"),
         ("{0}/both.py --json {0}/both.py", "is read here; name another file"),
@@ -121,22 +108,7 @@ def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path, words: str, s
     assert said.format(tmp_path) in refused("show", *words.format(tmp_path).split())
 
 
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        ("a: b: c\n", "is not YAML"),
-        ("- 1\n", "needs keys and values"),
-        ("recording: {simulate: a4}\nn_lanes: 3\n", "name: is missing"),
-    ],
-)
-def test_a_file_that_is_no_experiment_is_refused(tmp_path: Path, text: str, said: str) -> None:
-    (tmp_path / "e.yaml").write_text(text)
-    assert refused("run", "--dry-run", tmp_path / "e.yaml").startswith(
-        f"{tmp_path / 'e.yaml'}: {said}"
-    )
-
-
-@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1", "parameters.p1=["])
+@pytest.mark.parametrize("override", ["n_lanes", "=3", "a..b=1"])
 def test_an_override_that_is_none_is_refused(drive: Path, override: str) -> None:
     assert refused("run", "--dry-run", drive, "--set", override).startswith(f"--set: {override}: ")
 

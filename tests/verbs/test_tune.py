@@ -9,21 +9,17 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import optuna
 import pandas as pd
 import pytest
 import yaml
 
 from egolane_pgm.loading import experiments_folder, load_experiment
-from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.result import load_result
 from egolane_pgm.studies.storage import open_storage
-from egolane_pgm.types import lane_truth
 from egolane_pgm.verbs.studied import open_studied
 from tests.kits.drives import done, refused, rewritten, run, write_drive
 from tests.kits.processes import started
-from tests.kits.synthetic_road import write_place
 
 QUICKSTART = experiments_folder() / "quickstart.yaml"
 
@@ -43,7 +39,7 @@ def trials_of(folder: Path) -> pd.DataFrame:
 
 def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path: Path) -> None:
     drive, out = write_drive(tmp_path), tmp_path / "study"
-    shown = done("tune", drive, "--trials", 30, "--blocks", 2, "--out", out).stdout
+    shown = done("tune", drive, "--trials", 30, "--folds", 2, "--out", out).stdout
     assert shown.startswith("'drive': tune, 30 trials, accuracy ")
     assert "held out: 2 folds, each scored with a fit to the others" in shown
     assert shown.endswith(f"study: {out}; run its best.yaml, or `include:` it\n")
@@ -57,7 +53,7 @@ def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path:
     figures = {path.name for path in (out / "figures").iterdir()}
     assert figures == {"history.png", "profile.png"}
     other = done("run", tmp_path / "lines.csv", "--experiment", out / "best.yaml", "--n-lanes", 3,
-                 "--out", tmp_path / "same", "--no-figures")  # fmt: skip
+                 "--out", tmp_path / "same")  # fmt: skip
     assert "no ground truth" in other.stdout
     assert load_result(tmp_path / "same").run["tuned_on"] == "same_frames"
 
@@ -65,8 +61,8 @@ def test_a_study_ends_with_tables_a_directory_and_an_experiment_to_run(tmp_path:
 def test_options_go_before_the_yaml(tmp_path: Path) -> None:
     tuning = {"trials": 3, "seed": 3, "parameters": {"p1": [0.5, 0.9], "p2": 0.7}}
     path = rewritten(QUICKSTART, tmp_path / "x.yaml", fit=tuning)
-    words = (path, "--blocks", 0, "--out", tmp_path / "o", "-p", "p1=[0.6,0.7]", "--trials", 4)
-    done("tune", *words, "--no-figures")
+    words = (path, "--folds", 0, "--out", tmp_path / "o", "-p", "p1=[0.6,0.7]", "--trials", 4)
+    done("tune", *words)
     document = study_of(tmp_path / "o")
     assert len(trials_of(tmp_path / "o")) == 4
     assert document["settings"]["searched"]["p1"][:2] == [0.6, 0.7]
@@ -75,7 +71,7 @@ def test_options_go_before_the_yaml(tmp_path: Path) -> None:
 
 
 def test_several_objectives_give_a_front(tmp_path: Path) -> None:
-    words = ("--objective", "accuracy", "--objective", "log_loss", "--blocks", 0, "--no-figures")
+    words = ("--set", "fit.objective=[accuracy,log_loss]", "--folds", 0)
     done("tune", QUICKSTART, *words, "--trials", 4, "--out", tmp_path)
     assert study_of(tmp_path)["settings"]["sampler"] == "nsga2"
     assert {"accuracy", "log_loss"} <= set(trials_of(tmp_path))
@@ -83,7 +79,7 @@ def test_several_objectives_give_a_front(tmp_path: Path) -> None:
 
 def test_a_database_keeps_the_study_and_those_without_a_block(tmp_path: Path) -> None:
     base = f"sqlite:///{tmp_path}/shared.db"
-    words = ("tune", QUICKSTART, "--trials", 3, "--blocks", 2, "--storage", base, "--no-figures")
+    words = ("tune", QUICKSTART, "--trials", 3, "--folds", 2, "--storage", base)
     for out in ("here", "there"):
         done(*words, "--out", tmp_path / out)
     names = optuna.get_all_study_names(base)
@@ -99,7 +95,7 @@ def test_a_list_of_experiments_has_one_parameter_set(tmp_path: Path) -> None:
     group = {"name": "both", "experiments": ["1.yaml", "2.yaml"], "fit": {"trials": 3}}
     (tmp_path / "group.yaml").write_text(yaml.safe_dump(group))
     out = tmp_path / "o" / "*"
-    done("tune", tmp_path / "group.yaml", "--blocks", 2, "--out", out, "--no-figures")
+    done("tune", tmp_path / "group.yaml", "--folds", 2, "--out", out)
     document = study_of(tmp_path / "o" / "both")
     assert document["experiments"] == ["drive1", "drive2"]
     content = yaml.safe_load((tmp_path / "o" / "both" / "best.yaml").read_text())
@@ -113,7 +109,7 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
         "name,recording.seed,tag.weather\na,1,sun\nb,2,rain\nc,3,sun\n"
     )
     words = ("--table", tmp_path / "runs.csv", "--by-tag", "weather", "--trials", 2)
-    done("tune", QUICKSTART, *words, "--no-figures", "--out", tmp_path / "o")
+    done("tune", QUICKSTART, *words, "--out", tmp_path / "o")
     frames = load_result(tmp_path / "o" / "held_out").frames
     assert frames.groupby("drive")["block"].unique().map(list).to_dict() == {
         "a": [0], "b": [1], "c": [0],
@@ -123,12 +119,12 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--objective acuracy", "fit.objective: unknown score 'acuracy' (did you mean"),
+        ("--set fit.objective=acuracy", "fit.objective: unknown score 'acuracy' (did you mean"),
         ("-p sigma1", "--parameter: sigma1: write it as key=value, e.g. p1=[0.5,1] or p1=0.9"),
         ("-p sigma=1", "unknown parameter 'sigma'"),
-        ("--sampler tpee", "fit.sampler: unknown sampler 'tpee' (did you mean 'tpe'?)"),
-        ("--blocks 5000", "--blocks: 5000 is not between 2 and the 1"),
-        ("--blocks 1", "--blocks: 1 leaves nothing to fit to; 0 holds out nothing"),
+        ("--set fit.sampler=tpee", "fit.sampler: unknown sampler 'tpee' (did you mean 'tpe'?)"),
+        ("--folds 5000", "--folds: 5000 is not between 2 and the 1"),
+        ("--folds 1", "--folds: 1 leaves nothing to fit to; 0 holds out nothing"),
         ("--trials 0", "'--trials'"),
         ("--by-tag weather", "--by-tag: goes with a table of runs"),
         ("--table gone.csv", "gone.csv: cannot be read as a table"),
@@ -171,7 +167,7 @@ def states(journal: Path) -> Counter[str]:
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_search_that_is_stopped_keeps_its_trials_and_goes_on(jobs: int, tmp_path: Path) -> None:
-    words = ["tune", QUICKSTART, "--trials", 2500, "--blocks", 2, "--no-figures"]
+    words = ["tune", QUICKSTART, "--trials", 2500, "--folds", 2]
     journal = tmp_path / "study.journal"
     with started(*words, "--jobs", jobs, "--out", tmp_path) as first:
         deadline = time.monotonic() + 60
@@ -196,14 +192,14 @@ def test_a_search_that_is_stopped_keeps_its_trials_and_goes_on(jobs: int, tmp_pa
 )
 def test_every_shipped_list_of_experiments_is_sound(path: Path, recordings: Path) -> None:
     found = open_studied(
-        path, table=None, by_tag=None, blocks=0, overrides={"recording.frames": [3000, 3200]}
+        path, table=None, by_tag=None, folds=0, overrides={"recording.frames": [3000, 3200]}
     )
     assert found.name == path.stem
     assert {drive.experiment.fit.objective for drive in found.drives}
 
 
 def test_the_published_parameters_are_tried_first(recordings: Path, tmp_path: Path) -> None:
-    words = ("run06_spain_ml", "--trials", 2, "--blocks", 2, "--out", tmp_path, "--no-figures")
+    words = ("run06_spain_ml", "--trials", 2, "--folds", 2, "--out", tmp_path)
     done("tune", *words)
     first, second = trials_of(tmp_path).iloc[:2].to_dict("records")
     assert second["sigma1"] == 0.407
@@ -218,7 +214,7 @@ def test_a_study_scores_the_reject_option_as_a_run_does(tmp_path: Path) -> None:
     path = write_drive(tmp_path, min_confidence=0.9)
     out = tmp_path / "o"
     name = "false_switches_per_minute"
-    words = ("--objective", name, "--trials", 5, "--blocks", 0, "--no-figures", "--out", out)
+    words = ("--set", f"fit.objective={name}", "--trials", 5, "--folds", 0, "--out", out)
     done("tune", path, *words)
     scores = run(out / "best.yaml").scores["model"]
     assert scores["coverage"] < 1
@@ -232,7 +228,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
     labelled: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "new" / "folder"
-    shown = done("learn", labelled, "--blocks", 2, "--out", out).stdout
+    shown = done("learn", labelled, "--folds", 2, "--out", out).stdout
     assert shown.startswith("'drive': learn, accuracy ")
     assert shown.endswith(f"study: {out}; run its best.yaml, or `include:` it\n")
     found, before = load_experiment(out / "best.yaml"), load_experiment(labelled)
@@ -251,12 +247,12 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
         (
             {"graph": "lane_only", "evidence": "never.py"},
             "",
-            "allows none of the 150 frames to",
+            "allows no frame of the 150 to",
         ),
         ({"ground_truth": None}, "", "ground_truth: is missing"),
         ({}, "--set fit.strength=0", "fit.strength: input should be greater than 0"),
         ({}, "--table gone.csv", "gone.csv: cannot be read as a table"),
-        ({}, "--n-lanes 51", "n_lanes: input should be less than or equal to 50"),
+        ({}, "--set n_lanes=51", "n_lanes: input should be less than or equal to 50"),
     ],
 )
 def test_what_cannot_be_learned_is_one_line(
@@ -270,12 +266,3 @@ def test_what_cannot_be_learned_is_one_line(
     )
     assert said in refused("learn", path, "--out", tmp_path / "o", *words.split())
     assert not (tmp_path / "o").exists()
-
-
-def test_a_videos_own_frame_rate_counts_wherever_it_is_scored(tmp_path: Path) -> None:
-    folder = write_place(tmp_path, 12)
-    write_ground_truth(folder / "t.txt", lane_truth(np.arange(12), np.full(12, 2), np.zeros(12)))
-    path = folder / "run.yaml"
-    rewritten(path, path, ground_truth__path="t.txt", graph="lane_only")
-    done("learn", path, "--blocks", 2, "--out", folder / "new")
-    assert load_experiment(folder / "new" / "best.yaml").recording.frame_rate == 12.5

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.scoring.confusion import accuracy
+from egolane_pgm.scoring.confusion import scores_from_confusion
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
@@ -26,8 +26,9 @@ from egolane_pgm.views.figures import (
     reliabilities,
     reliability_figure,
 )
-from egolane_pgm.views.strips import strips_figure
-from egolane_pgm.views.style import DETECTOR_COLOUR, MODEL_COLOUR, percent, write_figure
+from egolane_pgm.views.strips import result_strips
+from egolane_pgm.views.style import DETECTOR_COLOUR, MODEL_COLOUR, write_figure
+from egolane_pgm.views.tables import percent
 from tests.kits.tiny_result import (
     DETECTOR,
     EXPERIMENT,
@@ -50,7 +51,7 @@ def test_dispersion_counts_correct_off_by_k_and_unassigned() -> None:
 
 
 def test_bars_are_the_shares_of_annotated_frames_that_are_not_crossing() -> None:
-    results = [a_result(), without_detector()]
+    results = [("tiny", each.frames) for each in (a_result(), without_detector())]
     counts = dispersions(results)
     # Scored are 100, 101, 105, 106, truth 1, 1, 2, 2: the detector says -, 3, 2, 1; the model
     # says 1, 1, 2, 3.
@@ -62,10 +63,11 @@ def test_bars_are_the_shares_of_annotated_frames_that_are_not_crossing() -> None
 
 
 def test_heat_map_texts_are_the_counts_and_the_column_percentages() -> None:
-    figure = confusion_figure(a_result())
+    figure = confusion_figure(a_result().frames, "tiny (in-sample)")
     assert figure.get_suptitle() == "tiny (in-sample): 4 frames"
-    for ax, (name, matrix) in zip(figure.axes, confusions(a_result()).items(), strict=False):
-        assert ax.get_title() == f"{name}: {100 * float(accuracy(matrix)):.1f} % correct"
+    for ax, (name, matrix) in zip(figure.axes, confusions(a_result().frames).items(), strict=False):
+        accuracy = 100 * float(scores_from_confusion(matrix)["accuracy"])
+        assert ax.get_title() == f"{name}: {accuracy:.1f} % correct"
         drawn = [t.get_text() for t in ax.texts]
         assert [int(t) for t in drawn[1::2]] == matrix.ravel().tolist()
         shares = [float("nan") if t == "-" else float(t[:-2]) / 100 for t in drawn[::2]]
@@ -74,34 +76,33 @@ def test_heat_map_texts_are_the_counts_and_the_column_percentages() -> None:
         assert [(round(y), round(x)) for x, y in places] == list(np.ndindex(4, 3))
     ticks = [t.get_text() for t in figure.axes[1].get_xticklabels()]
     assert ticks == ["lane 1\n2", "lane 2\n2", "lane 3\n0"]
-    assert list(confusions(without_detector())) == ["Model"]
+    assert list(confusions(without_detector().frames)) == ["Model"]
 
 
 def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
-    result = long_drive(60)
-    upper, lower = reliability_figure(result).axes
-    found = reliabilities(result)
+    frames = long_drive(60).frames
+    upper, lower = reliability_figure(frames).axes
+    found = reliabilities(frames)
     colours = {"Detector": DETECTOR_COLOUR, "Model": MODEL_COLOUR}
     for (name, (curve, _)), bars in zip(found.items(), lower.containers, strict=True):
         lines = [
             x for x in upper.lines if x.get_color() == colours[name] and np.size(x.get_xdata())
         ]
-        filled = curve.count > 0
-        np.testing.assert_array_equal(lines[0].get_xdata(), curve.confidence[filled])
-        np.testing.assert_array_equal(lines[0].get_ydata(), curve.accuracy[filled])
-        assert [bar.get_height() for bar in bars] == curve.count.tolist()
+        filled = curve["count"] > 0
+        np.testing.assert_array_equal(lines[0].get_xdata(), curve["confidence"][filled])
+        np.testing.assert_array_equal(lines[0].get_ydata(), curve["accuracy"][filled])
+        assert [bar.get_height() for bar in bars] == curve["count"].tolist()
     # Maxima 0.9, 0.7, 0.8, 0.6 in bins of their own, the last one wrong.
-    error = reliabilities(a_result())["Model"][1]
+    error = reliabilities(a_result().frames)["Model"][1]
     assert error == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)
 
 
 @pytest.mark.parametrize("draw", [confusion_figure, reliability_figure, coverage_figure])
 def test_scores_cannot_be_drawn_without_ground_truth(draw: Any) -> None:
-    with pytest.raises(InputError, match="results/tiny: has no ground truth"):
-        draw(without_truth())
-    crossing = a_result(frames=frames_of(IDS, MODEL, DETECTOR, TRUTH, [True] * len(IDS)))
-    with pytest.raises(InputError, match="no annotated frame that is not crossing"):
-        draw(crossing)
+    crossing = frames_of(IDS, MODEL, DETECTOR, TRUTH, [True] * len(IDS))
+    for frames in (without_truth().frames, crossing):
+        with pytest.raises(InputError, match="no annotated frame that is not crossing"):
+            draw(frames)
 
 
 def test_a_comparison_is_drawn_with_hollow_in_sample_rows() -> None:
@@ -122,10 +123,10 @@ def test_a_comparison_is_drawn_with_hollow_in_sample_rows() -> None:
 @pytest.mark.parametrize(
     ("draw", "extension", "magic"),
     [
-        (strips_figure, "png", b"\x89PNG"),
-        (confusion_figure, "svg", b"<?xml"),
-        (reliability_figure, "pdf", b"%PDF"),
-        (lambda r: dispersion_figure([r]), "svg", b"<?xml"),
+        (result_strips, "png", b"\x89PNG"),
+        (lambda r: confusion_figure(r.frames), "svg", b"<?xml"),
+        (lambda r: reliability_figure(r.frames, "a"), "pdf", b"%PDF"),
+        (lambda r: dispersion_figure([("a", r.frames)]), "svg", b"<?xml"),
     ],
 )
 def test_a_figure_is_one_whole_file_and_the_same_bytes_every_time(
@@ -143,7 +144,7 @@ def test_a_figure_is_one_whole_file_and_the_same_bytes_every_time(
 
 def test_an_extension_that_cannot_be_drawn_is_refused_before_any_work(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"figure.jpg: .* ends in .png, .svg, .pdf"):
-        write_figure(lambda: confusion_figure(without_truth()), tmp_path / "figure.jpg")
+        write_figure(lambda: confusion_figure(without_truth().frames), tmp_path / "figure.jpg")
 
 
 @given(share=st.floats(0, 1))
@@ -159,7 +160,11 @@ def test_one_lane_can_be_drawn(tmp_path: Path) -> None:
     name = {"name": "two $\\frac$ dollars"}
     run = {**RUN, "n_lanes": 1, "values": {"Lane": ["1"]}}
     one = a_result(frames=frames, run=run, experiment=EXPERIMENT.model_copy(update=name))
-    assert confusions(one)["Model"].tolist() == [[7], [0]]
-    for make in (strips_figure, confusion_figure, reliability_figure, coverage_figure):
-        path = write_figure(partial(make, one), tmp_path / f"{make.__name__}.png")
-        assert path.stat().st_size > 5000
+    assert confusions(frames)["Model"].tolist() == [[7], [0]]
+    title = str(name["name"])
+    makes = {
+        make.__name__: partial(make, frames, title)
+        for make in (confusion_figure, reliability_figure, coverage_figure)
+    }
+    for key, make in {"strips": partial(result_strips, one), **makes}.items():
+        assert write_figure(make, tmp_path / f"{key}.png").stat().st_size > 5000

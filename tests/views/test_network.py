@@ -188,16 +188,12 @@ def test_pgmpy_reads_from_a_bif_file_what_was_written(tmp_path: Path, name: str)
         assert tuple(cpd.state_names[f"{node}_{s}"]) == compiled.values[node]
 
 
-@pytest.mark.parametrize("name", ["a,b", "a}", " a", 'say "a"', "a // b", ""])
-def test_a_value_that_bif_cannot_name_is_refused(tmp_path: Path, name: str) -> None:
+def test_what_bif_cannot_name_is_refused(tmp_path: Path) -> None:
     compiled = template("lane_only", 2)
-    compiled = replace(compiled, values={**compiled.values, "Lane": ("1", name)})
-    with pytest.raises(InputError, match="Lane_0: a BIF file cannot hold the value name"):
-        write_network(compiled, tmp_path / "network.bif")
+    for name in ("a,b", "a}", " a", 'say "a"', "a // b", ""):
+        renamed = replace(compiled, values={**compiled.values, "Lane": ("1", name)})
+        with pytest.raises(InputError, match="Lane_0: a BIF file cannot hold the value name"):
+            write_network(renamed, tmp_path / "network.bif")
     assert not list(tmp_path.iterdir())
-
-
-def test_a_node_that_bif_cannot_name_is_refused() -> None:
-    tables = [Table(("A+B", 0), (), np.ones(1))]
     with pytest.raises(InputError, match=r"A\+B_0: a BIF file cannot hold this name of a node"):
-        bif(tables, {})
+        bif([Table(("A+B", 0), (), np.ones(1))], {})

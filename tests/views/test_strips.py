@@ -11,7 +11,7 @@ import pytest
 from egolane_pgm.types import InputError
 from egolane_pgm.views import strips
 from egolane_pgm.views.answers import frames_between
-from egolane_pgm.views.strips import strip_cells, strips_figure
+from egolane_pgm.views.strips import result_strips, strip_cells
 from tests.kits.tiny_result import (
     DETECTOR,
     IDS,
@@ -58,7 +58,7 @@ def test_a_column_is_the_mean_of_its_frames_but_a_crossing_of_one_is_seen() -> N
 
 
 def test_the_figure_shows_model_detector_changes_and_truth_with_lane_1_as_the_top_row() -> None:
-    figure = strips_figure(a_result(), 100, 106)
+    figure = result_strips(a_result(), 100, 106)
     [ax] = figure.axes
     below, above = ax.get_ylim()
     assert below > above, "the y axis points down, so row 1 is at the top"
@@ -77,15 +77,15 @@ def test_the_figure_shows_model_detector_changes_and_truth_with_lane_1_as_the_to
 
 
 def test_without_truth_or_detector_their_strips_are_left_out() -> None:
-    assert "Truth" not in texts(strips_figure(without_truth()))
-    assert "wrong" not in legend_labels(strips_figure(without_truth()).legends[0])
-    assert "Detector" not in texts(strips_figure(without_detector()))
+    assert "Truth" not in texts(result_strips(without_truth()))
+    assert "wrong" not in legend_labels(result_strips(without_truth()).legends[0])
+    assert "Detector" not in texts(result_strips(without_detector()))
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 99), (108, 200), (106, 101), (104, 104)])
 def test_a_range_without_frames_is_refused_with_that_of_the_result(first: int, last: int) -> None:
     with pytest.raises(InputError, match=rf"{first} to {last}.* the result has 100 to 107"):
-        strips_figure(a_result(), first, last)
+        result_strips(a_result(), first, last)
 
 
 def test_a_range_that_reaches_beyond_the_result_is_cut_to_it() -> None:
@@ -97,17 +97,17 @@ def test_a_long_range_goes_on_in_further_rows_and_then_averages(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     result = long_drive(3000)
-    figure = strips_figure(result)
+    figure = result_strips(result)
     assert [cells_of(ax.images[0]).shape for ax in figure.axes] == [(3, 1000)] * 3
     monkeypatch.setattr(strips, "MAX_ROWS", 1)
-    figure = strips_figure(result)
+    figure = result_strips(result)
     assert [cells_of(ax.images[0]).shape for ax in figure.axes] == [(3, 1000)]
     assert texts(figure)[0].endswith("; a column is the mean of 3 frames")
 
 
 def test_drives_with_the_same_frame_ids_are_drawn_one_after_the_other() -> None:
     frames = pd.concat([a_result().frames.assign(drive=name) for name in "ab"])
-    figure = strips_figure(a_result(frames=frames))
+    figure = result_strips(a_result(frames=frames))
     assert "tiny (in-sample): frames 0 to 13" in texts(figure)
     cells = cells_of(figure.axes[0].images[0])
     np.testing.assert_array_equal(cells, np.tile(np.array(MODEL).T, 2))

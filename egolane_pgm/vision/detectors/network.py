@@ -6,11 +6,11 @@ docs/networks.md.
 
 from __future__ import annotations
 
-from egolane_pgm.parameters import Parameters, held_fixed
+from egolane_pgm.parameters import Parameter, Parameters, held_fixed
 from egolane_pgm.types import problems_in
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.detectors import Step
-from egolane_pgm.vision.detectors.networks.description import NetworkFile, read_network
+from egolane_pgm.vision.detectors.networks.description import read_network
 from egolane_pgm.vision.detectors.networks.finding import network_finder
 from egolane_pgm.vision.detectors.simple import finder
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
@@ -18,9 +18,9 @@ from egolane_pgm.vision.detectors.simple.parameters import FINDING
 STEREO = False
 PARAMETERS = held_fixed(
     (
-        NetworkFile(
+        Parameter(
             "network",
-            "choice",
+            "text",
             "",
             "YAML file of the network (its ONNX, inputs and outputs), or the name of a ready one"
             " whose ONNX is in the current folder, such as lstr",

@@ -16,7 +16,6 @@ from egolane_pgm.types import FloatArray, InputError, LineLog
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
 from egolane_pgm.vision.detectors import FrameLines, Step, as_log
-from egolane_pgm.vision.detectors.networks.description import YAML
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ def find_detector(
     values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
     for key, value in values.items():
         # A user's file (a program, a network), relative to `base` as well.
-        if isinstance(value, str) and value.endswith((".py", *YAML)):
+        if isinstance(value, str) and value.endswith((".py", ".yaml", ".yml")):
             values[key] = os.path.realpath(base / value)
     return Detector(name, module, values, where)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import egolane_pgm as ego
 from egolane_pgm.evidence.line_geometry.scale import place_finder
-from egolane_pgm.scoring.events import score_events
+from egolane_pgm.scoring.events import Reported, score_events
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import FloatArray, LineLog
 
@@ -107,6 +107,6 @@ def test_the_papers_graph_tells_lane_changes_by_the_lines(preset: str) -> None:
     right = places_of(drive.log, lane_width_m=3.5)
     np.testing.assert_array_equal(run.frames["lateral_offset"], right)
     # The belief alone has a precision of .6 to .72 and a recall of .81 to .91.
-    within = score_events(run.events, run.truth, 10.0)["within"]["2"]
+    within = score_events([Reported(run.events, run.truth)], 10.0)["within"]["2"]
     assert within["precision"] > 0.9
     assert within["recall"] > 0.95

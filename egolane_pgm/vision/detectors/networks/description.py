@@ -17,12 +17,8 @@ import numpy as np
 from pydantic import Field, FiniteFloat, model_validator
 
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import InputError, suggestion
-
-#: Suffixes of the YAML file.
-YAML = (".yaml", ".yml")
 
 #: The outputs of each layout and their shapes: a letter is a length, equal in all outputs.
 OUTPUTS = {
@@ -151,28 +147,16 @@ def ready_networks() -> list[str]:
 
 
 def read_network(path: str | Path) -> Network:
-    """Read the YAML file of a network. If it does not exist, a ready one of its name is used, with
-    an ONNX file in that folder. Raises InputError for a key that does not fit."""
+    """Read the YAML file of a network. For the name of a ready network, or if the file does not
+    exist, the ready YAML is used, with an ONNX file in that folder.
+
+    Raises InputError for a file that is absent, and for a key that does not fit.
+    """
     path = Path(path)
+    path = path.with_name(f"{path.name}.yaml") if path.name in ready_networks() else path
     file = path if path.is_file() else READY / path.name
     if not file.is_file():
-        raise InputError(f"{path}: no such file; it describes a network (docs/networks.md)")
+        hint = suggestion(path.name, ready_networks())
+        raise InputError(f"network: '{path}' is no YAML of a network (docs/networks.md){hint}")
     network = validated(Network, read_yaml(file, "model: lanes.onnx"), str(path))
     return network.model_copy(update={"model": str(path.parent / network.model)})
-
-
-class NetworkFile(Parameter):
-    """A parameter whose value is the YAML file of a network, or the name of a ready one."""
-
-    def check(self, value: object, n_lanes: int, where: str) -> Value:
-        """Return the path of the YAML file. Raises InputError for another name."""
-        name = Path(str(value)).name
-        if name in ready_networks():
-            return f"{value}.yaml"
-        if not name.endswith(YAML):
-            hint = suggestion(name, ready_networks()) if name else ""
-            raise InputError(
-                f"{where}: {value!r} is not the name of a .yaml file; it describes a network"
-                f" (docs/networks.md){hint}"
-            )
-        return str(value)

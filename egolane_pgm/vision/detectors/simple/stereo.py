@@ -149,7 +149,7 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
 
     def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
         nonlocal n_unsure, is_warned
-        disparity = disparities(pair, *reduced(pair, picture))
+        disparity = disparities(pair, picture)
         plane = find_plane(pair, disparity)
         n_unsure = n_unsure + 1 if plane is None else 0
         if n_unsure == _UNSURE_AFTER and not is_warned:
@@ -216,7 +216,6 @@ def make_pair(camera: Camera, parameters: Parameters) -> Pair:
 def _sgbm(left: Image, right: Image, n_disparities: int) -> FloatArray:
     area = _BLOCK_PX**2
     matcher = cv2.StereoSGBM.create(
-        minDisparity=0,
         numDisparities=n_disparities,
         blockSize=_BLOCK_PX,
         P1=8 * area,
@@ -226,7 +225,6 @@ def _sgbm(left: Image, right: Image, n_disparities: int) -> FloatArray:
         uniquenessRatio=5,
         speckleWindowSize=60,
         speckleRange=1,
-        mode=cv2.STEREO_SGBM_MODE_SGBM,
     )
     # OpenCV counts in sixteenths of a pixel.
     return np.asarray(matcher.compute(left, right) / 16)
@@ -264,10 +262,11 @@ def _rows(camera: Camera, parameters: Parameters) -> tuple[int, int]:
     return max(int(top), 0), min(int(bottom), camera.height)
 
 
-def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
-    """Return both pictures in grey and small, (H, W) each.
+def disparities(pair: Pair, picture: Picture) -> FloatArray:
+    """Return the disparity of each small pixel of the left picture, (H, W), in pixels of the full
+    one; NaN if none is found, or if the right picture does not show the point.
 
-    Raises InputError if one is missing or has another size than the calibration.
+    Raises InputError if a picture is missing or has another size than the calibration.
     """
     if picture.right is None:
         raise InputError("the picture of the second camera is missing")
@@ -278,24 +277,11 @@ def reduced(pair: Pair, picture: Picture) -> tuple[Image, Image]:
             check_size(image, pair.camera.width, pair.camera.height)
         cut = image[pair.top : pair.top + height * pair.rows, : width * _SCALE]
         grey = cut if cut.ndim == 2 else cv2.cvtColor(cut, cv2.COLOR_BGR2GRAY)
-        grey = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
-        small.append(grey.astype(np.uint8, copy=False))
-    return small[0], small[1]
-
-
-def disparities(pair: Pair, left: Image, right: Image) -> FloatArray:
-    """Return the disparity of each pixel of the small left picture, (H, W), in pixels of the full
-    one; NaN if none is found, or if the right picture does not show the point.
-
-    left, right: (H, W) the pictures as `reduced` returns them.
-    """
-    height, width = pair.u.shape
+        small.append(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))
+    left, right = small
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     moved = cv2.warpAffine(
-        right,
-        pair.warp,
-        (width, height),
-        flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-        borderMode=cv2.BORDER_REPLICATE,
+        right, pair.warp, (width, height), flags=flags, borderMode=cv2.BORDER_REPLICATE
     )
     # Matchers leave out the first columns. These have a match here, so both pictures are padded.
     more = pair.n_disparities
@@ -306,8 +292,7 @@ def disparities(pair: Pair, left: Image, right: Image) -> FloatArray:
     found = pair.match(wide[0], wide[1], more)[:, more:]
     disparity = _SCALE * (found - pair.below_px) + pair.flat
     is_shown = pair.u - np.maximum(disparity, pair.flat) >= _SCALE * _EDGE_PX
-    is_found = (found >= 0) & (found < pair.n_disparities)
-    return np.where(is_found & is_shown, disparity, np.nan)
+    return np.where(is_shown & (found >= 0) & (found < pair.n_disparities), disparity, np.nan)
 
 
 def find_plane(pair: Pair, disparity: FloatArray) -> FloatArray | None:

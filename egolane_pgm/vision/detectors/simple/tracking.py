@@ -107,8 +107,6 @@ class Rules:
     - noise: (J, J) covariance of a measurement
     - walk: (4, 4) covariance of the change from frame to frame
     - first: (4, 4) covariance of a line that was detected once
-    - to_shift: (2, J) maps positions to the offset and heading that fit them best
-    - to_curvature: (J,) maps positions to the curvature of the parabola that fits them best
     """
 
     lri_frames: int
@@ -120,8 +118,6 @@ class Rules:
     noise: FloatArray
     walk: FloatArray
     first: FloatArray
-    to_shift: FloatArray
-    to_curvature: FloatArray
 
 
 def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rules:
@@ -141,8 +137,6 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
     first = inverse @ noise @ inverse.T
     narrower = np.minimum(1.0, _OPEN_STEPS * walk / np.sqrt(np.diag(first)))
     first *= narrower[:, None] * narrower
-    weight = 1 / np.sqrt(np.diag(noise))
-    design = at * weight[:, None]
     return Rules(
         lri_frames=int(number(parameters, "lri_frames")),
         continuous_cover=number(parameters, "continuous_cover"),
@@ -153,8 +147,6 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
         noise=noise,
         walk=np.diag(walk**2),
         first=first,
-        to_shift=np.linalg.pinv(design[:, :2]) * weight,
-        to_curvature=np.linalg.pinv(design[:, :3])[2] * weight,
     )
 
 
@@ -336,11 +328,12 @@ def _common_shift(moved: FloatArray, rule: Rules) -> FloatArray:
     moved: (K, J) measured minus predicted positions of the matched lines, metres.
     """
     shift = np.zeros(4)
-    middle = np.median(moved, axis=0)
+    weight = 1 / np.sqrt(np.diag(rule.noise))
+    design, middle = rule.at * weight[:, None], np.median(moved, axis=0) * weight
     if rule.n_values > 2:
-        shift[2] = _CURVATURE_GAIN * (rule.to_curvature @ middle)
-        middle = middle - rule.at[:, 2] * shift[2]
-    shift[:2] = rule.to_shift @ middle
+        shift[2] = _CURVATURE_GAIN * (np.linalg.pinv(design[:, :3])[2] @ middle)
+        middle = middle - design[:, 2] * shift[2]
+    shift[:2] = np.linalg.pinv(design[:, :2]) @ middle
     return shift
 
 

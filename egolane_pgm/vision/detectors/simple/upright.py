@@ -72,11 +72,9 @@ def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray
     y = view.y_m - view.camera.lateral_m
     feet = _feet(view, above, x, float(y[0]), share)
     ends = np.full(len(_RAYS), np.inf)
-    outlines, tree = cv2.findContours(feet, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
-    for outline, (*_, parent) in zip(outlines, tree[0] if outlines else (), strict=True):
-        first, top, width, _ = cv2.boundingRect(outline)
-        # An outline with a parent is that of a hole.
-        if parent < 0 and _NARROWEST_M <= width * _RAY_STEP * x[top] <= _WIDEST_M:
+    _, _, boxes, _ = cv2.connectedComponentsWithStats(feet, connectivity=8)
+    for first, top, width, *_ in boxes[1:]:
+        if _NARROWEST_M <= width * _RAY_STEP * x[top] <= _WIDEST_M:
             ends[first : first + width] = np.minimum(ends[first : first + width], x[top])
     if np.isfinite(ends).any():
         ray = _nearest(y / view.x_m[:, None], -_RAY_MOST, _RAY_STEP)

@@ -1,5 +1,4 @@
-"""What verbs take: kinds of parameters, and how those look on the command line that their name and
-type do not say."""
+"""Types of the parameters of verbs, with their look on the command line."""
 
 from __future__ import annotations
 
@@ -16,7 +15,7 @@ from egolane_pgm.types import InputError, LineLog
 if TYPE_CHECKING:
     import pandas as pd
 
-    #: Lines of a drive: a file, or what is in memory.
+    #: Lines of a drive: a file, or data in memory.
     Lines = str | os.PathLike[str] | LineLog | pd.DataFrame
     #: The annotated lanes of a drive; "none" for none.
     Truth = str | os.PathLike[str] | pd.DataFrame
@@ -28,16 +27,17 @@ StrPath = str | os.PathLike[str]
 
 @dataclass(frozen=True)
 class Option:
-    """How a parameter of a verb looks on the command line.
+    """The look of a verb's parameter on the command line, beyond its name and type.
 
-    - metavar: stands for its value in the help; "-" for none.
-    - names: "-o" beside the long one, or in place of it one of another name: "--outline".
-    - example: of a name and a value, for messages.
-    - default: what a command takes where the verb is given nothing. said: shows what that means.
-    - many: whether it is given several times, or several arguments.
-    - envvar: a variable of the environment that gives it.
+    - metavar: placeholder of the value in the help.
+    - names: further names, "-o", or another long one in place of the parameter's.
+    - example: a name and a value, for messages.
+    - default: default of the command, if it differs from the function's.
+    - said: text of the default in the help.
+    - many: whether it may be repeated.
+    - envvar: environment variable that gives it.
     - required: whether a command needs it.
-    - hidden: whether a command does not have it.
+    - hidden: whether it is for Python callers only.
     """
 
     metavar: str | None = None
@@ -51,27 +51,28 @@ class Option:
     hidden: bool = False
 
 
-#: What only Python callers say.
 Hidden = Option(hidden=True)
 
 Progress = Annotated[bool | None, Hidden]
-Blocks = Annotated[int, Ge(2)]
 Seed = Annotated[int, Ge(0)]
 Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
-#: Blocks that are held out, 0 for none.
-HeldOutBlocks = Annotated[int, Ge(0)]
+#: Number of folds; 0 for none.
+Folds = Annotated[int | None, Ge(0), Option(said="5")]
 Jobs = Annotated[int, Ge(1)]
 #: A Dask cluster; see `tools.jobs`.
 Cluster = Annotated[str | None, Option("ADDRESS|local:N")]
 Graph = Annotated[Any, Option("NAME|FILE")]
-#: Which columns of a table, or fields of messages, are what; see `recordings.columns`.
+#: Columns of a table, or fields of messages; see `recordings.columns`.
 ColumnNames = Annotated[
     str | Sequence[str] | Mapping[str, Any] | None, Option("OURS=THEIRS,...", many=True)
 ]
 Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
 TableOfRuns = Annotated[StrPath | Any | None, Option("FILE")]
 ByTag = Annotated[str | None, Option("NAME")]
+Overrides = Annotated[
+    Mapping[str, Any] | Sequence[str] | None, Option("KEY=VALUE", names=("--set",), many=True)
+]
 
 
 def several_of(given: Any) -> list[Any]:
@@ -88,8 +89,13 @@ def path_of(given: Any, what: str) -> str:
     raise InputError(f"{what}: {given!r} is not the name of a file or a folder")
 
 
+def place_of(out: Any, name: str) -> Path | None:
+    """The directory for a result; `*` is replaced with the name. None without `out`."""
+    return None if out is None else Path(path_of(out, "out").replace("*", name))
+
+
 def keys_of(given: Mapping[str, Any] | None, what: str, example: str) -> dict[str, Any]:
-    """Names and values. Raises InputError, with the example, for what is no dict."""
+    """A dict of names and values. Raises InputError, with the example, for anything else."""
     if given is None or isinstance(given, Mapping):
         return dict(given or {})
     raise InputError(f"{what}: {given!r} is no dict, e.g. {example}")
@@ -102,6 +108,6 @@ def check_frames(frames: tuple[int, int] | None) -> None:
 
 
 def shown(path: str | os.PathLike[str]) -> str:
-    """A path as it is printed: relative where it lies in the current folder."""
+    """A path for printing: relative if it is below the current folder."""
     here = Path.cwd()
     return str(Path(path).relative_to(here) if Path(path).is_relative_to(here) else path)
