@@ -86,7 +86,7 @@ benchmark: .venv/.dev
 
 # What results/camera/ holds of real pictures, made from those in EGOLANE_DATA.
 camera: .venv/.dev
-	$(BIN)/python -m makers.camera carnd tusimple phantom clips aly drift lane_change lstr --out results/camera > results/camera/pictures.md
+	$(BIN)/python -m makers.camera --out results/camera > results/camera/pictures.md
 
 # The table of docs/maps.md about matching (some minutes).
 maps: .venv/.dev

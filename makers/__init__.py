@@ -1,1 +1,1 @@
-"""Programs that make pages in `results/` and tables in `docs/`; `make` names how each is run."""
+"""Programs that write pages of `results/` and tables of `docs/`; the Makefile runs them."""

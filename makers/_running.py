@@ -1,4 +1,4 @@
-"""A run over lines in memory, as several pages need it."""
+"""Run an experiment on lines in memory."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ PAPER = {"evidence": "counting", "graph": "sensor_failure", "filter": "assumed_d
 
 
 def run_of(log: ego.LineLog, n_lanes: int, frame_rate: float, **keys: Any) -> ego.Result:
-    """Run an experiment on lines; keys: in place of those of PAPER."""
+    """Run the paper's model on lines; `keys` override PAPER."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return ego.run(

@@ -21,7 +21,7 @@ from tests.kits.lane_maps import random_trip
 
 MAPS = ("north-bayreuth_A9_A70", "bautzen_A4")
 
-#: Trips are made up to so many positions on each map.
+#: Least number of positions on each map.
 N_POSITIONS = 4000
 
 #: A wrong second is near a join of both segments if it is at most so far from it, metres; and the

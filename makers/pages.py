@@ -3,8 +3,8 @@
 `paper` is other graphs with the paper's parameters (a minute), `learned` graphs with tables learned
 by EM (ten minutes of two cores), `searched` graphs with searched parameters (a quarter of an hour),
 `tuned` the paper's parameters searched for each run (three minutes), and `beyond` position
-in lane and the paper's graph (five minutes). The results are kept in results/runs; those of tables
-of runs are not run again. Needs EGOLANE_DATA.
+in lane and the paper's graph (five minutes). Results are kept in results/runs; a row of a table
+of runs that has one is skipped. Needs EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def searched() -> None:
 
 
 def learned() -> None:
-    """Write results/graphs/learned.md: graphs with learned tables, and those of the start."""
+    """Write results/graphs/learned.md: graphs with learned tables, and with the starting tables."""
     name, not_learned = "learned_tables", {"fit.method": "none"}
     folders = [on_recordings(f"learned/{graph}", name, (), graph) for graph in LEARNED]
     folders.append(on_recordings("learned/start", name, not_learned))

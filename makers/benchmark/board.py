@@ -2,7 +2,7 @@
 
 An entry is an experiment, or a folder with beliefs NAME.csv for each NAME.csv of the tracks
 (`frame_id;p1;p2;...`, a row per frame, none if the entry is silent). Every score of a track is a
-ratio of sums over its recordings, so that drives can be resampled.
+ratio of sums over its recordings, so drives can be resampled.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.views.tables import Table, page, with_interval
 from makers.benchmark.tracks import HERE, Recording, make_tracks, read_tracks
 
-#: What follows in the page is made anew.
+#: The page after this line is rewritten.
 MARK = "<!-- the board -->\n"
 
 #: Each score: the sum above and the sum below.
@@ -116,7 +116,7 @@ def resamples(recordings: Sequence[Recording]) -> FloatArray:
 
 
 def total(sums: pd.DataFrame, score: str, weights: FloatArray) -> FloatArray:
-    """(R,): a score of D recordings, counted as each row of `weights` (R, D) says."""
+    """(R,): a score of D recordings, weighted by each row of `weights` (R, D)."""
     above, below = (weights @ sums[key].to_numpy(float) for key in SCORES[score])
     return np.divide(above, below, out=np.full(len(above), np.nan), where=below > 0)
 

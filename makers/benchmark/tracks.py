@@ -1,8 +1,7 @@
 """Tracks: folders with a recording NAME.csv and its lanes NAME.txt for each drive.
 
-A name says what is alike: `24km-d1-normal-0-n4-italy_ml` is a drive of driver d1 on a road of four
-lanes, its lines as those of the donor italy_ml. What comes before `-n4` is the drive. Every drive
-has a seed of its own, its name.
+`24km-d1-normal-0-n4-italy_ml` is a drive of driver d1 on a road of four lanes, with lines of the
+donor italy_ml. Recordings with the same text before `-n4` are one drive. The name is the seed.
 """
 
 from __future__ import annotations
@@ -152,8 +151,8 @@ def uah_drives(copy: File) -> dict[str, tuple[LineLog, Path]]:
     A drive is a folder `20151111123124-24km-D1-NORMAL-MOTORWAY` with PROC_LANE_DETECTION.txt
     (seconds, X: metres from the middle of the lane, angle, W: the lane's width, state) and
     EVENTS_LIST_LANE_CHANGES.txt (seconds, type: positive to the right). It begins in the rightmost
-    lane, where it merges, and the list changes it. A drive is taken if X confirms the list: at each
-    change but one at most it jumps by a lane. Raises InputError for a folder without any.
+    lane; the list changes it. A drive is taken if X jumps by a lane at each listed change, or at
+    all but one. Raises InputError if there is none.
     """
     found: dict[str, tuple[LineLog, Path]] = {}
     for file in sorted(copy.glob("**/*MOTORWAY/PROC_LANE_DETECTION.txt")):
@@ -170,7 +169,7 @@ def uah_drives(copy: File) -> dict[str, tuple[LineLog, Path]]:
 def _uah_drive(lines: np.ndarray, changes: np.ndarray) -> tuple[LineLog, Path] | None:
     """The drive of two tables; None if X does not confirm the list of lane changes."""
     time_s = np.arange(lines[0, 0], lines[-1, 0], 1 / RATE)
-    # Ten frames a second of thirty: the last one that is known.
+    # Ten frames a second of thirty: the last one before each time.
     rows = np.searchsorted(lines[:, 0], time_s, side="right") - 1
     offset, width = lines[rows, 1], lines[rows, 3]
     running = (lines[rows, 4] == _RUNNING) & (width > 0)
@@ -180,7 +179,7 @@ def _uah_drive(lines: np.ndarray, changes: np.ndarray) -> tuple[LineLog, Path] |
         near = np.flatnonzero((np.abs(time_s - when) < _WITHIN_S) & running)
         step, at = np.diff(place[near]), int(np.searchsorted(time_s, when))
         if np.abs(step).max(initial=0.0) >= _JUMP:
-            # A car that goes right comes to the right line and is then beside the left one.
+            # A car that goes right passes the right line, which is then its left one.
             k = int(np.abs(step).argmax())
             at, confirmed = int(near[k + 1]), confirmed + (-np.sign(step[k]) == np.sign(kind))
         lane[at:] += np.sign(kind)

@@ -1,10 +1,10 @@
-"""Drives made of the frames of a donor, as its detector saw them, in lanes that another car drove.
+"""Drives composed of a donor's frames, for the path of another car.
 
-Each line of a donor's frame has a place on its road: a line of the road, by its number, and what it
-is off that line; or a place beside the road; or, as clutter, one relative to the car. A new drive
-takes stretches of 10 to 60 s from the same kind of lane (leftmost, inner, rightmost), and for its
-lane changes those of the donor. Lines that the new road does not have are dropped; if a line's
-role changes (edge or not), its continuous flag is drawn anew.
+Each reported line of a donor has a place on its road: the number of a line of the road and the
+distance from it, a distance from the edge of the road, or, for clutter, from the car. A new drive
+takes segments of 10 to 60 s from the same kind of lane (leftmost, inner, rightmost), and lane
+changes of the donor. Lines that the new road lacks are dropped; if a line's role changes (edge or
+not), its continuous flag is drawn again.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ RATE = 10.0
 #: Frames of a stretch, at least and at most, and of a lane change before and after its middle.
 _STRETCH, _CHANGE = (100, 600), 30
 
-#: How far off a line of the road a report of it is, and how far no car moves in a frame, lanes;
-#: lines that are further away are not reported, metres.
+#: Largest distance of a report from a line of the road, and of a car's move in a frame, lanes;
+#: largest distance of a reported line, metres.
 _NEAR, _JUMP, _REACH_M = 0.25, 0.3, 16.5
 
 #: Positions across a lane, how much a car moves from frame to frame (lanes), and the standard
@@ -61,9 +61,9 @@ class Donor:
     """A real log, T frames of at most L lines, and the path of its car.
 
     - width_m: of a lane, in the detector's metres.
-    - number (T, L): of a line of the road, 0 (left edge) to n; -1: beside it or clutter.
-    - place (T, L): lanes: of a line of the road what it is off it; of another what it is off the
-      left edge (negative) or the right one (positive); of clutter NaN.
+    - number (T, L): of a line of the road, 0 (left edge) to n; -1: off the road, or clutter.
+    - place (T, L): distance in lanes from that line; off the road, from the left edge (negative)
+      or the right one (positive); NaN for clutter.
     - change_at (C,): the frames in which the car's middle crosses a line.
     - continuous (3,): how often a valid line at the left edge, inside, at the right edge is
       reported as continuous.
@@ -96,8 +96,8 @@ def donor_of(log: LineLog, truth: pd.DataFrame, n_lanes: int, width_m: float) ->
 
 
 def _across(log: LineLog, truth: pd.DataFrame, width_m: float) -> FloatArray:
-    """(T,): the car's place across the road: inside the lane the best path on a circle through what
-    the lines say (Viterbi), in the lane that the truth has between two changes."""
+    """(T,): the car's place across the road: inside the lane the best path on a circle given the
+    lines (Viterbi), in the annotated lane between two changes."""
     centre = (np.arange(_PLACES) + 0.5) / _PLACES
     use = log.is_valid & is_placed(log.offset_m)
     off = np.where(use, log.offset_m, 0.0)[:, :, None] / width_m + centre
@@ -156,7 +156,7 @@ def _side(value: IntArray, first: int, last: int) -> IntArray:
 def _chosen(donor: Donor, path: Path, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
     """The donor's frame for each frame of a path, (T,), and by how many lines its road is moved.
 
-    Stretches are drawn first; lane changes are laid over them.
+    Segments are drawn first; lane changes replace parts of them.
     """
     lane, donor_lane = path.lane(), donor.path.lane()
     n_frames = len(lane)

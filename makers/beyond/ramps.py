@@ -25,7 +25,7 @@ WIDTH_M = 3.6
 WITHIN_S = 2.5
 SEEDS = range(100, 112)
 
-#: The lane beside the ramp is 1, before the road is mirrored.
+#: The lane next to the ramp is 1, before the road is mirrored.
 STARTS = {"changes away from the ramp": (1, 2), "stays beside it": (1, 1), "stays away": (2, 2)}
 
 #: Frames a second, and seconds before the ramp joins.

@@ -1,5 +1,4 @@
-"""What the model without labels makes of sensors that give less: right, sure, and sure and right;
-and how much the start of the drive decides."""
+"""Scores of the model without labels with poorer sensors, and over starts of the drive."""
 
 from __future__ import annotations
 
@@ -24,7 +23,7 @@ from tests.kits.strangers import (
     without,
 )
 
-#: The frames from which a drive is read, at ten frames a second.
+#: First frames of a drive, at ten frames a second.
 STARTS = (0, 100, 200, 300, 400, 500, 600)
 
 TEXT = """\
@@ -72,7 +71,7 @@ def plain_own_lines(log: LineLog) -> LineLog:
     return never_continuous(own_lines(log))
 
 
-#: What is tried: the change of a recording, and whether the start lane is given.
+#: Changes of a recording, and whether the start lane is given.
 SENSORS: dict[str, tuple[Change, bool]] = {
     "all lines, as recorded": (STRANGERS["as recorded"], False),
     "all lines, no type": (STRANGERS["no line continuous"], False),

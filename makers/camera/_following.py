@@ -1,5 +1,4 @@
-"""What the figures about tracked lines share: data, calibration as a user does it, a drive followed
-line by line, and the belief about it."""
+"""Data, calibration by the command, and lines tracked over a drive."""
 
 from __future__ import annotations
 
@@ -23,14 +22,14 @@ from egolane_pgm.vision.detectors.simple.tracking import Tracks, lines_of, no_tr
 
 
 def data_path(name: str) -> Path | None:
-    """A file or folder of $EGOLANE_DATA, or None where it is absent."""
+    """A file or folder of $EGOLANE_DATA, or None if it is absent."""
     data = os.environ.get("EGOLANE_DATA")
     path = Path(data) / name if data else None
     return path if path is not None and path.exists() else None
 
 
 def calibrate(target: Path, *words: object) -> Camera:
-    """The camera that `egolane calibrate words` writes to target; what it says is not shown."""
+    """The camera that `egolane calibrate words` writes to target, without its output."""
     given = ["calibrate", *map(str, words), "--out", str(target)]
     with redirect_stdout(StringIO()), redirect_stderr(StringIO()):
         egolane.main(given, standalone_mode=False)
@@ -39,7 +38,7 @@ def calibrate(target: Path, *words: object) -> Camera:
 
 @dataclass(frozen=True)
 class Followed:
-    """A drive, frame by frame: frame ids, what the detector says, and its tracks."""
+    """Frame ids, lines and tracks of a drive, frame by frame."""
 
     frame_id: tuple[int, ...]
     lines: tuple[FrameLines, ...]

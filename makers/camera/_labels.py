@@ -11,7 +11,7 @@ from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road
 from egolane_pgm.vision.formats.tusimple import entry_lines, read_entries
 
-#: Labels reach to the horizon, where a pixel is many metres.
+#: Labels reach to the horizon; a pixel there is many metres.
 _FARTHEST_M = 40.0
 
 
@@ -26,13 +26,13 @@ def line_points(frame: dict[str, Any]) -> list[FloatArray]:
 
 
 def label_picture(frame: dict[str, Any], labels: Path) -> Path:
-    """The picture of a frame, beside the file of its label."""
+    """The picture of a frame, in the folder of its label."""
     named = labels.parent / frame.get("image", frame.get("raw_file"))
     return named if named.is_file() else labels.parent / frame["raw_file"].removeprefix("clips/")
 
 
 def label_places(camera: Camera, frame: dict[str, Any], ahead_m: float) -> FloatArray:
-    """Where the lines of a frame lie on the road `ahead_m` metres ahead, (A,), metres to the right.
+    """Offsets of the lines of a frame `ahead_m` metres ahead, (A,), metres to the right.
 
     A label's points are brought onto the road and joined by straight lines. A label that ends
     before `ahead_m` is continued by the straight line through the six nearest points; one with

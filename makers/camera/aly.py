@@ -1,10 +1,10 @@
-"""Aly's detector on real pictures: by the measure of its paper and by that of `tusimple`.
+"""Aly's detector on real pictures, by the measures of its paper and of `tusimple`.
 
 The first 55 stills, on which settings were chosen, and the last frames of ten clips; the last 55
-stills were not looked at. Aly 2008 compares a spline with a label in the picture: each is walked
+stills were not used. Aly 2008 compares a spline with a label in the picture: each is walked
 along in steps of a pixel, and the distances to the nearest point of the other are averaged, once
 there and once back, of which the smaller counts. A spline is right if mean <= 15 and median <= 20
-pixels; the public Matlab program asks for one of both only. Pixels are those of a picture 640 wide,
+pixels; the public Matlab program needs only one of both. Pixels are of a picture 640 wide,
 as theirs.
 """
 
@@ -148,7 +148,7 @@ def last_frames(folder: Path, *, tracked: bool) -> Measured:
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     labels, folder = tusimple.data_file(), clips.data()
     if labels is None or folder is None:
         return ["Aly: camera/tusimple_frames or tusimple_clips is absent (EGOLANE_DATA)."]

@@ -1,8 +1,8 @@
 """A second and a half of motorway in the leftmost lane, calibrated as a user does it: the lens from
 17 chessboards, the camera's turn and height from two stills of a straight road.
 
-In-sample in one respect: what is painted and what is not (`_paint`) was chosen on other pictures,
-but looked at on these. The road has four lanes or more; the belief is given n = 4.
+In-sample in one respect: `_paint` was chosen on other pictures, with these in sight. The road has
+four lanes or more; the belief is given n = 4.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class EgoLane:
 
 
 def data() -> Path | None:
-    """The folder, or None where it is absent."""
+    """The folder, or None if it is absent."""
     return data_path("camera/carnd")
 
 
@@ -141,7 +141,7 @@ def frames_with_left_line(followed: Followed) -> tuple[int, int, int]:
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     folder = data()
     if folder is None:
         return ["Motorway in the leftmost lane: camera/carnd is absent (EGOLANE_DATA)."]

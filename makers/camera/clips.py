@@ -1,14 +1,12 @@
-"""Ten clips of one second each, tracked; their last frames are labelled by hand. Beside it the
-detector on the last frame alone, and what the authors of another detector (MLD) got with their own
-program.
+"""Ten clips of one second each, tracked; their last frames are labelled by hand. For comparison the
+detector on the last frame alone, and the output of MLD by its authors.
 
-Never used for tuning: camera and the finder's settings are from the first 55 stills of
-`tusimple`, as is what tells continuous from dashed. That lines beyond a continuous one are kept
-back (`beyond_edge`) also follows from those stills, where none of 25 such lines is labelled, but
-was settled with the figures here in sight; both ways are in the table. So was how many
-markings make a line of `mld` clear by itself (`multilane.slots.LONG`: from 100 to 300 all is the
-same, at 60 two lines more are pulled onto cars). Lines and labels are compared as in `tusimple`,
-and by the metric of the TuSimple lane challenge, which MLD's authors used.
+Camera and the finder's settings are from the first 55 stills of `tusimple`, like the rule for
+continuous lines. Two settings were decided with these figures in sight: lines beyond a continuous
+one are hidden (`beyond_edge`; in the stills 25 of 25 such lines are unlabelled; both choices are in
+the table), and the number of markings of a clear line of `mld` (`multilane.slots.LONG`: 100 to 300
+give the same, with 60 two lines more are pulled onto cars). Lines and labels are compared as in
+`tusimple`, and by the metric of the TuSimple lane challenge, which MLD's authors used.
 """
 
 from __future__ import annotations
@@ -43,10 +41,10 @@ from tests.kits.tusimple_metric import Score
 
 RATE = 20.0
 
-#: This clip is driven in the rightmost lane, solid white beside it; the road has so many lanes.
+#: A clip in the rightmost lane, next to a solid white line, and the number of lanes.
 RIGHTMOST, N_LANES = "0313-1/120", 6
 
-#: So many lines MLD's authors wrote for each clip; absent ones are empty.
+#: Lines that MLD's authors wrote for each clip; absent ones are empty.
 WRITTEN = 4
 
 #: What may be done about lines beyond a continuous one; the first is the default.
@@ -64,7 +62,7 @@ class Clip:
 
 
 def data() -> Path | None:
-    """The folder with the clips, or None where it is absent."""
+    """The folder with the clips, or None if it is absent."""
     return data_path("camera/tusimple_clips")
 
 
@@ -179,7 +177,7 @@ def lane_at_the_end(clips: tuple[Clip, ...], **keys: Any) -> IntArray:
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     folder = data()
     if folder is None:
         return ["Clips: camera/tusimple_clips is absent (EGOLANE_DATA)."]

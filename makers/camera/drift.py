@@ -1,8 +1,7 @@
-"""What is left of lines and lanes with a camera that is pitched by a degree more or less than it
-was calibrated, without and with correction, and what the watch says of good calibrations.
+"""Lines of a camera that is pitched by a degree more or less than it was calibrated, corrected.
 
-The stills are those of `tusimple`, the first 55 only, one after the other as a slow drive. The
-constants of the watch were chosen on them.
+The first 55 stills of `tusimple`, in order, as a slow drive. The constants of the watch were chosen
+on them.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ def stills_of(labels: Path) -> list[Picture]:
 
 
 def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) -> Turned:
-    """Single-frame lines in the view that the watch has corrected so far."""
+    """Single-frame lines in the corrected view."""
     camera = tusimple.CAMERA
     values = {**find_detector(name, {}, Path(), "drift").parameters, "curve": CURVES[name]}
     values["camera_drift"] = "correct"
@@ -68,7 +67,7 @@ def look_at(labels: Path, shown: Iterable[Picture], name: str, away_deg: float) 
 
 
 def warned_of(shown: Iterable[Picture], camera: Camera, name: str) -> list[str]:
-    """What the detector says of a camera over some pictures."""
+    """The detector's warnings about a camera over some pictures."""
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         for _ in detect(find_detector(name, {}, Path(), "drift"), camera, shown):
@@ -77,7 +76,7 @@ def warned_of(shown: Iterable[Picture], camera: Camera, name: str) -> list[str]:
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     labels = tusimple.data_file()
     if labels is None:
         return [f"A camera that was turned: {tusimple.FILE} is absent (EGOLANE_DATA)."]

@@ -31,7 +31,7 @@ from makers.camera._following import (
     runs,
 )
 
-#: Of the numbers in the pictures' names.
+#: Frames per second of the numbers in the pictures' names.
 RATE = 30.0
 N_LANES = 3
 LANE_WIDTH_M = 3.5
@@ -57,8 +57,8 @@ CHANGES_AND_LANES = (
 
 @dataclass(frozen=True)
 class Crossing:
-    """A tracked line that was right of the car and ended left of it: where it was in the first and
-    the last frame in which it was followed, metres, and the frame from which on it was left."""
+    """A tracked line that crossed from right to left of the car: its offset in the first and the
+    last tracked frame, metres, and the frame from which on it was left."""
 
     first_m: float
     last_m: float
@@ -66,7 +66,7 @@ class Crossing:
 
 
 def data() -> Path | None:
-    """The folder, or None where it is absent."""
+    """The folder, or None if it is absent."""
     return data_path("camera/lane_change_right")
 
 
@@ -108,7 +108,7 @@ def crossings(followed: Followed) -> Iterator[Crossing]:
 def changes_and_lanes(log: LineLog) -> list[str]:
     """The cells of `CHANGES_AND_LANES`: first of the paper's graph, then of the one without labels,
     the detected lane changes (`Result.events`) to the left and to the right, and its
-    assigned lanes. Where the assigned lane goes there and back, no change need be detected."""
+    assigned lanes. A lane that is assigned for a moment need not give a change."""
     cells = []
     for keys in ({}, ZERO_LABEL):
         run = run_of(log, N_LANES, RATE, **keys)
@@ -121,7 +121,7 @@ def changes_and_lanes(log: LineLog) -> list[str]:
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     folder = data()
     if folder is None:
         return ["A lane change: camera/lane_change_right is absent (EGOLANE_DATA)."]

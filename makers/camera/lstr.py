@@ -1,10 +1,8 @@
-"""A real lane network, LSTR, beside our detectors: on the stills and clips of `tusimple` and
-`clips` and on the video of `carnd`, as these describe them.
+"""A real lane network, LSTR, and our detectors on the pictures of `tusimple`, `clips`, `carnd`.
 
 LSTR was trained on TuSimple's training set, of which the stills and the clips are part: there it is
-in-sample. It has seen nothing of the video, whose horizon is lower: its answer to the whole picture
-is shown with that to a picture whose sky is cut off (`cut_top`) until the horizon is as high as in
-TuSimple's. Nothing else was chosen for it.
+in-sample. The video is new to it and has a lower horizon: it is run on whole pictures, and on
+pictures with the sky cut off (`cut_top`), with the horizon as high as in TuSimple's.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ HORIZON = 236 / 720
 
 
 def data_file() -> Path | None:
-    """The ONNX, or None where it is absent."""
+    """The ONNX, or None if it is absent."""
     return data_path(FILE)
 
 
@@ -145,7 +143,7 @@ def _video_row(name: str, folder: Path) -> list[str]:
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     labels, folders = tusimple.data_file(), (clips.data(), carnd.data())
     if data_file() is None or labels is None or None in folders:
         return [f"A real network: {FILE} or the pictures are absent (EGOLANE_DATA)."]

@@ -1,5 +1,5 @@
-"""What it is worth to look for vehicles, whose edges look like lines: the first 55 stills of
-`tusimple`, without (`shadow_share: 0`) and with them."""
+"""Lines with and without (`shadow_share: 0`) the search for vehicles, whose edges look like lines:
+the first 55 stills of `tusimple`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ _WAYS = (("vehicles not looked for", {"shadow_share": 0.0}), ("vehicles looked f
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     labels = tusimple.data_file()
     if labels is None:
         return [f"Phantom lines: {tusimple.FILE} is absent (EGOLANE_DATA)."]

@@ -2,8 +2,8 @@
 
 110 stills in the order of one drive. Camera and every setting were chosen on the first 55; the
 other 55 are the test. Lines and labels are compared where they are 10 m ahead of the camera, a
-label's points brought onto the road by the camera and joined by straight lines (where they do not
-reach that far: by the straight line through the six nearest). Pairs within 0.35 m are matched one
+label's points brought onto the road by the camera and joined by straight lines (if they do not
+reach that far, by the straight line through the six nearest). Pairs within 0.35 m are matched one
 to one, nearest first. Recall counts the labels within 6 m to either side, matched with any line;
 precision the lines within 6 m, matched with any label.
 """
@@ -94,7 +94,7 @@ class Still:
 
 
 def data_file() -> Path | None:
-    """The labels, or None where they are absent."""
+    """The labels, or None if they are absent."""
     return data_path(FILE)
 
 
@@ -124,7 +124,7 @@ def _shares(counts: FloatArray) -> FloatArray:
 
 
 def interval(stills: list[Still], least_score: float) -> FloatArray:
-    """(2, 2): 95 % intervals of recall and precision; stills drawn anew 2,000 times, seed 0."""
+    """(2, 2): 95 % intervals of recall and precision; stills resampled 2,000 times, seed 0."""
     counts = np.array([still.counts(least_score) for still in stills])
     rng = np.random.default_rng(0)
     draws = rng.integers(len(counts), size=(2000, len(counts)))
@@ -155,12 +155,12 @@ def _halves(labels: Path, curve: str = "clothoid") -> tuple[list[Still], list[St
 
 
 def least_score() -> float:
-    """The threshold that detectors use if not told otherwise."""
+    """The default threshold of the detectors."""
     return float(resolve_parameters(FINDING, {}, 1)["least_score"])
 
 
 def measure() -> list[str]:
-    """The figures as Markdown, or one line that says what is absent."""
+    """The page's section as Markdown; one line if the data are absent."""
     labels = data_file()
     if labels is None:
         return [f"Single stills: {FILE} is absent (EGOLANE_DATA)."]
