@@ -45,15 +45,22 @@ def schema(kind: str = "experiment") -> dict[str, Any]:
     file with `include` may lack keys, and so may a file without `name`, which others include.
     """
     found = TypeAdapter(KINDS[kind]).json_schema(schema_generator=_Untitled)
-    definitions = found.get("$defs", {})
     found["properties"] = {"version": _VERSION, **found["properties"]}
     if "name" in found["required"]:
         found["properties"] = {"include": _INCLUDE, **found["properties"]}
         needed = [key for key in found.pop("required") if key != "name"]
         found["if"] = {"required": ["name"]}
         found["then"] = {"anyOf": [{"required": needed}, {"required": ["include"]}]}
-    _name_plugins(found["properties"] if kind == "experiment" else {})
-    _name_plugins(definitions["Recording"]["properties"] if "Recording" in definitions else {})
+    for key, names, endings in (
+        ("graph", plugin_names("graphs"), OWN_FILES),
+        ("evidence", plugin_names("evidence"), (".py",)),
+        ("simulate", [*PRESETS], ()),
+        ("format", [*FORMATS, *plugin_names("recordings")], (".py",)),
+        ("detector", plugin_names("detectors"), (".py",)),
+    ):
+        for section in (found, found.get("$defs", {}).get("Recording", {})):
+            if key in section.get("properties", {}):
+                _one_of(section["properties"][key], names, endings)
     title = f"egolane_pgm: {'an' if kind == 'experiment' else 'a'} {kind} file"
     return {
         "$schema": GenerateJsonSchema.schema_dialect,
@@ -63,20 +70,7 @@ def schema(kind: str = "experiment") -> dict[str, Any]:
     }
 
 
-def _name_plugins(keys: dict[str, Any]) -> None:
-    """Limit keys to the names of the package's plugins, or to files."""
-    for key, names, endings in (
-        ("graph", plugin_names("graphs"), OWN_FILES),
-        ("evidence", plugin_names("evidence"), (".py",)),
-        ("simulate", [*PRESETS], ()),
-        ("format", [*FORMATS, *plugin_names("recordings")], (".py",)),
-        ("detector", plugin_names("detectors"), (".py",)),
-    ):
-        if key in keys:
-            _one_of(keys[key], names, endings)
-
-
-def _one_of(key: dict[str, Any], names: Iterable[str], endings: Iterable[str] = ()) -> None:
+def _one_of(key: dict[str, Any], names: Iterable[str], endings: Iterable[str]) -> None:
     """Limit a key to some names, or to files with some extensions."""
     other = [each for each in key.pop("anyOf", []) if each.get("type") == "null"]
     key.pop("type", None)

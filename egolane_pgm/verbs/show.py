@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
 
+import click
 import yaml
 from annotated_types import Ge, Le
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.loading import experiment_path, load_yaml
+from egolane_pgm.loading import experiment_path, experiments_folder, load_yaml
 from egolane_pgm.model import compile_graph, matching_evidence_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
-from egolane_pgm.recordings import format_of
+from egolane_pgm.recordings import FORMATS, format_of
 from egolane_pgm.recordings.showing import show_recording
+from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import check_not_read, plain
 from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
-from egolane_pgm.verbs import listing
 from egolane_pgm.verbs.options import Option, StrPath, path_of, shown
 from egolane_pgm.views.description import (
     describe_detector,
@@ -29,7 +30,8 @@ from egolane_pgm.views.description import (
     description_text,
 )
 from egolane_pgm.views.network import check_ending, write_network
-from egolane_pgm.views.tables import wrapped
+from egolane_pgm.views.tables import line_width, wrapped
+from egolane_pgm.vision.detectors.networks.description import ready_networks
 
 EXAMPLES = (
     "egolane show",
@@ -43,7 +45,19 @@ EXAMPLES = (
 NLanes = Annotated[int, Ge(1), Le(MAX_LANES)]
 
 #: The plugins that are described, and the folder of each kind.
-_KINDS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
+_PLUGINS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
+
+#: Names of each kind, or descriptions of files by path.
+_KINDS: dict[str, Callable[[], list[str] | dict[str, str]]] = {
+    "graphs": lambda: plugin_names("graphs"),
+    "evidence": lambda: plugin_names("evidence"),
+    "detectors": lambda: plugin_names("detectors"),
+    "networks": lambda: [*ready_networks()],
+    "recordings": lambda: [*FORMATS, *plugin_names("recordings")],
+    "simulations": lambda: sorted(PRESETS),
+    "experiments": lambda: _descriptions("experiments"),
+    "tuning": lambda: _descriptions("tuning"),
+}
 
 
 def show(
@@ -75,8 +89,10 @@ def show(
     given = "" if name is None else path_of(name, "name")
     if out is not None:
         check_ending(path_of(out, "out"))
-    if not given or given in listing.KINDS:
-        found = listing.listed(given or None)
+    if not given or given in _KINDS:
+        found: dict[str, Any] = {
+            kind: names() for kind, names in _KINDS.items() if given in ("", kind)
+        }
     elif given.partition(":")[0] == "schema":
         found = _schema(given.partition(":")[2] or "experiment")
     elif given.endswith(".onnx"):
@@ -104,10 +120,42 @@ def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     if "$schema" in done:
         return json.dumps(done, indent=1)
     if "kind" not in done:
-        return listing.list_text(done)
+        return _list_text(done)
     if "keys" in done:
-        return _yaml_text(done)
+        about = done["keys"].get("description")
+        keys = {k: v for k, v in done["keys"].items() if k not in ("name", "description")}
+        text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None)
+        lines = [f"{done['kind']} {done['name']}", shown(done["file"])]
+        lines += ["", wrapped(str(about))] if about else []
+        return "\n".join([*lines, "", text.rstrip("\n")])
     return description_text({**done, "file": shown(done["file"])})
+
+
+def _yaml_files() -> Iterator[Path]:
+    """The shipped experiments and tuning files."""
+    for path in sorted(experiments_folder().rglob("*.yaml")):
+        if path.name[0] != "_" and path.name != "published.yaml":
+            yield path
+
+
+def _descriptions(kind: str) -> dict[str, str]:
+    """The description of each experiment, or of each tuning file, by its path."""
+    return {
+        shown(path): load_yaml(path).get("description", "")
+        for path in _yaml_files()
+        if (path.parent.name == "tuning") == (kind == "tuning")
+    }
+
+
+def _list_text(found: Mapping[str, Any]) -> str:
+    text = click.HelpFormatter(width=line_width())
+    names = {kind: each for kind, each in found.items() if isinstance(each, list)}
+    if names:
+        text.write_dl([(f"{kind}:", ", ".join(each)) for kind, each in names.items()])
+    for kind in sorted(found.keys() - names.keys()):
+        with text.section(kind):
+            text.write_dl([*found[kind].items()], col_max=4)
+    return text.getvalue().rstrip("\n")
 
 
 def _is_recording(path: Path) -> bool:
@@ -134,42 +182,25 @@ def _is_yaml(name: str) -> bool:
     if name.lower().endswith((".yaml", ".yml")):
         path = experiment_path(name)
         return path.is_file() and "nodes" not in load_yaml(path)
-    if any(name in plugin_names(folder) for folder in _KINDS.values()):
+    if any(name in plugin_names(folder) for folder in _PLUGINS.values()):
         return False
-    return any(path.stem == name for path in listing.yaml_files())
+    return any(path.stem == name for path in _yaml_files())
 
 
 def _yaml(name: str) -> dict[str, Any]:
     """The keys of an experiment or of a tuning file."""
     path = experiment_path(name)
     keys = load_yaml(path)
-    kind = "tuning file" if "experiments" in keys else "experiment"
-    return {
-        "kind": kind,
-        "name": keys.get("name", path.stem),
-        "file": str(path),
-        "keys": plain(keys),
-    }
-
-
-def _yaml_text(found: Mapping[str, Any]) -> str:
-    """The keys of a YAML file, included ones too, as text."""
-    keys = {
-        key: value for key, value in found["keys"].items() if key not in ("name", "description")
-    }
-    about = found["keys"].get("description")
-    lines = [f"{found['kind']} {found['name']}", shown(found["file"])]
-    lines += ["", wrapped(str(about))] if about else []
-    text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None)
-    return "\n".join([*lines, "", text.rstrip("\n")])
+    kind, own_name = "tuning file" if "experiments" in keys else "experiment", keys.get("name")
+    return {"kind": kind, "name": own_name or path.stem, "file": str(path), "keys": plain(keys)}
 
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:
     """The description of a plugin; a graph is also written to `out`."""
-    kind, bare = find_plugin(name, _KINDS, Path.cwd())
+    kind, bare = find_plugin(name, _PLUGINS, Path.cwd())
     if out is not None:
         check_not_read(Path(out), [Path(bare)])
-    module = load_plugin(_KINDS[kind], bare, kind)
+    module = load_plugin(_PLUGINS[kind], bare, kind)
     found: dict[str, Any] = {"name": bare}
     if kind == "evidence":
         return found | describe_rule(module, _defaults(module, n_lanes))
