@@ -120,7 +120,7 @@ def check_learnable(model: Model) -> None:
     """Raise InputError, naming the YAML key, for a model without anything to learn."""
     experiment = model.experiment
     if not learns_rule(model):
-        learnable_tables(model)
+        learnable_nodes(model)
     elif experiment.learning is not None:
         raise InputError(
             f"{experiment.source}: learning: applies to the tables of a graph; the evidence rule"
@@ -131,7 +131,7 @@ def check_learnable(model: Model) -> None:
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     """Learn the parameters of an evidence rule; it starts from their defaults."""
     model = drives[0].model
-    rule, where = model.rule, model.experiment.source
+    rule = model.rule
     given = {name: v for name, v in model.parameters.items() if name not in rule.LEARNED}
     start = _resolve(model, given)
     parts = []
@@ -148,8 +148,8 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             found = rule.fit_pooled(parts, model.n_lanes, start)
         else:
             raise InputError(
-                f"{where}: the evidence rule {model.experiment.evidence} learns from one recording,"
-                " it has no fit_pooled"
+                f"{model.experiment.source}: the evidence rule {model.experiment.evidence} learns"
+                " from one recording, it has no fit_pooled"
             )
     if unknown := set(found).difference(rule.LEARNED):
         raise InputError(f"{rule.__file__}: fit() returned {unknown.pop()}, not one of LEARNED")
@@ -186,7 +186,7 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         Evidence.joined(evidence),
         {"Lane": lane},
         np.concatenate(begins),
-        nodes={name for name, _ in learnable_tables(model)},
+        nodes=learnable_nodes(model),
         strength=options.strength,
         iterations=options.iterations,
     )
@@ -240,27 +240,27 @@ def training_of(
     return evidence.take(used), lane[used], is_first
 
 
-def learnable_tables(model: Model) -> dict[SliceNode, Table]:
-    """The tables that can be learned, limited to `learning.tables` if given."""
+def learnable_nodes(model: Model) -> set[str]:
+    """The nodes whose tables can be learned, limited to `learning.tables` if given."""
     source = model.experiment.source
-    tables = {
-        node: table
-        for node, table in counted_tables(start_of_learning(model).compiled).items()
+    names = {
+        name
+        for (name, _), table in counted_tables(start_of_learning(model).compiled).items()
         if not np.isin(table.values, (0.0, 1.0)).all()
     }
-    if not tables:
+    if not names:
         raise InputError(
             f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
-            " input, none can be learned; search parameters with `egolane tune`"
+            " input and cannot be learned; search parameters with `egolane tune`"
         )
-    wanted, names = learning_of(model.experiment).tables, {name for name, _ in tables}
+    wanted = learning_of(model.experiment).tables
     for name in () if wanted is None else wanted:
         if name not in names:
             raise InputError(
                 f"{source}: learning.tables: '{name}' has no table to learn"
                 f"{suggestion(name, names)}"
             )
-    return {node: t for node, t in tables.items() if wanted is None or node[0] in wanted}
+    return names if wanted is None else set(wanted)
 
 
 def start_of_learning(model: Model) -> Model:
