@@ -56,16 +56,6 @@ def test_blocks_are_contiguous_complete_and_of_nearly_equal_length(n: int, more:
             np.testing.assert_array_equal(fold.train[k], right)
 
 
-def test_untrusted_frames_are_tested_but_never_trained_on() -> None:
-    one = drive(tuning={"never_fit": [[100, 150], [900, None]]})
-    untrusted = np.flatnonzero(~one.is_trusted)
-    folds = block_folds([one])
-    assert len(folds) == 5
-    for fold in [everything([one]), *folds]:
-        assert not np.isin(fold.train[0], untrusted).any()
-    assert np.isin(untrusted, np.concatenate([fold.test[0] for fold in folds])).all()
-
-
 def test_too_few_and_too_many_blocks_are_refused() -> None:
     for n in (1, 1201):
         with pytest.raises(InputError, match=f"blocks: {n} is not between 2 and the 1200 frames"):
