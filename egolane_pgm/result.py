@@ -288,17 +288,14 @@ class Result:
                     shutil.copyfile(config[key], place / copy)
                 config[key] = f"./{copy}"
         if self.lines:
-            tables = [
-                log.take(~log.is_missing).to_pandas().reset_index().assign(drive=name)
-                for name, log in self.lines.items()
-            ]
-            table = pd.concat(tables, ignore_index=True)
-            table = table if len(tables) > 1 else table.drop(columns="drive")
+            logs = {n: log.take(~log.is_missing).to_pandas() for n, log in self.lines.items()}
+            table = pd.concat(logs, names=["drive"]).reset_index()
+            table = table if len(logs) > 1 else table.drop(columns="drive")
             table.to_parquet(place / "lines.parquet", index=False)
         if config["recording"].get("path") == IN_MEMORY:
+            recording = config["recording"] | {"path": "./lines.parquet"}
             dropped = {"frames", "columns"}
-            kept = {k: v for k, v in config["recording"].items() if k not in dropped}
-            config["recording"] = {**kept, "path": "./lines.parquet"}
+            config["recording"] = {k: v for k, v in recording.items() if k not in dropped}
             if self.truth is not None and len(self.lines) == 1:
                 write_ground_truth(place / "ground_truth.txt", self.truth)
                 config["ground_truth"] = {"path": "./ground_truth.txt"}

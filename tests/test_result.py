@@ -166,18 +166,6 @@ def test_posteriors_that_come_late_report_late(drive: Path) -> None:
     assert lagged.scores["events"]["delay_s"]["median"] == pytest.approx(median)
 
 
-def test_segments_are_the_lane_over_time() -> None:
-    found = run(simulated(filter="exact"))
-    lanes, starts, ends = map(np.array, zip(*found.segments, strict=True))
-    assert (starts[1:] == ends[:-1]).all()
-    assert set(found.events["time_s"]) <= set(starts)
-    time_s = found.frames["time_s"].to_numpy()
-    at = np.searchsorted(starts, time_s, side="right") - 1
-    is_sure = (found.node("Lane").max(axis=1) > 0.9) & (at >= 0)
-    agree = lanes[at] == found.frames["assigned_lane"].to_numpy()
-    assert agree[is_sure].mean() > 0.95
-
-
 # --- the model -----------------------------------------------------------------------------------
 
 

@@ -69,7 +69,8 @@ def resampled_sums(
     last_length = n_frames - (n_blocks - 1) * block
     whole = wrapped[block:][:n_frames] - wrapped[:n_frames]
     last = wrapped[last_length:][:n_frames] - wrapped[:n_frames]
-    sums = last[starts[:, -1]] + whole[starts[:, :-1]].sum(axis=1)
+    # One resample at a time: all of them together would take gigabytes for a long drive.
+    sums = last[starts[:, -1]] + np.stack([whole[k].sum(axis=0) for k in starts[:, :-1]])
     return np.asarray(sums.reshape(len(starts), *values.shape[1:]))
 
 

@@ -123,13 +123,13 @@ def learns_rule(model: Model) -> bool:
 def check_learnable(model: Model) -> None:
     """Raise InputError, naming the YAML key, for a model without anything to learn."""
     if not learns_rule(model):
-        learnable_tables(model)
+        learnable_nodes(model)
 
 
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     """Learn the parameters of an evidence rule; it starts from their defaults."""
     model = drives[0].model
-    rule, where = model.rule, model.experiment.source
+    rule = model.rule
     given = {name: v for name, v in model.parameters.items() if name not in rule.LEARNED}
     start = _resolve(model, given)
     parts = []
@@ -146,8 +146,8 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             found = rule.fit_pooled(parts, model.n_lanes, start)
         else:
             raise InputError(
-                f"{where}: the evidence rule {model.experiment.evidence} learns from one recording,"
-                " it has no fit_pooled"
+                f"{model.experiment.source}: the evidence rule {model.experiment.evidence} learns"
+                " from one recording, it has no fit_pooled"
             )
     if unknown := set(found).difference(rule.LEARNED):
         raise InputError(f"{rule.__file__}: fit() returned {unknown.pop()}, not one of LEARNED")
@@ -184,7 +184,7 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         Evidence.joined(evidence),
         {"Lane": lane},
         np.concatenate(begins),
-        nodes={name for name, _ in learnable_tables(model)},
+        nodes=learnable_nodes(model),
         strength=options.strength,
         iterations=ITERATIONS,
     )
@@ -232,20 +232,20 @@ def training_of(
     return evidence.take(used), lane[used], is_first
 
 
-def learnable_tables(model: Model) -> dict[SliceNode, Table]:
-    """The tables that can be learned: those that are neither certain nor selected by an input."""
+def learnable_nodes(model: Model) -> set[str]:
+    """The nodes whose tables are neither certain nor selected by an input."""
     source = model.experiment.source
-    tables = {
-        node: table
-        for node, table in counted_tables(start_of_learning(model).compiled).items()
+    names = {
+        name
+        for (name, _), table in counted_tables(start_of_learning(model).compiled).items()
         if not np.isin(table.values, (0.0, 1.0)).all()
     }
-    if not tables:
+    if not names:
         raise InputError(
             f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
-            " input, none can be learned; search parameters with `egolane tune`"
+            " input and cannot be learned; search parameters with `egolane tune`"
         )
-    return tables
+    return names
 
 
 def start_of_learning(model: Model) -> Model:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
-from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.types import Evidence, IntArray
@@ -106,22 +105,3 @@ def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:
     np.testing.assert_allclose(fitted.tables["Lane", 1].values, right, atol=1e-12)
     strong = fit_tables(compiled, evidence, {"Lane": lane}, strength=1e9)
     np.testing.assert_allclose(strong.tables["Lane", 1].values, start, atol=1e-7)
-
-
-def test_the_log_posterior_is_the_log_evidence_and_the_prior_of_the_tables_at_hand() -> None:
-    compiled = paper_case()
-    evidence, _ = a_drive_of(compiled, 50, seed=3)
-    fitted = fit_tables(compiled, evidence, strength=7.0, iterations=2)
-    after = fitted.compiled
-    log_prior = 0.0
-    for node, table in counted_tables(compiled).items():
-        some = table.values > 0
-        ratio = fitted.tables[node].values[some] / table.values[some]
-        log_prior += 7.0 * float((table.values[some] * np.log(ratio)).sum())
-    assert log_prior < -0.1
-    before, now = (
-        filter_beliefs(network, evidence, "exact").log_evidence.sum()
-        for network in (compiled, after)
-    )
-    assert fitted.log_posterior[0] == pytest.approx(before)
-    assert fitted.log_posterior[-1] == pytest.approx(now + log_prior)

@@ -56,19 +56,9 @@ def test_blocks_are_contiguous_complete_and_of_nearly_equal_length(n: int, more:
             np.testing.assert_array_equal(fold.train[k], right)
 
 
-def test_untrusted_frames_are_tested_but_never_trained_on() -> None:
-    one = drive(fit={"untrusted_frames": [[100, 150], [900, None]]})
-    untrusted = np.flatnonzero(~one.is_trusted)
-    folds = block_folds([one])
-    assert len(folds) == 5
-    for fold in [everything([one]), *folds]:
-        assert not np.isin(fold.train[0], untrusted).any()
-    assert np.isin(untrusted, np.concatenate([fold.test[0] for fold in folds])).all()
-
-
 def test_too_few_and_too_many_blocks_are_refused() -> None:
     for n in (1, 1201):
-        with pytest.raises(InputError, match=f"blocks: {n} is not between 2 and the 1200 frames"):
+        with pytest.raises(InputError, match=f"folds: {n} is not between 2 and the 1200 frames"):
             block_folds([drive()], n)
 
 
@@ -98,7 +88,7 @@ def test_recordings_of_one_drive_are_held_out_together(tmp_path: Path) -> None:
     assert out(drive_folds(tagged, 5, "who")) == [[0, 1, 2, 3], [4, 5]]
     split = [replace(each, tags={"who": f"w{k % 2}"}) for k, each in enumerate(drives)]
     for some, tag, said in (
-        (drives[:2], None, "blocks: all rows are of one drive, so nothing"),
+        (drives[:2], None, "folds: all rows are of one drive, so nothing"),
         (tagged, "woh", r"by_tag: x0 has no tag\.woh \(did you mean 'who'\?\)"),
         (split, "who", r"y0: is the same drive as x0 with another tag\.who"),
     ):

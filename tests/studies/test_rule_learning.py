@@ -13,7 +13,7 @@ import pytest
 from egolane_pgm.drives import Drive
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence import line_geometry as line_geometry_rule
-from egolane_pgm.evidence.line_geometry.fitting import expect, fit_lines
+from egolane_pgm.evidence.line_geometry.fitting import fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -90,18 +90,6 @@ def test_em_finds_the_model_that_the_frames_were_drawn_from() -> None:
     np.testing.assert_allclose(found.clutter, true.clutter, atol=0.003)
 
 
-def test_the_expected_counts_add_up_to_the_lines() -> None:
-    offset, kind, lane = drawn_from(truth_model(), 200, seed=3)
-    found = expect(offset, kind, lane, line_model(3, resolved()), W, 16)
-    n_lines = np.count_nonzero(kind >= 0)
-    assert found.lines.sum() + found.clutter.sum() == pytest.approx(n_lines)
-    np.testing.assert_allclose(
-        found.classes.sum(axis=0) + found.clutter, np.bincount(kind[kind >= 0], minlength=4)
-    )
-    np.testing.assert_allclose(found.moment0, found.lines.sum(axis=0))
-    assert found.frames.tolist() == np.bincount(lane, minlength=3).tolist()
-
-
 # --- fits ----------------------------------------------------------------------------------------
 
 
@@ -142,17 +130,6 @@ def test_learning_again_from_what_was_learned_gives_the_same() -> None:
     one = drive()
     found = learned(one)
     assert learned(replace(one, model=apply_fit(one.model, found))) == found
-
-
-@needs_compiler
-def test_pooled_parts_of_a_recording_come_to_the_whole() -> None:
-    one = drive()
-    whole, parts = learned(one), np.array_split(np.arange(len(one)), 2)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        pooled = fit_rule([one, one], parts)
-    for name, value in whole.items():
-        np.testing.assert_allclose(np.asarray(pooled[name]), np.asarray(value), rtol=1e-6)
 
 
 @needs_compiler

@@ -42,28 +42,6 @@ def test_any_study_of_optuna_takes_it_whatever_is_searched() -> None:
     assert max(ours) < min(theirs)
 
 
-def test_a_sampler_made_anew_goes_on_where_another_one_stopped() -> None:
-    whole = optuna.create_study(sampler=Shade(seed=1))
-    whole.optimize(mixed, n_trials=200)
-    parts = optuna.create_study(sampler=Shade(seed=1))
-    for n_trials in (1, 28, 2, 69, 100):
-        parts.optimize(mixed, n_trials=n_trials)
-        parts.sampler = Shade(seed=1)
-    assert [t.params for t in parts.trials] == [t.params for t in whole.trials]
-
-
-def test_parameters_that_some_trials_lack_are_drawn_at_random() -> None:
-    def sometimes(trial: optuna.Trial) -> float:
-        x = trial.suggest_float("x", 0, 1)
-        return x + (trial.suggest_float("y", 0, 1) if trial.number % 2 else 0.5)
-
-    study = optuna.create_study(sampler=Shade(seed=0))
-    study.optimize(sometimes, n_trials=300)
-    drawn = [t.params["y"] for t in study.trials if "y" in t.params]
-    assert np.std(drawn) == pytest.approx(12**-0.5, rel=0.1)
-    assert study.best_params["x"] < 0.05
-
-
 def test_a_trial_that_fails_is_not_proposed_for_ever() -> None:
     def fails(trial: optuna.Trial) -> float:
         return float("nan") if trial.suggest_float("x", 0, 1) > 0.5 else trial.params["x"]
