@@ -102,11 +102,6 @@ def rule(name: str, **given: Value) -> dict[str, Any]:
     return {"name": name, **describe_rule(module, {**defaults, **given})}
 
 
-@pytest.mark.parametrize("name", plugin_names("evidence"))
-def test_what_is_said_of_an_evidence_rule_fits_a_terminal(name: str) -> None:
-    assert max(map(len, description_text(rule(name)).splitlines())) <= line_width()
-
-
 def test_an_evidence_rule_says_what_it_gives() -> None:
     found = rule("counting")
     assert (found["gives"], found["detector_only"]) == (["DetectorOutput", "WOR"], "DetectorOutput")
