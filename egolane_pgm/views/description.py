@@ -135,13 +135,7 @@ def _graph_lines(found: Mapping[str, Any]) -> list[str]:
             of = [parent for parent, child in found["edges"]["within"] if child == name]
             text = f"the likelihood of {', '.join(of)}"
         lines.append(wrapped(f"  {name:{width}}  {role:16}  {text}", width + 20))
-    for title, which in (("within a frame", "within"), ("to the next frame", "across")):
-        lines += ["", f"edges {title}"]
-        edges = [edge for edge in found["edges"][which] if roles[edge[1]] != "virtual evidence"]
-        for parent in dict.fromkeys(parent for parent, _ in edges):
-            children = ", ".join(child for each, child in edges if each == parent)
-            lines.append(wrapped(f"  {parent:{width}}  -> {children}", width + 5))
-    lines += ["", "tables (the axes are the parents and the node itself)"]
+    lines += ["", "tables (the edges of the graph; the axes are the parents and the node itself)"]
     for each in found["tables"]:
         *given, node = each["axes"]
         frames = "" if each["frames"] == "every frame" else f"  ({each['frames']})"
