@@ -135,7 +135,7 @@ def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
     words += ["--detector", "mc", "--n-lanes", 2, "--no-figures", "--out", out]
     said = done("run", place / "drive.avi", *words).stdout
     assert "16 frames, 2 lanes" in said
-    assert "at the end lane " in said
+    assert "at the end: lane " in said
     kept = load_result(out).experiment.recording
     assert (kept.detector, kept.frame_rate) == ("mc", 12.5)
 
