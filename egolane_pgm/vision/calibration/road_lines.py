@@ -47,6 +47,12 @@ from egolane_pgm.vision.camera.pictures import read_image, read_images, size_of
 #: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
 
+#: The comment on such a lens in the camera's YAML.
+ASSUMED_LENS = (
+    f"Lens: not measured; a horizontal field of view of {ASSUMED_FIELD_OF_VIEW:g} degrees assumed,"
+    " no distortion\n  (offsets hardly depend on it, distances ahead do)."
+)
+
 #: The smallest b - b0 that is used: 38 m ahead for a camera 1.5 m above the road. Roads rise and
 #: fall beyond.
 NEAREST_TO_HORIZON = 0.04
@@ -102,18 +108,13 @@ class RoadView:
     is_lane: BoolArray
 
 
-def assumed_camera(
-    width: int, height: int, field_of_view_deg: float = ASSUMED_FIELD_OF_VIEW
-) -> Camera:
-    """A camera for a lens that was not measured: the principal point is the middle of the picture,
-    and the focal length follows from the horizontal field of view.
+def assumed_camera(width: int, height: int) -> Camera:
+    """A camera for a lens that was not measured, with the principal point in the centre.
 
-    Offsets hardly depend on this guess, because vanishing point and lane width are measured.
-    Raises InputError for a field of view outside 10 to 150 degrees.
+    Offsets hardly depend on the assumed focal length, because vanishing point and lane width are
+    measured.
     """
-    if not 10 <= field_of_view_deg <= 150:
-        raise InputError(f"field of view {field_of_view_deg} is not between 10 and 150 degrees")
-    focal = width / 2 / math.tan(math.radians(field_of_view_deg) / 2)
+    focal = width / 2 / math.tan(math.radians(ASSUMED_FIELD_OF_VIEW) / 2)
     return Camera(
         width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, height_m=_HEIGHTS[0]
     )
@@ -253,14 +254,6 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
     """The offsets (L,) of a frame's lines, in heights of the camera."""
     below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
-
-
-def describe_assumed_lens(field_of_view_deg: float) -> str:
-    """Describe a lens that was not measured."""
-    return (
-        f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
-        " no distortion\n  (offsets hardly depend on it, distances ahead do)."
-    )
 
 
 def doubts_of(view: RoadView) -> str:
