@@ -9,7 +9,7 @@ The lines of a road meet at the vanishing point of the direction of travel, whic
 yaw. The rate at which they spread below it is their lateral distance over the camera's height; a
 known lane width therefore gives the height.
 
-All fits are done without lens distortion and roll, where a ray is (a, b, 1) with a to the right and
+All fits are done without lens distortion and roll; a ray is (a, b, 1) with a to the right and
 b down. There a line of a road with curvature is
 
     a = a0 + s (b - b0) + c / (b - b0).
@@ -65,7 +65,7 @@ _HEIGHTS = (0.5, 4.0)
 _SAME_GAP = 0.15
 
 #: The most by which vanishing points of single frames scatter through pitch, heading and bends
-#: (a, b). If they scatter more, they were not those of lines.
+#: (a, b). If they scatter more, no lines were found.
 _MOST_SPREAD = (0.15, 0.05)
 
 #: Standard deviations: of the noise of a line's points, and of c (a road of 500 m radius).
@@ -90,7 +90,7 @@ class FrameFit:
 
 @dataclass(frozen=True)
 class RoadView:
-    """What parallel lines say about a camera.
+    """A camera as measured from parallel lines.
 
     - camera: with pitch, yaw and height as found
     - n_frames: how many frames had a vanishing point of their own
@@ -557,7 +557,7 @@ class FoundLines:
     """The lines found in the stills of a drive.
 
     - ahead: (2,) the point a, b where the edges of all stills meet
-    - each: (F, 2) the same for single stills, where it was found
+    - each: (F, 2) the same for single stills, if found
     - paths: the stills that were used
     - lines: for each of these, the points (N, 2) of its lines, pixels
     - fits: the fits of the stills with at least two lines
@@ -579,7 +579,7 @@ def find_in_stills(
 ) -> FoundLines:
     """Finds the lines in stills that one camera took of a road.
 
-    - paths: the stills; `camera.ignore` says which parts never show road
+    - paths: the stills; `camera.ignore` are the parts that never show road
     - progress: wraps the stills while they are read, e.g. tqdm
 
     Raises InputError if no still can be used, or if the edges do not meet in one point.

@@ -56,7 +56,7 @@ def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tm
 def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
     with pytest.raises(InputError, match=r"3 of 3 pictures show the whole chessboard.*needs 5"):
         calibrate_lens(sorted(boards.iterdir())[:3])
-    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*board says its corners"):
+    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*check `board`"):
         calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
     with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard of 9x6"):
         calibrate_lens(sorted(stills.iterdir()))
