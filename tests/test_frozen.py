@@ -172,8 +172,7 @@ def test_lines_in_three_stills(real_pictures: Path, tmp_path: Path, detector: st
         real_pictures / STILLS,
         camera=camera,
         detector=detector,
-        frame_rate=20,
-        parameters={"lri_frames": 2},
+        overrides={"recording.frame_rate": 20, "lri_frames": 2},
         progress=False,
     )
     frozen = FROZEN["stills"][detector]

@@ -15,7 +15,7 @@ What differs from the paper and its public configuration:
 - A spline's score counts no more than the length of the view, and a bent spline is refused before
   it can win: otherwise a loop through two near points beats the marking.
 
-`bezier.parameters` says which keys of the configuration are parameters, which are left out, and
+`bezier.parameters` lists which keys of the configuration are parameters, which are left out, and
 which defaults are not theirs.
 """
 
@@ -56,7 +56,7 @@ PARAMETERS = held_fixed(
     )
 )
 
-#: From where to where paint is looked at, metres ahead.
+#: Range in which paint is searched, metres ahead.
 _PAINT_M = (4.5, 25.0)
 
 
@@ -113,7 +113,7 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     find = line_finder(camera, parameters)
     rule = rules(parameters, curve="clothoid", gate_m=_GATE_M)
     side = number(parameters, "side_m")
-    # Only the pixels along the lines are looked at, so that a fine view costs nothing.
+    # Only the pixels along the lines are read, so that a fine view costs nothing.
     near = make_view(camera, *_PAINT_M, -side, side, along_m=0.1, across_m=0.05)
     tracks = no_tracks(rule)
 

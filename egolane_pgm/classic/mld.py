@@ -1,14 +1,14 @@
 """MLD: one camera, four or six lines at most (Hur, Kang and Seo, *Multi-lane detection in urban
 driving environments using conditional random fields*, IEEE Intelligent Vehicles Symposium 2013).
 
-Written anew from a description of the published program and its constants. What differs: widths of
-markings and the rows that are looked at follow from the camera, constants in pixels are scaled by
-the picture's width (1280) or by the rows looked at (454); the gaps between lines are metres; only a
+Written from a description of the published program and its constants. What differs: widths of
+markings and the rows that are searched follow from the camera, constants in pixels are scaled by
+the picture's width (1280) or by the rows searched (454); the gaps between lines are metres; only a
 common motion sideways and a common turn are taken over from clear lines to the others; a line is
 clear by itself from 120 markings on, not from 60; and each link of the CRF is merged by its own
 label (see `multilane.crf`).
 
-MLD does not tell continuous lines from dashed ones. A line is a parabola in the picture, as
+MLD does not distinguish continuous from dashed lines. A line is a parabola in the picture, as
 published, which is no parabola on the road: in a bend, it is too straight beyond 20 m ahead, and
 its curvature is too small.
 """
@@ -68,7 +68,7 @@ PARAMETERS = held_fixed(
     )
 )
 
-#: How far ahead the road is looked at, and the width of the narrowest marking, metres.
+#: How far ahead lines are searched, and the width of the narrowest marking, metres.
 _REACH_M, _NARROWEST_M = 55.0, 0.078
 
 #: A line starts only where its markings fill this share of its rows (the authors': .382; dashes of
@@ -83,7 +83,7 @@ _EXACT_UP_TO = 10
 #: heading, m/m, and curvature, 1/m.
 _ROWS, _HEADING, _CURVATURE = 50, 0.15, 0.01
 
-#: The offsets of the paper's recordings: steps, and the side of what was looked at.
+#: The offsets of the paper's recordings: steps, and the side of the searched region.
 _STEP, _SIDE = 1 / 80, 8.0
 
 

@@ -120,8 +120,8 @@ def _channel(writer: Any, topic: str, first: Content) -> int:
 
 
 def schema_of(example: Any) -> Content:
-    """The JSON Schema of values like an example. The first element stands for a list; None for a
-    number that may be unknown."""
+    """The JSON Schema of values like an example. A list is described by its first element, a
+    number that may be unknown by None."""
     if isinstance(example, dict):
         return {"type": "object", "properties": {k: schema_of(v) for k, v in example.items()}}
     if isinstance(example, list):
@@ -169,7 +169,7 @@ def _line_messages(log: LineLog | None, frames: pd.DataFrame) -> Iterator[Messag
 
 
 def _rows(log: LineLog | None, frames: pd.DataFrame) -> Iterator[tuple[int, int]]:
-    """The row of each frame, and that of its lines."""
+    """The row of each frame, and the row of its lines."""
     if log is not None:
         at = pd.Index(log.frame_id).get_indexer(frames.index)
         yield from ((row, int(at[row])) for row in np.flatnonzero(at >= 0).tolist())
@@ -296,7 +296,7 @@ def _log(now: int, text: str) -> Content:
 _ORIGIN = (0.0, 0.0, 0.0)
 _LINE = {"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None}
 
-#: Names of schemas, and examples with whatever the first message may lack.
+#: Names of schemas, and examples with all keys, which the first message may lack.
 SCHEMAS: dict[str, tuple[str, Content]] = {
     "/lines": ("egolane.lines", {"frame_id": 0, "lines": [_LINE]}),
     "/birdseye": (

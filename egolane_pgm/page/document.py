@@ -27,7 +27,7 @@ from egolane_pgm.views.tables import cell, confusion_table, score_table
 with needed("a page of results", "page"):
     from bokeh.embed import file_html
     from bokeh.layouts import gridplot
-    from bokeh.models import Range1d, Span
+    from bokeh.models import Range1d
     from bokeh.resources import INLINE
 
     from egolane_pgm.page.timeline import Track
@@ -45,18 +45,21 @@ _HIDDEN = ["begin_s", "end_s", "to_lane", "direction"]
 def write_page(results: Sequence[Result], file: Path) -> list[str]:
     """Write the page of results, which share one time axis.
 
-    Returns what the page lacks, a line each. Raises InputError for a result without frames, and if
-    the file cannot be written.
+    Returns a line for each part that is missing. Raises InputError for a result without frames or
+    with several drives, and if the file cannot be written.
     """
     for result in results:
         if not len(result):
             raise InputError(f"{result.directory or result.name}: has no frames to show")
+        if "drive" in result.frames:
+            raise InputError(
+                f"{result.directory or result.name}: has several drives; run one of them for a page"
+            )
     is_one = len(results) == 1
     names = [r.name if is_one else f"{k}: {r.name}" for k, r in enumerate(results, start=1)]
     time = Range1d(name="time", bounds="auto", min_interval=0.5)
-    cursor = Span(dimension="height", line_color="#8c8c8c")
     given = list(zip(names, results, strict=True))
-    tracks = {name: Track(r, "" if is_one else name, time, cursor) for name, r in given}
+    tracks = {name: Track(r, "" if is_one else name, time) for name, r in given}
     time.start = min(track.start for track in tracks.values())
     time.end = max(track.end for track in tracks.values())
     lacking = [line for name, track in tracks.items() for line in _lacking(name, track)]

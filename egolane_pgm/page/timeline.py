@@ -9,18 +9,16 @@ import numpy as np
 import pandas as pd
 from bokeh.models import (
     ColumnDataSource,
-    CrosshairTool,
     HoverTool,
     LinearColorMapper,
     Range1d,
-    Span,
 )
 from bokeh.palettes import interp_palette
 from bokeh.plotting import figure
 from numpy.typing import NDArray
 
-from egolane_pgm.page.segments import lane_changes, with_axis
-from egolane_pgm.result import Result, by_drive
+from egolane_pgm.page.segments import lane_changes
+from egolane_pgm.result import Result
 from egolane_pgm.views import style
 from egolane_pgm.views.answers import answers, is_known, true_lane
 
@@ -33,12 +31,6 @@ CERTAIN, BLANK = 250, 255
 #: Reach and resolution of the image of the lines, metres.
 REACH_M, PIXEL_M = 12.0, 0.2
 
-#: Columns of frames that are drawn as curves, with their titles.
-CURVES = {
-    "SensorState_OK": "P(SensorState = OK)",
-    "line_crossing_probability": "P(on a line between two lanes)",
-}
-
 CLEAR = "rgba(0, 0, 0, 0)"
 SHADES = interp_palette(style.PROBABILITY_COLOURS, CERTAIN + 1)
 ERRORS = [CLEAR, style.DETECTOR_COLOUR, style.UNASSIGNED_COLOUR]
@@ -49,17 +41,17 @@ class Track:
     """The panels of one result.
 
     - name: in front of each title; may be empty.
-    - time, cursor: shared by all panels of the page.
+    - time: range of the time axis, shared by all panels of the page.
     """
 
-    def __init__(self, result: Result, name: str, time: Range1d, cursor: Span) -> None:
-        self.result, self.name, self.time, self.cursor = result, name, time, cursor
-        frames = with_axis(result.frames)
-        x_s = frames["x_s"].to_numpy()
+    def __init__(self, result: Result, name: str, time: Range1d) -> None:
+        self.result, self.name, self.time = result, name, time
+        frames = result.frames
+        x_s = frames["time_s"].to_numpy()
         self.start, self.end = float(x_s[0]), float(x_s[-1])
         self.step_s = max(1 / result.frame_rate, (self.end - self.start) / MAX_STEPS)
         self.frames = frames.assign(step=np.round((x_s - x_s[0]) / self.step_s).astype(int))
-        self.changes = lane_changes(result, frames)
+        self.changes = lane_changes(result)
         self.hovered, self.tips = self._hovered()
 
     def panels(self) -> Iterator[tuple[Any, Any]]:
@@ -75,13 +67,6 @@ class Track:
             self._draw(panel, errors, n + 0.65, 0.4, ERRORS)
             yield (who, image.tobytes(), errors.tobytes()), panel
         yield self.name, self._truth_panel(known, truth)
-        for column, title in CURVES.items():
-            if column in frames:
-                panel = self._panel(title, 2.5, [0, 0.5, 1], (-0.05, 1.05))
-                values = self._per_step(frames[[column]].to_numpy(float)).ravel()
-                x_s = self.start + self.step_s * np.arange(len(values))
-                panel.line(x_s, values.astype(np.float32), color=style.MODEL_COLOUR)
-                yield (self.name, column), panel
         if self.result.lines:
             image, ticks = self._lines_image(), np.arange(-REACH_M, REACH_M + 1, 4)
             panel = self._panel("Offsets of the lines, metres", 6, ticks, (REACH_M, -REACH_M))
@@ -127,23 +112,18 @@ class Track:
         panel.xaxis.axis_label, panel.xaxis.formatter.use_scientific = "time (s)", False
         panel.title.text_font_size = "12px"
         panel.yaxis.ticker = list(ticks)
-        starts = [drive["x_s"].iloc[0] for _, drive in by_drive(self.frames)]
-        panel.vspan(starts[1:], line_color=style.UNASSIGNED_COLOUR, line_dash="dotted")
-        dots = panel.scatter("x", sum(y) / 2, source=self.hovered, size=1, alpha=0)
+        dots = panel.scatter("time", sum(y) / 2, source=self.hovered, size=1, alpha=0)
         look = {"mode": "vline", "limit": 1, "attachment": "horizontal"}
         hover = HoverTool(renderers=[dots], tooltips=self.tips, point_policy="follow_mouse", **look)
-        panel.add_tools(hover, CrosshairTool(overlay=self.cursor))
+        panel.add_tools(hover)
         return panel
 
     def _hovered(self) -> tuple[ColumnDataSource, list[tuple[str, str]]]:
         """The values that hovering shows, for the first frame of each step, and their layout."""
         frames = self.frames.drop_duplicates("step")
-        columns = {"x": frames["x_s"], "time": frames["time_s"], "frame": frames.index}
+        columns = {"time": frames["time_s"], "frame": frames.index}
         columns["truth"] = frames["true_lane"].astype(object).fillna("-")
         tips = [("time", "@time{0.0} s, frame @frame"), ("true lane", "@truth")]
-        if "drive" in frames:
-            columns["drive"] = frames["drive"]
-            tips.insert(0, ("drive", "@drive"))
         for who, (belief, lane) in reversed(answers(frames).items()):
             percent = np.round(100 * belief).astype(np.uint8).T
             columns |= {who: lane, **{f"{who}{k}": each for k, each in enumerate(percent, 1)}}
@@ -164,15 +144,13 @@ class Track:
 
     def _lines_image(self) -> NDArray[np.uint8]:
         """The lines as an image: 1 not valid, 2 valid, 3 valid and continuous."""
-        n_steps, lines = self.frames["step"].iloc[-1] + 1, self.result.lines
+        n_steps, [log] = self.frames["step"].iloc[-1] + 1, self.result.lines.values()
         image = np.zeros((round(2 * REACH_M / PIXEL_M), n_steps), dtype=np.uint8)
-        for name, drive in by_drive(self.frames):
-            log = lines[name] if name is not None else next(iter(lines.values()))
-            step = drive["step"].reindex(log.frame_id, fill_value=-1).to_numpy()
-            frame, line = np.nonzero((step >= 0)[:, None] & (np.abs(log.offset_m) < REACH_M))
-            row = ((log.offset_m[frame, line] + REACH_M) / PIXEL_M).astype(int)
-            kind = np.where(log.is_valid, 2 + log.is_continuous, 1)[frame, line]
-            np.maximum.at(image, (row, step[frame]), kind.astype(np.uint8))
+        step = self.frames["step"].reindex(log.frame_id, fill_value=-1).to_numpy()
+        frame, line = np.nonzero((step >= 0)[:, None] & (np.abs(log.offset_m) < REACH_M))
+        row = ((log.offset_m[frame, line] + REACH_M) / PIXEL_M).astype(int)
+        kind = np.where(log.is_valid, 2 + log.is_continuous, 1)[frame, line]
+        np.maximum.at(image, (row, step[frame]), kind.astype(np.uint8))
         return image
 
     def _draw(

@@ -18,10 +18,9 @@ from egolane_pgm.vision.calibration.chessboard import (
     describe_lens,
 )
 from egolane_pgm.vision.calibration.road_lines import (
-    ASSUMED_FIELD_OF_VIEW,
+    ASSUMED_LENS,
     assumed_camera,
     check_lane_width,
-    describe_assumed_lens,
     describe_view,
     doubts_of,
     find_in_stills,
@@ -45,38 +44,29 @@ def calibrate(
     lane_width: Annotated[float, Option("M")],
     chessboards: Annotated[str | None, Option("GLOB")] = None,
     board: Annotated[str, Option("COLUMNSxROWS")] = "9x6",
-    field_of_view: Annotated[float | None, Option("DEGREES")] = None,
-    roll: Annotated[float, Option("DEGREES")] = 0.0,
-    lateral: Annotated[float, Option("M")] = 0.0,
-    baseline: Annotated[float | None, Option("M")] = None,
     ignore: Annotated[str | Sequence[str], Option("LEFT,TOP,RIGHT,BOTTOM", many=True)] = (),
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     progress: Progress = None,
 ) -> Camera:
-    """Find out how a camera sees the road: lens from chessboards, turn and height from lines.
+    """Calibrate a camera: lens from chessboards, angles and height from the lines of a road.
 
-    - stills: pictures of a straight road: its lines are found.
-    - lane_width: of that road's lanes, metres.
+    - stills: pictures of a straight road with lines.
+    - lane_width: width of the lanes of that road, metres.
     - chessboards: pictures of a chessboard, for the lens.
     - board: inner corners of the chessboard.
-    - field_of_view: horizontal, if there are no chessboards; 62 is assumed.
-    - roll: clockwise.
-    - lateral: right of the vehicle's middle.
-    - baseline: of a rectified stereo pair.
     - ignore: pixels that never show road (mirror, dashboard); kept in the YAML. Repeatable.
     - out: the camera's YAML.
-    - progress: whether bars show how far it is; None for in a terminal.
+    - progress: whether to show bars; by default in a terminal.
 
-    Returns the camera, whose YAML says how it was found. Without `out` it is not written. Raises
-    InputError, one line, for whatever does not fit.
+    Without chessboards a horizontal field of view of 62 degrees is assumed. Add `lateral_m`, and
+    `baseline_m` of a stereo pair, to the YAML. Returns the camera. Raises InputError for options
+    and pictures that cannot be used.
     """
     columns, rows = _numbers(board, "x", 2, "board", "two whole numbers, e.g. 9x6")
     masks = tuple(_rectangle(each) for each in several_of(ignore))
     if out is not None:
         check_place(Path(out))
     check_lane_width(lane_width)
-    if chessboards and field_of_view is not None:
-        raise InputError("field_of_view: goes without chessboards, which measure the lens")
 
     def shown(what: str) -> Callable[[Iterable[Any]], Iterable[Any]]:
         return partial(bar, progress=progress, desc=what, unit="picture")
@@ -87,38 +77,37 @@ def calibrate(
         paths = shown("chessboards")(files_matching(chessboards))
         lens = calibrate_lens(paths, columns, rows)
         _warn_of(lens.skipped)
-        camera, said = lens.camera, [describe_lens(lens, board)]
+        camera, comment = lens.camera, [describe_lens(lens, board)]
         if (camera.width, camera.height) != size:
             raise InputError(
                 f"the chessboards are {camera.width}x{camera.height}, the road's pictures"
                 f" {size[0]}x{size[1]}; both must come from one camera, uncropped"
             )
     else:
-        degrees = ASSUMED_FIELD_OF_VIEW if field_of_view is None else field_of_view
-        camera, said = assumed_camera(*size, degrees), [describe_assumed_lens(degrees)]
-    camera = replace(camera, roll_deg=roll, lateral_m=lateral, baseline_m=baseline)
-    camera = _masked(camera, masks)
+        camera, comment = assumed_camera(*size), [ASSUMED_LENS]
+    for mask in masks:
+        if mask[0] >= camera.width or mask[1] >= camera.height:
+            text = ",".join(map(str, mask))
+            raise InputError(f"ignore: {text} is not in a picture of {size[0]}x{size[1]}")
+    camera = replace(camera, ignore=masks)
     found = find_in_stills(camera, pictures, shown("stills"))
     _warn_of(found.skipped)
     view = view_from(camera, found.ahead, found.each, found.fits, lane_width)
     n_lines = sum(len(lines) for lines in found.lines)
-    said.append(describe_view(view, f"{n_lines} lines found in {len(found.paths)} stills"))
+    comment.append(describe_view(view, f"{n_lines} lines found in {len(found.lines)} stills"))
     if doubt := doubts_of(view):
-        said.append(doubt)
+        comment.append(doubt)
         warnings.warn(f"{stills}: {doubt}", UserWarning, stacklevel=2)
-    if roll:
-        said.append(f"Roll: {roll:g} degrees, given.")
     if out is not None:
-        comment = "\n".join(["Made by `egolane calibrate`.", *said])
-        write_camera(Path(out), view.camera, comment)
+        write_camera(Path(out), view.camera, "\n".join(["Made by `egolane calibrate`.", *comment]))
     return view.camera
 
 
 def says(done: Camera, given: Mapping[str, Any]) -> str:
-    """How the camera was found, as its file says, and the files."""
+    """Return the comment of the camera's YAML, and its path."""
     lines = Path(given["out"]).read_text(encoding="utf-8").splitlines()
-    said = [line.removeprefix("# ") for line in lines if line.startswith("# ")]
-    return "\n".join([*said[1:], f"written to {given['out']}"])
+    comment = [line.removeprefix("# ") for line in lines if line.startswith("# ")]
+    return "\n".join([*comment[1:], f"written to {given['out']}"])
 
 
 def _numbers(text: str, separator: str, n: int, name: str, example: str) -> tuple[int, ...]:
@@ -134,20 +123,8 @@ def _rectangle(text: str) -> Rectangle:
     return left, top, right, bottom
 
 
-def _masked(camera: Camera, masks: tuple[Rectangle, ...]) -> Camera:
-    """The camera with the parts of its pictures that show no road. Raises InputError for one that
-    is outside of them."""
-    for mask in masks:
-        if mask[0] >= camera.width or mask[1] >= camera.height:
-            said = ",".join(map(str, mask))
-            raise InputError(
-                f"ignore: {said} is not in a picture of {camera.width}x{camera.height}"
-            )
-    return replace(camera, ignore=masks)
-
-
 def _size_of_road(stills: str, pictures: Sequence[Path]) -> tuple[int, int]:
-    """The width and height of the road's pictures."""
+    """Return the width and height of the first still that can be read."""
     skipped: list[str] = []
     for _, image in read_images(pictures, skipped):
         return size_of(image)

@@ -9,37 +9,27 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-from annotated_types import Ge, Le
 
-from egolane_pgm.recordings.columns import FRAME_RATE
+from egolane_pgm.experiment import DETECTOR
+from egolane_pgm.loading import Overrides, load_experiment, parse_overrides
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
-from egolane_pgm.verbs.options import (
-    CameraFile,
-    Frames,
-    Option,
-    Progress,
-    StrPath,
-    check_frames,
-    keys_of,
-    path_of,
-)
-from egolane_pgm.vision.camera.model import read_camera
+from egolane_pgm.verbs.options import CameraFile, Option, Progress, StrPath, path_of
 from egolane_pgm.vision.camera.pictures import (
     camera_of_pictures,
     note_assumed_rate,
-    open_source,
     read_pictures,
 )
-from egolane_pgm.vision.detectors.runner import check_pair, collect, find_detector
+from egolane_pgm.vision.detectors.pictures import open_pictures
+from egolane_pgm.vision.detectors.runner import collect
 from egolane_pgm.vision.detectors.runner import detect as detect_lines
 
 EXAMPLES = (
     "egolane detect drive.mp4 --camera cam.yaml --detector ml -o lines.parquet",
-    "egolane detect 'left/*.jpg' --right 'right/*.jpg' --camera cam.yaml --detector sl"
-    " -o lines.csv",
+    "egolane detect 'left/*.jpg' --set recording.right='right/*.jpg' --camera cam.yaml"
+    " --detector sl -o lines.csv",
 )
 
 #: Extensions of recordings of lines that can be written.
@@ -51,66 +41,62 @@ def detect(
     *,
     camera: CameraFile,
     detector: Annotated[StrPath, Option("NAME|FILE.py")] = "ml",
+    overrides: Overrides = (),
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
-    right: Annotated[StrPath | None, Option("PICTURES")] = None,
-    topic: str | None = None,
-    frames: Frames = None,
-    frame_rate: Annotated[float | None, Ge(0.1), Le(1000), Option(said="the video's")] = None,
-    parameters: Annotated[
-        Mapping[str, Any] | None, Option("KEY=VALUE", names=("--set",), example="lri_frames=5")
-    ] = None,
     progress: Progress = None,
 ) -> LineLog:
     """Detect and follow lines in PICTURES: a video, a folder of pictures, a 'glob*.jpg' or a bag.
 
-    What was detected before Ctrl-C, or before a picture that cannot be used, is written too. Then
-    `egolane run FILE --n-lanes N` gives the lane.
+    Lines found before Ctrl-C, or before a picture that cannot be read, are kept. Then
+    `egolane run FILE --n-lanes N` infers the lane.
 
-    - camera: the camera's YAML.
-    - detector: `egolane show` lists them.
-    - out: where the lines go: .parquet or .csv.
-    - right: those of the second camera.
-    - topic: topic of the pictures in a bag.
-    - frames: frame ids, STOP left out.
-    - frame_rate: pictures per second; of files, 10 where nothing is said.
-    - parameters: a parameter of the detector, e.g. lri_frames=5; `egolane show NAME` lists them.
-    - progress: whether a bar shows how far it is; None for in a terminal.
+    - camera: YAML file of the camera.
+    - detector: name of a detector (`egolane show` lists them), or a file.
+    - overrides: a parameter of the detector, e.g. lri_frames=5, or a key of the recording: right,
+      topic, frames, frame_rate, e.g. recording.frame_rate=25.
+    - out: .parquet or .csv file for the lines.
+    - progress: whether to show a bar; by default in a terminal.
 
-    Returns the lines, which `run` takes. Raises InputError for pictures that cannot be used, and
-    whatever does not fit together.
+    Returns the lines, which `run` takes. Raises InputError for pictures, keys and parameters that
+    cannot be used.
 
     >>> import egolane_pgm as ego
-    >>> ego.detect("drive.avi", camera="camera.yaml", frames=(10, 10))
+    >>> ego.detect("drive.avi", camera="camera.yaml", overrides={"recording.frames": [10, 10]})
     Traceback (most recent call last):
     ...
-    egolane_pgm.types.InputError: frames: 10 10 is an empty range
+    egolane_pgm.types.InputError: ...
     """
-    check_frames(frames)
     target = None if out is None else _target(Path(path_of(out, "out")))
-    pictures, camera = path_of(pictures, "pictures"), path_of(camera, "camera")
-    given = keys_of(parameters, "parameters", "{'lri_frames': 5}")
-    found = find_detector(
-        path_of(detector, "detector"),
-        given,
-        Path.cwd(),
-        "detector",
-        "parameters",
+    keys = parse_overrides(overrides)
+    recording = {
+        **keys.pop("recording", {}),
+        "path": path_of(pictures, "pictures"),
+        "camera": path_of(camera, "camera"),
+        "detector": path_of(detector, "detector"),
+    }
+    # The number of lanes has no effect on lines.
+    experiment = load_experiment(
+        {
+            "name": "detect",
+            "n_lanes": 1,
+            "recording": recording,
+            "parameters": {DETECTOR: keys},
+        }
     )
-    of_camera = read_camera(Path(camera))
-    check_pair(found, of_camera, right is not None, "right")
-    left = open_source(pictures, topic)
+    frames = experiment.recording.frames
+    found, of_camera, left, right = open_pictures(experiment)
     of_camera = camera_of_pictures(of_camera, left)
-    second = open_source(path_of(right, "right")) if right is not None else None
-    rate = frame_rate or left.frame_rate or FRAME_RATE
+    given_rate = experiment.recording.frame_rate if "frame_rate" in recording else None
+    rate = given_rate or left.frame_rate or experiment.recording.frame_rate
     began, total = time.perf_counter(), None if frames else left.n_frames
-    seen = read_pictures(left, of_camera, second, frames)
-    with bar(seen, progress, desc=found.name, unit="frame", total=total) as shows:
-        lines = detect_lines(found, of_camera, shows)
-        done = collect(lines, rate, pictures, None if frame_rate else left.time_s)
+    images = read_pictures(left, of_camera, right, frames)
+    with bar(images, progress, desc=found.name, unit="frame", total=total) as shown:
+        lines = detect_lines(found, of_camera, shown)
+        done = collect(lines, rate, left.path, None if given_rate else left.time_s)
     if done.log is None:
-        raise done.stopped or InputError(f"{pictures}: no frame")
-    if done.stopped is None and frame_rate is None:
-        note_assumed_rate(left, rate, "frame_rate")
+        raise done.stopped or InputError(f"{left.path}: no frame")
+    if done.stopped is None and given_rate is None:
+        note_assumed_rate(left, rate, "recording.frame_rate")
     if target is None:
         if done.stopped is not None:
             raise done.stopped
@@ -119,15 +105,14 @@ def detect(
     if isinstance(done.stopped, InputError):
         raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
     if done.stopped is not None:
-        kept = f"what was detected so far is in {target}; the same command begins anew"
-        raise KeyboardInterrupt(kept)
+        raise KeyboardInterrupt(f"the lines of the frames before are in {target}")
     speed = len(done.log) / max(time.perf_counter() - began, 1e-9)
     sys.stderr.write(f"{found.name}: {speed:.0f} frames/s\n")
     return done.log
 
 
 def says(done: LineLog, given: Mapping[str, Any]) -> str:
-    """What was found, in one line."""
+    """Summarize the lines in one line."""
     per_frame = np.isfinite(done.offset_m).sum(axis=1).mean()
     return (
         f"{given['out']}: {len(done)} frames, ids {done.frame_id[0]} to {done.frame_id[-1]};"
@@ -136,8 +121,7 @@ def says(done: LineLog, given: Mapping[str, Any]) -> str:
 
 
 def _target(target: Path) -> Path:
-    """The file, which can be written. Raises InputError for an extension that lines are not written
-    as."""
+    """Check that lines can be written to a file. Raises InputError for another extension."""
     if target.suffix.lower() not in TARGETS:
         raise InputError(f"out: {target}: lines are written as {', '.join(TARGETS)}")
     check_place(target)

@@ -101,12 +101,6 @@ def keys_of(given: Mapping[str, Any] | None, what: str, example: str) -> dict[st
     raise InputError(f"{what}: {given!r} is no dict, e.g. {example}")
 
 
-def check_frames(frames: tuple[int, int] | None) -> None:
-    """Raise InputError for a range without frames."""
-    if frames is not None and frames[0] >= frames[1]:
-        raise InputError(f"frames: {frames[0]} {frames[1]} is an empty range")
-
-
 def shown(path: str | os.PathLike[str]) -> str:
     """A path for printing: relative if it is below the current folder."""
     here = Path.cwd()

@@ -1,10 +1,10 @@
-"""Pictures of a simulated drive: a flat, straight road with painted lines and nothing else on it.
+"""Pictures of a simulated drive: a flat, straight road with painted lines.
 
     road = simulated_road("a4", seed=0, frames=600)
     write_drive(road, Path("drive"), "simulated_a4", range(600))
 
 The car keeps parallel to the lines, also in a lane change. The pictures need a camera, so this
-module belongs to `vision`; `simulation` makes the drive and knows nothing of pictures.
+module belongs to `vision`; `simulation` makes the drive, without pictures.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ CAMERA = Camera(480, 270, 390.0, 390.0, 239.5, 134.5, height_m=1.4, pitch_deg=-4
 #: Speed of the car, metres per second, and the dashes of the inner lines, metres.
 SPEED_MPS, DASH_M, PERIOD_M = 27.0, 4.0, 12.0
 
-#: A line farther away is too thin to be told from the road, metres.
+#: A line farther away is too thin to be seen, metres.
 _FAR_M = 80.0
 
 

@@ -1,9 +1,9 @@
 """Draws a drive as a video. A frame shows the picture with its lines, the bird's-eye view, and the
 belief as bars over the lanes from left to right, with the truth if it is known.
 
-A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also where
-the detector cannot tell (MLD); one that is not valid is light grey and thin. Only one frame is in
-memory at a time.
+A valid and continuous line is blue and solid, a valid one that is not orange and dashed, also if
+the detector cannot distinguish them (MLD); one that is not valid is light grey and thin. Only
+one frame is in memory at a time.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
     width, height = places.picture
     above = places.birdseye[0]
-    # Where it has the size already, OpenCV copies it only.
+    # OpenCV only copies a picture of this size.
     shown = np.asarray(cv2.resize(picture, (width, height)), dtype=np.uint8)
     columns, rows = places.from_above
     from_above = np.asarray(cv2.remap(shown, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
@@ -152,7 +152,7 @@ def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
 
 
 def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
-    """The stretches ahead over which a line is drawn, metres."""
+    """The segments ahead over which a line is drawn, metres."""
     step = DASH_M if is_dashed else last
     for start in np.arange(0.0, last, 2 * step if is_dashed else step):
         yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)

@@ -13,7 +13,7 @@ import pytest
 
 import egolane_pgm as ego
 from egolane_pgm.page.document import without_folders, write_page
-from egolane_pgm.page.segments import lane_changes, with_axis, worst_segments
+from egolane_pgm.page.segments import lane_changes, worst_segments
 from egolane_pgm.result import Result
 from egolane_pgm.runs import open_input, run_input
 from egolane_pgm.types import InputError
@@ -45,19 +45,12 @@ def without_truth(result: Result) -> Result:
     return replace(result, frames=frames, scores={**scores, "events": {"detected": 11}})
 
 
-def two_drives(result: Result) -> Result:
-    """The same drive twice, as two drives of one result."""
-    frames = pd.concat([result.frames.assign(drive=name) for name in ("a", "b")])
-    [log] = result.lines.values()
-    return replace(result, frames=frames, lines={"a": log, "b": log})
-
-
 # --- lists ---------------------------------------------------------------------------------------
 
 
 def test_the_lists_count_as_the_scores_do(result: Result) -> None:
-    frames = with_axis(result.frames)
-    found = lane_changes(result, frames)["outcome"].value_counts()
+    frames = result.frames
+    found = lane_changes(result)["outcome"].value_counts()
     within = result.scores["events"]["within"]["2"]
     assert found.get("correct", 0) == within["right"] > 0
     assert found.get("false", 0) == within["false"] > 0
@@ -71,7 +64,7 @@ def test_the_lists_count_as_the_scores_do(result: Result) -> None:
 def test_a_true_change_without_a_report_is_listed_as_missed(result: Result) -> None:
     silent = replace(result, frames=result.frames)
     silent.__dict__["events"] = result.events.iloc[1:]
-    found = lane_changes(silent, with_axis(result.frames))
+    found = lane_changes(silent)
     [missed] = found[found["outcome"] == "missed"].to_dict("records")
     first = result.events.iloc[0]
     assert missed["lanes"] == f"{first['from_lane']:.0f} → {first['to_lane']:.0f}"
@@ -80,20 +73,10 @@ def test_a_true_change_without_a_report_is_listed_as_missed(result: Result) -> N
 
 
 def test_without_truth_the_least_certain_segments_are_listed(result: Result) -> None:
-    worst = worst_segments(with_axis(without_truth(result).frames))
+    worst = worst_segments(without_truth(result).frames)
     lanes = result.node("Lane")
     assert worst["frames"].sum() == (lanes.max(axis=1) < 0.95).sum()
     assert "truth" not in worst
-
-
-def test_drives_follow_one_another_on_the_axis(result: Result) -> None:
-    both = two_drives(result)
-    frames = with_axis(both.frames)
-    assert (np.diff(frames["x_s"]) > 0).all()
-    changes = lane_changes(both, frames)
-    n = len(result.events)
-    assert changes["drive"].tolist() == ["a"] * n + ["b"] * n
-    assert changes["time (s)"].tolist()[:n] == changes["time (s)"].tolist()[n:]
 
 
 @pytest.mark.parametrize(
@@ -165,19 +148,20 @@ def test_results_share_what_is_equal(browser: Any, result: Result, tmp_path: Pat
     assert shown.errors == []
 
 
-def test_several_drives_and_no_truth_open_without_an_error(
+def test_a_result_without_truth_and_lines_opens_without_an_error(
     browser: Any, result: Result, tmp_path: Path
 ) -> None:
-    drives, bare = two_drives(result), without_truth(result)
+    bare = without_truth(result)
     bare = replace(bare, frames=bare.frames.iloc[:300], lines={})
-    assert write_page([drives], tmp_path / "drives.html") == []
     assert write_page([bare], tmp_path / "bare.html") == [
         "quickstart: has no lines; the page shows none"
     ]
-    for name in ("drives", "bare"):
-        shown = opened(browser, tmp_path / f"{name}.html")
-        assert shown.errors == []
+    shown = opened(browser, tmp_path / "bare.html")
+    assert shown.errors == []
     assert "Least certain segments" in shown.page.content()
+    drives = replace(result, frames=result.frames.assign(drive="a"))
+    with pytest.raises(InputError, match="has several drives; run one of them"):
+        write_page([drives], tmp_path / "drives.html")
 
 
 def test_no_path_of_the_machine_is_in_the_page(result: Result, tmp_path: Path) -> None:

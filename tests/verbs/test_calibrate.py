@@ -17,12 +17,11 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
     out = tmp_path / "a" / "cam.yaml"
     done = calibrate(
         "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
-        "--ignore", "0,700,1280,720", "--baseline", 0.5, "-o", out,
+        "--ignore", "0,700,1280,720", "-o", out,
     )  # fmt: skip
     assert done.exit_code == 0, done.output
     camera = read_camera(out)
     assert camera.height_m == pytest.approx(TRUE.height_m, rel=0.03)
-    assert camera.baseline_m == 0.5
     assert camera.ignore == ((0, 700, 1280, 720),)
     comment = [line for line in out.read_text().splitlines() if line.startswith("#")]
     text = "\n".join(comment)
@@ -37,10 +36,6 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
         (["--lane-width", "3.7"], "Missing option '--stills'"),
         (["--lane-width", "3.7", "--stills", "nowhere/*.jpg"], "nowhere/*.jpg: no file matches"),
         (["--lane-width", "3700", "--stills", "x"], "lane width 3700: lanes are 2 to 6 m"),
-        (
-            ["--lane-width", "3.7", "--stills", "x", "--field-of-view", "60", "--chessboards", "x"],
-            "--field-of-view: goes without chessboards",
-        ),
         (["--lane-width", "3.7", "--stills", "x", "--ignore", "1,2"], "--ignore: '1,2' is not"),
     ],
 )

@@ -1,12 +1,18 @@
-"""What holds for every command: help, messages in one line, names of files, output."""
+"""Properties of every command: help, messages in one line, names of files, output."""
 
 from __future__ import annotations
 
+import ast
+import re
+import signal
+import time
 from pathlib import Path
 
 import pytest
 
+import egolane_pgm
 from tests.kits.drives import refused, write_drive
+from tests.kits.processes import started
 
 
 @pytest.mark.parametrize("verb", ["run", "learn", "tune", "label", "online"])

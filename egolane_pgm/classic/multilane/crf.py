@@ -100,7 +100,7 @@ def certain(links: Links, scale: float) -> BoolArray:
 
 
 def unary(links: Links, scale: float) -> FloatArray:
-    """The probability (K,) of each link by itself."""
+    """The probability (K,) of each link alone."""
     a, b, c, d, e, f = UNARY
     x, y = links.apart.sum(axis=1) / scale, links.turn
     exponent = a * x * x + b * x * y + c * y * y + d * x + e * y + f
@@ -169,7 +169,7 @@ def pairs(
     - farthest: the first gate, pixels
     """
     n_seeds = len(starts) - 1
-    # Of each seed: row, column and slope at its head (0) and tail (1).
+    # For each seed: row, column and slope at its head (0) and tail (1).
     place = np.empty((n_seeds, 2, 3))
     for s in range(n_seeds):
         for tail in range(2):

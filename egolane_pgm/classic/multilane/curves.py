@@ -1,7 +1,7 @@
 """Curves u(t) = a + b t + c t^2 of the picture, (3,) each: robust fits, and how all of them move
 together from frame to frame.
 
-u is the column, pixels; t goes from -1 in the top row of the region that is looked at to 1 in its
+u is the column, pixels; t goes from -1 in the top row of the searched region to 1 in its
 bottom row.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
-#: The t at which a curve from before counts as seen once more, and curves are compared.
+#: The t at which a curve from before counts as seen again, and curves are compared.
 ROWS = np.linspace(-1.0, 1.0, 21)
 
 #: Weight of a prior curve in each of ROWS, points.

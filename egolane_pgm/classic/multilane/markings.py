@@ -22,7 +22,7 @@ EDGE = (0.2, 5.0)
 #: A marking continues a seed: largest squared distance, pixels, and change of direction, radians.
 NEAR, TURN = 90.0, 0.8
 
-#: Weight of a seed's direction so far against that of its last step.
+#: Weight of a seed's direction so far against its last step.
 KEPT = 0.8
 
 #: Markings of the shortest seed.
@@ -89,7 +89,7 @@ def edge_pairs(
     as wide as a marking.
 
     - grey: (H, W)
-    - top: the first row that is looked at
+    - top: the first row that is searched
     - narrowest, widest: (R,) limits of a marking's width in the rows from `top` on, pixels
     - scale: of the filter's size
     """

@@ -1,4 +1,4 @@
-"""Between the picture and the road: the rows that are looked at, and curves of the picture as lines
+"""Between the picture and the road: the rows that are searched, and curves of the picture as lines
 on the road."""
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
 
 #: Width of the pictures that the constants in pixels are meant for, and how many of their rows are
-#: looked at; for others the constants are scaled.
+#: searched; for others the constants are scaled.
 WIDTH, ROWS = 1280, 454
 
 #: Fewer rows than this, of ROWS, show too little of the road; and fewer than this anyway.
@@ -27,7 +27,7 @@ _T = np.linspace(-1.0, 1.0, 101)
 
 @dataclass(frozen=True)
 class Road:
-    """The part of a camera's pictures that is looked at.
+    """The part of a camera's pictures that is searched.
 
     - top, bottom: its first row, and the one after its last
     - narrowest, widest: (R,) limits of a marking's width in each of its rows, pixels
@@ -41,12 +41,12 @@ class Road:
 
     @property
     def scale(self) -> float:
-        """Of constants in pixels, which are meant for a picture 1280 pixels wide."""
+        """Scale of constants in pixels, which are meant for a picture 1280 pixels wide."""
         return self.camera.width / WIDTH
 
     @property
     def row_scale(self) -> float:
-        """Of constants that count rows, which are meant for the ROWS of such a picture."""
+        """Scale of constants that count rows, which are meant for the ROWS of such a picture."""
         return len(self.widest) / ROWS
 
     @property

@@ -23,7 +23,7 @@ PLACES = (0, 1, -1, 2, -2, 3)
 #: A line's counter is the number of these last frames in which it was seen.
 FRAMES = 10
 
-#: A free slot looks at the curves of the last BOOTSTRAP frames ...
+#: A free slot uses the curves of the last BOOTSTRAP frames ...
 BOOTSTRAP = 8
 
 #: ... and takes a line that is in at least SEEN of them ...
@@ -45,7 +45,7 @@ DRAWS, NOISE = 200, 20.0
 FEWEST, HELD = 10, 0.5
 
 #: The fewest markings of a clear line, and the least part of t that they span. With half as many
-#: markings the edges of a car beside the line pull it away.
+#: markings the edges of a car next to the line pull it away.
 LONG, SPAN = 120, 0.6
 
 #: The weight of the direction of the nearest clear line in that of a line that is not clear; the
@@ -152,7 +152,7 @@ def _has_jumped(road: Road, before: FloatArray, now: FloatArray) -> bool:
 def _clear(
     road: Road, t: FloatArray, u: FloatArray, before: FloatArray, draws: FloatArray
 ) -> FloatArray | None:
-    """The curve that follows one of the frame before, if its markings alone tell it; or None.
+    """The curve that follows one of the frame before, if its markings alone determine it; or None.
 
     - draws: (TRIALS, 3) random numbers from 0 to 1
     """

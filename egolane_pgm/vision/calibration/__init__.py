@@ -1,1 +1,1 @@
-"""Calibration: how a camera looks at the road, found from its pictures."""
+"""Calibration: lens, angles and height of a camera from its pictures."""

@@ -55,7 +55,7 @@ def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
     if not found:
         return None
     grid = np.asarray(corners, dtype=np.float32).reshape(rows, columns, 2)
-    # The window is small enough to hold one corner only, even where the board is small.
+    # The window is small enough to hold one corner only, even if the board is small.
     nearest = min(np.linalg.norm(np.diff(grid, axis=k), axis=-1).min() for k in (0, 1))
     half = int(np.clip(nearest / 3, 2, 11))
     until = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3)
@@ -92,7 +92,7 @@ def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Le
         first = f"; {skipped[0]}" if skipped else ""
         raise InputError(
             f"{len(boards)} of {len(paths)} pictures show the whole chessboard of {columns}x{rows}"
-            f" inner corners, needs {MIN_BOARDS} (board says its corners){first}"
+            f" inner corners, needs {MIN_BOARDS} (check `board`){first}"
         )
     return _solve(boards, usual, columns, rows, skipped)
 

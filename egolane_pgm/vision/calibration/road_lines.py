@@ -9,7 +9,7 @@ The lines of a road meet at the vanishing point of the direction of travel, whic
 yaw. The rate at which they spread below it is their lateral distance over the camera's height; a
 known lane width therefore gives the height.
 
-All fits are done without lens distortion and roll, where a ray is (a, b, 1) with a to the right and
+All fits are done without lens distortion and roll; a ray is (a, b, 1) with a to the right and
 b down. There a line of a road with curvature is
 
     a = a0 + s (b - b0) + c / (b - b0).
@@ -47,6 +47,12 @@ from egolane_pgm.vision.camera.pictures import read_image, read_images, size_of
 #: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
 
+#: The comment on such a lens in the camera's YAML.
+ASSUMED_LENS = (
+    f"Lens: not measured; a horizontal field of view of {ASSUMED_FIELD_OF_VIEW:g} degrees assumed,"
+    " no distortion\n  (offsets hardly depend on it, distances ahead do)."
+)
+
 #: The smallest b - b0 that is used: 38 m ahead for a camera 1.5 m above the road. Roads rise and
 #: fall beyond.
 NEAREST_TO_HORIZON = 0.04
@@ -59,7 +65,7 @@ _HEIGHTS = (0.5, 4.0)
 _SAME_GAP = 0.15
 
 #: The most by which vanishing points of single frames scatter through pitch, heading and bends
-#: (a, b). If they scatter more, they were not those of lines.
+#: (a, b). If they scatter more, no lines were found.
 _MOST_SPREAD = (0.15, 0.05)
 
 #: Standard deviations: of the noise of a line's points, and of c (a road of 500 m radius).
@@ -84,7 +90,7 @@ class FrameFit:
 
 @dataclass(frozen=True)
 class RoadView:
-    """What parallel lines say about a camera.
+    """A camera as measured from parallel lines.
 
     - camera: with pitch, yaw and height as found
     - n_frames: how many frames had a vanishing point of their own
@@ -102,18 +108,13 @@ class RoadView:
     is_lane: BoolArray
 
 
-def assumed_camera(
-    width: int, height: int, field_of_view_deg: float = ASSUMED_FIELD_OF_VIEW
-) -> Camera:
-    """A camera for a lens that was not measured: the principal point is the middle of the picture,
-    and the focal length follows from the horizontal field of view.
+def assumed_camera(width: int, height: int) -> Camera:
+    """A camera for a lens that was not measured, with the principal point in the centre.
 
-    Offsets hardly depend on this guess, because vanishing point and lane width are measured.
-    Raises InputError for a field of view outside 10 to 150 degrees.
+    Offsets hardly depend on the assumed focal length, because vanishing point and lane width are
+    measured.
     """
-    if not 10 <= field_of_view_deg <= 150:
-        raise InputError(f"field of view {field_of_view_deg} is not between 10 and 150 degrees")
-    focal = width / 2 / math.tan(math.radians(field_of_view_deg) / 2)
+    focal = width / 2 / math.tan(math.radians(ASSUMED_FIELD_OF_VIEW) / 2)
     return Camera(
         width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, height_m=_HEIGHTS[0]
     )
@@ -253,14 +254,6 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
     """The offsets (L,) of a frame's lines, in heights of the camera."""
     below = np.stack([ahead[0] + fit.slope * 0.2, np.full_like(fit.slope, ahead[1] + 0.2)], axis=-1)
     return image_to_road(turned, *from_level(turned, below), undistorted=True)[1]
-
-
-def describe_assumed_lens(field_of_view_deg: float) -> str:
-    """Describe a lens that was not measured."""
-    return (
-        f"Lens: not measured; a horizontal field of view of {field_of_view_deg:g} degrees assumed,"
-        " no distortion\n  (offsets hardly depend on it, distances ahead do)."
-    )
 
 
 def doubts_of(view: RoadView) -> str:
@@ -564,7 +557,7 @@ class FoundLines:
     """The lines found in the stills of a drive.
 
     - ahead: (2,) the point a, b where the edges of all stills meet
-    - each: (F, 2) the same for single stills, where it was found
+    - each: (F, 2) the same for single stills, if found
     - paths: the stills that were used
     - lines: for each of these, the points (N, 2) of its lines, pixels
     - fits: the fits of the stills with at least two lines
@@ -586,7 +579,7 @@ def find_in_stills(
 ) -> FoundLines:
     """Finds the lines in stills that one camera took of a road.
 
-    - paths: the stills; `camera.ignore` says which parts never show road
+    - paths: the stills; `camera.ignore` are the parts that never show road
     - progress: wraps the stills while they are read, e.g. tqdm
 
     Raises InputError if no still can be used, or if the edges do not meet in one point.

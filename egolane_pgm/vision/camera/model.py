@@ -62,7 +62,7 @@ class Camera:
       expect; None if it does not follow from one
     - ignore: rectangles of the picture that never show road (bonnet, mirror), each left, top,
       right, bottom in pixels, the last two exclusive
-    - name: how messages name it, the YAML file that it was read from; not part of that file
+    - name: for messages: the path of the YAML file; not a key of that file
 
     Raises InputError, naming the key, for a value that no camera in a car has.
     """
@@ -119,7 +119,7 @@ def _check_numbers(name: str, values: object, n: int) -> None:
 
 
 def said_height(camera: Camera) -> str:
-    """How high the camera is, beside those of cars."""
+    """Compare the height of the camera with cameras of cars."""
     usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
     return f"the camera is {high:.2f} m above the road, where those of cars are at {usual}"
 
@@ -153,7 +153,7 @@ def road_to_image(
     """Pixels u, v of points in vehicle coordinates; NaN for points behind the camera.
 
     - x, y, z: metres, of any shapes that broadcast
-    - undistorted: the pixels are those of the picture without lens distortion
+    - undistorted: pixels of the picture without lens distortion
     """
     x, y, z = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (x, y, z)))
     relative = np.stack([x, y - camera.lateral_m, z - camera.height_m], axis=-1) @ axes(camera).T
@@ -184,7 +184,7 @@ def image_to_road(
     """Points x, y of the road, metres, that pixels show; NaN at the horizon and above.
 
     - u, v: pixels, of any shapes that broadcast
-    - undistorted: the pixels are those of the picture without lens distortion
+    - undistorted: pixels of the picture without lens distortion
     """
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
@@ -227,7 +227,7 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     change. Rectangles to ignore cover at least the same part of the picture.
 
     Raises InputError for a size of another aspect ratio (by more than a pixel): such a picture was
-    cut or stretched, and nobody knows how.
+    cut or stretched in an unknown way.
     """
     across, along = width / camera.width, height / camera.height
     if abs(across - along) * min(camera.width, camera.height) > 1:
@@ -315,8 +315,8 @@ def read_camera(path: str | Path) -> Camera:
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
-    """Writes a camera as YAML below a comment that says how it was calibrated, and makes missing
-    folders. Raises InputError where the file cannot be written."""
+    """Writes a camera as YAML below a comment on its calibration, and makes missing
+    folders. Raises InputError if the file cannot be written."""
     content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)
     content["ignore"] = [list(rectangle) for rectangle in camera.ignore] or None

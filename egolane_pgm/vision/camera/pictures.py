@@ -39,7 +39,7 @@ from egolane_pgm.vision.camera.writing import silent
 #: Extensions of picture files; any other file is read as a video.
 PICTURES = (".jpg", ".jpeg", ".png", ".bmp", ".ppm", ".pgm", ".tif", ".tiff", ".webp")
 
-#: The message types of pictures in a bag, whatever their package.
+#: The message types of pictures in a bag, in any package.
 _KINDS = ("Image", "CompressedImage", "RawImage")
 
 #: The range in which the frame rate that a video states is trusted, Hz.
@@ -48,15 +48,15 @@ _RATES = (0.5, 500.0)
 
 @dataclass(frozen=True)
 class Source:
-    """Where the pictures of one camera come from.
+    """The pictures of one camera.
 
     - path: as the user gave it
     - files: the video, the files of the bag, or the picture files in order
     - frame_id: frame id of each picture; None for a video
-    - n_frames: None for a video that does not say
-    - frame_rate: Hz; None for picture files and for a video that does not say
-    - topic: of the pictures in a bag; None for all else
-    - time_s (n_frames,): when each picture in a bag was taken, seconds; None for all else
+    - n_frames: None if the video lacks it
+    - frame_rate: Hz; None for picture files and for a video without one
+    - topic: of the pictures in a bag; None for other sources
+    - time_s (n_frames,): when each picture in a bag was taken, seconds; None for other sources
     """
 
     path: str
@@ -102,7 +102,7 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
 
 
 def is_bag(place: Path) -> bool:
-    """Whether a path is that of a bag or an MCAP file."""
+    """Whether a path is a bag or an MCAP file."""
     is_folder = place.is_dir() and (place / "metadata.yaml").is_file()
     return is_folder or (place.is_file() and place.suffix.lower() in FORMATS["rosbag"][0])
 
@@ -113,7 +113,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
     files = files_of(place) if place.is_dir() else [place]
     ids = tuple(range(len(time_s)))
     if (np.diff(time_s) <= 0).any():
-        # They are no times: as of picture files.
+        # Stamps that do not increase are ignored.
         return Source(str(place), tuple(files), ids, len(ids), None, chosen)
     rate = rate_of(np.array(ids), time_s)
     return Source(str(place), tuple(files), ids, len(ids), rate, chosen, time_s)
@@ -121,7 +121,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     """The camera as it takes the pictures of a source. If these have another size than it was
-    calibrated for, and the same aspect ratio, it is scaled, and a warning says so. Another warns of
+    calibrated for, and the same aspect ratio, it is scaled with a warning. Another warns of
     a height that cars' cameras do not have.
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
@@ -141,7 +141,7 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     warnings.warn(
         f"{source.path}: its pictures have {_size(first)} pixels, {camera.name or 'the camera'} was"
         f" calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were cut"
-        " instead of resized, calibrate anew",
+        " instead of resized, calibrate again",
         UserWarning,
         stacklevel=2,
     )
@@ -149,10 +149,10 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
 
 
 def note_assumed_rate(source: Source, rate: float, key: str) -> None:
-    """Notes that a source does not say how many pictures a second there are.
+    """Warn that the frame rate of a source is unknown.
 
     - rate: what is assumed, Hz
-    - key: what says another
+    - key: the key that sets another
     """
     if source.frame_rate is None:
         warnings.warn(
@@ -236,7 +236,7 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
 
 def image_topic(path: Path, topic: str | None) -> str:
     """The topic of the pictures, by default the only one that has some. Raises InputError where
-    there is none or nothing says which of several."""
+    there is none, or several to choose from."""
     there = {
         name
         for name, (kind, _) in topics_of(path).items()
@@ -322,10 +322,10 @@ def video_images(
     """The positions and pictures of a video.
 
     - name: how messages name the video
-    - n_frames: as the file says; None where it does not
+    - n_frames: as stated by the file; None if it is not
     - frames: the first position to read and the one after the last; None for all
 
-    Warns of a video that has fewer pictures than it says.
+    Warns of a video with fewer pictures than stated.
     """
     first, stop = frames or (0, None)
     video = open_video(path)

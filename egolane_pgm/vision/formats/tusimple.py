@@ -12,7 +12,7 @@ of the road's edge.)
 What is a drive follows from the folders. `clips/0313-1/6040/20.jpg` and others whose folder is a
 count and has one picture of the file are frames of one drive: frame 6040 of 0313-1. Any other
 folder is a clip of its own, and the frame number is then the last number in the picture's name
-(`frame_00042.jpg`: 42). The frame ids of a clip go on after those of the clip before, and no line
+(`frame_00042.jpg`: 42). The frame ids of a clip continue those of the clip before, and no line
 is followed from one into the next.
 
 The points of a line are put on the road by the camera, and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
@@ -56,7 +56,7 @@ _SOLID = (2, 4)
 LRI_FRAMES, RELEASE_LRI = 10, 5.0
 
 #: Points farther ahead are left out: a pixel is metres long there, and roads are not flat. A line
-#: whose nearest point is farther ahead than the second has no offset: it says too little.
+#: whose nearest point is farther ahead than the second has no offset.
 FARTHEST_M, NEAREST_M = 50.0, 25.0
 
 #: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
@@ -68,7 +68,7 @@ GATE_M, GATE_M_PER_S = 0.3, 1.5
 #: After a gap of more seconds than this no line is followed any further.
 LONGEST_GAP_S = 1.0
 
-#: A number in a name with more digits is a time stamp, which counts nothing.
+#: A number in a name with more digits is a time stamp, not a frame number.
 _COUNT_DIGITS = 12
 
 
@@ -97,7 +97,7 @@ def read_tusimple(
     - camera: the camera of the pictures, or its YAML file.
 
     A line becomes valid once it is seen in ten pictures, as in the paper; of clips of which none
-    has ten pictures, every line is valid, and a warning says so. Another warns of pictures too far
+    has ten pictures, every line is valid, with a warning. Another warns of pictures too far
     apart to follow a line. Raises InputError, with the line of the file, for what is no such file,
     for frames given twice, and without a camera or a frame.
     """
@@ -212,7 +212,7 @@ def _log(
     """Make one log of the clips, the lines of a frame left to right."""
     numbers: list[int] = []
     for members in clips.values():
-        # Of several clips the ids start at 0 and go on from clip to clip.
+        # With several clips the ids start at 0 and continue from clip to clip.
         shift = (numbers[-1] + 1 if numbers else 0) - min(members) if len(clips) > 1 else 0
         numbers += [k + shift for k in members]
     ids = np.array(numbers, dtype=np.int64)

@@ -56,7 +56,7 @@ def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tm
 def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
     with pytest.raises(InputError, match=r"3 of 3 pictures show the whole chessboard.*needs 5"):
         calibrate_lens(sorted(boards.iterdir())[:3])
-    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*board says its corners"):
+    with pytest.raises(InputError, match=r"[01] of 6 .*8x6.*check `board`"):
         calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
     with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard of 9x6"):
         calibrate_lens(sorted(stills.iterdir()))
@@ -85,8 +85,10 @@ def test_offsets_hardly_depend_on_the_focal_length_assumed():
     frames = [lines_of(camera, np.array([-5.4, -1.8, 1.8, 5.4]) + d) for d in (0.0, 0.4)]
     points = np.concatenate(lines_of(camera, [-2.0, 1.5]))
     offsets = []
-    for degrees in (45.0, 60.0, 80.0):
-        view = view_of_lines(camera, assumed_camera(1280, 720, degrees), frames)
+    assumed = assumed_camera(1280, 720)
+    for zoom in (0.7, 1.0, 1.4):
+        lens = replace(assumed, fx=assumed.fx * zoom, fy=assumed.fy * zoom)
+        view = view_of_lines(camera, lens, frames)
         offsets.append(image_to_road(view.camera, *points.T)[1])
     assert np.abs(offsets[0] - offsets[2]).max() < 0.05
 

@@ -12,7 +12,6 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.road_lines import (
     FrameFit,
     RoadView,
-    assumed_camera,
     check_lane_width,
     doubts_of,
     view_from,
@@ -23,9 +22,7 @@ from tests.kits.calibration_kit import TRUE, lines_of, unturned, view_of_lines
 PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25)
 
 
-def test_what_no_lens_or_lane_has_is_refused() -> None:
-    with pytest.raises(InputError, match="field of view 9 is not between 10 and 150"):
-        assumed_camera(1280, 720, 9)
+def test_a_width_of_no_lane_is_refused() -> None:
     with pytest.raises(InputError, match="lanes are 2 to 6 m wide"):
         check_lane_width(0.36)
 

@@ -31,7 +31,7 @@ def test_a_detector_sees_in_a_bag_what_it_sees_in_the_video_at_the_times_of_the_
     bag = place / "images" if kind == "folder" else files_of(place / "images")[0]
     words = ("--camera", place / "cam.yaml")
     done("detect", place / "drive.avi", *words, "-o", tmp_path / "video.csv")
-    done("detect", bag, *words, "--topic", "front", "-o", tmp_path / "bag.csv")
+    done("detect", bag, *words, "--set", "recording.topic=front", "-o", tmp_path / "bag.csv")
     video, lines = read_lines(tmp_path / "video.csv"), read_lines(tmp_path / "bag.csv")
     np.testing.assert_array_equal(lines.offset_m, video.offset_m)
     step = np.full(N_FRAMES - 1, 0.08)
@@ -81,8 +81,7 @@ def test_pictures_that_cannot_be_read_are_refused(
 
 def test_a_topic_without_pictures_is_refused_with_those_that_have_some(place: Path) -> None:
     words = ("--camera", place / "cam.yaml", "-o", place / "l.csv")
-    said = refused("detect", place / "images", "--topic", "/rear", *words)
+    said = refused("detect", place / "images", "--set", "recording.topic=/rear", *words)
     assert "no pictures on /rear; topics of pictures: /front" in said
-    assert "only a bag has topics" in refused(
-        "detect", place / "drive.avi", "--topic", "/a", *words
-    )
+    with pytest.raises(InputError, match="only a bag has topics"):
+        open_source(place / "drive.avi", "/a")
