@@ -188,27 +188,6 @@ def test_other_runs_are_refused(text: str, said: str) -> None:
     assert said in refused("reproduce", "--runs", text)
 
 
-@needs_compiler
-def test_reproduce_writes_the_documented_json(recordings: Path, tmp_path: Path) -> None:
-    target = tmp_path / "new" / "reproduced.json"
-    shown = done("reproduce", "--runs", "6,9", "--json", target, "--out", tmp_path / "kept").stdout
-    document = json.loads(target.read_text())
-    assert {"parameters", "runs", "total_frames_off"} <= set(document)
-    assert [entry["run"] for entry in document["runs"]] == [6, 9]
-    for entry in document["runs"]:
-        assert {"run", "detector_frames_off", "model_frames_off"} <= set(entry)
-        for kind in ("detector", "model"):
-            assert {*SCORES, "confusion"} <= set(entry[kind])
-            right = np.trace(np.array(entry[kind]["confusion"])[:-1])
-            total = np.sum(entry[kind]["confusion"])
-            assert entry[kind]["accuracy"] == right / total  # unrounded
-    assert document["total_frames_off"] == 0
-    total = 4 * document["runs"][0]["model"]["frames_scored"]
-    assert f"0 of {total} classified frames off" in shown
-    names = {path.name for path in (tmp_path / "kept").iterdir()}
-    assert names == {"run06_spain_ml", "run09_spain_sc"}
-
-
 def test_without_the_recordings_it_is_said_how_to_get_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -141,15 +141,7 @@ def _graph_lines(found: Mapping[str, Any]) -> list[str]:
             of = [parent for parent, child in found["edges"]["within"] if child == name]
             text = f"the likelihood of {', '.join(of)}"
         lines.append(wrapped(f"  {name:{width}}  {role:16}  {text}", width + 20))
-    for title, which in (("within a frame", "within"), ("to the next frame", "across")):
-        lines += ["", f"edges {title}"]
-        children: dict[str, list[str]] = {}
-        for parent, child in found["edges"][which]:
-            if nodes[child]["role"] != "virtual evidence":
-                children.setdefault(parent, []).append(child)
-        for parent, names in children.items():
-            lines.append(wrapped(f"  {parent:{width}}  -> {', '.join(names)}", width + 5))
-    lines += ["", "tables (the axes are the parents and the node)"]
+    lines += ["", "tables (the edges of the graph; the axes are the parents and the node itself)"]
     for each in found["tables"]:
         *given, node = each["axes"]
         frames = "" if each["frames"] == "every frame" else f"  ({each['frames']})"
@@ -167,7 +159,7 @@ def _numbers_text(found: Mapping[str, Any], names: Sequence[Sequence[str]]) -> s
     """A table of probabilities: a row for each combination of the parents' values."""
     values = found["values"]
     if values.size > MAX_PRINTED:
-        return f"    {values.size} numbers, printed by --json - only"
+        return f"    {values.size} numbers, in the JSON only"
     rows = [", ".join(combination) for combination in itertools.product(*names[:-1])]
     parents = pd.Index(rows, name=", ".join(found["axes"][:-1]) or " ")
     frame = pd.DataFrame(np.reshape(values, (len(rows), -1)), parents, list(names[-1]))

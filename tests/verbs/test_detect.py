@@ -134,8 +134,8 @@ def test_run_on_another_video_by_options(place: Path, tmp_path: Path) -> None:
     words = ["--experiment", "quickstart", "--camera", place / "cam.yaml"]
     words += ["--detector", "mc", "--n-lanes", 2, "--no-figures", "--out", out]
     said = done("run", place / "drive.avi", *words).stdout
-    assert "drive: 16 frames, 2 lanes" in said
-    assert "at the end lane " in said
+    assert "16 frames, 2 lanes" in said
+    assert "at the end: lane " in said
     kept = load_result(out).experiment.recording
     assert (kept.detector, kept.frame_rate) == ("mc", 12.5)
 

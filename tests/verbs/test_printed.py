@@ -55,18 +55,6 @@ def test_no_line_is_wider_than_the_terminal(
     assert max(map(len, found)) <= 80
 
 
-@pytest.mark.parametrize("name", ["run of a table", "compare"])
-def test_more_columns_are_shown_where_there_is_room(
-    name: str, words: dict[str, list[str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("COLUMNS", "60")
-    narrow, wide = (
-        max(len(line) for line in lines_of(name, words, *more) if line.startswith("|"))
-        for more in ((), ("--wide",))
-    )
-    assert narrow <= 60 < wide
-
-
 @pytest.mark.parametrize("name", ["run", "run of a table", "compare"])
 def test_csv_is_one_table_with_one_number_in_a_cell(name: str, words: dict[str, list[str]]) -> None:
     text = done(*words[name], "--format", "csv").stdout

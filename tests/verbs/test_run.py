@@ -12,7 +12,7 @@ import pytest
 import yaml
 
 from egolane_pgm.result import Result, load_result
-from tests.kits.bags import GOOD, Line, line_bag, truth_file
+from tests.kits.bags import Line, line_bag, truth_file
 from tests.kits.drives import (
     N_FRAMES,
     command,
@@ -266,16 +266,6 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
 
 
 # --- recordings with oddities --------------------------------------------------------------------
-
-
-def test_absurd_offsets_of_invalid_lines_change_nothing(tmp_path: Path) -> None:
-    absurd: list[Line] = [(False, True, 5, 3e32), (False, False, 0, float("nan"))]
-    line_bag(tmp_path / "a.bag", [1, 2], [[*GOOD[0], *absurd], [*GOOD[1], absurd[0]]])
-    line_bag(tmp_path / "b.bag", [1, 2], GOOD[:2])
-    said, found = kept(tmp_path, tmp_path / "a.bag")
-    expected, plain = kept(tmp_path, tmp_path / "b.bag")
-    assert said == expected == []
-    np.testing.assert_array_equal(found.node("Lane"), plain.node("Lane"))
 
 
 @pytest.mark.parametrize("is_empty", [True, False])
