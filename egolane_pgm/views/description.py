@@ -159,7 +159,7 @@ def _numbers_text(found: Mapping[str, Any], names: Sequence[Sequence[str]]) -> s
     """A table of probabilities: a row for each combination of the parents' values."""
     values = found["values"]
     if values.size > MAX_PRINTED:
-        return f"    {values.size} numbers, printed by --json - only"
+        return f"    {values.size} numbers, in the JSON only"
     rows = [", ".join(combination) for combination in itertools.product(*names[:-1])]
     parents = pd.Index(rows, name=", ".join(found["axes"][:-1]) or " ")
     frame = pd.DataFrame(np.reshape(values, (len(rows), -1)), parents, list(names[-1]))

@@ -84,7 +84,7 @@ def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
 
 def test_a_long_table_is_not_printed() -> None:
     text = description_text(described("position_in_lane", numbers=True, n_lanes=4))
-    assert "numbers, printed by --json - only" in text
+    assert "numbers, in the JSON only" in text
 
 
 @pytest.mark.parametrize("name", graph_names())
