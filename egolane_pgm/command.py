@@ -200,24 +200,23 @@ def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
 
 def _common_options(name: str) -> list[click.Parameter]:
     """The options of commands that print tables and numbers."""
-    params: list[click.Parameter] = []
-    if name in WITH_TABLES:
-        style, help = (
-            click.Choice(["markdown", "latex", "csv"]),
-            "Format of tables; csv is unrounded.",
-        )
-        names, given = ["--format", "table_style"], "markdown"
-        params.append(click.Option(names, type=style, default=given, show_default=True, help=help))
-        help = "Print everything, in tables of any width: all scores, confusions, lane changes."
-        if name != "run":
-            help = "Print tables of any width; by default they are split to fit the terminal."
-        params.append(click.Option(["--wide"], is_flag=True, help=help))
-    if name in WITH_JSON:
-        help = "Write the unrounded numbers as JSON; - prints them only."
-        params.append(
-            click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=help)
-        )
-    return params
+    style = click.Choice(["markdown", "latex", "csv"])
+    wide = "Print all columns; without it those that do not fit the terminal are left out."
+    if name == "run":
+        wide = "Print all scores, confusion matrices and lane changes, in tables of any width."
+    as_json = "Write the unrounded numbers as JSON; - prints them only."
+    tables: list[click.Parameter] = [
+        click.Option(
+            ["--format", "table_style"],
+            type=style,
+            default="markdown",
+            show_default=True,
+            help="Format of tables; csv is unrounded.",
+        ),
+        click.Option(["--wide"], is_flag=True, help=wide),
+    ]
+    to_file = click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=as_json)
+    return tables * (name in WITH_TABLES) + [to_file] * (name in WITH_JSON)
 
 
 # --- what a command does -----------------------------------------------------------------------
@@ -257,7 +256,7 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
         click.echo(json_text(document_of(done)), nl=False)
     failed: list[tuple[str, str]] = getattr(module, "failed", lambda done: [])(done)
     for title, why in failed:
-        _print_line(f"failed: {title}: {why}")
+        warn(f"failed: {title}: {why}")
     if failed:
         raise SystemExit(1)
 
@@ -291,16 +290,11 @@ def _given(hint: Any, name: str, value: Any) -> Any:
 
 
 def warn(text: str) -> None:
-    """Print a warning, or a note, on standard error."""
-    from egolane_pgm.types import NOTE
+    """Print a warning, a note or a failure on standard error."""
+    from egolane_pgm.types import NOTE, in_one_line
 
-    _print_line(text if text.startswith(NOTE) else f"warning: {text}")
-
-
-def _print_line(text: str) -> None:
-    from egolane_pgm.types import in_one_line
-
-    click.echo(in_one_line(text), err=True)
+    is_marked = text.startswith((NOTE, "failed: "))
+    click.echo(in_one_line(text if is_marked else f"warning: {text}"), err=True)
 
 
 # --- the group ---------------------------------------------------------------------------------

@@ -134,7 +134,7 @@ def run(  # type: ignore[misc]
             "columns": None if columns is None else column_keys(columns),
         },
     )
-    place = place_of(out, chosen.experiment.name)
+    place = None if out is None else place_of(out, chosen.experiment.name)
     n_blocks = chosen.experiment.fit.folds if held_out else None
     if table is not None:
         if place is None:
