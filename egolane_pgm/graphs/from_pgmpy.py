@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_structure, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -75,7 +75,7 @@ def read_network(network: Any) -> Declared:
         if not _is_numbered(given):
             values.setdefault(name, given)
     tables = _tables(cpds, values, parents)
-    check_structure(tables.values())
+    check_tables(tables.values())
     return Declared(tables, values)
 
 

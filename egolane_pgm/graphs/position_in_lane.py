@@ -22,13 +22,13 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from scipy.special import ndtr
 
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
     builder,
     dynamics,
+    normal_cdf,
     previous,
     prior,
     uniform,
@@ -265,7 +265,7 @@ def _twice_integrated(x: FloatArray, sigma: float) -> FloatArray:
     with np.errstate(over="ignore"):
         z = x / sigma
         density = np.exp(-0.5 * z**2) / math.sqrt(2 * math.pi)
-    return np.asarray(x * ndtr(z) + sigma * density)
+    return np.asarray(x * normal_cdf(z) + sigma * density)
 
 
 def _banded(move: FloatArray, n_positions: int) -> FloatArray:
