@@ -16,10 +16,14 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, Group
-from egolane_pgm.inference.filtering import forward, state_likelihood
+from egolane_pgm.inference.filtering import (
+    evidence_blocks,
+    forward,
+    joint_input,
+    state_likelihood,
+)
 from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
-from egolane_pgm.inference.layout import evidence_blocks, joint_input
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.

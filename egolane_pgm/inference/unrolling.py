@@ -10,8 +10,7 @@ import numpy as np
 from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import step
-from egolane_pgm.inference.layout import check_keys
+from egolane_pgm.inference.filtering import joint_input, step
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
@@ -66,7 +65,7 @@ def unrolled(
     ['Lane@39', 'Lane@40', 'Lane@41']
     """
     compiled = model if isinstance(model, Compiled) else model.compiled
-    check_keys(compiled, evidence)
+    joint_input(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     start, stop = _position(ids, first), _position(ids, last) + 1
     if start >= stop:

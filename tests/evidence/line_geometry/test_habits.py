@@ -366,12 +366,12 @@ def zero_label(n_lanes: int, width: str = "auto") -> Model:
 
 
 def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
-    from egolane_pgm.inference.smoothing import infer_beliefs
+    from egolane_pgm.inference.filtering import filter_beliefs
     from egolane_pgm.scoring.confusion import assigned_lane
 
     truth = drive().truth if truth is None else truth
     given, _ = make_evidence(model, whole_rule(model), log)
-    beliefs = infer_beliefs(model.compiled, given, "exact", None, frame_id=log.frame_id)
+    beliefs = filter_beliefs(model.compiled, given, "exact", frame_id=log.frame_id)
     _, here, there = np.intersect1d(log.frame_id, truth.index, return_indices=True)
     scored = ~truth["is_crossing"].to_numpy()[there]
     lane = assigned_lane(beliefs.lane[here][scored])
