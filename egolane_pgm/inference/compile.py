@@ -197,8 +197,8 @@ def compile(
     )
     if missing:
         warnings.warn(
-            f"{NOTE}the network has no {', '.join(missing)}: virtual-evidence nodes that are"
-            " missing are added",
+            f"{NOTE}the network has no {', '.join(missing)}: missing"
+            " virtual-evidence nodes are added",
             UserWarning,
             stacklevel=2,
         )

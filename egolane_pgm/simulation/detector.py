@@ -1,4 +1,4 @@
-"""A simulated line detector and tracker, which fails in bursts, and whole drives seen by it.
+"""A simulated line detector and tracker, which fails in bursts, and whole drives.
 
 Every line of the road has a track. In each frame a track is detected or not. The line reliability
 index (LRI) counts its detections in the last frames. The line becomes valid when the LRI reaches
@@ -53,7 +53,7 @@ _CDF = normal_cdf(_GRID)
 
 @checked_dataclass(frozen=True)
 class DetectorModel:
-    """How lines are detected; probabilities are per line and frame unless said otherwise.
+    """The detection of lines; probabilities are per line and frame by default.
 
     Reported offsets:
 

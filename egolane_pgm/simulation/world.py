@@ -1,7 +1,6 @@
-"""The road and the vehicle on it: the exact place of the lane lines in every frame.
+"""The road and the vehicle on it: the exact position of the lane lines in every frame.
 
-This module knows nothing of detectors, so that the simulated detector and the drawn pictures can
-show the same drive.
+The simulated detector and the drawn pictures both use it.
 """
 
 from __future__ import annotations
