@@ -17,8 +17,6 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm import paper
-from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
@@ -41,8 +39,6 @@ from egolane_pgm.evidence.line_geometry.visibility import (
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import compile_model, make_evidence, whole_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import simulate
@@ -451,7 +447,7 @@ def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) 
         given = line_geometry.evidence(none, 3, parameters)
     give, steadily = (line_geometry.online(3, parameters) for _ in range(2))
     parts = [give(none)]
-    # The detector's flag_semantics are found before the frame that follows the first 200.
+    # The flag semantics are estimated before the frame that follows the first 200.
     for part in (slice(0, 150), slice(150, 200), slice(200, 333), slice(333, None)):
         parts += [give(log.take(part)), give(none)]
     for empty in (given, *parts[::2]):
@@ -463,7 +459,7 @@ def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) 
 
 
 def test_the_arrays_of_a_frame_may_be_used_again_for_the_next_one() -> None:
-    # FlagSemantics are found after 200 frames: an LRI of 0 to 1, and no line valid.
+    # Flag semantics are estimated after 200 frames: an LRI of 0 to 1, and no line valid.
     log = causal_drive("plain").take(slice(0, 250))
     log = replace(log, lri=log.lri / 10, is_valid=np.zeros_like(log.is_valid))
     parameters = resolved(lane_width_m="causal")
@@ -493,20 +489,6 @@ def test_numbers_need_not_be_of_double_precision(kind: type, width: object) -> N
     parameters = resolved(lane_width_m=width)
     ours, theirs = (line_geometry.online(3, parameters)(each) for each in (log, other))
     np.testing.assert_array_equal(theirs.likelihoods[NODES], ours.likelihoods[NODES])
-
-
-@pytest.mark.parametrize("kind", ["plain", "doubled", "hardly a flag"])
-def test_with_a_causal_width_no_later_frame_changes_the_evidence(kind: str) -> None:
-    log = causal_drive(kind)
-    parameters = resolved(lane_width_m="causal")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        whole = line_geometry.evidence(log, 3, parameters)
-        for n_frames in (149, 333, 500):
-            part = line_geometry.evidence(log.take(slice(0, n_frames)), 3, parameters)
-            np.testing.assert_array_equal(
-                part.likelihoods[NODES], whole.likelihoods[NODES][:n_frames]
-            )
 
 
 def test_with_a_given_width_the_frames_after_the_first_flag_are_read_as_the_whole() -> None:
@@ -542,19 +524,6 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
             assert re.search(
                 r"3\.\d+ m in the first half of the recording, 2\.\d+ m in the second: does", line
             )
-
-
-@needs_compiler
-@pytest.mark.parametrize("run", [1, 8])
-def test_a_change_of_scale_in_the_paper_s_recordings_is_said(run: int, recordings: Path) -> None:
-    there = load_experiment(paper.paper_experiment(run))
-    model = compile_model(load_experiment("zero_label", {"n_lanes": there.n_lanes}))
-    [drive] = read_drives(there)
-    for lines, n_warnings in ((drive.log, 0), (scale_changes(drive.log, 0.6), 1)):
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            make_evidence(model, whole_rule(model), lines)
-        assert sum("first half" in str(each.message) for each in caught) == n_warnings
 
 
 @pytest.mark.parametrize("seed", range(2))
