@@ -16,11 +16,10 @@ from egolane_pgm.inference.compile import (
     Compiled,
     compile,
     compile_tables,
-    starting_in,
+    with_initial_lane,
     with_tables,
 )
-from egolane_pgm.inference.filtering import METHODS, read_evidence
-from egolane_pgm.inference.layout import check_keys
+from egolane_pgm.inference.filtering import METHODS, harden, joint_input
 from egolane_pgm.parameters import Value, looking_back, resolve_parameters
 from egolane_pgm.plugins import (
     declared_parameters,
@@ -107,7 +106,7 @@ def compile_model(experiment: Experiment) -> Model:
         lane = np.arange(1, e.n_lanes + 1)
         first = e.start_lane
         start = np.where(lane == first, 1.0, 0.0) if isinstance(first, int) else np.array(first)
-        compiled = starting_in(compiled, start)
+        compiled = with_initial_lane(compiled, start)
     return Model(experiment, rule, graph, parameters, compiled, unused)
 
 
@@ -203,7 +202,7 @@ def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
     else:
         compiled, _ = compile_graph(model.rule, model.graph, model.n_lanes, parameters)
         if model.compiled.start is not None:
-            compiled = starting_in(compiled, model.compiled.start)
+            compiled = with_initial_lane(compiled, model.compiled.start)
     return replace(model, parameters=parameters, compiled=compiled)
 
 
@@ -325,8 +324,10 @@ def make_evidence(
             values[log.is_missing] = 1.0
     used = Evidence(likelihoods, given.inputs)
     with problems_in(str(file)):
-        check_keys(model.compiled, used)
-    return read_evidence(used, model.experiment.evidence_mode), tentative
+        joint_input(model.compiled, used)
+    if model.experiment.evidence_mode == "hard":
+        used = harden(used)
+    return used, tentative
 
 
 def looks_ahead(model: Model) -> str | None:

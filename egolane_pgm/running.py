@@ -19,8 +19,8 @@ from egolane_pgm.drives import Drive, drive_names, read_drives
 from egolane_pgm.evidence.line_geometry.scale import place_finder
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.events import across_lanes
-from egolane_pgm.inference.filtering import step
-from egolane_pgm.inference.smoothing import infer_beliefs, lag_rest, lag_step
+from egolane_pgm.inference.filtering import filter_beliefs, step
+from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.model import (
     Model,
@@ -55,8 +55,12 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
     places_of = None if has_offset else place_finder(model.parameters)
     if isinstance(logs, LineLog):
         evidence, tentative = make_evidence(model, whole_rule(model), logs)
-        method = "smoothed" if e.filter == "viterbi" else e.filter
-        beliefs = infer_beliefs(model.compiled, evidence, method, e.lag, frame_id=logs.frame_id)
+        if e.filter in ("smoothed", "viterbi"):
+            beliefs = smooth_beliefs(model.compiled, evidence, frame_id=logs.frame_id)
+        elif e.lag is not None:
+            beliefs = fixed_lag_beliefs(model.compiled, evidence, e.lag, frame_id=logs.frame_id)
+        else:
+            beliefs = filter_beliefs(model.compiled, evidence, e.filter, frame_id=logs.frame_id)
         offset = None if places_of is None else places_of(logs)
         columns = _columns_of(model, logs, beliefs, tentative, offset)
         if e.filter == "viterbi":

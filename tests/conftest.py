@@ -32,7 +32,7 @@ needs_compiler = pytest.mark.skipif(
 #: What takes longest, begun first: processes that share the tests by files then end together.
 SLOWEST = (
     *("docs/test_examples.py", "makers/test_benchmark.py", "studies/test_study.py"),
-    *("evidence/line_geometry/test_rule.py", "evidence/line_geometry/test_habits.py"),
+    *("evidence/line_geometry/test_rule.py", "evidence/line_geometry/test_flag_semantics.py"),
     *("studies/test_search.py", "test_frozen.py", "test_paper.py", "test_notebooks.py"),
     *(
         "test_online.py",

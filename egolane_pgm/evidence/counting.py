@@ -4,7 +4,7 @@ continuous line gives a bonus to the lane that it bounds. The sum of the reliabi
 of all valid lines gives the WOR.
 
 A detector without a continuous flag gives no bonus. Without LRI (NaN) every valid line counts as
-fully reliable, so that the WOR is the share of the n + 1 expected lines that were found.
+fully reliable, so that the WOR is the detected share of the n + 1 expected lines.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 levels, the most reliable one first.
 
 `counting` gives a reliability s between 0 and 1, which becomes evidence over the levels. `linear`
-shares it between the two levels nearest to s, where level j of k stands for s = 1 - j / (k - 1).
+shares it between the two levels nearest to s, where level j of k is at s = 1 - j / (k - 1).
 `one_hot` divides 0 to 1 into k equal intervals and takes the one that s is in. With two levels
 `linear` is `counting`.
 """

@@ -2,7 +2,7 @@
 DetectorOutput at t, so that neighbouring frames are not independent given Lane and SensorState.
 
 With probability `p_repeat_ok` (`p_repeat_bad` when the sensor is BAD) the detector repeats its
-output of the frame before, whatever lane the car is in; otherwise it answers as in the paper. A BAD
+output of the frame before, for any lane of the car; otherwise it answers as in the paper. A BAD
 sensor that repeats is one that is stuck. With both at zero this is the graph `sensor_failure`.
 
 The evidence for DetectorOutput is soft, so its value is latent and the belief needs it together

@@ -1,7 +1,7 @@
 """The graph `autoregressive` in which WOR persists too: WOR at t+1 depends on WOR at t, as it does
-where it is made of counters that grow and fall by one in each frame.
+if it is computed from counters that grow and fall by one in each frame.
 
-With probability `p_repeat_wor` WOR keeps its value, whatever the sensor does; otherwise it is drawn
+With probability `p_repeat_wor` WOR keeps its value in any sensor state; otherwise it is drawn
 as in the paper. With that at zero this is the graph `autoregressive`; filter with `exact`, as
 there. Its tables are the ones to learn by EM: neither lines nor WOR of neighbouring frames are
 taken for independent.

@@ -1,7 +1,7 @@
 """The paper's graph with a sensor that may be biased for a while: it then reports a lane further
 LEFT or RIGHT, for example because the detector takes an exit lane or a barrier for the road's edge.
 
-WOR has the same table for a biased sensor as for a working one, so it only tells either from a BAD
+WOR has the same table for a biased sensor as for a working one, so it separates both only from BAD
 one. A sensor that leaves a state goes to each of the other three with equal probability.
 """
 

@@ -1,9 +1,8 @@
 """Conditional probability tables with named axes, and their declaration as a pgmpy network.
 
 Tables are written as in the paper: the parents' values select the row, the columns are the node's
-own values. The array of a table therefore has one axis per parent, in the order in which the
-parents are listed, and the node's own axis last. A node of one slice is the pair (name, slice):
-slice 0 is time t, slice 1 is time t + 1.
+values. The array of a table has one axis per parent, in order, and the node's axis last. A node of
+a slice is the pair (name, slice): slice 0 is time t, slice 1 is time t + 1.
 
 >>> import egolane_pgm as ego
 >>> ego.cpds.uniform(4)
@@ -48,8 +47,8 @@ def discretised_normal(
     normal: str = "density",
     widths: Sequence[float] | None = None,
 ) -> FloatArray:
-    """The paper's F(N(mean, sigma^2)): a normal as probabilities of the lanes 1 to n (section "HMM
-    with Transient Failure Model").
+    """Return the paper's F(N(mean, sigma^2)): the normal as probabilities of the lanes 1 to n
+    (section "HMM with Transient Failure Model").
 
     - mean: one mean, or an array (...) of them, lanes
     - sigma: standard deviation, lanes
@@ -71,36 +70,35 @@ def discretised_normal(
         # With a tiny sigma this overflows to infinity, which gives the right limit.
         with np.errstate(over="ignore"):
             z = (edges - mean) / sigma / math.sqrt(2.0)
-        # A lane near the mean takes the difference of erf; a lane far from it takes the difference
-        # of the tails on its own side. Small masses keep their digits in this way.
-        middle, right, left = np.diff(erf(z)), -np.diff(erfc(z)), np.diff(erfc(-z))
+        # Lanes near the mean use differences of erf, lanes far from it those of the tail on their
+        # side, so that small masses keep their digits.
+        middle, right, left = np.diff(_erf(z)), -np.diff(_erfc(z)), np.diff(_erfc(-z))
         mass = np.where(z[..., :-1] > 0.5, right, np.where(z[..., 1:] < -0.5, left, middle))
     total = mass.sum(axis=-1, keepdims=True)
     if not (total > 0).all():
-        # Every lane is infinitely many standard deviations away, the nearest one least so.
+        # All lanes are infinitely many standard deviations away: use the nearest one.
         nearest = distance == distance.min(axis=-1, keepdims=True)
         mass = np.where(total > 0, mass, nearest)
         total = mass.sum(axis=-1, keepdims=True)
     return np.asarray(mass / total, dtype=np.float64)
 
 
-def erf(z: FloatArray) -> FloatArray:
-    """Return the error function. Importing that of scipy takes longer than most runs use it."""
+def _erf(z: FloatArray) -> FloatArray:
+    # Importing scipy.special takes longer than most runs spend in it.
     return np.array([math.erf(x) for x in z.flat]).reshape(z.shape)
 
 
-def erfc(z: FloatArray) -> FloatArray:
-    """Return the complementary error function."""
+def _erfc(z: FloatArray) -> FloatArray:
     return np.array([math.erfc(x) for x in z.flat]).reshape(z.shape)
 
 
-def normal_cdf(z: FloatArray) -> FloatArray:
-    """Return the standard normal distribution function."""
-    return np.asarray(0.5 * erfc(-z / math.sqrt(2.0)))
+def normal_cdf(x: FloatArray) -> FloatArray:
+    """Return the cumulative distribution function of the standard normal, of the shape of x."""
+    return np.asarray(0.5 * _erfc(-x / math.sqrt(2.0)))
 
 
 def lane_edges(n: int, widths: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
-    """Edges (n + 1,) and centres (n,) of the lanes, in units of the nominal lane.
+    """Return the edges (n + 1,) and centres (n,) of the lanes, in units of the nominal lane.
 
     Lane 1 starts at 0.5, so that lanes of width 1 have their centres at 1 to n.
     """
@@ -116,27 +114,29 @@ def lane_normals(
     widths: Sequence[float] | None = None,
     shift: float = 0.0,
 ) -> FloatArray:
-    """F of a normal around each lane's centre, moved by `shift` lanes to the right: (n, n), whose
-    row i belongs to lane i + 1. The other parameters are those of `discretised_normal`."""
+    """Return F of a normal around each lane's centre plus `shift` lanes: (n, n), a row per lane.
+
+    The other parameters are those of `discretised_normal`.
+    """
     _, centres = lane_edges(n, widths)
     return discretised_normal(centres + shift, sigma, n, normal, widths)
 
 
 def binary(ok: float, bad: float) -> FloatArray:
-    """[[ok, 1 - ok], [1 - bad, bad]]: an OK parent gives OK with probability `ok`, a BAD one gives
-    BAD with probability `bad` (Tables `tab:cptsensor`, `tab:cptri`)."""
+    """Return [[ok, 1 - ok], [1 - bad, bad]]: P(OK | OK) is `ok`, P(BAD | BAD) is `bad` (Tables
+    `tab:cptsensor`, `tab:cptri`)."""
     return np.array([[ok, 1 - ok], [1 - bad, bad]])
 
 
 def sticky(*stay: float) -> FloatArray:
-    """(k, k): value i stays with probability `stay[i]`; otherwise each of the other values is
-    equally likely."""
+    """Return a table (k, k): value i stays with probability `stay[i]`, else all others are equally
+    likely."""
     k = len(stay)
     return np.stack([np.where(np.arange(k) == i, p, (1 - p) / (k - 1)) for i, p in enumerate(stay)])
 
 
 def uniform(*shape: int) -> FloatArray:
-    """An array of this shape that is uniform over its last axis."""
+    """Return an array of this shape that is uniform over its last axis."""
     return np.full(shape, 1.0 / shape[-1])
 
 
@@ -144,9 +144,10 @@ def uniform(*shape: int) -> FloatArray:
 class Table:
     """P(node | parents).
 
-    values: one axis per parent, in the order of `parents`, and the node's own axis last.
-    Raises InputError, naming node and parents, where an axis is missing, an entry is negative or
-    NaN, or a row does not sum to one.
+    values: one axis per parent, in the order of `parents`, and the node's axis last.
+
+    Raises InputError, naming node and parents, if an axis is missing, an entry is negative or NaN,
+    or a row does not sum to one.
     """
 
     node: SliceNode
@@ -154,8 +155,7 @@ class Table:
     values: FloatArray
 
     def __post_init__(self) -> None:
-        # A search builds thousands of tables per second, so a good table is recognised in two
-        # passes; NaN fails both comparisons.
+        # Quick, because a search builds thousands of tables per second; NaN fails both comparisons.
         if self.values.ndim == len(self.parents) + 1:
             off = np.abs(self.values.sum(axis=-1) - 1).max()
             if self.values.min() >= 0 and off <= 1e-9:
@@ -176,36 +176,36 @@ def _spell(node: SliceNode) -> str:
 
 
 def previous(name: str) -> SliceNode:
-    """The node at time t, as a parent in `dynamics`."""
+    """Return the node at time t, as a parent in `dynamics`."""
     return (name, 0)
 
 
 def prior(name: str, values: ArrayLike, given: Sequence[str] = ()) -> list[Table]:
-    """P(name in the first frame | given in the first frame)."""
+    """Return P(name in the first frame | given in the first frame)."""
     parents = tuple((node, 0) for node in given)
     return [Table((name, 0), parents, np.asarray(values, dtype=np.float64))]
 
 
 def dynamics(name: str, given: Sequence[str | SliceNode], values: ArrayLike) -> list[Table]:
-    """P(name at t+1 | given). In `given`, `previous(x)` is x at t and a plain name is x at t+1."""
+    """Return P(name at t+1 | given). In `given`, `previous(x)` is x at t, a plain name x at t+1."""
     parents = tuple((node, 1) if isinstance(node, str) else node for node in given)
     return [Table((name, 1), parents, np.asarray(values, dtype=np.float64))]
 
 
 def within(name: str, given: Sequence[str], values: ArrayLike) -> list[Table]:
-    """P(name | given in the same slice): one table for each of the two slices."""
+    """Return P(name | given in the same slice), a table for each of the two slices."""
     array = np.asarray(values, dtype=np.float64)
     return [*prior(name, array, given), *dynamics(name, given, array)]
 
 
 def ve_name(observed: Observed) -> str:
-    """The name of the virtual-evidence node of an observed node or tuple."""
+    """Return the name of the virtual-evidence node of an observed node or tuple."""
     return (observed if isinstance(observed, str) else "+".join(observed)) + VE_SUFFIX
 
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Keeps pgmpy's warnings, log lines and progress bars off the terminal."""
+    """Silence pgmpy's warnings, log lines and progress bars."""
     logger = logging.getLogger("pgmpy")
     level = logger.level
     with warnings.catch_warnings():
@@ -229,16 +229,14 @@ def declare(
     observed: Iterable[Observed],
     values: Mapping[str, Sequence[str]] | None = None,
 ) -> DynamicBayesianNetwork:
-    """Declares the tables as a pgmpy network with both slices in full.
+    """Declare the tables as a pgmpy network with both slices in full.
 
-    - observed: each of them, a node or a tuple of nodes observed jointly, gets a binary child
-      `<name>_ve` for virtual evidence, whose table is a placeholder (1/2 everywhere), as is noted
-      at it: `network.nodes["WOR_ve", 0]`
-    - values: for each node the names of its values (pgmpy's state names); a node without names has
-      pgmpy's own, the numbers from 0
+    - observed: nodes, or tuples of nodes observed jointly. Each gets a binary child `<name>_ve` for
+      virtual evidence, whose table is a placeholder (1/2 everywhere) with a note, see
+      `network.nodes["WOR_ve", 0]`
+    - values: the names of each node's values (pgmpy's state names), by default numbers from 0
 
-    Raises InputError, naming the nodes, where a table is missing, is there twice or does not fit
-    its parents, and where the two slices have different edges.
+    Raises InputError as `check_tables`.
     """
     tables = list(tables)
     check_tables(tables, observed)
@@ -264,7 +262,7 @@ def declare(
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
                 super(DynamicBayesianNetwork, network).add_node(DynamicNode(*table.node))
-            # pgmpy wants the node's values as rows, the parents' combinations as columns.
+            # In pgmpy the node's values are rows and the parents' combinations columns.
             columns = table.values.reshape(-1, table.values.shape[-1]).T
             axes = zip((*table.parents, table.node), table.values.shape, strict=True)
             network.add_cpds(
@@ -287,53 +285,41 @@ def declare(
 def builder(
     tables: Callable[[int, Any], Iterable[Table]], observed: Iterable[Observed]
 ) -> Callable[[int, Any], DynamicBayesianNetwork]:
-    """The `build(n_lanes, parameters)` of a graph file: its `tables`, declared."""
+    """Return the `build(n_lanes, parameters)` of a graph file from its `tables`."""
     return lambda n_lanes, parameters: declare(tables(n_lanes, parameters), observed)
 
 
-def check_tables(tables: Sequence[Table], observed: Iterable[Observed]) -> None:
-    """Raise InputError, naming the nodes, where a table is missing, is there twice or does not fit
-    its parents, and where the two slices have different edges."""
-    parents: dict[SliceNode, tuple[SliceNode, ...]] = {}
-    for table in tables:
-        if table.node in parents:
-            raise InputError(f"{_spell(table.node)}: there are two tables for it")
-        parents[table.node] = table.parents
-    for node, given in parents.items():
-        for parent in given:
-            if parent not in parents:
-                raise InputError(
-                    f"{_spell(node)} has the parent {_spell(parent)}, for which there is no table"
-                )
-    for key in observed:
-        for name in (key,) if isinstance(key, str) else key:
-            if (name, 0) not in parents:
-                raise InputError(f"observed node {name}: there is no table for it")
-    check_structure(tables)
-    for node in sorted(parents):
-        s, other = node[1], (node[0], 1 - node[1])
-        for name, at in sorted(parents[node]):
-            if at == s and (name, 1 - s) not in parents.get(other, ()):
-                raise InputError(
-                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
-                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
-                )
+def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> None:
+    """Check that the tables of two slices fit each other.
 
-
-def check_structure(tables: Iterable[Table]) -> None:
-    """Raise InputError for an edge back in time, for a cycle within a slice, and for a node that
-    has other numbers of values in the first frame and later, or in its own table and a child's."""
+    Raises InputError, naming the nodes, if a table is missing or given twice, for an edge back in
+    time, a cycle, edges that differ between the slices, and for a node whose number of values
+    differs between the slices or from a child's table.
+    """
     tables = sorted(tables, key=lambda table: table.node[1])
+    parents: dict[SliceNode, tuple[SliceNode, ...]] = {}
     size: dict[str, int] = {}
     for table in tables:
         name, n_values = table.node[0], table.values.shape[-1]
+        if table.node in parents:
+            raise InputError(f"{_spell(table.node)}: there are two tables for it")
         if size.setdefault(name, n_values) != n_values:
             raise InputError(
                 f"{name}: has {size[name]} values in the first frame and {n_values} later"
             )
+        parents[table.node] = table.parents
+    for key in observed:
+        for name in (key,) if isinstance(key, str) else key:
+            if (name, 0) not in parents:
+                raise InputError(f"observed node {name}: there is no table for it")
     for table in tables:
         name, s = table.node
         for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):
+            if (parent, at) not in parents:
+                raise InputError(
+                    f"{_spell(table.node)} has the parent {_spell((parent, at))}, for which there"
+                    " is no table"
+                )
             if at > s:
                 raise InputError(
                     f"{name}: an edge from {parent} leads from slice 1 back to slice 0"
@@ -344,7 +330,15 @@ def check_structure(tables: Iterable[Table]) -> None:
                     " values"
                 )
     try:
-        graphlib.TopologicalSorter({table.node: table.parents for table in tables}).prepare()
+        graphlib.TopologicalSorter(parents).prepare()
     except graphlib.CycleError as error:
         cycle = " -> ".join(name for name, _ in error.args[1])
         raise InputError(f"the edges within a slice form a cycle: {cycle}") from None
+    for node in sorted(parents):
+        s, other = node[1], (node[0], 1 - node[1])
+        for name, at in sorted(parents[node]):
+            if at == s and (name, 1 - s) not in parents.get(other, ()):
+                raise InputError(
+                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
+                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
+                )

@@ -1,5 +1,5 @@
 """A network over frames as an ordinary pgmpy network, in which every node of every frame is a node
-of its own: `Lane@17`, or `Lane_0` and `Lane_1` of two slices in a BIF file."""
+with its frame: `Lane@17`, or `Lane_0` and `Lane_1` of two slices in a BIF file."""
 
 from __future__ import annotations
 

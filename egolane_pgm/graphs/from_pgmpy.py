@@ -7,7 +7,7 @@ never by position. A network is one of
 - a `DiscreteBayesianNetwork` of two slices, whose nodes are named `Lane_0` and `Lane_1`, or
   ("Lane", 0) and ("Lane", 1), as `get_constant_bn()` and BIF files have them.
 
-A table that one slice lacks is that of the other slice, where the node has the same parents there.
+A table missing in one slice is copied from the other one, if the node has the same parents.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_structure, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -38,8 +38,7 @@ class Declared:
     """The tables of a network, and the names of its nodes' values.
 
     - tables: the table of every node in both slices
-    - values: for each node the names of its values, text or not, where they differ from pgmpy's
-      own, 0, 1, ...
+    - values: the names of each node's values, if they are not pgmpy's default, 0, 1, ...
     """
 
     tables: Mapping[SliceNode, Table]
@@ -75,7 +74,7 @@ def read_network(network: Any) -> Declared:
         if not _is_numbered(given):
             values.setdefault(name, given)
     tables = _tables(cpds, values, parents)
-    check_structure(tables.values())
+    check_tables(tables.values())
     return Declared(tables, values)
 
 
@@ -143,10 +142,10 @@ def _of_slice(node: Any) -> SliceNode:
 
 
 def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
-    """The CPDs without those that `initialize_initial_state` copied from the other slice.
+    """Return the CPDs without those that `initialize_initial_state` copied from the other slice.
 
-    It copies the numbers of P(D | B, A) as they stand, but names the axes in the order of the
-    edges, which may be P(D | A, B). What is left out here is filled in by name.
+    It copies the numbers of P(D | B, A), but names the axes in the order of the edges, which may be
+    P(D | A, B). `_tables` fills these in by name.
     """
     given = {cpd.nodes[0]: cpd for cpd in cpds if not cpd.is_filled_in}
     kept = []
@@ -239,7 +238,7 @@ def _names(nodes: Iterable[SliceNode]) -> str:
 def read_file(path: Path) -> Any:
     """Read a BIF (.bif) or XMLBIF (.xmlbif, .xml) file as pgmpy's `DiscreteBayesianNetwork`.
 
-    Raises InputError, naming the file, where it cannot be read or is truncated.
+    Raises InputError, naming the file, if it cannot be read or is truncated.
     """
     if path.suffix not in NETWORK_FILES:
         raise InputError(f"{path}: a network is read from {', '.join(NETWORK_FILES)}")

@@ -1,17 +1,17 @@
-"""A graph that also follows the car's position inside the lane.
+"""A graph with the car's position inside the lane.
 
-RoadPosition is the car's place across the road, in cells; it persists from frame to frame, as
+RoadPosition is the car's position across the road, in cells; it persists from frame to frame, as
 SensorState does. Lane is a function of RoadPosition. In a lane change RoadPosition drifts across a
-line. The tracked lines show this drift: the input LineMotion is the median displacement of the
-lines since the frame before. The evidence (`evidence.line_geometry`) is a joint likelihood of
-RoadPosition and SensorState. When the sensor is OK, the lines tell the lane and the place inside
-it; when it is BAD, they tell only the place inside the lane.
+line. The input LineMotion, the median displacement of the lines since the previous frame, measures
+this drift. The evidence (`evidence.line_geometry`) is a joint likelihood of RoadPosition and
+SensorState. An OK sensor is evidence of the lane and the position in it, a BAD one of the position
+in the lane only.
 
 The first cell of RoadPosition is the leftmost one of lane 1. SensorState has the values OK (0) and
 BAD (1). The first `motion_bins` values of LineMotion are intervals of the displacement, from
--motion_range to motion_range, in lane widths. One value for each entry of `STEPS` and of `COASTING`
-follows; it says how many frames have passed since the frame before, and how the lines moved then. A
-vehicle that loses its lines in a lane change goes on with the change.
+-MOTION_RANGE to MOTION_RANGE, in lane widths. One value for each entry of `STEPS` and of `COASTING`
+follows: the number of frames since the previous one, and the velocity of the lines before. A
+vehicle that loses its lines in a lane change so completes the change.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ OBSERVED = (("RoadPosition", "SensorState"),)
 INPUTS = ("LineMotion",)
 VALUES = {"SensorState": ("OK", "BAD")}
 
-#: The numbers of frames since the frame before, for the values of LineMotion after a gap. A gap
-#: between two entries counts as the larger one; a gap beyond the last entry counts as the last.
+#: The numbers of frames since the previous one, for the values of LineMotion after a gap. A gap
+#: counts as the next larger entry, or the last one.
 STEPS = (2, 3, 4, 6, 8, 10, 12, 16, 24, 64, 256)
 
 #: How the lines moved before a gap, lane widths per frame. A quick lane change is 0.06.
@@ -67,18 +67,13 @@ MOTION_BINS = Parameter(
     lowest=1,
     highest=1000,
 )
-MOTION_RANGE = Parameter(
-    "motion_range",
-    "positive",
-    0.2,
-    "largest displacement of a line from frame to frame that is followed, lane widths",
-    search=None,
-)
+
+#: The largest displacement of a line from frame to frame that is followed, lane widths.
+MOTION_RANGE = 0.2
 
 PARAMETERS = (
     CELLS,
     MOTION_BINS,
-    MOTION_RANGE,
     Parameter(
         "motion_gain",
         "non_negative",
@@ -133,9 +128,9 @@ def motion_index(
     An unknown displacement, or one that is out of range, counts as the velocity. One that spans
     several frames counts as unknown.
     """
-    n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
     index = np.empty(len(steps), dtype=np.int64)
-    _index_motion(displacement, steps, velocity, n_bins, reach, index)
+    n_bins = int(number(parameters, "motion_bins"))
+    _index_motion(displacement, steps, velocity, n_bins, MOTION_RANGE, index)
     return index
 
 
@@ -207,16 +202,15 @@ def sensors(sensor: FloatArray, parameters: Mapping[str, Value]) -> list[FloatAr
 
 
 def known_displacements(parameters: Mapping[str, Value]) -> FloatArray:
-    """The displacement that each of the first values of LineMotion stands for, lane widths."""
-    n_bins, reach = int(number(parameters, "motion_bins")), number(parameters, "motion_range")
-    return ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * reach
+    """Return the displacement of each of the first values of LineMotion, lane widths."""
+    n_bins = int(number(parameters, "motion_bins"))
+    return ((np.arange(n_bins) + 0.5) / n_bins * 2 - 1) * MOTION_RANGE
 
 
 def moved(
     displacement: float, n_positions: int, cells: int, parameters: Mapping[str, Value]
 ) -> FloatArray:
-    """The transition of RoadPosition, (R, R), where the lines moved by `displacement` lane
-    widths."""
+    """Return the transition of RoadPosition, (R, R), for a `displacement`, lane widths."""
     gain = number(parameters, "motion_gain")
     narrow = number(parameters, "motion_sigma") * cells
     wide = number(parameters, "motion_sigma_wide") * cells

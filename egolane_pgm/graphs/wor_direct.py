@@ -1,4 +1,4 @@
-"""A graph without SensorState, in which WOR takes its place: WOR says for each frame by itself
+"""A graph without SensorState, in which WOR takes its place: WOR determines for each frame alone
 whether the detector output can be trusted, and the sensor has no memory.
 
 WOR is an observed parent of DetectorOutput. It is known from its evidence and its prior `p_wor`.

@@ -1,7 +1,7 @@
 """The paper's graph in which WOR also depends on whether Lane is an edge lane (1 or n) or a middle
-one: beside an edge lane the road ends, so that a working detector sees fewer lines there.
+one: next to an edge lane the road ends, so that a working detector sees fewer lines there.
 
-This is `wor_on_lane` with two values of each of p3 and p4, whatever the number of lanes. With equal
+This is `wor_on_lane` with two values of each of p3 and p4, for any number of lanes. With equal
 values for edge and middle lanes this is the graph `sensor_failure`. A road of one or two lanes has
 edge lanes only.
 """

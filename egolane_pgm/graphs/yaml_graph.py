@@ -1,4 +1,4 @@
-"""Reads a graph that is written in YAML: nodes and, for each of them, a table of numbers.
+"""Read a graph from YAML: nodes and, for each of them, a table of numbers.
 
     nodes:            # per node a number of values, or the names of its values
       Lane: 2
@@ -85,12 +85,12 @@ class _Graph(Section):
     inputs: tuple[str, ...] = ()
     unused: tuple[_Observed, ...] = ()
     tables: dict[str, dict[str, Any]]
-    #: The recording that the tables were learned from, see `model.recording_key`.
+    #: The recording of a fit, see `model.recording_key`.
     learned_from: str | None = None
 
 
 def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
-    """Makes a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
+    """Make a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
     tables, build, ...).
 
     - name: name of the new module

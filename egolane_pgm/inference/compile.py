@@ -1,23 +1,18 @@
-"""A declared two-slice network, turned into arrays over its joint state.
+"""Compile a two-slice network into arrays over its joint state.
 
-`graphs.from_pgmpy` reads the tables, their axes by the names of nodes; a network that the parts
-below do not allow is refused here, naming the node. So the filters need not check it again.
-
-Each node of a network has one of these parts:
+`graphs.from_pgmpy` reads the tables. Networks that do not fit the roles below are refused here,
+naming the node, so the filters do not check again. Each node has one role:
 
 - An input is a root whose value is given in every frame. It selects among its children's tables.
-- A function is a hidden node whose value follows for certain from other nodes of its frame.
-- A plain emission is an observed node that depends on its own frame alone, inputs left out, by the
-  same table in every frame, and on which nothing depends but other plain emissions.
-- Every other node is in the joint state, whether it is hidden or observed: a node with an edge
-  across the slices, a hidden one that is drawn anew in every frame, an observed one that depends on
-  an input or that a hidden one depends on.
+- A function is a hidden node that is determined by other nodes of its frame.
+- A plain emission is an observed node that depends on its frame only and on no input, by the same
+  table in every frame. Its children, if any, are plain emissions.
+- Every other node, hidden or observed, is in the joint state.
 
-A joint state is one value for each node of the last kind, and the filters carry a belief over the
-joint states from frame to frame. Where later frames do not depend on a node, the rows of the
-transition are the same for all its values, and so the step to the next frame sums it out. Evidence
-is a likelihood of an observed node's values. If the node is in the joint state, that is the
-likelihood of the states with these values, as for a hidden node that is observed directly.
+A joint state has one value for each node of the last kind; the filters propagate a belief over the
+joint states. If later frames do not depend on a node, the rows of the transition are equal for all
+its values, so that the next step sums it out. Evidence of a node in the joint state is the
+likelihood of the states with these values.
 """
 
 from __future__ import annotations
@@ -29,7 +24,7 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from graphlib import TopologicalSorter
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -46,18 +41,18 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
-#: What makes an observed node a part of the joint state.
+#: Why an observed node is in the joint state.
 _NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
 
 
 @dataclass(frozen=True)
 class Group:
-    """Observed nodes that one emission table is about.
+    """Observed nodes with a common emission table.
 
     observed: the keys of the evidence, in order. nodes: the network nodes that index the columns.
     sizes: their cardinalities; K is their product. axes: per observed key the positions of its
-    nodes in `nodes`. emission (S, K): P(nodes | joint state). mask (S, K): 0 where the joint state
-    has another value of an observed node than the column, else 1.
+    nodes in `nodes`. emission (S, K): P(nodes | joint state). mask (S, K): 1 if the joint state and
+    the column agree on all nodes that are in both, else 0.
     """
 
     observed: tuple[Observed, ...]
@@ -68,11 +63,9 @@ class Group:
     mask: FloatArray
 
 
-@dataclass(frozen=True)
-class Placement:
-    """Where a table goes: `indices` (one broadcastable array per axis of the table) select its
-    entries for the array `target`: "prior", "transition" or the number of a group (its emission).
-    """
+class Placement(NamedTuple):
+    """The array that a table is a factor of: `target` is "prior", "transition" or the number of a
+    group (its emission), `indices` (a broadcastable array per axis) select the table's entries."""
 
     target: str | int
     indices: tuple[IntArray, ...]
@@ -82,26 +75,25 @@ class Placement:
 class Compiled:
     """A network as arrays: S joint states, U joint values of the inputs (1 without inputs).
 
-    hidden: the nodes that beliefs are about.
-    state_nodes: the nodes of the joint state, the one of most values last; their values, the first
-        node's slowest, number the joint states.
-    inputs: the input nodes, the first one's values slowest in U.
+    hidden: the nodes of the beliefs.
+    state_nodes: the nodes of the joint state, the largest one last; the first one's values vary
+        slowest.
+    n_states: the number S of joint states.
+    inputs: the input nodes, the first one's values vary slowest in U.
     cardinality: of every node.
-    node_value: the value (S,) that each hidden node, and each other one of the joint state, has in
-        each joint state.
-    prior (U, S): the joint state in the first frame, before its evidence.
-    transition (U, S, S): row is the state before.
+    node_value: the value of each hidden node and each node of the joint state, (S,).
+    prior (U, S): P(joint state of the first frame), before its evidence.
+    transition (U, S, S): row is the previous state.
     groups: the emissions.
-    places: where the entries of each table go.
-    tables: the table of every node in both slices, with its present numbers; those of virtual-
-        evidence nodes are not among them.
+    places: the array that each table is a factor of.
+    tables: the table of every node but the virtual-evidence ones, in both slices.
     values: the names of each of these nodes' values.
-    start (n,): what is known of the lane before the first frame, relative to the tables' own prior;
-        None where nothing is (`starting_in`).
+    start (n,): likelihood of the lane before the first frame (`with_initial_lane`), or None.
     """
 
     hidden: tuple[str, ...]
     state_nodes: tuple[str, ...]
+    n_states: int
     inputs: tuple[str, ...]
     cardinality: Mapping[str, int]
     node_value: Mapping[str, IntArray]
@@ -119,11 +111,6 @@ class Compiled:
         return f"Compiled({nodes}: {self.n_states} joint states; observes {seen})"
 
     @property
-    def n_states(self) -> int:
-        """Number of joint states."""
-        return int(self.prior.shape[1])
-
-    @property
     def functions(self) -> tuple[str, ...]:
         """The hidden nodes that are functions of others."""
         return tuple(name for name in self.hidden if name not in self.state_nodes)
@@ -135,10 +122,10 @@ class Compiled:
 
     @property
     def network(self) -> DynamicBayesianNetwork:
-        """The network in pgmpy, declared anew from the tables, with the names of the values.
+        """The network in pgmpy, declared from the tables, with the names of the values.
 
-        The tables of its virtual-evidence nodes (`WOR_ve`) are placeholders, they hold no evidence:
-        `unrolled` gives frames that do.
+        The tables of its virtual-evidence nodes (`WOR_ve`) are placeholders; for frames with their
+        evidence see `unrolled`.
         """
         return declare(self.tables.values(), self.observed, self.values)
 
@@ -155,20 +142,20 @@ def compile(
     inputs: Sequence[str] = (),
     values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
-    """Turn a pgmpy network into the arrays that the filters take.
+    """Compile a pgmpy network into the arrays that the filters take.
 
     - network: a `DynamicBayesianNetwork`, before or after `initialize_initial_state()`; a
-      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`; or the name
-      of a BIF or XMLBIF file of such.
-    - observed: the nodes, or tuples of nodes, that there is evidence of.
-    - hidden: the nodes that beliefs are about, by default all that are neither observed nor inputs,
-      and Lane in any case.
+      `DiscreteBayesianNetwork` of two slices, with nodes named `Lane_0` and `Lane_1`; or the path
+      of a BIF or XMLBIF file with such a network.
+    - observed: the nodes, or tuples of nodes, with evidence.
+    - hidden: the nodes of the beliefs; by default Lane and all nodes that are neither observed nor
+      inputs.
     - inputs: nodes without parents whose value is known in every frame.
-    - values: names of nodes' values, in place of those that the network gives. Where neither gives
-      any, those of LANES count from 1 and those of any other node from 0.
+    - values: names of nodes' values, instead of the network's. By default those of LANES count
+      from 1 and those of any other node from 0.
 
     Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
-    naming the node or the file, for anything that the filters could not honour.
+    naming the node or the file, for anything that the filters do not support.
 
     >>> import warnings
     >>> import numpy as np
@@ -195,12 +182,12 @@ def compile(
             raise InputError(f"{what}: needs a list of nodes, e.g. [{given!r}]")
     observed = [key if isinstance(key, str) else tuple(key) for key in observed]
     declared = read_network(network)
+    names_of = {key: (key,) if isinstance(key, str) else key for key in observed}
     if hidden is None:
-        others = {*inputs, *map(ve_name, observed)}
-        others |= {n for key in observed for n in _names(key)}
+        others = {*inputs, *map(ve_name, observed), *chain.from_iterable(names_of.values())}
         nodes = dict.fromkeys(name for name, _ in declared.tables)
         hidden = [name for name in nodes if name == "Lane" or name not in others]
-    tables, missing = _without_virtual_evidence(declared.tables, observed)
+    tables, missing = _without_virtual_evidence(declared.tables, names_of)
     compiled = compile_tables(
         list(tables.values()),
         observed=tuple(observed),
@@ -210,8 +197,8 @@ def compile(
     )
     if missing:
         warnings.warn(
-            f"{NOTE}the network has no {', '.join(missing)}: virtual-evidence nodes that are"
-            " missing are added",
+            f"{NOTE}the network has no {', '.join(missing)}: missing"
+            " virtual-evidence nodes are added",
             UserWarning,
             stacklevel=2,
         )
@@ -226,8 +213,7 @@ def compile_tables(
     inputs: tuple[str, ...] = (),
     values: Mapping[str, Sequence[str]] | None = None,
 ) -> Compiled:
-    """Compile tables, as `compile` does the network that `cpds.declare` makes of them, without
-    importing pgmpy, which takes a second.
+    """Compile tables without importing pgmpy, which takes a second.
 
     - tables: of all nodes but the virtual-evidence ones, in both slices.
     - observed, hidden, inputs, values: as in `compile`.
@@ -235,13 +221,17 @@ def compile_tables(
     Raises InputError, naming the node, for tables that do not fit each other.
     """
     of_node = {table.node: table for table in tables}
-    _check_declared(of_node, hidden, observed, inputs)
+    names_of = {key: (key,) if isinstance(key, str) else key for key in observed}
+    _check_declared(of_node, hidden, names_of, observed, inputs)
     check_tables(tables, observed)
     aligned = {}
     for (name, s), table in of_node.items():
-        aligned[name, s] = _in_order(table, tuple((p, s) for p, _ in of_node[name, 1].parents))
+        parents = tuple((p, s) for p, _ in of_node[name, 1].parents)
+        if table.parents != parents and sorted(table.parents) == sorted(parents):
+            table = _in_order(table, parents)
+        aligned[name, s] = table
     size = {name: t.values.shape[-1] for (name, s), t in of_node.items() if s == 0}
-    nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, observed))))
+    nodes = tuple(dict.fromkeys(chain.from_iterable(names_of.values())))
     functions, emissions, state = _parts(aligned, hidden, nodes, inputs)
     if not state:
         raise InputError(
@@ -260,7 +250,7 @@ def compile_tables(
         table = aligned[name, 1]
         value = table.values.argmax(axis=-1)[tuple(node_value[p] for p, _ in table.parents)]
         node_value[name] = np.broadcast_to(value, n_states)
-    groups = _groups(aligned, observed, emissions, size, node_value, n_states)
+    groups = _groups(aligned, names_of, emissions, size, node_value, n_states)
     n_inputs = math.prod(size[n] for n in inputs)
     names = {}
     for node, n_values in size.items():
@@ -272,6 +262,7 @@ def compile_tables(
     blank = Compiled(
         hidden,
         tuple(state),
+        n_states,
         inputs,
         {**size, **{ve_name(key): 2 for key in observed}},
         node_value,
@@ -286,18 +277,18 @@ def compile_tables(
 
 
 def default_values(node: str, size: int) -> tuple[str, ...]:
-    """The names of the values of a node that has none: those of LANES count from 1."""
+    """Return the default names of a node's values: LANES count from 1, all others from 0."""
     first = 1 if node in LANES else 0
     return tuple(map(str, range(first, first + size)))
 
 
 def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
-    """The same network with new numbers in some of its tables, without touching pgmpy.
+    """Return the network with new numbers in some of its tables, without using pgmpy.
 
-    Numbers may change which part a node has: a function may become uncertain, the table of an
-    emission may come to differ between the slices. The arrays are then laid out anew.
+    The numbers may change a node's role: a function may become uncertain, an emission's table may
+    differ between the slices. The network is then compiled again.
 
-    Raises InputError naming the node whose table has other parents or another shape.
+    Raises InputError, naming the node, for a table with other parents or another shape.
     """
     now = dict(compiled.tables)
     for table in tables:
@@ -307,7 +298,9 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
         if table.node not in now:
             continue  # a virtual-evidence node
         old = now[table.node]
-        now[table.node] = table = _in_order(table, old.parents)
+        if table.parents != old.parents and sorted(table.parents) == sorted(old.parents):
+            table = _in_order(table, old.parents)
+        now[table.node] = table
         if table.parents != old.parents or table.values.shape != old.values.shape:
             raise InputError(f"{name}: the table has other parents or another shape than before")
     functions = compiled.functions
@@ -327,15 +320,14 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
             inputs=compiled.inputs,
             values=compiled.values,
         )
-    return filled if compiled.start is None else starting_in(filled, compiled.start)
+    return filled if compiled.start is None else with_initial_lane(filled, compiled.start)
 
 
-def starting_in(compiled: Compiled, start: FloatArray) -> Compiled:
-    """The network of a drive of whose first lane something is known: virtual evidence of Lane
-    before the first frame.
+def with_initial_lane(compiled: Compiled, start: FloatArray) -> Compiled:
+    """Return the network with virtual evidence of Lane before the first frame.
 
-    - start (n,): the likelihood of each lane, not all 0. The prior of an input under which no such
-      lane exists is 0.
+    - start (n,): the likelihood of each lane, not all 0. The prior is 0 for an input that excludes
+      all these lanes.
     """
     prior = compiled.prior * start[compiled.node_value["Lane"]]
     total = prior.sum(axis=1, keepdims=True)
@@ -343,7 +335,7 @@ def starting_in(compiled: Compiled, start: FloatArray) -> Compiled:
 
 
 def _filled(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> Compiled:
-    """The same network with the numbers of these tables, for which its layout is right."""
+    """Return the network with the arrays of these tables; their roles must be unchanged."""
     arrays: dict[str | int, FloatArray] = {
         "prior": np.ones_like(compiled.prior),
         "transition": np.ones_like(compiled.transition),
@@ -361,33 +353,26 @@ def _filled(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> Compiled:
 
 
 def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
-    """The table with its parents in this order, if they are its parents."""
-    if table.parents == parents or sorted(table.parents) != sorted(parents):
-        return table
+    """Return the table with its parents in this order."""
     order = [table.parents.index(p) for p in parents]
     return Table(table.node, parents, table.values.transpose(*order, len(order)))
 
 
 def _is_same(first: Table, later: Table) -> bool:
-    """Whether two tables of one node, with their parents in the same order, are the same but for
-    the slice."""
+    """Return whether two tables of a node, with parents in the same order, differ by slice only."""
     return later.parents == tuple((p, 1) for p, _ in first.parents) and (
         first.values is later.values or np.allclose(first.values, later.values, rtol=0, atol=1e-12)
     )
 
 
-def _names(key: Observed) -> tuple[str, ...]:
-    return (key,) if isinstance(key, str) else key
-
-
-# --- which node has which part --------------------------------------------------------------------
+# --- roles ----------------------------------------------------------------------------------------
 
 
 def _without_virtual_evidence(
-    tables: Mapping[SliceNode, Table], observed: Sequence[Observed]
+    tables: Mapping[SliceNode, Table], names_of: Mapping[Observed, tuple[str, ...]]
 ) -> tuple[dict[SliceNode, Table], list[str]]:
-    """The tables of all other nodes, and the virtual-evidence nodes that the network lacks."""
-    ve = {ve_name(key): _names(key) for key in observed}
+    """Return the tables of all other nodes, and the missing virtual-evidence nodes."""
+    ve = {ve_name(key): names for key, names in names_of.items()}
     kept = {}
     for (name, s), table in tables.items():
         if name not in ve:
@@ -406,18 +391,19 @@ def _without_virtual_evidence(
 def _check_declared(
     tables: Mapping[SliceNode, Table],
     hidden: Sequence[str],
+    names_of: Mapping[Observed, tuple[str, ...]],
     observed: Sequence[Observed],
     inputs: Sequence[str],
 ) -> None:
-    """Raise InputError where the declaration and the tables disagree."""
-    seen = list(chain.from_iterable(map(_names, observed)))
+    """Raise InputError if the declaration does not fit the tables."""
+    seen = list(chain.from_iterable(names_of.values()))
     names = {name for name, _ in tables}
     for name in (*hidden, *inputs, *seen):
         if name not in names:
             raise InputError(
                 f"{name}: declared, but not a node of the network{suggestion(name, names)}"
             )
-    for declared in (hidden, inputs, map(ve_name, observed), *map(_names, observed)):
+    for declared in (hidden, inputs, map(ve_name, observed), *names_of.values()):
         for key, times in Counter(declared).items():
             if times > 1:
                 raise InputError(f"{key}: declared more than once")
@@ -441,12 +427,12 @@ def _parts(
     nodes: Sequence[str],
     inputs: Collection[str],
 ) -> tuple[list[str], set[str], list[str]]:
-    """The functions, each one behind those that it is a function of; the plain emissions; and the
-    nodes of the joint state. nodes: the observed ones."""
-    plain, looked_back_at = set(), set()
+    """Return the functions in topological order, the plain emissions, and the nodes of the joint
+    state. nodes: the observed ones."""
+    plain, previous = set(), set()
     for (name, s), table in tables.items():
         if s == 1:
-            looked_back_at |= {p for p, ps in table.parents if ps == 0}
+            previous |= {p for p, ps in table.parents if ps == 0}
             is_chosen = any(p in inputs for p, _ in table.parents)
             if not is_chosen and _is_same(tables[name, 0], table):
                 plain.add(name)
@@ -460,13 +446,12 @@ def _parts(
     sources = {}
     for name in hidden:
         table = tables[name, 1]
-        is_drawn = name not in plain or name in looked_back_at
+        is_drawn = name not in plain or name in previous
         if not is_drawn and np.isin(table.values, (0.0, 1.0)).all():
             sources[name] = [p for p, _ in table.parents]
     functions = [name for name in TopologicalSorter(sources).static_order() if name in sources]
     carried = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*sources, *emissions}]
-    # The node of most values last: those of its values that follow each other are then next to
-    # each other in memory.
+    # The largest node last, so that its values are contiguous in memory.
     state = sorted(carried, key=lambda name: tables[name, 0].values.shape[-1])
     return functions, emissions, state
 
@@ -475,7 +460,7 @@ def _parts(
 
 
 def _value_of(nodes: Sequence[str], cardinality: Mapping[str, int]) -> dict[str, IntArray]:
-    """The value of each node in each of their joint values, the first node's slowest."""
+    """Return the value of each node in each joint value; the first node's vary slowest."""
     sizes = [cardinality[n] for n in nodes]
     values = np.indices(sizes).reshape(len(sizes), math.prod(sizes))
     return dict(zip(nodes, values, strict=True))
@@ -483,17 +468,18 @@ def _value_of(nodes: Sequence[str], cardinality: Mapping[str, int]) -> dict[str,
 
 def _groups(
     tables: Mapping[SliceNode, Table],
-    observed: Sequence[Observed],
+    names_of: Mapping[Observed, tuple[str, ...]],
     emissions: Collection[str],
     size: Mapping[str, int],
     node_value: Mapping[str, IntArray],
     n_states: int,
 ) -> tuple[Group, ...]:
-    """The groups in the order declared. Evidence keys share one if their plain emissions are linked
-    by an edge or by a common virtual-evidence node."""
+    """Return the groups in the order declared. Keys share a group if their plain emissions are
+    linked by an edge or a common virtual-evidence node."""
+    observed = list(names_of)
     clusters: list[tuple[set[str], list[int]]] = []
     for k, key in enumerate(observed):
-        linked = {n for n in _names(key) if n in emissions}
+        linked = {n for n in names_of[key] if n in emissions}
         for name in list(linked):
             linked |= {p for p, _ in tables[name, 1].parents if p in emissions}
         members = [k]
@@ -506,9 +492,9 @@ def _groups(
     groups = []
     for members in sorted(members for _, members in clusters):
         keys = tuple(observed[k] for k in members)
-        nodes = tuple(dict.fromkeys(chain.from_iterable(map(_names, keys))))
+        nodes = tuple(dict.fromkeys(chain.from_iterable(map(names_of.__getitem__, keys))))
         sizes = tuple(size[n] for n in nodes)
-        axes = tuple(tuple(map(nodes.index, _names(key))) for key in keys)
+        axes = tuple(tuple(map(nodes.index, names_of[key])) for key in keys)
         mask = np.ones((n_states, math.prod(sizes)))
         for name, column in _value_of(nodes, size).items():
             if name in node_value:
@@ -525,7 +511,7 @@ def _places(
     node_value: Mapping[str, IntArray],
     input_value: Mapping[str, IntArray],
 ) -> dict[SliceNode, Placement]:
-    """Where the tables of the joint state and of plain emissions go."""
+    """Return the placement of the tables of the joint state and of plain emissions."""
     places = {}
     for name in state:
         for s, target in ((0, "prior"), (1, "transition")):

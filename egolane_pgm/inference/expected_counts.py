@@ -1,9 +1,8 @@
-"""Expected counts: how often each entry of each table is used in a recording, given soft evidence
-and known values of hidden nodes. This is the E step of EM (Baum-Welch; Rabiner 1989, section
-III.C).
+"""Expected counts of the tables' entries, given soft evidence and known values of hidden nodes: the
+E step of EM (Baum-Welch; Rabiner 1989, section III.C).
 
-A frame whose evidence, together with the known values, has joint likelihood zero given the frames
-before it is flagged; both are left out there, as the filters leave out evidence.
+A frame whose evidence and known values have joint likelihood zero given the previous frames is
+flagged, and both are ignored.
 """
 
 from __future__ import annotations
@@ -16,10 +15,14 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, Group
-from egolane_pgm.inference.filtering import forward, state_likelihood
+from egolane_pgm.inference.filtering import (
+    evidence_blocks,
+    forward,
+    joint_input,
+    state_likelihood,
+)
 from egolane_pgm.inference.kernels.filter import LEAST
 from egolane_pgm.inference.kernels.sweeps import smooth_frames
-from egolane_pgm.inference.layout import evidence_blocks, joint_input
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, suggestion
 
 #: Marks a frame in which the node's value is unknown.
@@ -38,9 +41,10 @@ class Expected:
 
 
 def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
-    """The tables that can be counted: that of the first frame (slice 0) and that of later ones
-    (slice 1) of a node that has two, else the one (slice 1). Functions and tables that an input
-    selects are not among them."""
+    """Return the tables with counts: both slices of a node with two tables, else slice 1.
+
+    Functions and tables that an input selects are left out.
+    """
     return {
         node: compiled.tables[node]
         for node in map(partial(_counted, compiled), compiled.places)

@@ -1,35 +1,31 @@
-"""Filters: the belief over the hidden nodes after each frame, given the evidence so far.
+"""Filters: the posterior over the hidden nodes after each frame, given the evidence so far.
 
-The evidence of a frame becomes, once, its likelihood given each joint state (`state_likelihood`).
-All that follows stands on one recursion over that (`forward`): filters, online steps, smoothers,
-the most probable path and the expected counts of learning.
+The evidence of a frame becomes its likelihood given each joint state (`state_likelihood`). One
+recursion (`forward`) takes these likelihoods; filters, online steps, smoothers, the most probable
+path and the expected counts of learning all use it.
 
-`exact` carries the belief over the joint state from frame to frame. `assumed_density` carries the
-product of the marginals of the nodes in it (Boyen and Koller 1998), which is what the paper's
-equations in section "Inference" do: each marginal is propagated by its own table.
+`exact` propagates the posterior over the joint state. `assumed_density` propagates the product of
+the marginals of its nodes (Boyen and Koller 1998), as the paper's equations in section "Inference"
+do: each marginal is propagated by its table.
 
-Each belief is divided by its sum, so that the length of a drive does not matter. Floating-point
-numbers have their limits: a probability that is 300 decades smaller than another one of its frame
-is zero, and so is a frame's likelihood below 2.2e-308.
+Each posterior is normalised, so the length of a drive does not matter. A probability that is 300
+decades smaller than another one of its frame is zero, and so is a frame's likelihood below
+2.2e-308.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.kernels.banded import Band, forward_banded
+from egolane_pgm.inference.kernels.banded import MIN_STATES, Band, find_band, forward_banded
 from egolane_pgm.inference.kernels.filter import forward_kernel, likelihood_kernel, multiply_chosen
-from egolane_pgm.inference.layout import (
-    evidence_blocks,
-    joint_input,
-    layout,
-    marginals_of,
-)
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -49,7 +45,7 @@ MAX_FIXED_STATES = 16
 MAX_FIXED_COLUMNS = 24
 MIN_FIXED_FRAMES = 1000
 
-#: The filter takes frames in pieces of about this many numbers: they stay in the processor's cache.
+#: The filter works on chunks of about this many numbers, which fit the processor's cache.
 PIECE = 2**16
 
 
@@ -60,10 +56,10 @@ def filter_beliefs(
     *,
     frame_id: IntArray | None = None,
 ) -> Beliefs:
-    """P(node | evidence so far) for every hidden node and frame, and the log evidence.
+    """Return P(node | evidence so far) for every hidden node and frame, and the log evidence.
 
     - evidence: T frames.
-    - method: "exact", or "assumed_density" as the paper does it.
+    - method: "exact", or "assumed_density" (the paper's).
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 
     A frame whose joint likelihood is zero keeps its prediction and is flagged. Raises InputError
@@ -82,10 +78,10 @@ def filter_beliefs(
 def step(
     compiled: Compiled, state: FloatArray | None, evidence: Evidence, method: str = "exact"
 ) -> tuple[FloatArray, Beliefs]:
-    """Filter one more frame (or several) online: the new state and the beliefs of these frames.
+    """Filter one more frame (or several) online; return the new state and the frames' beliefs.
 
-    - state (S,): what the call before gave: the belief after its last frame, under assumed density
-      the product of its marginals; None before the first frame; it is not changed.
+    - state (S,): the state that the previous call returned (not modified), None at the start: the
+      belief after the last frame, under assumed density the product of its marginals.
     - evidence, method, errors: as in `filter_beliefs`.
     """
     if method not in METHODS:
@@ -98,8 +94,8 @@ def step(
     begins[:1] = state is None
     index = joint_input(compiled, evidence)
     done = []
-    # A drive that is cut at a multiple of this gives the same beliefs to the last digit, but for
-    # less than half of it at the end: a remainder is done with the piece before it.
+    # A drive that is cut at a multiple of this size gives bit-identical beliefs. A last chunk of
+    # less than half the size is joined to the one before.
     size = max(1, PIECE // compiled.n_states)
     starts = [*range(0, max(1, n_frames - size // 2), size), n_frames]
     for piece in map(slice, starts, starts[1:]):
@@ -112,13 +108,9 @@ def step(
     return joint, Beliefs.joined(done)
 
 
-def read_evidence(evidence: Evidence, reading: str) -> Evidence:
-    """The evidence as the filter takes it (section "Inference"): `soft` as it is, a likelihood;
-    `hard` only its most probable value. A tie has no most probable value: all that share it are
-    kept as equals.
-    """
-    if reading == "soft":
-        return evidence
+def harden(evidence: Evidence) -> Evidence:
+    """Replace each likelihood by 1 for its largest value and 0 for all others (evidence mode
+    `hard`, section "Inference"). Values that tie for the largest are all kept."""
     hard: dict[Observed, FloatArray] = {}
     for key, values in evidence.likelihoods.items():
         flat = values.reshape(len(values), math.prod(values.shape[1:]))
@@ -127,11 +119,129 @@ def read_evidence(evidence: Evidence, reading: str) -> Evidence:
     return Evidence(hard, evidence.inputs)
 
 
+@dataclass(frozen=True)
+class Layout:
+    """The arrays of a network that the kernels take, besides its tables and the evidence.
+
+    parts: the columns of each hidden node in `indicator`, nodes of the joint state first.
+    indicator (S, M): joint beliefs (T, S) times this are the concatenated marginals (T, M).
+    column (N, S): the value of each node in each joint state; the values of all N nodes are
+        numbered consecutively. columns: the same as a tuple.
+    emissions: the emission table of each group, transposed, (K, S).
+    only: for each group the only possible column of each joint state (S,), or None if a state has
+        several.
+    shapes: the cardinalities of each observed key.
+    band: the transition, if it is banded.
+    """
+
+    parts: Mapping[str, slice]
+    indicator: FloatArray
+    column: IntArray
+    columns: tuple[tuple[int, ...], ...]
+    emissions: tuple[FloatArray, ...]
+    only: tuple[IntArray | None, ...]
+    shapes: Mapping[Observed, tuple[int, ...]]
+    band: Band | None
+
+
+@lru_cache(maxsize=16)
+def layout(compiled: Compiled) -> Layout:
+    """Return the layout of a network, cached for online filters."""
+    size = compiled.cardinality
+    in_state = [name for name in compiled.state_nodes if name in compiled.hidden]
+    parts, indicator, start = {}, [], 0
+    for name in (*in_state, *(name for name in compiled.hidden if name not in in_state)):
+        parts[name] = slice(start, start + size[name])
+        start += size[name]
+        indicator.append(compiled.node_value[name][:, None] == np.arange(size[name]))
+    column = np.empty((len(compiled.state_nodes), compiled.n_states), dtype=np.int64)
+    start = 0
+    for k, name in enumerate(compiled.state_nodes):
+        column[k] = start + compiled.node_value[name]
+        start += size[name]
+    emissions, only, shapes = [], [], {}
+    for group in compiled.groups:
+        emissions.append(np.ascontiguousarray(group.emission.T))
+        is_certain = ((group.emission == 0.0) | (group.emission == 1.0)).all()
+        only.append(group.emission.argmax(axis=1) if is_certain else None)
+        for key, axes in zip(group.observed, group.axes, strict=True):
+            shapes[key] = tuple(group.sizes[k] for k in axes)
+    return Layout(
+        parts,
+        np.concatenate(indicator, axis=1, dtype=np.float64),
+        column,
+        tuple(map(tuple, column.tolist())),
+        tuple(emissions),
+        tuple(only),
+        shapes,
+        find_band(compiled) if compiled.n_states >= MIN_STATES else None,
+    )
+
+
+def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
+    """Return the marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
+    arrays = layout(compiled)
+    marginals = joint @ arrays.indicator
+    return {name: marginals[:, part] for name, part in arrays.parts.items()}
+
+
+def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
+    """Return the joint value of the input nodes in each frame, (T,); 0 without inputs.
+
+    Raises InputError, naming the node, for evidence that does not fit the network.
+    """
+    if not isinstance(evidence, Evidence):
+        raise InputError(
+            f"evidence: needs an Evidence, not a {type(evidence).__name__}: Evidence(...) of"
+            " likelihoods, or Evidence.hard(...) of observed values"
+        )
+    shapes, joint = layout(compiled).shapes, np.zeros(len(evidence), dtype=np.int64)
+    for what, needed, given in (
+        ("observed", shapes, evidence.likelihoods),
+        ("input", compiled.inputs, evidence.inputs),
+    ):
+        for key in needed:
+            if key not in given:
+                raise InputError(f"{what} node {key}: the evidence has nothing for it")
+        for key in given:
+            if key not in needed:
+                raise InputError(f"evidence for {key}: the graph has no such {what} node")
+    for key, values in evidence.likelihoods.items():
+        if values.shape[1:] != shapes[key]:
+            needs = (len(evidence), *shapes[key])
+            raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {needs}")
+    for name in compiled.inputs:
+        index, size = evidence.inputs[name], compiled.cardinality[name]
+        if len(index) and not 0 <= index.min() <= index.max() < size:
+            raise InputError(f"input {name}: outside 0..{size - 1}")
+        joint = joint * size + index
+    return joint
+
+
+def evidence_blocks(
+    compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
+) -> list[FloatArray]:
+    """Return the evidence of each group of observed nodes in some frames, (T, K): the product over
+    the group's keys, for all values of its nodes. `joint_input` has checked the evidence."""
+    blocks = []
+    for group in compiled.groups:
+        block = evidence.likelihoods[group.observed[0]][frames]
+        if len(group.observed) > 1:
+            block = np.ones((len(block), *group.sizes))
+            for key, axes in zip(group.observed, group.axes, strict=True):
+                # The evidence's axes in the order of the group's, then 1 along the others.
+                shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
+                values = evidence.likelihoods[key][frames].transpose(0, *(1 + np.argsort(axes)))
+                block *= values.reshape(-1, *shape)
+        rows = block.reshape(len(block), math.prod(group.sizes))
+        blocks.append(np.ascontiguousarray(rows, dtype=np.float64))
+    return blocks
+
+
 def state_likelihood(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> FloatArray:
-    """P(evidence of the frame | joint state), (T, S), of some frames. Raises InputError as
-    `evidence_blocks`."""
+    """Return P(evidence of the frame | joint state), (T, S), of some frames."""
     blocks = evidence_blocks(compiled, evidence, frames)
     arrays, n_frames, n_states = layout(compiled), len(blocks[0]), compiled.n_states
     likelihood = np.ones((n_frames, n_states))
@@ -156,17 +266,19 @@ def forward(
     is_factored: bool = False,
     out: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """The forward recursion: the joint belief after each frame (T, S), the log evidence of each
-    frame given those before (T,), and where the evidence was impossible and left out (T,).
+    """Run the forward recursion.
 
-    - likelihood (T, S): of the evidence, as `state_likelihood` makes it.
+    - likelihood (T, S): from `state_likelihood`.
     - index (T,): the joint value of the inputs.
-    - begins (T,): True where a sequence begins.
-    - joint (S,): the belief before the first frame, overwritten by that after the last one. None
-      where a sequence begins with the first frame.
+    - begins (T,): True in the first frame of each sequence.
+    - joint (S,): the belief before the first frame, overwritten by the belief after the last one;
+      None if a sequence begins with the first frame.
     - is_factored: True for assumed density, False for the exact recursion.
-    - out (T, S): where the beliefs are written. It may be `likelihood`, which is then lost: new
-      memory takes a search as long as the recursion.
+    - out (T, S): output array for the beliefs; may be `likelihood`, which saves as much time as the
+      recursion takes.
+
+    Returns the joint belief after each frame (T, S), the log evidence of each frame given the
+    previous ones (T,), and whether the frame's evidence was impossible and ignored (T,).
     """
     n_frames, n_states = likelihood.shape
     arrays = layout(compiled)
@@ -176,7 +288,7 @@ def forward(
     total, is_impossible = np.empty(n_frames), np.empty(n_frames, dtype=bool)
     run: Any
     transition: Band | FloatArray
-    # The banded one knows the product of two marginals, not of more.
+    # The banded recursion takes the product of at most two marginals.
     if arrays.band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
         run, transition = forward_banded, arrays.band
     else:

@@ -1,11 +1,11 @@
-"""Smoothing: the belief about each frame, given later evidence as well.
+"""Smoothing: the posterior of each frame, given later evidence as well.
 
-`smooth_beliefs` knows the whole sequence (forward-backward), `fixed_lag_beliefs` the next `lag`
-frames; `lag_step` does the latter online, `lag` frames late. All start from the exact recursion.
-What is carried backwards is scaled frame by frame, so that long sequences do not underflow.
+`smooth_beliefs` uses the whole sequence (forward-backward), `fixed_lag_beliefs` the next `lag`
+frames; `lag_step` does the latter online, `lag` frames late. All use the exact recursion. The
+backward messages are scaled frame by frame, so that long sequences do not underflow.
 
-A frame whose evidence has joint likelihood zero given the frames before it is flagged by the
-filter, and its evidence is ignored by the smoothers too. `log_evidence` is the filter's.
+Evidence that the filter flags as impossible is ignored by the smoothers too. `log_evidence` is the
+filter's.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import filter_beliefs, forward, state_likelihood
+from egolane_pgm.inference.filtering import forward, joint_input, marginals_of, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
-from egolane_pgm.inference.layout import joint_input, marginals_of
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -29,37 +28,12 @@ from egolane_pgm.types import (
 )
 
 
-def infer_beliefs(
-    compiled: Compiled,
-    evidence: Evidence,
-    filter: str,
-    lag: int | None = None,
-    *,
-    frame_id: IntArray | None = None,
-) -> Beliefs:
-    """The beliefs by the name of their method.
-
-    - filter: smoothed, fixed_lag, or a method of `filter_beliefs`.
-    - lag: later frames that `fixed_lag` waits for; the others take none.
-    - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
-
-    Raises InputError for an unknown name, a missing lag and evidence that does not fit.
-    """
-    if filter == "smoothed":
-        return smooth_beliefs(compiled, evidence, frame_id=frame_id)
-    if filter == "fixed_lag":
-        if lag is None:
-            raise InputError("filter 'fixed_lag' needs a lag, in frames")
-        return fixed_lag_beliefs(compiled, evidence, lag, frame_id=frame_id)
-    return filter_beliefs(compiled, evidence, filter, frame_id=frame_id)
-
-
 @dataclass(frozen=True)
 class Passed:
-    """The results of the exact forward recursion over T frames that smoothers go back over.
+    """The results of the exact forward recursion over T frames, which the smoothers take.
 
     filtered (T, S): the joint belief after each frame.
-    likelihood (T, S): of each frame's evidence; one where it is left out.
+    likelihood (T, S): of each frame's evidence; one if it is ignored.
     index (T,): the joint value of the inputs.
     begins (T,): True in the first frame.
     log_evidence, is_impossible (T,): as in `Beliefs`.
@@ -76,11 +50,11 @@ class Passed:
 def pass_forward(
     compiled: Compiled, evidence: Evidence, before: FloatArray | None = None
 ) -> Passed:
-    """The exact recursion over T frames.
+    """Run the exact recursion over T frames.
 
-    - before (S,): the joint belief after the frame before, None where the sequence begins.
+    - before (S,): the joint belief after the previous frame, None at the start of a sequence.
 
-    Raises InputError as `filter_beliefs`.
+    Raises InputError for evidence that does not fit the network.
     """
     index = joint_input(compiled, evidence)
     begins = np.zeros(len(evidence), dtype=bool)
@@ -96,8 +70,8 @@ def pass_forward(
 def smooth_beliefs(
     compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
 ) -> Beliefs:
-    """P(node | evidence of all frames) for every hidden node and frame (Rabiner 1989, section
-    III.B, on the joint state).
+    """Return P(node | evidence of all frames) for every hidden node and frame (Rabiner 1989,
+    section III.B, on the joint state).
 
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
 
@@ -116,8 +90,9 @@ def smooth_beliefs(
 def fixed_lag_beliefs(
     compiled: Compiled, evidence: Evidence, lag: int, *, frame_id: IntArray | None = None
 ) -> Beliefs:
-    """P(node at t | evidence up to frame t + lag) for every hidden node and frame; near the end
-    there are fewer later frames. With lag 0 this is the exact filter.
+    """Return P(node at t | evidence up to frame t + lag) for every hidden node and frame.
+
+    With lag 0 this is the exact filter.
 
     - lag: frames, not negative.
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
@@ -141,9 +116,9 @@ def fixed_lag_beliefs(
 
 
 class LagState(NamedTuple):
-    """What an online fixed-lag smoother carries.
+    """The state of an online fixed-lag smoother.
 
-    recent: the frames without an answer yet, lag of them or fewer.
+    recent: the last frames, at most `lag`, whose beliefs are not final yet.
     joint (S,): the joint belief after the last frame.
     """
 
@@ -154,14 +129,15 @@ class LagState(NamedTuple):
 def lag_step(
     compiled: Compiled, state: LagState | None, evidence: Evidence, lag: int
 ) -> tuple[LagState, Beliefs]:
-    """Take one more frame online: the new state, and the belief about the frame `lag` frames ago,
-    which is now as good as it gets; no belief as long as there was no such frame.
+    """Take one more frame online; return the new state, and the belief of `lag` frames ago.
 
-    - state: the state that the call before gave, None before the first frame.
+    There is no belief during the first `lag` frames.
+
+    - state: the state that the previous call returned, None before the first frame.
     - evidence: one frame.
     - lag: frames, not negative.
 
-    `lag_rest` has the last frames at the end. Raises InputError as `pass_forward`.
+    `lag_rest` gives the last frames at the end. Raises InputError as `pass_forward`.
     """
     recent = pass_forward(compiled, evidence, None if state is None else state.joint)
     joint = recent.filtered[-1]
@@ -174,12 +150,12 @@ def lag_step(
 
 
 def lag_rest(compiled: Compiled, state: LagState) -> Beliefs:
-    """The beliefs about the frames that `lag_step` has not answered yet, at the end."""
+    """Return the beliefs of the frames that `lag_step` has not returned, at the end."""
     return _first(compiled, state.recent, len(state.recent.filtered))
 
 
 def _first(compiled: Compiled, recent: Passed, n_frames: int) -> Beliefs:
-    """The beliefs about the first of the recent frames, given all of them."""
+    """Return the beliefs of the first of the recent frames, given all of them."""
     here = Passed(*(array[:n_frames] for array in vars(recent).values()))
     smoothed = _smoothed(compiled, recent)[:n_frames] if n_frames else here.filtered
     return _beliefs(compiled, here, smoothed, None)

@@ -1,4 +1,4 @@
-"""Some frames of a model as an ordinary pgmpy network, so that pgmpy can be asked about them."""
+"""Some frames of a model as an ordinary pgmpy network, for queries in pgmpy."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ import numpy as np
 from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
 from egolane_pgm.graphs.flat import flat_network
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import step
-from egolane_pgm.inference.layout import check_keys
+from egolane_pgm.inference.filtering import joint_input, step
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
@@ -52,11 +51,10 @@ def unrolled(
         network, given = unrolled(model, evidence, 40, 45)
         VariableElimination(network).query(["Lane@45"], evidence=given)
 
-    gives that filter's belief of the last frame, and for an earlier one what a smoother knows
-    after the last. The evidence of impossible frames is not among `given`, as the filter leaves it
-    out.
+    gives the filter's belief of the last frame, and the smoothed belief of an earlier one. `given`
+    does not contain the evidence of impossible frames, which the filter ignores.
 
-    Raises InputError for frames that there are not, and for evidence that does not fit the network.
+    Raises InputError for missing frames, and for evidence that does not fit the network.
 
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
@@ -66,7 +64,7 @@ def unrolled(
     ['Lane@39', 'Lane@40', 'Lane@41']
     """
     compiled = model if isinstance(model, Compiled) else model.compiled
-    check_keys(compiled, evidence)
+    joint_input(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     start, stop = _position(ids, first), _position(ids, last) + 1
     if start >= stop:
@@ -133,7 +131,7 @@ def _past(compiled: Compiled, state: FloatArray, frame: int) -> list[Table]:
     tables = []
     for k, (before, now) in enumerate(pairwise(up_to)):
         total = before[..., None]
-        # Where the nodes before cannot have these values, nothing is asked of this row.
+        # Rows for impossible values of the earlier nodes are never used.
         values = np.where(total > 0, now / np.where(total > 0, total, 1), 1 / now.shape[-1])
         tables.append(Table(nodes[k], tuple(nodes[:k]), values))
     return tables

@@ -1,11 +1,10 @@
 """The most probable path of the joint state.
 
 The path has, in every frame, one value for each node of the joint state (`compile`). The values of
-plain emissions are no part of it: they are summed out. An observed node that is in the joint state
-is a part of it, so that the path takes one of its values, however soft the evidence.
+plain emissions are summed out. An observed node in the joint state has one value, even if its
+evidence is soft.
 
-Many paths may share the probability, and the best of them may then be far from what each frame's
-smoothed belief says.
+If many paths share the probability, the best one may be far from the smoothed beliefs.
 """
 
 from __future__ import annotations

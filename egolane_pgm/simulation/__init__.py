@@ -1,4 +1,4 @@
-"""Simulated motorways: seeded drives as lists of lines, in which the truth is known.
+"""Simulated motorways: seeded drives as lists of lines, with their ground truth.
 `vision.simulated` draws the same drives as pictures."""
 
 from __future__ import annotations

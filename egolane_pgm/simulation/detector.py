@@ -1,4 +1,4 @@
-"""A simulated line detector and tracker, which fails in bursts, and whole drives seen by it.
+"""A simulated line detector and tracker, which fails in bursts, and whole drives.
 
 Every line of the road has a track. In each frame a track is detected or not. The line reliability
 index (LRI) counts its detections in the last frames. The line becomes valid when the LRI reaches
@@ -46,9 +46,14 @@ _RANGE_SOFTNESS_M, _BAD_SHIFT_M = 1.0, 2.5
 _LRI_MAX, _LRI_RESET = 10, 0.1
 
 
+#: A table of the standard normal's cumulative distribution.
+_GRID = np.linspace(-6.0, 6.0, 1201)
+_CDF = normal_cdf(_GRID)
+
+
 @checked_dataclass(frozen=True)
 class DetectorModel:
-    """How lines are detected; probabilities are per line and frame unless said otherwise.
+    """The detection of lines; probabilities are per line and frame by default.
 
     Reported offsets:
 
@@ -131,9 +136,8 @@ def _stretches(
 
 def sensor_failures(detector: DetectorModel, road: Road, seed: int) -> BoolArray:
     """The frames in which the sensor fails, (T,): a Markov chain that starts in equilibrium."""
-    rng = np.random.default_rng([seed, 1])
-    rate = road.frame_rate
-    return _stretches(rng, len(road), detector.ok_s * rate, detector.bad_s * rate)[0]
+    rng, rate = np.random.default_rng([seed, 1]), road.frame_rate
+    return _stretches(rng, len(road.lane), detector.ok_s * rate, detector.bad_s * rate)[0]
 
 
 def _slow_events(
@@ -141,8 +145,7 @@ def _slow_events(
 ) -> BoolArray:
     """Events (T, K) of the given probabilities (T, K) that are correlated over time."""
     noise = slow_noise(rng, len(probability), probability.shape[1], correlation_frames)
-    grid = np.linspace(-6.0, 6.0, 1201)
-    return np.asarray(noise < np.interp(probability, normal_cdf(grid), grid))
+    return np.asarray(noise < np.interp(probability, _CDF, _GRID))
 
 
 def _road_tracks(
@@ -153,29 +156,21 @@ def _road_tracks(
     exists = np.isfinite(true_m)
     true_m = np.where(exists, true_m, 0.0)
     n_frames, n_tracks = true_m.shape
-    # Lanes may begin and end along the road: its first and its last line are those that are there.
+    # Lanes may begin and end along the road, so its outer lines are the outermost existing ones.
     number, of_road = np.arange(n_tracks), exists[:, :-1]
     first = of_road.argmax(axis=1)[:, None]
     last = (n_tracks - 2 - of_road[:, ::-1].argmax(axis=1))[:, None]
+    # 0 the left line, 1 an inner one, 2 the right one, 3 the shoulder.
+    role = np.where(number == first, 0, np.where(number == last, 2, 1))
+    role[:, -1] = 3
 
-    def per_line(left: float, middle: float, right: float, shoulder: float) -> FloatArray:
-        of_line = np.where(number == first, left, np.where(number == last, right, middle))
-        return np.where(number == n_tracks - 1, shoulder, of_line)
-
-    fps = road.frame_rate
-    seen = per_line(
-        detector.seen_left, detector.seen_inner, detector.seen_right, detector.seen_shoulder
-    )
+    d, fps = detector, road.frame_rate
+    seen = np.array([d.seen_left, d.seen_inner, d.seen_right, d.seen_shoulder])[role]
     excess = np.clip((np.abs(true_m) - detector.range_m) / _RANGE_SOFTNESS_M, -50, 50)
     in_view = _slow_events(rng, seen / (1.0 + np.exp(excess)), detector.in_view_s * fps)
     is_detected = in_view & exists & (rng.random(true_m.shape) >= detector.miss)
-    flag = per_line(
-        detector.continuous_left,
-        detector.continuous_inner,
-        detector.continuous_right,
-        detector.continuous_shoulder,
-    )
-    is_continuous = _slow_events(rng, flag, _FLAG_S * fps)
+    flags = [d.continuous_left, d.continuous_inner, d.continuous_right, d.continuous_shoulder]
+    is_continuous = _slow_events(rng, np.array(flags)[role], _FLAG_S * fps)
     noise = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
 
     # Drawn once for each stretch between failures or in one.
@@ -193,7 +188,7 @@ def _clutter_tracks(
     road: Road, detector: DetectorModel, is_failing: BoolArray, rng: np.random.Generator
 ) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Offsets, detections and continuous flags, (T, K) each, of the false lines."""
-    n_frames, fps, n_tracks = len(road), road.frame_rate, detector.clutter_lines
+    n_frames, fps, n_tracks = len(is_failing), road.frame_rate, detector.clutter_lines
     offset = detector.noise_m * slow_noise(rng, n_frames, n_tracks, _NOISE_S * fps)
     is_detected = np.zeros((n_frames, n_tracks), dtype=bool)
     stretch = np.cumsum(np.diff(is_failing, prepend=is_failing[:1]))
@@ -257,7 +252,7 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
 
     n_slots = max(1, int(is_listed.sum(axis=1).max()))
     order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last
-    frame_id = np.arange(len(road), dtype=np.int64)
+    frame_id = np.arange(len(is_failing), dtype=np.int64)
     return LineLog(
         frame_id,
         frame_id / road.frame_rate,

@@ -1,7 +1,6 @@
-"""The road and the vehicle on it: the exact place of the lane lines in every frame.
+"""The road and the vehicle on it: the exact position of the lane lines in every frame.
 
-This module knows nothing of detectors, so that the simulated detector and the drawn pictures can
-show the same drive.
+The simulated detector and the drawn pictures both use it.
 """
 
 from __future__ import annotations
@@ -96,13 +95,7 @@ class Road:
     @property
     def truth(self) -> pd.DataFrame:
         """The ground truth; frame ids count from 0."""
-        return lane_truth(np.arange(len(self)), self.lane, self.is_crossing, "simulated road")
-
-
-def ease(phase: FloatArray) -> FloatArray:
-    """A move from 0 to 1 as `phase` goes from 0 to 1, with no speed and no acceleration at both
-    ends (minimum jerk)."""
-    return np.asarray(phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
+        return lane_truth(np.arange(len(self.lane)), self.lane, self.is_crossing, "simulated road")
 
 
 def slow_noise(
@@ -152,7 +145,8 @@ def simulate_road(world: World, seed: int) -> Road:
     for start, frames, coin in zip(first, length, rng.random(len(first)), strict=True):
         step = 1 if now == 1 else -1 if now == n else (1 if coin < 0.5 else -1)
         phase = (np.arange(frames) + 0.5) / frames
-        centre[start : start + frames] += step * ease(phase)
+        # Minimum jerk: no speed and no acceleration at both ends.
+        centre[start : start + frames] += step * (phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2))
         centre[start + frames :] += step
         crossing = max(1, round(world.crossing_share * int(frames)))
         enters = start + (frames - crossing) // 2

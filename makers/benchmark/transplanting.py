@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.evidence.line_geometry.habits import is_placed
+from egolane_pgm.evidence.line_geometry.flag_semantics import is_placed
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.scoring.events import lane_changes
 from egolane_pgm.types import FloatArray, IntArray, LineLog, lane_truth, runs_of

@@ -17,7 +17,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.simulation import PRESETS, Road, detect_lines, sensor_failures
-from egolane_pgm.simulation.world import ease, slow_noise
+from egolane_pgm.simulation.world import slow_noise
 from egolane_pgm.types import LineLog
 from makers._running import run_of
 
@@ -67,7 +67,8 @@ def ramp_drive(
     ramp_s = rng.uniform(5, 10)
     time_s = np.arange(int((lead_s + ramp_s + 12) * rate)) / rate
     middle_s, change_s = lead_s + rng.uniform(0.3, 0.8) * ramp_s, rng.uniform(3.5, 6)
-    done = ease(np.clip((time_s - middle_s) / change_s + 0.5, 0, 1))
+    phase = np.clip((time_s - middle_s) / change_s + 0.5, 0, 1)
+    done = phase**3 * (10.0 - 15.0 * phase + 6.0 * phase**2)
     wander = slow_noise(rng, len(time_s), 1, 5 * rate)[:, 0]
     position = (lanes[0] + (lanes[1] - lanes[0]) * done - 0.5) * WIDTH_M
     position += 0.5 * np.tanh(wander / 2.5)

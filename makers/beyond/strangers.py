@@ -8,7 +8,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from egolane_pgm.inference.smoothing import infer_beliefs
+from egolane_pgm.inference.filtering import filter_beliefs
+from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule
 from egolane_pgm.scoring.confusion import assigned_lane
@@ -19,7 +20,7 @@ from tests.kits.strangers import STRANGERS, Drive, paper_drive
 RUNS = range(1, 11)
 
 #: From the frames so far; with all frames.
-FILTERS = ("exact", "smoothed")
+FILTERS = (filter_beliefs, smooth_beliefs)
 
 TEXT = """\
 # Recordings as other detectors might have written them
@@ -57,8 +58,8 @@ def accuracies(drives: Sequence[Drive]) -> list[float]:
         evidence = evidence_of(model, drive)
         is_scored = drive.lane > 0
         n_scored += np.count_nonzero(is_scored)
-        for k, name in enumerate(FILTERS):
-            lane = assigned_lane(infer_beliefs(model.compiled, evidence, name).lane)
+        for k, believe in enumerate(FILTERS):
+            lane = assigned_lane(believe(model.compiled, evidence).lane)
             right[k] += np.count_nonzero((lane == drive.lane) & is_scored)
     return list(right / n_scored)
 

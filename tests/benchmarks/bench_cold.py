@@ -31,7 +31,7 @@ PARTS = (
     ("egolane_pgm.drives", "compile_model", "graph and rule; numba loads kernels"),
     ("egolane_pgm.running", "read_drives", "reading recording and labels"),
     ("egolane_pgm.running", "make_evidence", "evidence"),
-    ("egolane_pgm.running", "infer_beliefs", "filter"),
+    ("egolane_pgm.running", "filter_beliefs", "filter"),
     ("egolane_pgm.result", "score", "scores, with intervals"),
     ("egolane_pgm.result", "digest", "checksums"),
     ("egolane_pgm.result:Result", "save", "writing tables"),

@@ -141,7 +141,7 @@ def test_a_vehicle_goes_on_over_a_gap_as_it_does_over_frames_without_lines(
 
 
 def test_the_value_of_line_motion() -> None:
-    parameters = resolved(3, motion_bins=4, motion_range=0.2)
+    parameters = resolved(3, motion_bins=4)
     values = [
         # Displacement, steps, velocity and value.
         (-0.19, 1, 0.0, 0),
@@ -174,7 +174,7 @@ def test_the_value_of_line_motion() -> None:
 def test_the_value_of_the_motion_is_that_of_its_formula(seed: int) -> None:
     rng = np.random.default_rng(seed)
     parameters = resolve_parameters(graph.PARAMETERS, {}, 3)
-    n_bins, reach = int(parameters["motion_bins"]), float(parameters["motion_range"])
+    n_bins, reach = int(parameters["motion_bins"]), graph.MOTION_RANGE
     displacement = rng.normal(0, reach, 40)
     displacement[rng.random(40) < 0.2] = np.nan
     velocity = rng.choice([0.05, 0.01, -0.03, 0.09, -1.0], 40) * rng.choice([1, rng.random()], 40)

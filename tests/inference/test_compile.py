@@ -176,9 +176,7 @@ def test_all_nodes_that_are_not_observed_are_hidden_and_lane_in_any_case() -> No
 
 def test_missing_virtual_evidence_children_are_added_and_said() -> None:
     observed = ("D", ("A", "D"))
-    with pytest.warns(
-        UserWarning, match=r"no A\+D_ve: virtual-evidence nodes that are missing are"
-    ):
+    with pytest.warns(UserWarning, match=r"no A\+D_ve: missing virtual-evidence nodes are"):
         compiled = compile(declare(simple_tables(), ["D"]), hidden=["A"], observed=observed)
     assert {("D_ve", 0), ("A+D_ve", 1)} <= set(compiled.network.nodes())
     whole = compile(declare(simple_tables(), observed), hidden=["A"], observed=observed)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.graphs.cpds import declare, dynamics, previous, prior, within
 from egolane_pgm.inference.compile import Compiled, compile, with_tables
-from egolane_pgm.inference.filtering import filter_beliefs, read_evidence, step
+from egolane_pgm.inference.filtering import filter_beliefs, harden, step
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.types import Evidence, InputError
 from tests.conformance.networks import (
@@ -192,20 +192,15 @@ def test_long_sequences_agree_with_the_twin_whatever_kernel_does_them(
 
 def test_hard_evidence_is_the_most_probable_value_and_a_tie_keeps_all_that_share_it() -> None:
     soft = Evidence({"D": np.array([[0.2, 0.5, 0.3], [0.4, 0.4, 0.2], [0.0, 0.0, 0.0]])})
-    hard = read_evidence(soft, "hard").likelihoods["D"]
+    hard = harden(soft).likelihoods["D"]
     np.testing.assert_array_equal(hard[:2], [[0, 1, 0], [1, 1, 0]])
-    assert read_evidence(soft, "soft") is soft
     nearly = Evidence({"D": np.array([[0.4, 0.4 * (1 - 1e-10), 0.2], [0.4, 0.4 - 1e-6, 0.2]])})
-    np.testing.assert_array_equal(
-        read_evidence(nearly, "hard").likelihoods["D"], [[1, 1, 0], [1, 0, 0]]
-    )
+    np.testing.assert_array_equal(harden(nearly).likelihoods["D"], [[1, 1, 0], [1, 0, 0]])
 
 
 def test_hard_evidence_on_a_tuple_of_nodes_is_their_most_probable_combination() -> None:
     soft = Evidence({("A", "B"): np.array([[[0.1, 0.2], [0.4, 0.3]]])})
-    np.testing.assert_array_equal(
-        read_evidence(soft, "hard").likelihoods["A", "B"], [[[0, 0], [1, 0]]]
-    )
+    np.testing.assert_array_equal(harden(soft).likelihoods["A", "B"], [[[0, 0], [1, 0]]])
 
 
 @pytest.mark.parametrize(

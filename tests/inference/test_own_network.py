@@ -246,7 +246,7 @@ def test_what_is_no_evidence_is_refused(use: Callable[[Compiled, Any], object]) 
         use(compiled(), ROWS)
     assert str(error.value) == (
         "evidence: needs an Evidence, not a dict: Evidence(...) of likelihoods, or"
-        " Evidence.hard(...) of what was observed"
+        " Evidence.hard(...) of observed values"
     )
 
 

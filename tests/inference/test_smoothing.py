@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -13,7 +15,6 @@ from egolane_pgm.inference.kernels.sweeps import smooth_frames
 from egolane_pgm.inference.smoothing import (
     LagState,
     fixed_lag_beliefs,
-    infer_beliefs,
     lag_rest,
     lag_step,
     smooth_beliefs,
@@ -202,17 +203,15 @@ def test_no_frames_give_no_beliefs_and_the_frame_ids_given_are_kept() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
     ids = np.array([4, 7, 8])
-    for filter, lag in (("smoothed", None), ("fixed_lag", 1), ("exact", None)):
-        found = infer_beliefs(compiled, evidence, filter, lag, frame_id=ids)
+    for infer in (smooth_beliefs, partial(fixed_lag_beliefs, lag=1), filter_beliefs):
+        found = infer(compiled, evidence, frame_id=ids)
         np.testing.assert_array_equal(found.frame_id, ids)
-        nothing = infer_beliefs(compiled, evidence.take(slice(0, 0)), filter, lag)
+        nothing = infer(compiled, evidence.take(slice(0, 0)))
         assert nothing.lane.shape == (0, 3)
 
 
 def test_what_cannot_be_smoothed_is_refused_in_a_line() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 3, np.random.default_rng(0))
-    with pytest.raises(InputError, match="'fixed_lag' needs a lag"):
-        infer_beliefs(compiled, evidence, "fixed_lag")
     with pytest.raises(InputError, match="lag -1: must not be negative"):
         fixed_lag_beliefs(compiled, evidence, -1)

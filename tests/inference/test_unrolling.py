@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.graphs.cpds import quiet
-from egolane_pgm.inference.compile import Compiled, starting_in, with_tables
+from egolane_pgm.inference.compile import Compiled, with_initial_lane, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
@@ -61,7 +61,7 @@ def test_pgmpy_gives_the_filter_s_belief_on_the_package_s_graphs(name: str) -> N
 def test_a_start_lane_is_virtual_evidence_before_the_first_frame(name: str) -> None:
     """And it stays when the numbers of the tables change."""
     plain = template(name, 3)
-    compiled = starting_in(with_tables(plain, []), np.array([0.0, 0.3, 0.1]))
+    compiled = with_initial_lane(with_tables(plain, []), np.array([0.0, 0.3, 0.1]))
     evidence = draw_evidence(compiled, 4, np.random.default_rng(2), zeros=0)
     for first, last in ((0, 0), (0, 2), (1, 3)):
         assert_pgmpy_agrees(compiled, evidence, first, last)

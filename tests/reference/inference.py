@@ -13,8 +13,8 @@ import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, Expected
+from egolane_pgm.inference.filtering import joint_input
 from egolane_pgm.inference.kernels.filter import LEAST
-from egolane_pgm.inference.layout import joint_input
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, IntArray
 
 #: The largest likelihood of a frame: those that matter have the whole range of numbers.

@@ -9,7 +9,7 @@ from unittest.mock import patch
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import kernels, rule
+from egolane_pgm.evidence.line_geometry import flag_semantics, kernels, rule, scale
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
 
@@ -24,8 +24,6 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 def plain() -> Iterator[None]:
     """While this lasts, the rule computes with what is here."""
     twins = (
-        classify,
-        follow_width,
         follow_lines,
         coast,
         weigh_frames,
@@ -33,7 +31,11 @@ def plain() -> Iterator[None]:
         weigh_positions,
     )
     ours = {f.__name__: f for f in twins}
-    with patch.multiple(kernels, **ours):
+    with (
+        patch.multiple(kernels, **ours),
+        patch.object(flag_semantics, "classify", classify),
+        patch.object(scale, "follow_width", follow_width),
+    ):
         yield
 
 
@@ -253,12 +255,12 @@ def weigh_positions(
     is_missing: BoolArray,
     lane_changes: float,
     kind_changes: float,
-    sight: FloatArray,
+    visibility: FloatArray,
     likelihood: FloatArray,
 ) -> None:
-    """Write likelihood (T, n cells, 2), each frame's maximum 1, and the belief `sight` after the
-    last frame."""
-    (n_lanes, n_kinds), n_points = sight.shape, log_mean.shape[1]
+    """Write likelihood (T, n cells, 2), each frame's maximum 1, and the belief `visibility` after
+    the last frame."""
+    (n_lanes, n_kinds), n_points = visibility.shape, log_mean.shape[1]
     cells, n_widths = likelihood.shape[1] // n_lanes, width_m.shape[1]
     of_state = np.zeros((n_widths, len(offset_m), n_kinds * n_lanes, cells))
     mean = np.zeros((n_widths, len(offset_m), cells))
@@ -288,14 +290,16 @@ def weigh_positions(
     alphas[is_missing] = 0.0
     for t in range(len(offset_m)):
         moves, changes = (min(rate * tenths[t], 0.3) for rate in (lane_changes, kind_changes))
-        sight[:] = (1 - 2 * moves) * sight + moves * to_side @ sight
-        sight[:] = (1 - changes) * sight + changes * sight.mean(axis=1, keepdims=True)
-        share = sight / sight.sum(axis=1, keepdims=True)
+        visibility[:] = (1 - 2 * moves) * visibility + moves * to_side @ visibility
+        visibility[:] = (1 - changes) * visibility + changes * visibility.mean(
+            axis=1, keepdims=True
+        )
+        share = visibility / visibility.sum(axis=1, keepdims=True)
         of_kinds = (share[:, :, None] * np.exp(alphas[t] * known[t])).sum(axis=1)
         log_likelihood = np.empty((n_lanes, cells, 2))
         log_likelihood[..., 1] = betas[t] * log_mean_p[t]
         log_likelihood[..., 0] = log_likelihood[..., 1] + np.log(of_kinds)
         likelihood[t] = np.exp(log_likelihood - log_likelihood.max()).reshape(-1, 2)
         place = np.exp(log_mean_p[t] - log_mean_p[t].max())
-        sight *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alphas[t]
-        sight /= sight.sum()
+        visibility *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alphas[t]
+        visibility /= visibility.sum()

@@ -1,10 +1,9 @@
-"""Fits the model of lines (`model`) by expectation-maximisation, to frames whose lane is known.
+"""Fit the model of lines (`model`) by expectation-maximisation, to frames whose lane is known.
 
-Two things are hidden: the place inside the lane, which is uniform over the cells in every frame,
-and which line of the road, or clutter, each reported line is. The fit maximises the posterior with
-priors around a first guess that are worth `strength` frames. They are strong because neighbouring
-frames are alike, so that a drive says less than its number of frames. Each iteration increases the
-logarithm of the posterior.
+Two variables are hidden: the place inside the lane, which is uniform over the cells in every frame,
+and the origin of each reported line, a line of the road or clutter. The fit maximises the posterior
+with priors around a first guess that count as `strength` frames. They are strong because
+neighbouring frames are correlated. Each iteration increases the log posterior.
 """
 
 from __future__ import annotations

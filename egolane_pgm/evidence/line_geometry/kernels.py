@@ -11,179 +11,6 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
 @kernel()
-def classify(
-    offset_m: FloatArray,
-    is_valid: BoolArray,
-    is_continuous: BoolArray,
-    lri: FloatArray,
-    strong_lri: float,
-    least_lri: float,
-    placeholder_m: float,
-    kind: IntArray,
-    is_strong: BoolArray,
-) -> None:
-    """Fills kind (T, L) as `model` defines the classes, -1 where there is no line, and is_strong
-    (T, L): whether a line's place is reliable. An unknown LRI counts as the highest."""
-    n_frames, n_lines = offset_m.shape
-    for t in range(n_frames):
-        for i in range(n_lines):
-            kind[t, i] = -1
-            is_strong[t, i] = False
-            if not placeholder_m < abs(offset_m[t, i]) < math.inf:
-                continue
-            is_reliable = not lri[t, i] < strong_lri
-            if is_valid[t, i]:
-                is_strong[t, i] = is_reliable
-                kind[t, i] = 0 if is_continuous[t, i] else 1 if is_reliable else 2
-            elif not lri[t, i] < least_lri:
-                kind[t, i] = 3
-
-
-@kernel()
-def follow_width(
-    offset_m: FloatArray,
-    is_strong: BoolArray,
-    steady: FloatArray,
-    wandering: FloatArray,
-    pairs: FloatArray,
-    counts: FloatArray,
-    prior: FloatArray,
-    log_likelihood: FloatArray,
-    is_two_lanes: FloatArray,
-    first: int,
-    spread: FloatArray,
-    rates: FloatArray,
-    least_double: float,
-    enough_pairs: float,
-    least_pairs: float,
-    log_narrowest: float,
-    step: float,
-    width_m: FloatArray,
-) -> None:
-    """Fills width_m (T, K) with quantiles of the lane width before each frame; the belief `steady`,
-    `wandering`, `pairs`, `counts` becomes that after the last one.
-
-    Belief and prior are those of `scale.WidthBelief`, the tables and rates are
-    constants of `scale`. least_double: a gap of less than this share of the frame's largest
-    one is a line reported twice.
-    """
-    moves, moves_wandering, another, returns, may_wander, changes = rates[:6]
-    kept, alike, alike_wandering = rates[6:9]
-    n_frames, n_lines = offset_m.shape
-    n_widths, n_table, n_quantiles = len(prior), len(log_likelihood), width_m.shape[1]
-    half = len(spread) // 2
-    lines = np.empty(n_lines)
-    moved = np.empty(n_widths)
-    around = np.empty(n_widths)
-    says = np.empty(n_widths)
-    off_table = log_likelihood[0]
-    for t in range(n_frames):
-        # Predict.
-        moved[0], moved[-1] = steady[0], steady[-1]
-        for j in range(1, n_widths - 1):
-            moved[j] = steady[j] + moves * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
-        for j in range(n_widths):
-            steady[j] = moved[j] + another * (prior[j] - moved[j])
-        # A width by which no two neighbouring lanes are ever seen at once is impossible. The factor
-        # is so small because other widths may have sunk to `another`.
-        total = 0.0
-        for j in range(n_widths):
-            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
-                steady[j] *= 1e-60
-            moved[j] = steady[j]
-            total += moved[j]
-        around[:] = 0.0
-        for j in range(n_widths):
-            moved[j] /= total
-            if moved[j] > 1e-6:
-                for d in range(max(-half, -j), min(half, n_widths - 1 - j) + 1):
-                    around[j + d] += moved[j] * spread[d + half]
-        left = wandering[0]
-        total = 0.0
-        for j in range(n_widths):
-            here = wandering[j]
-            right = wandering[j + 1] if j + 1 < n_widths else here
-            new = here + moves_wandering * (left - 2 * here + right)
-            wandering[j] = new + returns * (around[j] - new)
-            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
-                wandering[j] *= 1e-60
-            total += wandering[j]
-            left = here
-        for j in range(n_widths):
-            wandering[j] /= total
-        counts[0] += changes * (may_wander - counts[0])
-        # The quantiles of the mixture.
-        below = 0.0
-        k = 0
-        for j in range(n_widths):
-            below += counts[0] * wandering[j] + (1 - counts[0]) * moved[j]
-            while k < n_quantiles and below * n_quantiles >= k + 0.5:
-                width_m[t, k] = math.exp(log_narrowest + step * j)
-                k += 1
-        # The gaps of this frame.
-        n = 0
-        for i in range(n_lines):
-            if is_strong[t, i]:
-                lines[n] = offset_m[t, i]
-                n += 1
-        if n < 2:
-            continue
-        lines[:n].sort()
-        largest = 0.0
-        for i in range(n - 1):
-            largest = max(largest, lines[i + 1] - lines[i])
-        single = 1
-        for i in range(1, n):
-            if lines[i] - lines[single - 1] > least_double * largest:
-                lines[single] = lines[i]
-                single += 1
-        for j in range(n_widths):
-            pairs[j] *= kept
-            says[j] = 0.0
-        counts[1] *= kept
-        n_gaps = 0
-        for apart in (1, 2):
-            for i in range(single - apart):
-                gap = lines[i + apart] - lines[i]
-                if gap == math.inf:
-                    continue
-                n_gaps += 1
-                if apart == 2:
-                    counts[1] += 1
-                start = round((math.log(gap) - log_narrowest) / step) - first
-                # Widths so far away that the gap is off the table are alike.
-                for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
-                    says[j] += log_likelihood[start - j] - off_table
-                    if apart == 2:
-                        pairs[j] += is_two_lanes[start - j]
-        if n_gaps == 0:
-            continue
-        most = 0.0
-        for j in range(n_widths):
-            most = max(most, says[j])
-        of_steady = 0.0
-        of_wandering = 0.0
-        total = 0.0
-        total_wandering = 0.0
-        for j in range(n_widths):
-            # The gaps say the same of most neighbours, and exp takes longer than the rest.
-            if j == 0 or says[j] != says[j - 1]:
-                likelihood = math.exp((says[j] - most) / alike)
-                quick = math.exp((says[j] - most) / alike_wandering)
-            of_steady += moved[j] * quick
-            of_wandering += wandering[j] * quick
-            steady[j] *= likelihood
-            total += steady[j]
-            wandering[j] *= quick
-            total_wandering += wandering[j]
-        for j in range(n_widths):
-            steady[j] /= total
-            wandering[j] /= total_wandering
-        of_wandering *= counts[0]
-        counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
-
-
-@kernel()
 def follow_lines(
     offset_m: FloatArray,
     kind: IntArray,
@@ -207,8 +34,8 @@ def follow_lines(
     """Fills is_held (T, L), displacement (T,), NaN where it is unknown, and steps (T,): frames
     since the frame before.
 
-    - kind: (T, L) the line's class, -1 where there is none; becomes -1 where a line is too far away
-    - repeats_are_held: whether a line that repeats its offset is held whatever its LRI
+    - kind: (T, L) the class of the line, -1 in padding; set to -1 for lines too far away
+    - repeats_are_held: whether a line that repeats its offset is held for any LRI
     - width_m: (T,) of a lane; the distances below and the displacement are in lane widths
     - farthest: lines at this distance or farther do not count
     - reach: largest distance between matched lines
@@ -283,7 +110,7 @@ def coast(
     kept: float,
     velocity: FloatArray,
 ) -> None:
-    """Fills velocity (T + 1,) with that of the lines before each frame and after the last one: the
+    """Fill velocity (T + 1,), the lines' before each frame and after the last one: the
     mean displacement of late, in which each frame counts 1 / inertia.
 
     - displacement: (T,) since the frame before, NaN where it is unknown
@@ -371,24 +198,24 @@ def weigh_positions(
     is_missing: BoolArray,
     lane_changes: float,
     kind_changes: float,
-    sight: FloatArray,
+    visibility: FloatArray,
     likelihood: FloatArray,
 ) -> None:
     """Fills likelihood (T, n cells, 2); the maximum of each frame is 1. A mean over the lane widths
-    and over the kinds of detectors, which are followed in `sight`.
+    and over the kinds of detectors, which are followed in `visibility`.
 
     - kind: (T, L) the line's class, -1 where it does not count
     - width_m: (T, W) equally probable lane widths, in rising order
     - alpha, beta: exponents of a frame a tenth of a second after the one before
-    - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in `sight.SightTables`;
-      lines are scaled to its width
+    - log_intensity, log_mean, first_m, step_m, expected, model_width_m: as in
+      `visibility.VisibilityTables`; lines are scaled to its width
     - tenths: (T,) since the frame before, tenths of a second
-    - is_missing: (T,) marks frames whose lines say nothing
+    - is_missing: (T,) frames without evidence
     - lane_changes, kind_changes: probabilities in a tenth of a second
-    - sight: (n, K) the belief over lane and kind; becomes that after the last frame
+    - visibility: (n, K) the belief over lane and kind; becomes that after the last frame
     """
     n_frames, n_lines = offset_m.shape
-    n_lanes, n_kinds = sight.shape
+    n_lanes, n_kinds = visibility.shape
     n_states, n_widths = n_lanes * n_kinds, width_m.shape[1]
     cells = likelihood.shape[1] // n_lanes
     of_state = np.empty((n_widths, cells * n_states))
@@ -439,8 +266,8 @@ def weigh_positions(
             for k in range(n_kinds):
                 for lane in range(n_lanes):
                     known[u, k, lane] += expected_mean - expected[k, lane] - mean[0, u]
-        _change(sight, min(lane_changes * tenths[t], 0.3), min(kind_changes * tenths[t], 0.3))
-        lane_share = sight.sum(axis=1)
+        _change(visibility, min(lane_changes * tenths[t], 0.3), min(kind_changes * tenths[t], 0.3))
+        lane_share = visibility.sum(axis=1)
         largest = -np.inf
         for u in range(cells):
             phase_only = of_place * mean[0, u]
@@ -449,7 +276,7 @@ def weigh_positions(
                 top = known[u, :, lane].max()
                 total = 0.0
                 for k in range(n_kinds):
-                    total += sight[lane, k] * math.exp(of_lane * (known[u, k, lane] - top))
+                    total += visibility[lane, k] * math.exp(of_lane * (known[u, k, lane] - top))
                 total /= lane_share[lane]
                 likelihood[t, lane * cells + u, 0] = phase_only + of_lane * top + math.log(total)
                 likelihood[t, lane * cells + u, 1] = phase_only
@@ -458,36 +285,36 @@ def weigh_positions(
             likelihood[t, r, 0] = math.exp(likelihood[t, r, 0] - largest)
             likelihood[t, r, 1] = math.exp(likelihood[t, r, 1] - largest)
         if n_kinds > 1:
-            _learn(sight, known, mean[0], of_lane)
+            _learn(visibility, known, mean[0], of_lane)
 
 
 @kernel()
-def _change(sight: FloatArray, to_side: float, to_any: float) -> None:
+def _change(visibility: FloatArray, to_side: float, to_any: float) -> None:
     """Predicts the belief (n, K) over lane and kind: the car goes to the lane on either side with
     one probability, and the kind is any again with another."""
-    n_lanes, n_kinds = sight.shape
-    before = sight.copy()
+    n_lanes, n_kinds = visibility.shape
+    before = visibility.copy()
     for lane in range(n_lanes):
         left, right = max(lane - 1, 0), min(lane + 1, n_lanes - 1)
         for k in range(n_kinds):
             stays = (1 - 2 * to_side) * before[lane, k]
-            sight[lane, k] = stays + to_side * (before[left, k] + before[right, k])
-        spread = to_any * sight[lane].sum() / n_kinds
+            visibility[lane, k] = stays + to_side * (before[left, k] + before[right, k])
+        spread = to_any * visibility[lane].sum() / n_kinds
         for k in range(n_kinds):
-            sight[lane, k] = (1 - to_any) * sight[lane, k] + spread
+            visibility[lane, k] = (1 - to_any) * visibility[lane, k] + spread
 
 
 @kernel()
-def _learn(sight: FloatArray, known: FloatArray, mean: FloatArray, alpha: float) -> None:
+def _learn(visibility: FloatArray, known: FloatArray, mean: FloatArray, alpha: float) -> None:
     """Weighs the belief (n, K) over lane and kind with a frame.
 
     - known: (cells, K, n) logarithm of the frame's likelihood relative to the mean one
-    - mean: (cells,) logarithm of the mean likelihood; it says where in its lane the car is
+    - mean: (cells,) logarithm of the mean likelihood; evidence of the place in the lane
     """
-    n_lanes, n_kinds = sight.shape
+    n_lanes, n_kinds = visibility.shape
     place = np.exp(mean - mean.max())
     place /= place.sum()
-    says = np.empty(sight.shape)
+    says = np.empty(visibility.shape)
     for lane in range(n_lanes):
         for k in range(n_kinds):
             top = known[:, k, lane].max()
@@ -496,8 +323,8 @@ def _learn(sight: FloatArray, known: FloatArray, mean: FloatArray, alpha: float)
                 total += place[u] * math.exp(known[u, k, lane] - top)
             # The best place may have no share that is a number.
             says[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
-    sight *= np.exp(says - says.max())
-    sight /= sight.sum()
+    visibility *= np.exp(says - says.max())
+    visibility /= visibility.sum()
 
 
 @kernel()

@@ -1,4 +1,4 @@
-"""Estimates the lane width in the detector's metres from the gaps between its lines, without
+"""Estimate the lane width in the detector's metres from the gaps between its lines, without
 labels.
 
 Lines lie on a lattice whose step is the lane width. Under a candidate width, a gap between two
@@ -6,7 +6,7 @@ lines of a frame is a whole number of steps plus noise, or is off the lattice; t
 the lattice is the one that fits best. Half the true width also explains every gap, but it allows
 twice as many places at half the density, and so loses ln 2 per gap. The answer is the most probable
 candidate, with a prior in favour of widths near the expected one. A width at which no two
-neighbouring lanes are ever seen at once is excluded, because a line half a lane beside the road
+neighbouring lanes are ever seen at once is excluded, because a line half a lane off the road
 would fit half the true width.
 
 All of this is relative to the gaps themselves, so that it also works for detectors that do not
@@ -22,7 +22,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from egolane_pgm.evidence.line_geometry.habits import line_classes
+from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.types import BoolArray, FloatArray, LineLog
 
 #: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.
@@ -47,8 +47,8 @@ DOUBLE = 0.1
 #: The shares of gaps off the lattice that are tried.
 OFF_LATTICE = (0.05, 0.3, 0.6, 0.9)
 
-#: How many gaps count as one, because neighbouring frames show the same lines: two seconds of
-#: frames say little more than a single one.
+#: The number of gaps that count as one, because neighbouring frames show the same lines: two
+#: seconds of frames are little more evidence than a single one.
 ALIKE = 20
 
 #: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between

@@ -6,7 +6,7 @@ from the lane's centre. For lines of class c its intensity is
     lambda_lc(z) = sum_k rates[l, k] class_shares[k, c] N(z; place[l, k], s[l, k]^2) + clutter[c]
     s[l, k]^2 = sigma_m[k]^2 + (sigma_per_m place[l, k])^2
 
-The n + 1 lines of the road, k = 0 to n, lie at (k - l - 1/2) lane widths. Two more lie beside the
+The n + 1 lines of the road, k = 0 to n, lie at (k - l - 1/2) lane widths. Two more lie off the
 road: `shoulders[0]` lane widths left of the leftmost line and `shoulders[1]` right of the rightmost
 one. A vehicle at u right of the centre sees a line that lies at z = o + u at the offset o. Hence
 log p_l(u) = sum over lines of log lambda_lc(o + u) - Lambda_l, where Lambda_l is the expected
@@ -21,12 +21,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry.habits import N_CLASSES
+from egolane_pgm.evidence.line_geometry.flag_semantics import N_CLASSES
 from egolane_pgm.parameters import Value, number
 from egolane_pgm.types import FloatArray
 
-#: The lane width that lines are scaled to, whatever the detector's: all metres here are those of a
-#: road with such lanes.
+#: The lane width to which lines are scaled; all metres here are relative to such lanes.
 LANE_M = 3.5
 
 #: The farthest line that counts, metres.
@@ -40,12 +39,11 @@ TABLE_STEP_M = 0.02
 PLAIN_SHARES = (0.88, 0.06, 0.06)
 CLUTTER_PER_M = 0.05 * np.array([0.05, 0.5, 0.2, 0.25])
 
-#: Generic standard deviation of a line, metres, and what is added to it, as an independent error,
-#: for each metre between line and car. Nothing is added where lane widths that differ from that of
-#: the recording (`width_wanders`) explain why far lines are less exact.
+#: Generic standard deviation of a line, metres, and of an independent error per metre between line
+#: and car. The second is 0 with `width_wanders`, which also makes far lines less exact.
 LINE_SIGMA_M, LINE_SIGMA_PER_M = 0.25, 0.03
 
-#: Generic distance of the lines beside the road, lane widths.
+#: Generic distance of the shoulder lines from the road, lane widths.
 SHOULDER_DISTANCE = 0.9
 
 #: The lowest intensity, so that no report of a detector is impossible.
@@ -54,8 +52,8 @@ LEAST_INTENSITY = 1e-9
 
 @dataclass(frozen=True)
 class LineModel:
-    """The parameters of the model; the n + 3 lines are those of the road, then the left and the
-    right shoulder.
+    """The parameters of the model; the n + 3 lines are the road's, then the left and the right
+    shoulder.
 
     - rates: (n, n + 3) expected number of reports of each line, from each lane
     - class_shares: (n + 3, 4) shares of the classes among them
@@ -104,7 +102,7 @@ class Kind:
     inner_continuous: float = 0.05
 
 
-#: The kind that is taken for granted where none is learned.
+#: The kind if none is learned.
 GENERIC = Kind()
 
 #: The parameters that a fit gives, and the fields of the model that they fill.

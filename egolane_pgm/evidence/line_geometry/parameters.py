@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from egolane_pgm.evidence.line_geometry.habits import N_CLASSES
-from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS, MOTION_RANGE
+from egolane_pgm.evidence.line_geometry.flag_semantics import N_CLASSES
+from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS
 from egolane_pgm.parameters import Parameter
 
 #: Lane widths that are taken: a detector's metres may be others than ours, but not by this much.
@@ -61,16 +61,6 @@ PARAMETERS = (
         search=(0.05, 1.0),
     ),
     Parameter(
-        "sight",
-        "choice",
-        "learned",
-        "how far the detector sees and what it marks: `learned` from the frames so far, among a few"
-        " kinds of detectors and roads; or `generic`, one kind alone. Tables that are"
-        " given or learned with labels leave nothing to learn here",
-        choices=("learned", "generic"),
-        search=None,
-    ),
-    Parameter(
         "rates",
         "non_negative",
         "generic",
@@ -113,5 +103,4 @@ PARAMETERS = (
     ),
     CELLS,
     MOTION_BINS,
-    MOTION_RANGE,
 )

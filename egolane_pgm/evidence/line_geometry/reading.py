@@ -1,4 +1,4 @@
-"""Reads a log for the line geometry: which lines count, how they moved, and the lane width."""
+"""Read a log for the line geometry: which lines count, how they moved, and the lane width."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.habits import is_placed
+from egolane_pgm.evidence.line_geometry.flag_semantics import is_placed
 from egolane_pgm.evidence.line_geometry.lane_width import (
     gap_counts,
     lane_width,
@@ -17,7 +17,7 @@ from egolane_pgm.evidence.line_geometry.lane_width import (
     width_of_gaps,
 )
 from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M
-from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, motion_index
+from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, MOTION_RANGE, motion_index
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import NOTE, BoolArray, FloatArray, IntArray, LineLog
 
@@ -29,17 +29,17 @@ NARROWEST_M, WIDEST_M = 1.5, 6.0
 #: the lines are such doubles.
 DOUBLE, LEAST_DOUBLES = 0.1, 0.1
 
-#: A warning says that the vehicle is off centre from the first on, in lane widths (drivers of the
+#: Warn of a vehicle off centre from the first on, in lane widths (drivers of the
 #: paper's drives keep .05 to .14 to the left), if the lines' places agree at least as well as the
 #: second (0 to 1) and there are enough lines.
 OFF_CENTRE, STEADY, ENOUGH_LINES = 0.2, 0.3, 1000
 
-#: A warning says that the halves of a recording have different lane widths if these differ by more
+#: Warn of halves of a recording with different lane widths if these differ by more
 #: than this share and each has at least these log odds (natural). It was never wrong in 500
 #: stretches of the paper's recordings, half a minute to ten minutes long.
 ANOTHER_SCALE, SURE_OF_HALF = 0.1, 20.0
 
-#: The time between frames for which alpha and beta are meant, seconds: the paper's recordings have
+#: The time between frames of alpha and beta, seconds: the paper's recordings have
 #: ten frames per second.
 FRAME_S = 0.1
 
@@ -47,7 +47,7 @@ FRAME_S = 0.1
 INERTIA = 10.0
 
 #: With `lane_width_m: causal`, the number of frames after which the detector's conventions are
-#: estimated anew, from all frames so far.
+#: estimated again, from all frames so far.
 UPDATE_EVERY = 200
 
 
@@ -69,8 +69,10 @@ class SeenLines(NamedTuple):
 
 
 def recording_width(log: LineLog, parameters: Parameters) -> float:
-    """The lane width of a whole recording, given or found. Warnings say which one was found, and
-    where that of the first half is not that of the second."""
+    """Return the lane width of a whole recording, given or estimated.
+
+    Warns of an estimate, and of halves with different widths.
+    """
     given, fallback = parameters["lane_width_m"], number(parameters, "fallback_width_m")
     middle = len(log) // 2
     halves = [gap_counts(log.take(part)) for part in (slice(0, middle), slice(middle, None))]
@@ -129,8 +131,7 @@ def warn_of_offsets(log: LineLog, width_m: float, reach_m: float) -> None:
 
 
 def one_width(log: LineLog, parameters: Parameters) -> float:
-    """The lane width with which a recording is learned from: the given one, or the one found. There
-    is no warning."""
+    """Return the given or estimated lane width of a recording, without a warning."""
     width = parameters["lane_width_m"]
     if not isinstance(width, str):
         return number(parameters, "lane_width_m")
@@ -180,18 +181,17 @@ def read_lines(
 ) -> tuple[SeenLines, LastFrame]:
     """Finds which lines count and how they moved; also gives the `Last` lines for the next frame.
 
-    - kind: (T, L) the class of each line, which becomes -1 where a line is out of reach
+    - kind: (T, L) the class of each line; set to -1 for lines out of reach
     - widths: (T,) lane width before each frame
-    - repeats_are_held: as in `habits.Habits`
+    - repeats_are_held: as in `flag_semantics.FlagSemantics`
     - last: of the frame before the first
     """
     n_frames = len(log)
-    # The numbers of a log need not be floats, those of the last frame are.
+    # A log may have integers.
     offset_m = np.asarray(log.offset_m, dtype=np.float64)
     lri = np.asarray(log.lri, dtype=np.float64)
     is_held, is_double = np.empty(kind.shape, dtype=bool), np.empty(kind.shape, dtype=bool)
     displacement, steps = np.empty(n_frames), np.empty(n_frames, dtype=np.int64)
-    farthest = number(parameters, "motion_range")
     kernels.follow_lines(
         offset_m,
         kind,
@@ -201,7 +201,7 @@ def read_lines(
         repeats_are_held,
         widths,
         REACH_M / LANE_M,
-        farthest,
+        MOTION_RANGE,
         *last[:6],
         is_held,
         displacement,
@@ -209,7 +209,7 @@ def read_lines(
     )
     velocity, lines = np.empty(n_frames + 1), np.empty((n_frames + 1, 2), dtype=np.int64)
     velocity[0], lines[0] = last.velocity, last.lines
-    kernels.coast(displacement, steps, farthest, INERTIA, KEPT_VELOCITY, velocity)
+    kernels.coast(displacement, steps, MOTION_RANGE, INERTIA, KEPT_VELOCITY, velocity)
     motion = motion_index(displacement, steps, velocity[:-1], parameters)
     measured = np.where(is_held, -1, kind)
     kernels.find_doubles(offset_m, measured, widths, DOUBLE, is_double, lines)
@@ -248,7 +248,7 @@ def frame_weights(log: LineLog, last_s: float = -math.inf) -> tuple[FloatArray, 
     Also gives the time of the last frame.
 
     The errors of a detector last for seconds, not for frames, so a second of lines weighs the same
-    whatever the frame rate. Frames that fill gaps do not count.
+    for any frame rate. Frames that fill gaps do not count.
 
     last_s: the time of the frame before the first, if there is one, seconds.
     """

@@ -1,5 +1,5 @@
-"""The evidence rule: lines are measurements of where the road's lines lie, and so give evidence
-about the car's place on the road (graph `position_in_lane`) instead of votes for lanes.
+"""The evidence rule: lines are measurements of the road's lines, and so evidence of the car's place
+on the road (graph `position_in_lane`) instead of votes for lanes.
 
 Each lane predicts where lines are reported and how often (`model`). Let p_l(u) be the likelihood of
 a frame's lines for a car at u in lane l, and pbar(u) the one under their mean intensity over the
@@ -7,25 +7,23 @@ lanes. The joint likelihood of RoadPosition and SensorState is
 
     OK:  pbar(u)^beta (p_l(u) / pbar(u))^alpha        BAD:  pbar(u)^beta
 
-A working sensor thus tells the lane and the place inside it, a failing one only the place. alpha
-and beta are small because the errors of neighbouring frames are alike, while the filter counts each
-frame as new information. They hold for a tenth of a second: a frame that comes later after the one
-before weighs more, up to 1, and one that comes sooner weighs less.
+A working sensor is evidence of the lane and the place in it, a failing one of the place only. alpha
+and beta are small because errors of neighbouring frames are correlated, while the filter counts
+each frame as independent. They are the weights for a tenth of a second; a frame weighs in
+proportion to the time since the previous one, at most 1.
 
-A detector may hold a line that it could not measure where it was, with the same offset to the last
-digit and an LRI that falls or is unknown. Such a line is no evidence and is not followed. Offsets
-of exactly 0 are placeholders. LineMotion is the median displacement of the lines that were measured
-in this frame and in the one before, matched to the nearest; where there is none, the lines go on as
-they moved before.
+A held line, which the detector did not measure but repeats with the same offset to the last digit
+and an LRI that falls or is unknown, is no evidence and is not followed. Offsets of exactly 0 are
+placeholders. LineMotion is the median displacement of the lines measured in this frame and the
+previous one, matched to the nearest; without such lines the last velocity is kept.
 
 Lines are scaled to lanes of LANE_M metres, so that noise, clutter and reach are relative to the
-lane width. The width is not known but a distribution (`scale`), some quantiles of which stand
-for it: the likelihoods are their means over these. So are they over the kinds of detectors and of
-roads (`sight`): how far lines are seen, which ones are marked, whether one lies beside the road.
+lane width. The width has a distribution (`scale`), and likelihoods are means over its quantiles.
+They are also means over kinds of detectors and roads (`visibility`): range, continuous flags, and
+lines outside the road.
 
-A detector that never reports a continuous line counts as one that cannot tell. The meaning of its
-other flags and of its LRI is estimated from the recording (`habits`); a warning says so if it is
-unusual.
+A detector that never reports a continuous line counts as one without this flag. The semantics of
+the other flags and the LRI are estimated (`flag_semantics`), with a warning if they are unusual.
 
 The rule needs no labels: `generic` constants are the same for every detector.
 """
@@ -39,9 +37,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import habits, kernels, reading
+from egolane_pgm.evidence.line_geometry import flag_semantics, kernels, reading
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
-from egolane_pgm.evidence.line_geometry.habits import line_classes
+from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
     LANE_M,
@@ -51,14 +49,14 @@ from egolane_pgm.evidence.line_geometry.model import (
     line_model,
 )
 from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
-from egolane_pgm.evidence.line_geometry.sight import (
+from egolane_pgm.evidence.line_geometry.visibility import (
     KIND_CHANGES,
     LANE_CHANGES,
-    SightTables,
+    VisibilityTables,
     far_frames,
-    kinds_of,
-    new_sight,
-    sight_tables,
+    new_visibility,
+    visibility_models,
+    visibility_tables,
     warn_of_own_lines,
 )
 from egolane_pgm.parameters import Parameters, Value, number
@@ -68,8 +66,8 @@ NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
 INPUTS = ("LineMotion",)
 
-#: Of a drive that comes frame by frame, the frames after which a camera of its own lane's lines is
-#: noted: it is then on each such drive of the benchmark's public part, and on no other.
+#: The number of frames after which `online` warns of a camera that shows only the ego lane's lines.
+#: It then does so on all such drives of the benchmark's public part, and on no other.
 NOTED_AFTER = 600
 
 #: The parameters that `fit` learns.
@@ -77,7 +75,7 @@ LEARNED = (*FITTED, "fallback_width_m")
 
 
 def looks_ahead(parameters: Parameters) -> str | None:
-    """How the evidence of a frame depends on later frames; None if it does not."""
+    """Return why the evidence of a frame depends on later frames; None if it does not."""
     if parameters["lane_width_m"] == "causal":
         return None
     what = "what the detector's flags and LRI mean"
@@ -90,14 +88,13 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     """The evidence of T frames: the joint likelihood of RoadPosition and SensorState, (T, n cells,
     2), whose largest value in each frame is 1, and the input LineMotion (T,).
 
-    parameters: checked values of PARAMETERS. With `lane_width_m: causal` the evidence of a frame is
-    what `online` gives for it; otherwise the lane width and the detector's habits come from the
-    whole recording.
+    parameters: checked values of PARAMETERS. With `lane_width_m: causal` the evidence equals that
+    of `online`; otherwise the lane width and the flag semantics come from the whole recording.
 
-    Warnings say which lane width was found, and what is unusual about the lines.
+    Warns of the lane width found and of anything unusual about the lines.
     """
     recorded = log
-    log, detector = habits.translated_recording(log)
+    log, detector = flag_semantics.translated_recording(log)
     width = reading.recording_width(log, parameters)
     reading.warn_of_offsets(log, width, width * REACH_M / LANE_M)
     widths = np.full((len(log), 1), width)
@@ -105,60 +102,60 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     held = detector.repeats_are_held
     seen, last = reading.read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
     reading.warn_of_doubles(last.lines, log.source)
-    models = kinds_of(n_lanes, parameters)
-    sight = new_sight(n_lanes, len(models))
+    models = visibility_models(n_lanes, parameters)
+    visibility = new_visibility(n_lanes, len(models))
     if parameters["lane_width_m"] == "causal":
-        given = _online(models, sight, parameters)(recorded)
+        given = _online(models, visibility, parameters)(recorded)
     else:
-        tables = sight_tables(models, has_flags=bool(_has_flag(log).any()))
+        tables = visibility_tables(models, has_flags=bool(_has_flag(log).any()))
         weights, _ = reading.frame_weights(log)
         seen = reading.count_once(seen, last.lines)
         widths = widths * (1 + number(parameters, "width_wanders") * np.array([-1, 0, 1]))
-        given = _evidence(seen, widths, weights, log.is_missing, tables, sight, parameters)
+        given = _evidence(seen, widths, weights, log.is_missing, tables, visibility, parameters)
     n_frames = max(len(log), 1)
     far = far_frames(log.offset_m, np.full(len(log), width)) / n_frames
-    warn_of_own_lines(sight, last.lines[0] / n_frames, far, log.source)
+    warn_of_own_lines(visibility, last.lines[0] / n_frames, far, log.source)
     return given
 
 
 def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence]:
-    """A function that gives the evidence of one or several frames at a time; each log continues the
-    one before.
+    """Return a function that gives the evidence of one or several frames, log after log.
 
-    All that it knows comes from the frames so far, however they are grouped: the lane width (unless
-    given), what the detector sees, the meaning of its flags and LRI, and whether it reports lines
-    twice. The detector counts as one with a continuous flag from the first continuous line on.
-    The only warning is that of a camera of its own lane's lines, asked once, after NOTED_AFTER
-    frames that came one at a time.
+    All estimates use the frames so far, however they are grouped: the lane width (unless given),
+    the visibility, the flag semantics and the share of double lines. The detector counts as one
+    with a continuous flag from the first continuous line on. The only warning concerns a camera
+    that shows only the ego lane's lines, after NOTED_AFTER frames that came one at a time.
     """
-    models = kinds_of(n_lanes, parameters)
-    return _online(models, new_sight(n_lanes, len(models)), parameters)
+    models = visibility_models(n_lanes, parameters)
+    return _online(models, new_visibility(n_lanes, len(models)), parameters)
 
 
 def _online(
-    models: Sequence[LineModel], sight: FloatArray, parameters: Parameters
+    models: Sequence[LineModel], visibility: FloatArray, parameters: Parameters
 ) -> Callable[[LineLog], Evidence]:
-    """As `online`; sight: (n, K) the belief over kinds, which becomes that after each log."""
-    tables = {has: sight_tables(models, has_flags=has) for has in (True, False)}
+    """As `online`; visibility: (n, K) the belief over kinds, which becomes that after each log."""
+    tables = {has: visibility_tables(models, has_flags=has) for has in (True, False)}
     given = parameters["lane_width_m"]
     width = new_belief(number(parameters, "fallback_width_m"))
-    detector = habits.Habits(habits.FULL_LRI, says_valid=True, says_continuous=True)
-    seen_before: list[habits.LineCounts] = []
-    recent: list[habits.Columns] = []
+    detector = flag_semantics.PAPER
+    seen_before: list[flag_semantics.LineCounts] = []
+    recent: list[flag_semantics.Columns] = []
     has_flags = False
     n_frames, n_far, last, last_s = 0, 0, reading.NO_FRAME, -math.inf
     is_asked = False
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
-        """The evidence of frames that are all read in the same way."""
+        """Return the evidence of frames that share all estimates."""
         nonlocal detector, has_flags, n_frames, n_far, last, last_s
         if n_frames and n_frames % reading.UPDATE_EVERY == 0:
-            seen_before[:] = [habits.added([*seen_before, habits.count_lines(recent)])]
+            seen_before[:] = [
+                flag_semantics.added([*seen_before, flag_semantics.count_lines(recent)])
+            ]
             recent.clear()
-            detector = habits.habits_of(seen_before[0], recorded.source)
-            has_flags &= detector.says_continuous
-        recent.append(habits.columns(recorded))
-        log = habits.translated(recorded, detector)
+            detector = flag_semantics.flag_semantics_of(seen_before[0], recorded.source)
+            has_flags &= detector.uses_continuous
+        recent.append(flag_semantics.columns(recorded))
+        log = flag_semantics.translated(recorded, detector)
         has_flags = has_flags or bool(_has_flag(log).any())
         n_frames += len(log)
         kind, is_strong = line_classes(log)
@@ -175,7 +172,7 @@ def _online(
         seen = reading.count_once(seen, seen.lines)
         weights, last_s = reading.frame_weights(recorded, last_s)
         told = tables[has_flags]
-        return _evidence(seen, widths, weights, log.is_missing, told, sight, parameters)
+        return _evidence(seen, widths, weights, log.is_missing, told, visibility, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         nonlocal is_asked
@@ -183,13 +180,12 @@ def _online(
             if n_frames >= NOTED_AFTER and not is_asked:
                 is_asked = True
                 lines_per_frame, far = last.lines[0] / n_frames, n_far / n_frames
-                warn_of_own_lines(sight, lines_per_frame, far, recorded.source)
+                warn_of_own_lines(visibility, lines_per_frame, far, recorded.source)
             return evidence_of_part(recorded)
         updates = np.arange(-n_frames % reading.UPDATE_EVERY, len(recorded), reading.UPDATE_EVERY)
         starts = np.unique([0, *updates])
         is_continuous = np.asarray(_has_flag(recorded).any(axis=1))
-        # The first frame with a continuous line may change how lines are read, so a part ends
-        # there.
+        # The first continuous line may change the estimates, so a part ends there.
         firsts = [
             a + int(np.argmax(is_continuous[a:b]))
             for a, b in pairwise([*starts, len(recorded)])
@@ -207,7 +203,7 @@ def _online(
 
 def _has_flag(log: LineLog) -> BoolArray:
     """Whether a line has an offset and is continuous, (T, L)."""
-    return np.asarray(log.is_continuous & habits.is_placed(log.offset_m))
+    return np.asarray(log.is_continuous & flag_semantics.is_placed(log.offset_m))
 
 
 def _evidence(
@@ -215,13 +211,13 @@ def _evidence(
     widths: FloatArray,
     weights: FloatArray,
     is_missing: BoolArray,
-    tables: SightTables,
-    sight: FloatArray,
+    tables: VisibilityTables,
+    visibility: FloatArray,
     parameters: Parameters,
 ) -> Evidence:
     """The evidence of T frames. widths: (T, W) equally probable lane widths; weights, is_missing:
-    (T,); sight: (n, K), which becomes the belief after the last frame."""
-    n_positions = len(sight) * int(number(parameters, "cells"))
+    (T,); visibility: (n, K), which becomes the belief after the last frame."""
+    n_positions = len(visibility) * int(number(parameters, "cells"))
     likelihood = np.empty((len(widths), n_positions, 2))
     kernels.weigh_positions(
         seen.offset_m,
@@ -239,7 +235,7 @@ def _evidence(
         is_missing,
         LANE_CHANGES,
         KIND_CHANGES,
-        sight,
+        visibility,
         likelihood,
     )
     return Evidence({NODES: likelihood}, {"LineMotion": seen.motion})
@@ -248,9 +244,9 @@ def _evidence(
 def fit(
     log: LineLog, lane: IntArray, is_used: BoolArray, n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
-    """Learns the parameters `LEARNED` from frames whose lane is known.
+    """Learn the parameters `LEARNED` from frames whose lane is known.
 
-    - lane: (T,) 1 to n; only those of the used frames are read
+    - lane: (T,) 1 to n; only used frames count
     - is_used: (T,) the frames to learn from
     - parameters: the first guess, which is worth `fitting.STRENGTH` frames of each lane
 
@@ -262,13 +258,13 @@ def fit(
 def fit_pooled(
     parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
-    """As `fit`, from several recordings: log, lane and is_used of each. The expected lane width
-    is that of the first recording."""
+    """As `fit`, from several recordings: log, lane and is_used of each. The first one gives the
+    expected lane width."""
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
     for recorded, lane, is_used in parts:
-        log, detector = habits.translated_recording(recorded, say=False)
+        log, detector = flag_semantics.translated_recording(recorded, say=False)
         width = reading.one_width(log, parameters)
         first_width = first_width or reading.as_metres(width, parameters)
         kind, _ = line_classes(log)

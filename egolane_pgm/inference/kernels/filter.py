@@ -1,8 +1,7 @@
-"""The forward recursion and the likelihood that it takes, compiled.
+"""Kernels of the forward recursion and its likelihood.
 
-Each is written once and compiled for networks of any size, and again for networks of few states
-with their sizes as constants: the compiler then writes the loops over states out, which is up to
-three times as fast.
+Each is compiled for networks of any size, and again for small networks with their sizes as
+constants: unrolled loops over states are up to three times as fast.
 """
 
 from __future__ import annotations
@@ -51,7 +50,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
         begins (T,): True where a sequence begins: the frame takes `prior` (U, S) and what was
             before it does not matter.
         is_factored: the product of the marginals of the state's nodes is carried on, not the joint
-            belief. column (N, S): as in `Layout`; it says which states share a node's value.
+            belief. column (N, S): the value of each node in each state, as in `Layout`.
         transition (U, S, S), row is the state before; index (T,): which of the U holds in a frame.
         likelihood (T, S): of each frame's evidence given the joint state, any scale.
         beliefs (T, S): written, the joint belief after each frame.
@@ -128,7 +127,7 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
 
 @lru_cache(maxsize=64)
 def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
-    """The likelihood of one group's evidence, compiled for these sizes; 0 stands for any."""
+    """The likelihood of one group's evidence, compiled for these sizes; 0 for any size."""
 
     @kernel(fastmath={"contract"}, error_model="numpy")
     def multiply_likelihood(

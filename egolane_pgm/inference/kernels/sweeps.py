@@ -1,5 +1,4 @@
-"""What goes over the frames besides the forward recursion, compiled: smoothing backwards and the
-most probable path."""
+"""Kernels of backward smoothing and of the most probable path."""
 
 from __future__ import annotations
 
@@ -42,8 +41,7 @@ def _look_back(
     weight, onward (S,): room for intermediate results.
     moves (S, S): P(state before, state now | all evidence) is added, unless it is (0, 0).
 
-    Where, in floating-point numbers, no state that the filter believes leads to the later evidence,
-    that evidence is ignored.
+    Later evidence that no state of the filter can lead to, in floating-point numbers, is ignored.
     """
     n_states = filtered.shape[0]
     for s in range(n_states):

@@ -17,12 +17,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm import paper
-from egolane_pgm.drives import read_drives
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.habits import line_classes
+from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
+    CLUTTER_PER_M,
     GENERIC,
     LANE_M,
     TABLE_STEP_M,
@@ -32,12 +31,14 @@ from egolane_pgm.evidence.line_geometry.model import (
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
-from egolane_pgm.evidence.line_geometry.sight import kinds_of, new_sight, sight_tables
+from egolane_pgm.evidence.line_geometry.visibility import (
+    new_visibility,
+    visibility_models,
+    visibility_tables,
+)
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import compile_model, make_evidence, whole_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import simulate
@@ -110,7 +111,7 @@ def by_the_formula(
 ) -> np.ndarray:
     """One frame, (n cells, 2), from the intensities themselves: their mean over the lane widths, to
     which offsets are relative."""
-    models = kinds_of(n, parameters)
+    models = visibility_models(n, parameters)
     expected = np.array([model.expected for model in models])
     width = LANE_M
     place = places(models[0], width)
@@ -146,8 +147,8 @@ def by_the_formula(
     return np.exp(result - result.max())
 
 
-@pytest.mark.parametrize("sight", ["generic", "learned"])
-def test_the_likelihood_is_the_formula(sight: str) -> None:
+@pytest.mark.parametrize("clutter", ["generic", CLUTTER_PER_M.tolist()])
+def test_the_likelihood_is_the_formula(clutter: str | list[float]) -> None:
     offsets = [-1.9, 1.6, 5.3, -5.2]
     log = line_log(
         [offsets],
@@ -155,7 +156,7 @@ def test_the_likelihood_is_the_formula(sight: str) -> None:
         is_continuous=[[True, False, False, False]],
         lri=[[9.0, 6.0, 5.0, 3.0]],
     )
-    parameters = resolved(alpha=0.3, beta=0.7, sight=sight)
+    parameters = resolved(alpha=0.3, beta=0.7, clutter=clutter)
     right = by_the_formula(list(zip(offsets, [0, 1, 2, 3], strict=True)), 3, parameters)
     for evidence in (line_geometry.evidence, reference.evidence):
         ours = evidence(log, 3, parameters).likelihoods[NODES][0]
@@ -169,17 +170,17 @@ def test_the_likelihood_is_the_formula(sight: str) -> None:
 )
 def test_over_several_widths_the_likelihood_is_the_mean(widths: tuple[float, ...]) -> None:
     offsets, kinds = [-1.9, 1.6, 5.3, -5.2, 9.9], [0, 1, 2, 3, -1]
-    parameters = resolved(alpha=0.3, beta=0.7, sight="generic")
+    parameters = resolved(alpha=0.3, beta=0.7, clutter=CLUTTER_PER_M.tolist())
     lines = list(zip(offsets[:4], kinds[:4], strict=True))
     right = by_the_formula(lines, 3, parameters, widths)
-    tables = sight_tables(kinds_of(3, parameters), has_flags=True)
+    tables = visibility_tables(visibility_models(3, parameters), has_flags=True)
     for module in (kernels, reference):
         likelihood = np.empty((1, 48, 2))
         module.weigh_positions(
             *(np.array([offsets]), np.array([kinds]), np.array([widths])),
             *(tables.log_intensity, tables.log_mean, tables.first_m, TABLE_STEP_M, tables.expected),
             *(tables.width_m, 0.3, 0.7, np.ones(1), np.zeros(1, dtype=bool), 0.0, 0.0),
-            *(new_sight(3, 1), likelihood),
+            *(new_visibility(3, 1), likelihood),
         )
         np.testing.assert_allclose(np.log(likelihood[0]), np.log(right), atol=5e-3)
 
@@ -446,7 +447,7 @@ def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) 
         given = line_geometry.evidence(none, 3, parameters)
     give, steadily = (line_geometry.online(3, parameters) for _ in range(2))
     parts = [give(none)]
-    # The detector's habits are found before the frame that follows the first 200.
+    # The flag semantics are estimated before the frame that follows the first 200.
     for part in (slice(0, 150), slice(150, 200), slice(200, 333), slice(333, None)):
         parts += [give(log.take(part)), give(none)]
     for empty in (given, *parts[::2]):
@@ -458,7 +459,7 @@ def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) 
 
 
 def test_the_arrays_of_a_frame_may_be_used_again_for_the_next_one() -> None:
-    # Habits are found after 200 frames: an LRI of 0 to 1, and no line valid.
+    # Flag semantics are estimated after 200 frames: an LRI of 0 to 1, and no line valid.
     log = causal_drive("plain").take(slice(0, 250))
     log = replace(log, lri=log.lri / 10, is_valid=np.zeros_like(log.is_valid))
     parameters = resolved(lane_width_m="causal")
@@ -488,20 +489,6 @@ def test_numbers_need_not_be_of_double_precision(kind: type, width: object) -> N
     parameters = resolved(lane_width_m=width)
     ours, theirs = (line_geometry.online(3, parameters)(each) for each in (log, other))
     np.testing.assert_array_equal(theirs.likelihoods[NODES], ours.likelihoods[NODES])
-
-
-@pytest.mark.parametrize("kind", ["plain", "doubled", "hardly a flag"])
-def test_with_a_causal_width_no_later_frame_changes_the_evidence(kind: str) -> None:
-    log = causal_drive(kind)
-    parameters = resolved(lane_width_m="causal")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        whole = line_geometry.evidence(log, 3, parameters)
-        for n_frames in (149, 333, 500):
-            part = line_geometry.evidence(log.take(slice(0, n_frames)), 3, parameters)
-            np.testing.assert_array_equal(
-                part.likelihoods[NODES], whole.likelihoods[NODES][:n_frames]
-            )
 
 
 def test_with_a_given_width_the_frames_after_the_first_flag_are_read_as_the_whole() -> None:
@@ -537,19 +524,6 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
             assert re.search(
                 r"3\.\d+ m in the first half of the recording, 2\.\d+ m in the second: does", line
             )
-
-
-@needs_compiler
-@pytest.mark.parametrize("run", [1, 8])
-def test_a_change_of_scale_in_the_paper_s_recordings_is_said(run: int, recordings: Path) -> None:
-    there = load_experiment(paper.paper_experiment(run))
-    model = compile_model(load_experiment("zero_label", {"n_lanes": there.n_lanes}))
-    [drive] = read_drives(there)
-    for lines, n_warnings in ((drive.log, 0), (scale_changes(drive.log, 0.6), 1)):
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always")
-            make_evidence(model, whole_rule(model), lines)
-        assert sum("first half" in str(each.message) for each in caught) == n_warnings
 
 
 @pytest.mark.parametrize("seed", range(2))

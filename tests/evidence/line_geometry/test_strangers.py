@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from egolane_pgm.inference.smoothing import infer_beliefs
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import make_evidence, online_rule, whole_rule
 from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.types import Beliefs
@@ -46,7 +46,7 @@ def beliefs_of(drive: Drive) -> Beliefs:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         evidence, _ = make_evidence(model, whole_rule(model), drive.log)
-    return infer_beliefs(model.compiled, evidence, "exact")
+    return filter_beliefs(model.compiled, evidence)
 
 
 @needs_compiler

@@ -9,9 +9,14 @@ import pytest
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.model import LANE_M, TABLE_STEP_M
+from egolane_pgm.evidence.line_geometry.model import CLUTTER_PER_M, LANE_M, TABLE_STEP_M
 from egolane_pgm.evidence.line_geometry.rule import NODES
-from egolane_pgm.evidence.line_geometry.sight import KINDS, kinds_of, new_sight, sight_tables
+from egolane_pgm.evidence.line_geometry.visibility import (
+    KINDS,
+    new_visibility,
+    visibility_models,
+    visibility_tables,
+)
 from egolane_pgm.types import FloatArray, LineLog
 from tests.evidence.line_geometry.test_rule import line_log, resolved
 from tests.reference import line_geometry as reference
@@ -36,7 +41,7 @@ def beliefs(log: LineLog, n_lanes: int = 3, **given: object) -> FloatArray:
 @pytest.mark.parametrize("n_lanes", [3, 5])
 def test_a_camera_of_two_lines_says_nothing_about_the_lane(n_lanes: int) -> None:
     log = line_log(OWN * np.ones((3000, 1)))
-    assert beliefs(log, n_lanes, sight="generic").min() < 1e-6
+    assert beliefs(log, n_lanes, clutter=CLUTTER_PER_M.tolist()).min() < 1e-6
     np.testing.assert_allclose(beliefs(log, n_lanes), 1 / n_lanes, atol=0.25 / n_lanes)
 
 
@@ -63,9 +68,8 @@ def test_own_lines_alone_are_noted() -> None:
 
 
 def test_what_is_given_or_learned_leaves_one_kind() -> None:
-    assert len(kinds_of(3, resolved())) == len(KINDS)
-    assert len(kinds_of(3, resolved(sight="generic"))) == 1
-    assert len(kinds_of(3, resolved(sigmas_m=[0.2] * 6))) == 1
+    assert len(visibility_models(3, resolved())) == len(KINDS)
+    assert len(visibility_models(3, resolved(sigmas_m=[0.2] * 6))) == 1
 
 
 @pytest.mark.parametrize("module", [kernels, reference])
@@ -73,7 +77,7 @@ def test_in_one_lane_that_is_never_left_the_kinds_are_averaged_exactly(module: o
     """With one lane, one cell, and kinds that never change, the product of the frames' evidence is
     the mean over the kinds of the product of theirs."""
     parameters = resolved(1, cells=1)
-    tables = sight_tables(kinds_of(1, parameters), has_flags=True)
+    tables = visibility_tables(visibility_models(1, parameters), has_flags=True)
     rng = np.random.default_rng(0)
     offsets = rng.choice(FOUR, (30, 3)) + rng.normal(0, 0.2, (30, 3))
     kind = rng.integers(-1, 4, (30, 3))
@@ -84,7 +88,7 @@ def test_in_one_lane_that_is_never_left_the_kinds_are_averaged_exactly(module: o
         module.weigh_positions(  # type: ignore[attr-defined]
             *(offsets, kind, np.full((30, 1), LANE_M), log_intensity, tables.log_mean),
             *(tables.first_m, TABLE_STEP_M, expected, LANE_M, 1.0, 1.0, np.ones(30)),
-            *(np.zeros(30, dtype=bool), 0.0, 0.0, new_sight(1, kinds), found),
+            *(np.zeros(30, dtype=bool), 0.0, 0.0, new_visibility(1, kinds), found),
         )
         return found[:, 0, 0] / found[:, 0, 1]
 

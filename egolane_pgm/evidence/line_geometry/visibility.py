@@ -1,16 +1,15 @@
-"""What a detector shows on this road: a belief over a few kinds of it, from the frames so far.
+"""Visibility of lines: a belief over a few kinds of detectors and roads, from the frames so far.
 
-How far a camera sees, which lines it marks as continuous, and whether there is a line beside the
-road, is not known of a stranger's drive, and stays as it is for minutes. A model that takes one
-answer for granted counts the same surprise in each frame: a camera of two lines never shows an
-outer lane, and so is sure of a lane where there is no evidence. Here each kind is a set of changes
-of the generic constants, and a belief over kinds is kept for each lane that the car may be in. The
-likelihood of a lane is then the mean over its kinds, weighed by how well each predicted the frames
-before (the kernel `weigh_positions`). What never changes on a drive stops to count as evidence as
-soon as a kind explains it in every lane.
+The range of a camera, its continuous flags and lines off the road are unknown, and constant for
+minutes. A model with fixed constants would count the same surprise in each frame: a camera of two
+lines never shows an outer lane, which is no evidence of a lane. So each kind is a set of changes to
+the generic constants, and a belief over kinds is kept for each lane. The likelihood of a lane is
+the mean over its kinds, weighted by their predictions of the previous frames (kernel
+`weigh_positions`). What never changes on a drive is no evidence once a kind explains it in every
+lane.
 
-The kinds, their constants and the rates below were chosen with the paper's ten recordings and the
-public part of the benchmark in sight.
+The kinds, their constants and the rates were chosen on the paper's ten recordings and the public
+part of the benchmark.
 """
 
 from __future__ import annotations
@@ -36,7 +35,7 @@ from egolane_pgm.evidence.line_geometry.model import (
 from egolane_pgm.parameters import Value
 from egolane_pgm.types import NOTE, FloatArray
 
-#: A line is seen beside the road, where vehicles stop (in traffic that keeps to the right).
+#: A line is seen off the road, on the hard shoulder (in traffic that keeps to the right).
 _ROADSIDE = {"shoulder_right": 0.8}
 
 #: The road's outer lines are continuous, and reported as such.
@@ -70,7 +69,7 @@ KINDS: tuple[Kind, ...] = (
     replace(GENERIC, **_OWN),
 )
 
-#: The probability from which a note says that only the own lines are seen.
+#: The probability of the last kind from which a note is given.
 SURE = 0.8
 
 #: A line further away than this, in lane widths, is not of the own lane; a camera shows its own
@@ -83,7 +82,7 @@ LANE_CHANGES, KIND_CHANGES = 0.002, 0.003
 
 
 @dataclass(frozen=True)
-class SightTables:
+class VisibilityTables:
     """The models of K kinds for n lanes, tabulated for one lane width at z = first_m +
     TABLE_STEP_M * index.
 
@@ -99,20 +98,18 @@ class SightTables:
     width_m: float
 
 
-def kinds_of(n_lanes: int, parameters: Mapping[str, Value]) -> list[LineModel]:
-    """The models that are possible: one for each kind, or the only one where its constants are
-    given or learned."""
-    is_known = any(not isinstance(parameters[name], str) for name in FITTED)
-    if is_known or parameters["sight"] == "generic":
+def visibility_models(n_lanes: int, parameters: Mapping[str, Value]) -> list[LineModel]:
+    """Return a model for each kind, or the only one if its constants are given or learned."""
+    if any(not isinstance(parameters[name], str) for name in FITTED):
         return [line_model(n_lanes, parameters)]
     return [line_model(n_lanes, parameters, kind) for kind in KINDS]
 
 
-def sight_tables(models: Sequence[LineModel], *, has_flags: bool) -> SightTables:
-    """Tabulates the models of all kinds, as of a detector that marks lines as continuous or not."""
+def visibility_tables(models: Sequence[LineModel], *, has_flags: bool) -> VisibilityTables:
+    """Tabulate the models of all kinds, for a detector with or without a continuous flag."""
     used = models if has_flags else [without_flags(model) for model in models]
     of_kinds = np.concatenate([log_intensity(model, LANE_M) for model in used])
-    return SightTables(
+    return VisibilityTables(
         np.ascontiguousarray(of_kinds.transpose(1, 2, 0)),
         np.log(np.exp(of_kinds).mean(axis=0)),
         -(REACH_M + LANE_M),
@@ -121,13 +118,13 @@ def sight_tables(models: Sequence[LineModel], *, has_flags: bool) -> SightTables
     )
 
 
-def new_sight(n_lanes: int, n_kinds: int) -> FloatArray:
+def new_visibility(n_lanes: int, n_kinds: int) -> FloatArray:
     """The belief over the lane and the kind before the first frame, (n, K)."""
     return np.full((n_lanes, n_kinds), 1 / (n_lanes * n_kinds))
 
 
 def far_frames(offset_m: FloatArray, width_m: FloatArray) -> int:
-    """The number of frames with a line beyond those of the own lane.
+    """Return the number of frames with a line beyond the ego lane.
 
     - offset_m: (T, L), NaN in padding. width_m: (T,) lane width.
     """
@@ -137,14 +134,14 @@ def far_frames(offset_m: FloatArray, width_m: FloatArray) -> int:
 
 
 def warn_of_own_lines(
-    sight: FloatArray, lines_per_frame: float, far_share: float, source: str
+    visibility: FloatArray, lines_per_frame: float, far_share: float, source: str
 ) -> None:
-    """Warn of a camera that shows the lines of its own lane only.
+    """Warn of a camera that shows only the ego lane's lines.
 
-    - sight: (n, K) the posterior over lanes and kinds after the frames so far.
+    - visibility: (n, K) the posterior over lanes and kinds after the frames so far.
     - far_share: the share of these frames with a line beyond (`far_frames`).
     """
-    is_own = sight.shape[1] == len(KINDS) and sight[:, -1].sum() > SURE
+    is_own = visibility.shape[1] == len(KINDS) and visibility[:, -1].sum() > SURE
     if is_own and lines_per_frame > 1 and far_share < FAR_SHARE:
         warnings.warn(
             f"{NOTE}{source}: shows the lines of its own lane only: the absolute lane is ambiguous"

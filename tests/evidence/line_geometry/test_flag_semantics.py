@@ -20,16 +20,17 @@ from hypothesis import strategies as st
 from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
-from egolane_pgm.evidence.line_geometry.habits import (
-    Habits,
+from egolane_pgm.evidence.line_geometry.flag_semantics import (
+    FlagSemantics,
     LineCounts,
     added,
     columns,
     count_lines,
-    habits_of,
+    flag_semantics_of,
     is_placed,
     line_classes,
 )
+from egolane_pgm.evidence.line_geometry.model import CLUTTER_PER_M
 from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
@@ -93,7 +94,7 @@ def test_numbers_from_nowhere_do_not_change_the_scale_of_the_lri() -> None:
     """The multi-lane detector reports an LRI of 1.9e9 now and then."""
     log = drive().log
     lri = np.where(np.random.default_rng(0).random(log.lri.shape) < 0.02, 1.9e9, log.lri)
-    assert habits_of(counted(replace(log, lri=lri)), "x").full_lri == 10
+    assert flag_semantics_of(counted(replace(log, lri=lri)), "x").full_lri == 10
 
 
 @pytest.mark.parametrize("value", [10.0, 1.0, 0.0, -1.0])
@@ -102,7 +103,7 @@ def test_an_lri_that_never_changes_is_as_unknown(value: float) -> None:
     unknown = replace(log, lri=np.full(log.lri.shape, np.nan))
     constant = replace(log, lri=np.where(is_placed(log.offset_m), value, np.nan))
     (said,) = same(unknown, constant)
-    assert "the LRI says nothing" in said
+    assert "it is ignored" in said
     assert not same(unknown, unknown)
 
 
@@ -111,7 +112,9 @@ def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
     log, rng = drive().log, np.random.default_rng(0)
     steady = replace(log, lri=np.where(is_placed(log.offset_m), 10.0, np.nan))
     coarse = replace(steady, offset_m=np.round(log.offset_m, 1))
-    assert [habits_of(counted(each), "x").repeats_are_held for each in (log, steady, coarse)] == [
+    assert [
+        flag_semantics_of(counted(each), "x").repeats_are_held for each in (log, steady, coarse)
+    ] == [
         False,
         True,
         False,
@@ -172,20 +175,20 @@ def test_a_continuous_flag_that_one_line_has_or_all_says_nothing(flagged: str) -
         flags[tuple(np.argwhere(log.is_valid & is_placed(log.offset_m))[77])] = True
     said = same(replace(log, is_continuous=none), replace(log, is_continuous=flags))
     assert len(said) == 1
-    assert "are continuous; the flag is taken to say nothing" in said[0]
+    assert "are continuous; the flag is ignored" in said[0]
 
 
 def test_an_ordinary_detector_is_left_alone() -> None:
     log = drive().log
-    found = habits_of(counted(log), "x")
-    assert found == Habits(10.0, says_valid=True, says_continuous=True)
+    found = flag_semantics_of(counted(log), "x")
+    assert found == FlagSemantics(10.0, uses_valid=True, uses_continuous=True)
     assert not [text for text in read(log)[1] if "lane width" not in text]
 
 
 def test_counts_of_parts_add_up_to_that_of_the_drive() -> None:
     log = drive().log
     parts = [counted(log.take(slice(a, b))) for a, b in pairwise([0, 1, 300, 300, len(log)])]
-    assert habits_of(added(parts), "x") == habits_of(counted(log), "x")
+    assert flag_semantics_of(added(parts), "x") == flag_semantics_of(counted(log), "x")
     assert added(parts).valid == counted(log).valid
 
 
@@ -235,7 +238,7 @@ def test_lines_that_are_reported_twice_count_once(apart: float) -> None:
         np.hstack([log.offset_m, log.offset_m + apart * np.sign(log.offset_m)]),
         *(np.hstack([a, a]) for a in (log.is_valid, log.is_continuous, log.lri)),
     )
-    given = {"lane_width_m": 3.75, "sight": "generic"}
+    given = {"lane_width_m": 3.75, "clutter": CLUTTER_PER_M.tolist()}
     once, both = read(log, **given)[0], read(twice, **given)
     # Beside the few doubles that the drive has itself.
     assert (np.abs(once - both[0]).max(axis=(1, 2)) > 1e-6).mean() < 0.15
@@ -279,7 +282,7 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
 
 def test_what_lines_say_weighs_by_the_time_since_the_frame_before() -> None:
     log = drive().log.take(slice(0, 40))
-    given = {"lane_width_m": 3.75, "sight": "generic"}
+    given = {"lane_width_m": 3.75, "clutter": CLUTTER_PER_M.tolist()}
     once, _ = read(log, **given)
     thrice, _ = read(replace(log, time_s=3 * log.time_s), **given)
     np.testing.assert_allclose(np.log(thrice[1:]), 3 * np.log(once[1:]), atol=1e-9)
@@ -324,7 +327,7 @@ def test_one_frame_after_the_other_finds_out_as_well() -> None:
         100 * np.hstack([log.offset_m, log.offset_m]),
         *(np.hstack([a, a]) for a in (np.zeros_like(flags), flags, log.lri / 10)),
     )
-    parameters = resolved(lane_width_m=375, sight="generic")
+    parameters = resolved(lane_width_m=375, clutter=CLUTTER_PER_M.tolist())
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         whole = line_geometry.evidence(odd, 3, parameters)
@@ -366,12 +369,12 @@ def zero_label(n_lanes: int, width: str = "auto") -> Model:
 
 
 def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
-    from egolane_pgm.inference.smoothing import infer_beliefs
+    from egolane_pgm.inference.filtering import filter_beliefs
     from egolane_pgm.scoring.confusion import assigned_lane
 
     truth = drive().truth if truth is None else truth
     given, _ = make_evidence(model, whole_rule(model), log)
-    beliefs = infer_beliefs(model.compiled, given, "exact", None, frame_id=log.frame_id)
+    beliefs = filter_beliefs(model.compiled, given, "exact", frame_id=log.frame_id)
     _, here, there = np.intersect1d(log.frame_id, truth.index, return_indices=True)
     scored = ~truth["is_crossing"].to_numpy()[there]
     lane = assigned_lane(beliefs.lane[here][scored])
