@@ -11,12 +11,12 @@ from typing import Annotated, Any
 import numpy as np
 
 from egolane_pgm.experiment import DETECTOR
-from egolane_pgm.loading import Overrides, load_experiment, parse_overrides
+from egolane_pgm.loading import load_experiment, parse_overrides
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog
-from egolane_pgm.verbs.options import CameraFile, Option, Progress, StrPath, path_of
+from egolane_pgm.verbs.options import CameraFile, Option, Overrides, Progress, StrPath, path_of
 from egolane_pgm.vision.camera.pictures import (
     camera_of_pictures,
     note_assumed_rate,
