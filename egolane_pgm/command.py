@@ -4,7 +4,7 @@ A verb's parameters before the `*` become arguments, the others options. Types g
 docstring gives the help, and `verbs.options.Option` the rest. A verb's module may also define:
 
 - `text(done, style, wide)`: the output; without it `done.to_text()`.
-- `says(done, given)`: the last lines of the output, such as the path of a result.
+- `summary(done, given)`: the last lines of the output, such as the path of a result.
 - `failed(done)`: what failed, and why; the exit code is then 1.
 """
 
@@ -161,8 +161,8 @@ def _params(parameter: inspect.Parameter, hint: Any, help: str) -> list[click.Pa
         return [click.Argument([name], nargs=-1 if option.many else 1, **settings)]
     value = given if option.default is None else option.default
     help = f"Do not {help}" if default is True else help[:1].upper() + help[1:]
-    if option.said or not (value is None or isinstance(value, bool)):
-        help += f"  [default: {option.said or value}]"
+    if option.shown or not (value is None or isinstance(value, bool)):
+        help += f"  [default: {option.shown or value}]"
     long = f"--{name.rstrip('_').replace('_', '-')}"
     if bool in kinds:
         names = option.names or (f"--no-{name}" if default is True else long,)
@@ -235,7 +235,7 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
         each_given = (v for value in given.values() for v in several_of(value))
         check_not_read(Path(json_file), [Path(v) for v in each_given if isinstance(v, str) and v])
         check_place(Path(json_file))
-    text, says = getattr(module, "text", None), getattr(module, "says", None)
+    text, summary = getattr(module, "text", None), getattr(module, "summary", None)
     with contextlib.redirect_stdout(prints):
         done = verb(**given)
         # The file is written before anything is printed: a reader may close the pipe.
@@ -249,7 +249,7 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
             printed = done.to_text() if hasattr(done, "to_text") else done
         if isinstance(printed, str) and printed:
             click.echo(printed)
-        end = says(done, given) if says is not None and done is not None else ""
+        end = summary(done, given) if summary is not None and done is not None else ""
         if end:
             click.echo(f"\n{end}" if isinstance(printed, str) else end, err=style != "markdown")
     if json_file == "-":
@@ -263,7 +263,7 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
 
 def document_of(done: Any) -> Any:
     """The unrounded numbers of a verb's result, ready for JSON."""
-    from egolane_pgm.tools.files import plain
+    from egolane_pgm.tools.files import to_jsonable
 
     if hasattr(done, "document"):
         return done.document
@@ -271,7 +271,7 @@ def document_of(done: Any) -> Any:
         return {"run": done.run, "scores": done.scores}
     if hasattr(done, "to_dict"):
         rows = done.reset_index().astype(object)
-        return plain({"rows": rows.where(rows.notna(), None).to_dict("records")})
+        return to_jsonable({"rows": rows.where(rows.notna(), None).to_dict("records")})
     return done
 
 

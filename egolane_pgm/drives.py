@@ -42,7 +42,7 @@ from egolane_pgm.types import (
     IntArray,
     LineLog,
     check_lanes,
-    pieces_of,
+    clip_slices,
     problems_in,
     suggestion,
 )
@@ -254,7 +254,7 @@ def read_drives(
             f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
         )
     drives: list[Drive] = []
-    for frames in pieces_of(log.clip, len(log)):
+    for frames in clip_slices(log.clip, len(log)):
         clip = log.take(frames)
         name = experiment.name if clip.clip is None else str(clip.clip[0])
         clip = replace(clip, clip=None)

@@ -21,8 +21,8 @@ from egolane_pgm.loading import load_experiment
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.result import Result, score
 from egolane_pgm.runs import Input, run_input
-from egolane_pgm.tools.files import plain, write_text
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, joined, lane_truth
+from egolane_pgm.tools.files import to_jsonable, write_text
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, lane_truth, merged_runs
 
 #: Labels with a smaller probability are uncertain.
 BELOW = 0.99
@@ -34,7 +34,7 @@ CHANGE_WEIGHT = 0.01
 #: Without a position in the lane, frames this close to a lane change are crossing, seconds.
 BESIDE_S = 1.0
 
-#: Segments closer to each other are joined, seconds.
+#: Segments closer to each other are merged_runs, seconds.
 JOIN_S = 1.0
 
 
@@ -74,7 +74,7 @@ class Labels:
         confidence = self.frames["confidence"].to_numpy()
         rows = [
             (ids[a], ids[b - 1], time_s[a], time_s[b - 1], b - a, confidence[a:b].min())
-            for a, b in joined(confidence < self.below, time_s, JOIN_S)
+            for a, b in merged_runs(confidence < self.below, time_s, JOIN_S)
         ]
         names = ["first_frame", "last_frame", "first_s", "last_s", "frames", "lowest_confidence"]
         return pd.DataFrame(rows, columns=names)
@@ -142,7 +142,7 @@ def label_input(given: Input, below: float = BELOW) -> Labels:
         index=run.frames.index,
     )
     answered = run.frames.assign(assigned_lane=lane)
-    scores = plain(score(answered, run.frame_rate))
+    scores = to_jsonable(score(answered, run.frame_rate))
     return Labels(replace(run, frames=answered, scores=scores), frames, below)
 
 

@@ -20,7 +20,7 @@ from egolane_pgm.inference.compile import (
     with_tables,
 )
 from egolane_pgm.inference.filtering import METHODS, harden, joint_input
-from egolane_pgm.parameters import Value, looking_back, resolve_parameters
+from egolane_pgm.parameters import Value, resolve_parameters, smoothing_defaults
 from egolane_pgm.plugins import (
     declared_parameters,
     load_plugin,
@@ -93,7 +93,7 @@ def compile_model(experiment: Experiment) -> Model:
     rule = load_plugin("evidence", e.evidence, f"{source}: evidence")
     graph = load_plugin("graphs", e.graph, f"{source}: graph")
     declared = declared_parameters(rule, graph)
-    specs = looking_back(declared) if e.filter in ("smoothed", "viterbi") else declared
+    specs = smoothing_defaults(declared) if e.filter in ("smoothed", "viterbi") else declared
     parameters = resolve_parameters(specs, e.model_parameters, e.n_lanes, f"{source}: parameters")
     with problems_in(f"{source}: graph {e.graph}"):
         compiled, unused = compile_graph(rule, graph, e.n_lanes, parameters)

@@ -148,12 +148,12 @@ class Parameter:
         return int(x) if self.kind == "integer" else x
 
 
-def held_fixed(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
+def not_searched(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """Return the parameters as searched only if the user gives bounds."""
     return tuple(replace(spec, search=None) for spec in specs)
 
 
-def looking_back(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
+def smoothing_defaults(specs: Iterable[Parameter]) -> tuple[Parameter, ...]:
     """Return the parameters with their defaults for `filter: smoothed`."""
     return tuple(s if s.smoothed is None else replace(s, default=s.smoothed) for s in specs)
 

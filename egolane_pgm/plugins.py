@@ -140,8 +140,8 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
         try:
             module = offered[0].load()
         except Exception as error:
-            said = f"{offered[0].value} cannot be imported: {_said(error)}"
-            raise InputError(f"{where}: {said}") from error
+            problem = f"{offered[0].value} cannot be imported: {_one_line(error)}"
+            raise InputError(f"{where}: {problem}") from error
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
     for needed in CONTRACTS[folder]:
@@ -210,11 +210,11 @@ def _load_file(path: Path, where: str) -> ModuleType:
     except Exception as error:
         del sys.modules[name]
         at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
-        raise InputError(f"{where}: {path} cannot be imported: {_said(error)}{at}") from error
+        raise InputError(f"{where}: {path} cannot be imported: {_one_line(error)}{at}") from error
     return module
 
 
-def _said(error: Exception) -> str:
+def _one_line(error: Exception) -> str:
     return " ".join(f"{type(error).__name__}: {error}".split())
 
 
@@ -237,4 +237,4 @@ def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
             raise
         line = _line_in(str(module.__file__), error)
         at = f"{module.__file__}, line {line}" if line else f"{module.__file__}"
-        raise InputError(f"{where}: {at}: {_said(error)}") from error
+        raise InputError(f"{where}: {at}: {_one_line(error)}") from error

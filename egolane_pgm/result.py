@@ -39,8 +39,8 @@ from egolane_pgm.scoring.events import Reported, event_delays, score_events, sta
 from egolane_pgm.tools.files import (
     check_place,
     make_directory,
-    plain,
     read_parquet,
+    to_jsonable,
     write_json,
     write_yaml,
 )
@@ -531,4 +531,4 @@ def make_result(
     if begin is not None:
         run["seconds"] = round(time.perf_counter() - begin, 3)
     lines = dict(zip(drive_names(drives), (drive.log for drive in drives), strict=True))
-    return Result(e, frames, plain(run), plain(scores), lines)
+    return Result(e, frames, to_jsonable(run), to_jsonable(scores), lines)

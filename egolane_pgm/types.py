@@ -111,7 +111,7 @@ def runs_of(marked: BoolArray) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(starts, stops, strict=True)]
 
 
-def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple[int, int]]:
+def merged_runs(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple[int, int]]:
     """Return the runs of marked rows (T,), merged if at most `within_s` seconds apart."""
     found: list[tuple[int, int]] = []
     for start, stop in runs_of(marked):
@@ -123,7 +123,7 @@ def joined(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[tuple
     return found
 
 
-def pieces_of(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
+def clip_slices(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
     """Return the frames of each clip.
 
     - clip (T,): the name of each frame's clip, or None for one drive.
@@ -134,7 +134,7 @@ def pieces_of(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
     return [slice(a, b) for a, b in pairwise(starts)]
 
 
-def stacked(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
+def pad_and_concat(parts: Sequence[NDArray[Any]], blank: float | bool) -> NDArray[Any]:
     """Concatenate arrays (T_k, L_k) along the frames, padded with `blank` to one width."""
     width = max(part.shape[1] for part in parts)
     return np.concatenate(
@@ -381,16 +381,16 @@ class LineLog:
         )
 
     @classmethod
-    def joined(cls, parts: Sequence[LineLog]) -> LineLog:
+    def concat(cls, parts: Sequence[LineLog]) -> LineLog:
         """Concatenate logs; the source is that of the last."""
         clips = [part.clip for part in parts if part.clip is not None]
         return cls(
             np.concatenate([part.frame_id for part in parts]),
             np.concatenate([part.time_s for part in parts]),
-            stacked([part.offset_m for part in parts], np.nan),
-            stacked([part.is_valid for part in parts], False),
-            stacked([part.is_continuous for part in parts], False),
-            stacked([part.lri for part in parts], np.nan),
+            pad_and_concat([part.offset_m for part in parts], np.nan),
+            pad_and_concat([part.is_valid for part in parts], False),
+            pad_and_concat([part.is_continuous for part in parts], False),
+            pad_and_concat([part.lri for part in parts], np.nan),
             np.concatenate([part.is_missing for part in parts]),
             parts[-1].source,
             np.concatenate(clips) if len(clips) == len(parts) else None,
@@ -490,7 +490,7 @@ class Evidence:
         return cls(likelihoods, {node: given[node] for node in compiled.inputs})
 
     @classmethod
-    def joined(cls, parts: Sequence[Evidence]) -> Evidence:
+    def concat(cls, parts: Sequence[Evidence]) -> Evidence:
         """Concatenate evidence about the same nodes."""
         if len(parts) == 1:
             return parts[0]
@@ -554,7 +554,7 @@ class Beliefs:
         return self.marginals[node]
 
     @classmethod
-    def joined(cls, parts: Sequence[Beliefs]) -> Beliefs:
+    def concat(cls, parts: Sequence[Beliefs]) -> Beliefs:
         """Concatenate beliefs about the same nodes."""
         if len(parts) == 1:
             return parts[0]

@@ -209,7 +209,7 @@ def on_road(tmp_path_factory: pytest.TempPathFactory) -> Path:
         frame_id = part.log.frame_id + begin
         logs.append(replace(part.log, frame_id=frame_id, time_s=part.log.time_s + begin / 10))
         truths.append(part.truth.set_axis(part.truth.index + begin))
-    write_table(folder / "lines.csv", LineLog.joined(logs))
+    write_table(folder / "lines.csv", LineLog.concat(logs))
     write_ground_truth(folder / "truth.txt", pd.concat(truths))
     save(road_rows([n for n, seconds in ROAD for _ in range(seconds)]), folder / "road.parquet")
     return write_experiment(

@@ -32,7 +32,7 @@ from egolane_pgm.classic.bezier.picture import refined
 from egolane_pgm.classic.bezier.ridges import ridges, smaller, view_for
 from egolane_pgm.classic.bezier.road import shape_of
 from egolane_pgm.classic.bezier.splines import points_on, spline_finder
-from egolane_pgm.parameters import Parameters, held_fixed, number
+from egolane_pgm.parameters import Parameters, not_searched, number
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
@@ -48,7 +48,7 @@ STEREO = False
 #: How far a line may be from its prediction, metres.
 _GATE_M = 1.7
 
-PARAMETERS = held_fixed(
+PARAMETERS = not_searched(
     (
         *_FINDING,
         *_PAINT,

@@ -26,14 +26,14 @@ from egolane_pgm.classic.multilane.crf import join_seeds
 from egolane_pgm.classic.multilane.markings import Markings, find_markings
 from egolane_pgm.classic.multilane.road import Road, road_of, shapes_of
 from egolane_pgm.classic.multilane.slots import SPAN, Slots, advance, no_slots
-from egolane_pgm.parameters import Parameter, Parameters, held_fixed, number
+from egolane_pgm.parameters import Parameter, Parameters, not_searched, number
 from egolane_pgm.types import FloatArray
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture, check_size
 from egolane_pgm.vision.detectors import FrameLines, Step
 
 STEREO = False
-PARAMETERS = held_fixed(
+PARAMETERS = not_searched(
     (
         Parameter(
             "lines",

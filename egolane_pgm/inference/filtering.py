@@ -105,7 +105,7 @@ def step(
         )
         marginals = marginals_of(compiled, beliefs)
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))
-    return joint, Beliefs.joined(done)
+    return joint, Beliefs.concat(done)
 
 
 def harden(evidence: Evidence) -> Evidence:

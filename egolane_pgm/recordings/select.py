@@ -90,7 +90,7 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
         )
     if policy == "skip":
         return log
-    return fill_missing(LineLog.joined([last, log]), policy, frame_rate).take(slice(1, None))
+    return fill_missing(LineLog.concat([last, log]), policy, frame_rate).take(slice(1, None))
 
 
 def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:

@@ -19,7 +19,7 @@ from egolane_pgm.scoring.confusion import (
 )
 from egolane_pgm.scoring.events import stability_scores
 from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss_per_frame
-from egolane_pgm.tools.files import plain
+from egolane_pgm.tools.files import to_jsonable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,5 +64,5 @@ def score_all(
         **stability_scores([(assigned, truth)], frame_rate),
         "intervals": {k: None if i.low is None else [i.low, i.high] for k, i in intervals.items()},
     }
-    result: dict[str, Any] = plain(found)
+    result: dict[str, Any] = to_jsonable(found)
     return result

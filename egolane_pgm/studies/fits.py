@@ -25,7 +25,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.model import Model, make_evidence, whole_rule, with_parameters
-from egolane_pgm.parameters import Parameter, Value, held_fixed, resolve_parameters
+from egolane_pgm.parameters import Parameter, Value, not_searched, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
@@ -53,7 +53,7 @@ from egolane_pgm.studies.space import (
     to_point,
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
-from egolane_pgm.tools.files import plain
+from egolane_pgm.tools.files import to_jsonable
 from egolane_pgm.types import BoolArray, Evidence, InputError, IntArray
 
 
@@ -181,7 +181,7 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     start = start_of_learning(model).compiled
     fitted = em.fit_tables(
         start,
-        Evidence.joined(evidence),
+        Evidence.concat(evidence),
         {"Lane": lane},
         np.concatenate(begins),
         nodes=learnable_nodes(model),
@@ -356,7 +356,7 @@ def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
     for model in models:
         specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
         if searches_detector(tuning):
-            specs = held_fixed([*specs, *searched_of_detector(model.experiment)[0]])
+            specs = not_searched([*specs, *searched_of_detector(model.experiment)[0]])
         current, source = current_values(model, tuning), model.experiment.source
         where = f"{source}: fit.parameters"
         spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
@@ -436,7 +436,7 @@ def open_study(
         "space": describe(space),
         "data": [drive_digest(drive, frames) for drive, frames in zip(drives, train, strict=True)],
     }
-    known = json.loads(json.dumps(plain(content)))
+    known = json.loads(json.dumps(to_jsonable(content)))
     before = study.user_attrs.get("identity", known)
     if before != known:
         what = ", ".join(key for key in known if before[key] != known[key])

@@ -41,7 +41,7 @@ from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME, named
-from egolane_pgm.tools.files import check_place, make_directory, plain, write_json, write_yaml
+from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
@@ -290,7 +290,7 @@ class Study:
         detector = self.model.experiment.detector_parameters
         if detector:
             fitted = with_detector(fitted, detector)
-        content: dict[str, Any] = plain(resolved(fitted, self.model.parameters))
+        content: dict[str, Any] = to_jsonable(resolved(fitted, self.model.parameters))
         how = "lines alone" if not first.fit.labels else "labels and lines"
         how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
@@ -348,7 +348,7 @@ class Study:
             "held_out": None if held_out is None else held_out.scores,
             "folds": None if held_out is None else held_out.run["fitted"],
         }
-        content: dict[str, Any] = plain(found)
+        content: dict[str, Any] = to_jsonable(found)
         return content
 
 

@@ -80,7 +80,7 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 def json_text(content: Mapping[str, Any]) -> str:
     """Format as JSON."""
-    return json.dumps(plain(content), indent=1) + "\n"
+    return json.dumps(to_jsonable(content), indent=1) + "\n"
 
 
 def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> None:
@@ -88,7 +88,7 @@ def write_yaml(path: Path, content: Mapping[str, Any], heading: str = "") -> Non
 
     - heading: comments above the keys.
     """
-    text = dump_yaml({"version": YAML_VERSION, **plain(content)})
+    text = dump_yaml({"version": YAML_VERSION, **to_jsonable(content)})
     write_text(path, heading + text)
 
 
@@ -110,11 +110,11 @@ def read_parquet(path: Path) -> pd.DataFrame:
     except (OSError, ValueError) as error:
         if why := getattr(error, "strerror", None):
             raise InputError(f"{path}: cannot be read: {why}") from None
-        said = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: is not a whole Parquet file ({said})") from None
+        reason = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: is not a whole Parquet file ({reason})") from None
 
 
-def plain(value: Any) -> Any:
+def to_jsonable(value: Any) -> Any:
     """Convert to plain Python types, for JSON and YAML; NaN and infinity become None."""
     return to_jsonable_python(value, inf_nan_mode="null", fallback=_of_numpy)
 

@@ -103,7 +103,7 @@ def calibrate(
     return view.camera
 
 
-def says(done: Camera, given: Mapping[str, Any]) -> str:
+def summary(done: Camera, given: Mapping[str, Any]) -> str:
     """Return the comment of the camera's YAML, and its path."""
     lines = Path(given["out"]).read_text(encoding="utf-8").splitlines()
     comment = [line.removeprefix("# ") for line in lines if line.startswith("# ")]

@@ -111,7 +111,7 @@ def detect(
     return done.log
 
 
-def says(done: LineLog, given: Mapping[str, Any]) -> str:
+def summary(done: LineLog, given: Mapping[str, Any]) -> str:
     """Summarize the lines in one line."""
     per_frame = np.isfinite(done.offset_m).sum(axis=1).mean()
     return (

@@ -28,14 +28,15 @@ EXAMPLES = ("egolane label drive/lines.csv --n-lanes 4 --out labels",)
 def label(
     given: Annotated[ExperimentLike | Lines, Option("EXPERIMENT|LINES")],
     *,
-    experiment: Annotated[ExperimentLike | None, Option("X.yaml", said="zero_label")] = None,
+    experiment: Annotated[ExperimentLike | None, Option("X.yaml", shown="zero_label")] = None,
     n_lanes: int | None = None,
     overrides: Overrides = (),
     below: Annotated[float, Ge(0), Le(1)] = BELOW,
     ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
     columns: ColumnNames = None,
     out: Annotated[
-        StrPath | None, Option("DIR", default="results/*_labels", said="results/NAME_labels")
+        StrPath | None,
+        Option("DIR", default="results/*_labels", shown="results/NAME_labels"),
     ] = None,
 ) -> Labels:
     """Label the lanes of a recording, and list the segments in which labels are uncertain.
@@ -85,6 +86,6 @@ def label(
     return labels
 
 
-def says(done: Labels, given: Mapping[str, Any]) -> str:
+def summary(done: Labels, given: Mapping[str, Any]) -> str:
     """The path of the labels."""
     return f"labels: {place_of(given['out'], done.run.name)}/labels.txt"

@@ -24,7 +24,7 @@ from egolane_pgm.verbs.options import (
     place_of,
 )
 from egolane_pgm.verbs.studied import open_studied
-from egolane_pgm.verbs.studied import says as says
+from egolane_pgm.verbs.studied import summary as summary
 
 EXAMPLES = (
     "egolane learn drive/experiment.yaml",

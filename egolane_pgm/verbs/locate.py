@@ -61,7 +61,7 @@ def locate(
     return table
 
 
-def says(done: RoadTable, given: Mapping[str, Any]) -> str:
+def summary(done: RoadTable, given: Mapping[str, Any]) -> str:
     """Summarise the table and the fit of the map."""
     on = done.segment >= 0
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])

@@ -33,7 +33,7 @@ class Option:
     - names: further names, "-o", or another long one in place of the parameter's.
     - example: a name and a value, for messages.
     - default: default of the command, if it differs from the function's.
-    - said: text of the default in the help.
+    - shown: text of the default in the help.
     - many: whether it may be repeated.
     - envvar: environment variable that gives it.
     - required: whether a command needs it.
@@ -44,7 +44,7 @@ class Option:
     names: tuple[str, ...] = ()
     example: str | None = None
     default: Any = None
-    said: str | None = None
+    shown: str | None = None
     many: bool = False
     envvar: str | None = None
     required: bool = False
@@ -58,7 +58,7 @@ Seed = Annotated[int, Ge(0)]
 Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
 #: Number of folds; 0 for none.
-Folds = Annotated[int | None, Ge(0), Option(said="5")]
+Folds = Annotated[int | None, Ge(0), Option(shown="5")]
 Jobs = Annotated[int, Ge(1)]
 #: A Dask cluster; see `tools.jobs`.
 Cluster = Annotated[str | None, Option("ADDRESS|local:N")]

@@ -123,6 +123,6 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
     return file
 
 
-def says(done: list[Path], given: Mapping[str, Any]) -> str:
+def summary(done: list[Path], given: Mapping[str, Any]) -> str:
     """The files."""
     return "\n".join(map(str, done))

@@ -58,7 +58,7 @@ def run(given: Any, **options: Any) -> Result: ...
 def run(  # type: ignore[misc]
     given: Annotated[ExperimentLike | Lines | Result, Option("EXPERIMENT|LINES")],
     *,
-    experiment: Annotated[ExperimentLike | None, Option("X.yaml", said="zero_label")] = None,
+    experiment: Annotated[ExperimentLike | None, Option("X.yaml", shown="zero_label")] = None,
     overrides: Overrides = (),
     ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
     n_lanes: int | None = None,
@@ -70,7 +70,7 @@ def run(  # type: ignore[misc]
     chunk_frames: Annotated[int | None, Ge(1)] = None,
     held_out: bool = False,
     dry_run: bool = False,
-    out: Annotated[StrPath | None, Option("DIR", default="results/*", said="results/NAME")] = None,
+    out: Annotated[StrPath | None, Option("DIR", default="results/*", shown="results/NAME")] = None,
     figures: bool = True,
     jobs: Jobs = 1,
     cluster: Cluster = None,
@@ -208,7 +208,7 @@ def text(done: Result | pd.DataFrame | str, style: str, wide: bool) -> str:
     return done if isinstance(done, str) else done.to_text(style=style, wide=wide)
 
 
-def says(done: Result | pd.DataFrame | str, given: Mapping[str, Any]) -> str:
+def summary(done: Result | pd.DataFrame | str, given: Mapping[str, Any]) -> str:
     """The paths of the results."""
     if isinstance(done, str):
         return ""

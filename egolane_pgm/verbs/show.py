@@ -20,7 +20,7 @@ from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS, format_of
 from egolane_pgm.recordings.showing import show_recording
 from egolane_pgm.simulation import PRESETS
-from egolane_pgm.tools.files import check_not_read, plain
+from egolane_pgm.tools.files import check_not_read, to_jsonable
 from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
 from egolane_pgm.verbs.options import Option, StrPath, path_of, shown
 from egolane_pgm.views.description import (
@@ -111,7 +111,7 @@ def show(
     return found
 
 
-def says(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
+def summary(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
     """The description as text, or the name of the file that was written."""
     if given.get("out") is not None:
         return str(given["out"])
@@ -192,7 +192,12 @@ def _yaml(name: str) -> dict[str, Any]:
     path = experiment_path(name)
     keys = load_yaml(path)
     kind, own_name = "tuning file" if "experiments" in keys else "experiment", keys.get("name")
-    return {"kind": kind, "name": own_name or path.stem, "file": str(path), "keys": plain(keys)}
+    return {
+        "kind": kind,
+        "name": own_name or path.stem,
+        "file": str(path),
+        "keys": to_jsonable(keys),
+    }
 
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:

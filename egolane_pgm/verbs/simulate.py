@@ -85,7 +85,7 @@ def simulate(
     return drive
 
 
-def says(done: SimulatedDrive | Road, given: Mapping[str, Any]) -> str:
+def summary(done: SimulatedDrive | Road, given: Mapping[str, Any]) -> str:
     """The length of the drive, and the commands that use it."""
     folder = Path(given["out"])
     run = f"egolane run {folder / 'experiment.yaml'}"

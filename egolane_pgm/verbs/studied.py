@@ -107,6 +107,6 @@ def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
     return validated(TuningFile, content, str(path)), path.parent
 
 
-def says(done: Study, given: Mapping[str, Any]) -> str:
+def summary(done: Study, given: Mapping[str, Any]) -> str:
     """The path of the study."""
     return f"study: {done.directory}; run its best.yaml, or `include:` it"

@@ -30,7 +30,7 @@ from egolane_pgm.verbs.options import (
     place_of,
 )
 from egolane_pgm.verbs.studied import Studied, open_studied
-from egolane_pgm.verbs.studied import says as says
+from egolane_pgm.verbs.studied import summary as summary
 
 EXAMPLES = (
     "egolane tune drive/experiment.yaml --trials 300",
@@ -47,7 +47,7 @@ def tune(
     n_lanes: Annotated[int | None, Hidden] = None,
     ground_truth: Annotated[Truth | None, Hidden] = None,
     graph: Graph = None,
-    trials: Annotated[int | None, Ge(1), Option(said="3000")] = None,
+    trials: Annotated[int | None, Ge(1), Option(shown="3000")] = None,
     parameter: Annotated[
         Mapping[str, Any] | None,
         Option("NAME=VALUE", names=("-p",), example="p1=[0.5,1] or p1=0.9"),

@@ -12,7 +12,7 @@ import egolane_pgm as ego
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.result import Result
-from egolane_pgm.types import InputError, LineLog, pieces_of
+from egolane_pgm.types import InputError, LineLog, clip_slices
 from tests.kits.image_line_files import (
     OFFSETS,
     ROWS,
@@ -35,7 +35,7 @@ def clips_of(log: LineLog) -> list[tuple[str, list[int]]]:
     """The name and the frame ids of each clip."""
     assert log.clip is not None
     return [
-        (str(log.clip[p.start]), log.frame_id[p].tolist()) for p in pieces_of(log.clip, len(log))
+        (str(log.clip[p.start]), log.frame_id[p].tolist()) for p in clip_slices(log.clip, len(log))
     ]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.evidence.line_geometry import flag_semantics, kernels, rule, scale
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, pad_and_concat
 
 
 def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
@@ -173,15 +173,15 @@ def follow_lines(
     if offset_m.shape[1] == 0:
         return
     # The lines of the frame before each, (T, K); frames may have different numbers of lines.
-    before_m = stacked([last_offset_m[None], offset_m[:-1]], np.nan)
-    before_kind = stacked([last_kind[None], kind[:-1]], -1)
-    before_lri = stacked([last_lri[None], lri[:-1]], np.nan)
+    before_m = pad_and_concat([last_offset_m[None], offset_m[:-1]], np.nan)
+    before_kind = pad_and_concat([last_kind[None], kind[:-1]], -1)
+    before_lri = pad_and_concat([last_lri[None], lri[:-1]], np.nan)
     if before_m.shape[1] == 0:
         return
     same = offset_m[:, :, None] == before_m[:, None, :]
     falls = lri[:, :, None] < before_lri[:, None, :]
     is_held[:] = (same & (falls | repeats_are_held)).any(axis=2) & follows[:, None]
-    before_held = stacked([last_is_held[None], is_held[:-1]], False)
+    before_held = pad_and_concat([last_is_held[None], is_held[:-1]], False)
     with np.errstate(invalid="ignore"):
         distance = np.abs(offset_m[:, :, None] - before_m[:, None, :])
     now = (kind >= 0) & ~is_held & follows[:, None]

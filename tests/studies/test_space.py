@@ -9,7 +9,7 @@ import pytest
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure, wor_on_lane
-from egolane_pgm.parameters import Parameter, held_fixed, resolve_parameters
+from egolane_pgm.parameters import Parameter, not_searched, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
 from egolane_pgm.studies.space import (
     SearchSpace,
@@ -81,7 +81,7 @@ def test_without_declared_bounds_a_parameter_is_searched_within_those_of_its_kin
     spec = Parameter("x", kind, default, "a number", **keys)
     assert spec.search_range == (expected and pytest.approx(expected))
     assert spec.is_searched == (expected is not None)
-    (kept,) = held_fixed([spec])
+    (kept,) = not_searched([spec])
     assert not kept.is_searched
     assert kept.search_range == spec.search_range or spec.search != "auto"
 

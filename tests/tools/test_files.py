@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 from egolane_pgm.recordings.ground_truth import read_ground_truth, write_ground_truth
 from egolane_pgm.simulation import simulate
 from egolane_pgm.tools.files import (
-    plain,
     read_text,
     read_yaml,
+    to_jsonable,
     write_json,
     write_yaml,
 )
@@ -119,7 +119,7 @@ def test_what_is_wrong_with_a_yaml_is_named_by_its_line(
 
 
 def test_what_is_stored_is_plain() -> None:
-    stored = plain(
+    stored = to_jsonable(
         {
             1: np.float32(0.5),
             "a": np.array([[1.0, np.nan], [np.inf, 2.0]]),

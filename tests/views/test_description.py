@@ -10,7 +10,7 @@ import pytest
 from egolane_pgm.inference.compile import compile
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
-from egolane_pgm.tools.files import plain
+from egolane_pgm.tools.files import to_jsonable
 from egolane_pgm.views.description import (
     describe_detector,
     describe_graph,
@@ -76,7 +76,7 @@ def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
     found = described("sensor_failure", numbers=True)
     output = next(table for table in found["tables"] if table["node"] == "DetectorOutput")
     table = template("sensor_failure", 3).tables["DetectorOutput", 1]
-    np.testing.assert_array_equal(plain(output["values"]), table.values)
+    np.testing.assert_array_equal(to_jsonable(output["values"]), table.values)
     rows = [line.split() for line in description_text(found).splitlines()]
     assert ["|", "BAD,", "2", "|", "0.3333", "|", "0.3333", "|", "0.3333", "|"] in rows
     assert ["|", "OK", "|", "0.6", "|", "0.4", "|"] in rows

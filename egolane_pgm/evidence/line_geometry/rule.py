@@ -60,7 +60,7 @@ from egolane_pgm.evidence.line_geometry.visibility import (
     warn_of_own_lines,
 )
 from egolane_pgm.parameters import Parameters, Value, number
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, stacked
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, pad_and_concat
 
 NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
@@ -286,8 +286,8 @@ def fit_pooled(
     if not len(known):
         return {}
     model, _ = fit_lines(
-        stacked(offsets, 0.0),
-        stacked(kinds, -1),
+        pad_and_concat(offsets, 0.0),
+        pad_and_concat(kinds, -1),
         known,
         line_model(n_lanes, parameters),
         LANE_M,

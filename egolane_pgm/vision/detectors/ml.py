@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
-from egolane_pgm.parameters import held_fixed
+from egolane_pgm.parameters import not_searched
 from egolane_pgm.vision.detectors.simple import finder
 
 STEREO = False
-PARAMETERS = held_fixed(finder.MONO)
+PARAMETERS = not_searched(finder.MONO)
 start = partial(finder.start, curve="line")

@@ -6,7 +6,7 @@ docs/networks.md.
 
 from __future__ import annotations
 
-from egolane_pgm.parameters import Parameter, Parameters, held_fixed
+from egolane_pgm.parameters import Parameter, Parameters, not_searched
 from egolane_pgm.types import problems_in
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.detectors import Step
@@ -16,7 +16,7 @@ from egolane_pgm.vision.detectors.simple import finder
 from egolane_pgm.vision.detectors.simple.parameters import FINDING
 
 STEREO = False
-PARAMETERS = held_fixed(
+PARAMETERS = not_searched(
     (
         Parameter(
             "network",

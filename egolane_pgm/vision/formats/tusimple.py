@@ -42,7 +42,7 @@ from egolane_pgm.types import (
     FloatArray,
     InputError,
     LineLog,
-    pieces_of,
+    clip_slices,
 )
 from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
 
@@ -231,7 +231,7 @@ def _log(
         )
     names = np.repeat(list(clips), list(map(len, clips.values()))) if len(clips) > 1 else None
     lri, is_valid = [], []
-    for piece in pieces_of(names, len(ids)):
+    for piece in clip_slices(names, len(ids)):
         counts, flag = persistence(offsets[piece], ids[piece] / frame_rate)
         lri += counts
         is_valid += flag

@@ -453,7 +453,7 @@ def test_a_log_without_frames_is_no_evidence_and_changes_nothing(width: object) 
     for empty in (given, *parts[::2]):
         assert empty.likelihoods[NODES].shape == (0, 48, 2)
         assert empty.inputs["LineMotion"].shape == (0,)
-    ours, whole = Evidence.joined(parts), steadily(log)
+    ours, whole = Evidence.concat(parts), steadily(log)
     np.testing.assert_array_equal(ours.likelihoods[NODES], whole.likelihoods[NODES])
     np.testing.assert_array_equal(ours.inputs["LineMotion"], whole.inputs["LineMotion"])
 
