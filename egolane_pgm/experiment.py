@@ -81,12 +81,12 @@ def _or_one(schema: dict[str, Any]) -> None:
 #: A number greater than 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
-#: A section with keys of its own, such as parameters.
+#: A section with free keys, such as parameters.
 _Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
 
 
 class Section(BaseModel):
-    """Some keys of a YAML file: unknown ones are refused, and nothing in it can be changed."""
+    """Keys of a YAML file, immutable; unknown keys are refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -162,13 +162,13 @@ class Recording(Section):
     )
     format: str | None = Field(
         default=None,
-        description="name of the format, where the ending of `path` does not tell it, or a file of"
-        " your own with `read(path, **options)`",
+        description="name of the format, if it does not follow from the ending of `path`, or a file"
+        " with `read(path, **options)`",
         examples=["tusimple", "./my_format.py"],
     )
     topic: str | None = Field(
         default=None,
-        description="topic of a bag; left out, that of the paper's line detectors",
+        description="topic of a bag; by default the topic of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
     )
     frames: tuple[int, int] | None = Field(
@@ -179,8 +179,8 @@ class Recording(Section):
     frame_rate: Positive = Field(default=10.0, le=1e6, description="frames per second")
     missing_frames: Literal["skip", "hold", "predict"] = Field(
         default="skip",
-        description="what is put in for frame ids that the recording lacks: nothing (`skip`), the"
-        " frame before (`hold`), or a frame without evidence (`predict`)",
+        description="how missing frame ids are filled in: not at all (`skip`), with the frame before"
+        " (`hold`), or with a frame without evidence (`predict`)",
     )
     simulate: str | None = Field(
         default=None,
@@ -195,7 +195,7 @@ class Recording(Section):
     )
     detector: str | None = Field(
         default=None,
-        description="name or file of the detector that looks at the video or pictures of `path`",
+        description="name or file of the detector for the video or pictures at `path`",
         examples=["ml", "./my_detector.py"],
     )
     right: str | None = Field(
@@ -319,9 +319,9 @@ class Experiment(Section):
     description: str = Field(
         default="", description="what it is, in a line", examples=["commute, light rain"]
     )
-    recording: Recording = Field(description="where the lines come from")
+    recording: Recording = Field(description="source of the lines")
     ground_truth: GroundTruth | None = Field(
-        default=None, description="annotated lanes; left out, nothing is scored"
+        default=None, description="annotated lanes; without them there are no scores"
     )
     road: str | None = Field(
         default=None,
@@ -331,8 +331,8 @@ class Experiment(Section):
     n_lanes: int = Field(
         le=MAX_LANES,
         strict=True,
-        description="lanes of the road, or `map`: the road table tells them, and where their number"
-        " changes the recording is cut into drives",
+        description="number of lanes of the road, or `map` to take it from the road table: the"
+        " recording is cut into drives whenever the number changes",
         examples=[4],
         json_schema_extra=_or_map,
     )
@@ -386,8 +386,8 @@ class Experiment(Section):
     )
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
         default="unknown",
-        description="frames that the parameters were tuned on, printed with every score: the frames"
-        " that are scored (`same_frames`: in-sample), others only, or none",
+        description="frames used to tune the parameters, printed with every score: the scored frames"
+        " (`same_frames`: in-sample), others only, or none",
     )
     fit: FitSettings = Field(
         default=FitSettings(), description="settings of `tune`, `learn` and held-out runs"
@@ -527,7 +527,7 @@ def _first_problem(error: ValidationError, kind: Any) -> str:
 
 
 def _keys_at(kind: Any, loc: Sequence[int | str]) -> Iterable[str]:
-    """The keys of the section that a key is in."""
+    """Return the keys of the section of a key."""
     for part in loc[:-1]:
         inside = _sections_in(get_type_hints(kind, include_extras=True).get(str(part)))
         kind = next(inside, kind)
@@ -542,7 +542,7 @@ def _sections_in(kind: Any) -> Iterator[Any]:
         yield from _sections_in(part)
 
 
-#: What pydantic says of a Python type, as one says it of YAML.
+#: Messages for pydantic's error types, in terms of YAML.
 _NEEDS = {
     "model_type": "needs keys and values",
     "dict_type": "needs keys and values",

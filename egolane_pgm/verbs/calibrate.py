@@ -44,6 +44,7 @@ def calibrate(
     lane_width: Annotated[float, Option("M")],
     chessboards: Annotated[str | None, Option("GLOB")] = None,
     board: Annotated[str, Option("COLUMNSxROWS")] = "9x6",
+    roll: Annotated[float, Option("DEGREES")] = 0.0,
     ignore: Annotated[str | Sequence[str], Option("LEFT,TOP,RIGHT,BOTTOM", many=True)] = (),
     out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
     progress: Progress = None,
@@ -54,6 +55,7 @@ def calibrate(
     - lane_width: width of the lanes of that road, metres.
     - chessboards: pictures of a chessboard, for the lens.
     - board: inner corners of the chessboard.
+    - roll: roll of the camera, clockwise.
     - ignore: pixels that never show road (mirror, dashboard); kept in the YAML. Repeatable.
     - out: the camera's YAML.
     - progress: whether to show bars; by default in a terminal.
@@ -89,7 +91,7 @@ def calibrate(
         if mask[0] >= camera.width or mask[1] >= camera.height:
             text = ",".join(map(str, mask))
             raise InputError(f"ignore: {text} is not in a picture of {size[0]}x{size[1]}")
-    camera = replace(camera, ignore=masks)
+    camera = replace(camera, roll_deg=roll, ignore=masks)
     found = find_in_stills(camera, pictures, shown("stills"))
     _warn_of(found.skipped)
     view = view_from(camera, found.ahead, found.each, found.fits, lane_width)

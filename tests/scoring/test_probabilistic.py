@@ -163,9 +163,9 @@ def test_a_run_rejects_the_models_answers_only(drive: Path) -> None:
 
 def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
     result = a_result()
-    curves = coverage_curves(result)
+    curves = coverage_curves(result.frames)
     assert list(curves) == ["Detector", "Model"]
-    (ax,) = coverage_figure(result).axes
+    (ax,) = coverage_figure(result.frames).axes
     line = next(line for line in ax.lines if line.get_label() == "Model")
     assert np.asarray(line.get_xdata()).tolist() == curves["Model"]["coverage"].tolist()
     assert np.asarray(line.get_ydata()).tolist() == curves["Model"]["accuracy"].tolist()
@@ -173,4 +173,4 @@ def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
     assert labels <= {f"{below:g}" for below in MARKED}
     assert "0.5" in labels
     with pytest.raises(InputError, match="no ground truth"):
-        coverage_figure(without_truth())
+        coverage_figure(without_truth().frames)

@@ -102,7 +102,7 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
             ["--set", "recording.frames=[500,900]"],
             "no frame from 500 to before 900; it has 16 frames",
         ),
-        (["--set", "recording.right=x.avi"], "looks at one camera only"),
+        (["--set", "recording.right=x.avi"], "has one camera; leave the second out"),
         (["-o", "l.txt"], "lines are written as .parquet, .csv"),
         (["--camera", "nix.yaml"], "nix.yaml: no such file"),
         (["--camera", "{0}/sky.yaml"], "only 0 % of the road from"),
