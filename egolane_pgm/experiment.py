@@ -179,8 +179,8 @@ class Recording(Section):
     frame_rate: Positive = Field(default=10.0, le=1e6, description="frames per second")
     missing_frames: Literal["skip", "hold", "predict"] = Field(
         default="skip",
-        description="how missing frame ids are filled in: not at all (`skip`), with the frame before"
-        " (`hold`), or with a frame without evidence (`predict`)",
+        description="how missing frame ids are filled in: not at all (`skip`), with the frame"
+        " before (`hold`), or with a frame without evidence (`predict`)",
     )
     simulate: str | None = Field(
         default=None,
@@ -386,8 +386,8 @@ class Experiment(Section):
     )
     tuned_on: Literal["same_frames", "other_frames", "not_tuned", "unknown"] = Field(
         default="unknown",
-        description="frames used to tune the parameters, printed with every score: the scored frames"
-        " (`same_frames`: in-sample), others only, or none",
+        description="frames used to tune the parameters, printed with every score: the scored"
+        " frames (`same_frames`: in-sample), others only, or none",
     )
     fit: FitSettings = Field(
         default=FitSettings(), description="settings of `tune`, `learn` and held-out runs"

@@ -172,5 +172,5 @@ def test_the_figure_draws_the_curves_and_marks_the_thresholds() -> None:
     labels = {t.get_text() for t in ax.texts}
     assert labels <= {f"{below:g}" for below in MARKED}
     assert "0.5" in labels
-    with pytest.raises(InputError, match="no ground truth"):
+    with pytest.raises(InputError, match="no annotated frame that is not crossing"):
         coverage_figure(without_truth().frames)
