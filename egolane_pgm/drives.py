@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from egolane_pgm.experiment import FROM_MAP, Experiment, make_experiment
+from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment, make_experiment
 from egolane_pgm.loading import IN_MEMORY, existing
 from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
@@ -350,7 +350,11 @@ def data_files(experiment: Experiment) -> list[Path]:
     recording, truth = experiment.recording, experiment.ground_truth
     named = [recording.path, recording.right, recording.camera, truth and truth.path]
     named += [experiment.road, experiment.evidence, experiment.graph]
-    named += [recording.format, recording.detector, *experiment.detector_parameters.values()]
+    named += [
+        recording.format,
+        recording.detector,
+        *experiment.parameters.get(DETECTOR, {}).values(),
+    ]
     return [Path(name) for name in named if isinstance(name, str) and os.path.isabs(name)]
 
 

@@ -459,12 +459,6 @@ class Experiment(Section):
         return self._source
 
     @property
-    def detector_parameters(self) -> Mapping[str, Any]:
-        """The values of the parameters of the detector."""
-        found: Mapping[str, Any] = self.parameters.get(DETECTOR, {})
-        return found
-
-    @property
     def model_parameters(self) -> dict[str, Any]:
         """The values of the parameters of graph and evidence rule."""
         return {name: value for name, value in self.parameters.items() if name != DETECTOR}
@@ -509,8 +503,8 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
         name: list(value) if isinstance(value, tuple) else value
         for name, value in sorted(parameters.items())
     }
-    if experiment.detector_parameters:
-        content["parameters"][DETECTOR] = dict(experiment.detector_parameters)
+    if DETECTOR in experiment.parameters:
+        content["parameters"][DETECTOR] = dict(experiment.parameters[DETECTOR])
     return content
 
 

@@ -272,11 +272,6 @@ def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: s
 # --- evidence ------------------------------------------------------------------------------------
 
 
-def whole_rule(model: Model) -> EvidenceRule:
-    """Return the evidence rule for a whole drive."""
-    return lambda log: model.rule.evidence(log, model.n_lanes, model.parameters)
-
-
 def online_rule(model: Model) -> EvidenceRule:
     """Return the evidence rule for frames as they come; it may have a memory.
 
@@ -290,22 +285,28 @@ def online_rule(model: Model) -> EvidenceRule:
     def alone(log: LineLog) -> Evidence:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            return whole_rule(model)(log)
+            found: Evidence = model.rule.evidence(log, model.n_lanes, model.parameters)
+            return found
 
     return alone
 
 
 def make_evidence(
-    model: Model, rule: EvidenceRule, log: LineLog
+    model: Model, log: LineLog, rule: EvidenceRule | None = None
 ) -> tuple[Evidence, FloatArray | None]:
     """Make the evidence of T frames, and the detector's answer (T, n_lanes) or None.
+
+    - rule: by default the model's rule for a whole drive.
 
     Filled-in frames (`missing_frames: predict`) get a likelihood of one everywhere. Raises
     InputError, naming the rule's file, if the rule does not return evidence of T frames.
     """
     file = model.rule.__file__
     with plugin_errors(model.rule, "evidence"):
-        given = rule(log)
+        if rule is None:
+            given = model.rule.evidence(log, model.n_lanes, model.parameters)
+        else:
+            given = rule(log)
     if not isinstance(given, Evidence):
         raise InputError(f"{file}: evidence() returned {type(given).__name__}, not Evidence")
     if len(given) != len(log):

@@ -29,7 +29,7 @@ from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events, lane_segments
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
-from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule, why_not_causal
+from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.select import fill_missing
@@ -196,7 +196,7 @@ class Result:
     def evidence(self) -> Evidence:
         """The evidence of a single drive, made from its lines."""
         [log] = self.lines.values()
-        return make_evidence(self.model, whole_rule(self.model), log)[0]
+        return make_evidence(self.model, log)[0]
 
     def network(
         self, *, evidence: bool = False, first: int | None = None, last: int | None = None

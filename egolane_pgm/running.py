@@ -27,7 +27,6 @@ from egolane_pgm.model import (
     looks_ahead,
     make_evidence,
     online_rule,
-    whole_rule,
 )
 from egolane_pgm.recordings.select import fill_after
 from egolane_pgm.result import Result, make_result
@@ -54,7 +53,7 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
     has_offset = "RoadPosition" in model.compiled.values
     places_of = None if has_offset else place_finder(model.parameters)
     if isinstance(logs, LineLog):
-        evidence, tentative = make_evidence(model, whole_rule(model), logs)
+        evidence, tentative = make_evidence(model, logs)
         if e.filter in ("smoothed", "viterbi"):
             beliefs = smooth_beliefs(model.compiled, evidence, frame_id=logs.frame_id)
         elif e.lag is not None:
@@ -77,7 +76,7 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
     for log in logs:
         due = fill_after(last, log, recording.missing_frames, recording.frame_rate)
         last = log.take(slice(-1, None))
-        evidence, tentative = make_evidence(model, rule, due)
+        evidence, tentative = make_evidence(model, due, rule)
         offset = None if places_of is None else places_of(due)
         if e.lag is None:
             state, beliefs = step(model.compiled, state, evidence, e.filter)

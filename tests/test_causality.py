@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import compile_model, make_evidence, whole_rule, why_not_causal
+from egolane_pgm.model import compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import plugin_names
 from egolane_pgm.types import LineLog
 from tests.conftest import needs_compiler
@@ -56,8 +56,8 @@ def test_a_rule_that_looks_ahead_says_so_and_no_other_does(rule: str, width: Any
         # The first half has no flags; whether the detector has any shows in the second.
         is_continuous = log.is_continuous & (np.arange(N_FRAMES) >= N_FRAMES // 2)[:, None]
         log = replace(log, is_continuous=is_continuous)
-    whole = make_evidence(model, whole_rule(model), log)[0]
-    half = make_evidence(model, whole_rule(model), log.take(slice(0, N_FRAMES // 2)))[0]
+    whole = make_evidence(model, log)[0]
+    half = make_evidence(model, log.take(slice(0, N_FRAMES // 2)))[0]
     is_same = all(
         np.array_equal(values[: len(half)], half.likelihoods[node])
         for node, values in whole.likelihoods.items()

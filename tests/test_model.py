@@ -13,7 +13,6 @@ from egolane_pgm.model import (
     compile_model,
     make_evidence,
     matching_evidence_rule,
-    whole_rule,
     with_parameters,
 )
 from egolane_pgm.parameters import Value, resolve_parameters
@@ -108,8 +107,8 @@ def test_a_model_is_pickled_with_its_plugins() -> None:
     model = compile_model(load_experiment(EXAMPLES / "own_files.yaml"))
     again = pickle.loads(pickle.dumps(model))
     log = short_drive().log
-    for node, values in make_evidence(model, whole_rule(model), log)[0].likelihoods.items():
-        other = make_evidence(again, whole_rule(again), log)[0].likelihoods[node]
+    for node, values in make_evidence(model, log)[0].likelihoods.items():
+        other = make_evidence(again, log)[0].likelihoods[node]
         np.testing.assert_array_equal(other, values)
 
 

@@ -24,7 +24,7 @@ from egolane_pgm.experiment import FitSettings
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
-from egolane_pgm.model import Model, make_evidence, whole_rule, with_parameters
+from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value, not_searched, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
@@ -227,7 +227,7 @@ def training_of(
         known = rows[train][~drive.is_crossing[rows[train]]]
         lane[known] = drive.true_lane[known] - 1
     # A rule may have a memory: its evidence is computed for the whole drive.
-    evidence, _ = make_evidence(drive.model, whole_rule(drive.model), drive.log)
+    evidence, _ = make_evidence(drive.model, drive.log)
     is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
     return evidence.take(used), lane[used], is_first
 

@@ -11,7 +11,7 @@ import numpy as np
 from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
-from egolane_pgm.model import make_evidence, whole_rule, with_parameters
+from egolane_pgm.model import make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring.confusion import (
     SCORES,
@@ -112,7 +112,7 @@ def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
             [here] = read_drives(with_detector(drive.experiment, dict(of_detector)))
         values = {**drive.model.parameters, **dict(zip(names, of_rule, strict=True))}
         changed = replace(drive.model, parameters=values)
-        return make_evidence(changed, whole_rule(changed), here.log)[0]
+        return make_evidence(changed, here.log)[0]
 
     def posterior(parameters: Mapping[str, Value]) -> FloatArray:
         own, detector = split(parameters)

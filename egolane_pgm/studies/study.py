@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
-from egolane_pgm.experiment import Experiment, FitSettings, resolved, validated
+from egolane_pgm.experiment import DETECTOR, Experiment, FitSettings, resolved, validated
 from egolane_pgm.loading import merge
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
@@ -287,7 +287,7 @@ class Study:
         """The keys of the fitted experiment, without learned tables."""
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
         fitted = with_rate(first, self.in_sample.frame_rate)
-        detector = self.model.experiment.detector_parameters
+        detector = self.model.experiment.parameters.get(DETECTOR)
         if detector:
             fitted = with_detector(fitted, detector)
         content: dict[str, Any] = to_jsonable(resolved(fitted, self.model.parameters))

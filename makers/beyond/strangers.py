@@ -11,7 +11,7 @@ import numpy as np
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule
+from egolane_pgm.model import Model, compile_model, make_evidence
 from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.types import Evidence
 from tests.kits.strangers import STRANGERS, Drive, paper_drive
@@ -46,7 +46,7 @@ def evidence_of(model: Model, drive: Drive) -> Evidence:
     """The evidence of a drive, without warnings of its oddities."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return make_evidence(model, whole_rule(model), drive.log)[0]
+        return make_evidence(model, drive.log)[0]
 
 
 def accuracies(drives: Sequence[Drive]) -> list[float]:

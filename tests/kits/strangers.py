@@ -20,7 +20,7 @@ from scipy.special import ndtri
 from egolane_pgm.evidence.line_geometry.lane_width import lane_width
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.loading import experiments_folder
-from egolane_pgm.model import make_evidence, whole_rule
+from egolane_pgm.model import make_evidence
 from egolane_pgm.runs import table_inputs
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
@@ -358,7 +358,7 @@ def paper_drive(run: int) -> Drive:
     label = np.where(drive.is_crossing, 0, drive.true_lane)
     lane = label.copy()
     lane[drive.rows[~drive.is_trusted]] = 0
-    evidence = make_evidence(model, whole_rule(model), log)[0]
+    evidence = make_evidence(model, log)[0]
     ((key, likelihood),) = evidence.likelihoods.items()
     n_places = likelihood.shape[1]
     lane_of_place = np.arange(n_places) * n_lanes // n_places + 1

@@ -15,7 +15,7 @@ import yaml
 from egolane_pgm.drives import Drive
 from egolane_pgm.graphs.cpds import lane_normals
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import make_evidence, whole_rule
+from egolane_pgm.model import make_evidence
 from egolane_pgm.studies.fits import (
     Fitted,
     apply_fit,
@@ -79,7 +79,7 @@ def test_frames_between_two_training_frames_are_used_others_are_not() -> None:
     log = whole.log.take(slice(0, 9))
     lane = np.where(np.isin(np.arange(9), [1, 2, 5, 6, 7]), 2, 0)
     one = replace(whole, log=log, true_lane=lane, is_crossing=np.zeros(9, dtype=bool))
-    everything = make_evidence(one.model, whole_rule(one.model), log)[0]
+    everything = make_evidence(one.model, log)[0]
     for train, frames in (
         ([0, 1, 2], [0, 1, 2, 3, 4, 5]),
         ([0, 4], [0, 1, 7, 8]),

@@ -6,7 +6,7 @@ import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import DETECTOR, Experiment
 from egolane_pgm.loading import existing
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, LineLog, problems_in
@@ -99,7 +99,7 @@ def detector_of(experiment: Experiment, key: str) -> Detector:
             " recording.detector"
         )
     where = f"{source}: recording.detector"
-    given = experiment.detector_parameters
+    given = experiment.parameters.get(DETECTOR, {})
     return find_detector(recording.detector, given, Path(), where)
 
 

@@ -35,7 +35,7 @@ from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import Model, compile_model, make_evidence, whole_rule
+from egolane_pgm.model import Model, compile_model, make_evidence
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.simulation import SimulatedDrive, simulate
@@ -373,7 +373,7 @@ def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
     from egolane_pgm.scoring.confusion import assigned_lane
 
     truth = drive().truth if truth is None else truth
-    given, _ = make_evidence(model, whole_rule(model), log)
+    given, _ = make_evidence(model, log)
     beliefs = filter_beliefs(model.compiled, given, "exact", frame_id=log.frame_id)
     _, here, there = np.intersect1d(log.frame_id, truth.index, return_indices=True)
     scored = ~truth["is_crossing"].to_numpy()[there]

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import make_evidence, online_rule, whole_rule
+from egolane_pgm.model import make_evidence, online_rule
 from egolane_pgm.scoring.confusion import assigned_lane
 from egolane_pgm.types import Beliefs
 from makers.beyond.strangers import accuracies, zero_label
@@ -45,7 +45,7 @@ def beliefs_of(drive: Drive) -> Beliefs:
     model = zero_label(drive.n_lanes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        evidence, _ = make_evidence(model, whole_rule(model), drive.log)
+        evidence, _ = make_evidence(model, drive.log)
     return filter_beliefs(model.compiled, evidence)
 
 
@@ -69,9 +69,9 @@ def test_a_stranger_gets_the_same_evidence_frame_by_frame(name: str) -> None:
     model = zero_label(drive.n_lanes)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        at_once, _ = make_evidence(model, whole_rule(model), log)
+        at_once, _ = make_evidence(model, log)
         rule, frames = online_rule(model), [log.take(slice(t, t + 1)) for t in range(len(log))]
-        parts = [make_evidence(model, rule, frame)[0] for frame in frames]
+        parts = [make_evidence(model, frame, rule)[0] for frame in frames]
     for node, values in at_once.likelihoods.items():
         one_by_one = np.concatenate([part.likelihoods[node] for part in parts])
         np.testing.assert_allclose(one_by_one, values, rtol=1e-12)
