@@ -12,6 +12,8 @@ run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
 	@echo
 	$(BIN)/egolane reproduce --if-available
+	@echo
+	@echo "The belief over lanes of the simulated drive: results/quickstart/figures/strips.png"
 
 # A file's tests share what they make, so one process runs all of them; tests/conftest.py orders
 # the files.

@@ -213,7 +213,9 @@ def summary(done: Result | pd.DataFrame | str, given: Mapping[str, Any]) -> str:
     if isinstance(done, str):
         return ""
     if isinstance(done, Result):
-        return f"result: {done.directory}"
+        assert done.directory is not None
+        picture = done.directory / "figures" / "strips.png"
+        return f"result: {done.directory}" + f"; picture: {picture}" * picture.is_file()
     good, there = int(done["error"].isna().sum()), int(done["was_there"].fillna(False).sum())
     return f"results: {good} of {len(done)} in {os.fspath(given['out'])}, {there} were there"
 

@@ -102,7 +102,7 @@ def result_text(result: Result, style: str = "markdown", wide: bool = False) -> 
             f" least {SURE:g} in {share}"
         )
     else:
-        more = f"{len(events) - LISTED} more lane changes: events.csv or --wide"
+        more = f"all {len(events)} lane changes: events.csv or --wide"
         last = [more] * (len(events) > LISTED and not several)
         last += ["all scores and confusion matrices: scores.json or --wide"] * bool(sides)
         parts.append("\n".join(last))
