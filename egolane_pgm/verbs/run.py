@@ -170,7 +170,10 @@ def check_same_drive(place: Path, experiment: Experiment) -> None:
     """Raise InputError if a directory has the result of another recording."""
     if not is_result(place):
         return
-    old = json.loads((place / "run.json").read_text())["config"]["recording"]
+    try:
+        old = dict(json.loads((place / "run.json").read_text())["config"]["recording"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return  # A result of another version, or a damaged one, is replaced.
     new = experiment.model_dump(mode="json")["recording"]
     if any(old.get(key) != new.get(key) for key in ("path", "simulate")):
         name = old.get("path") or old.get("simulate")

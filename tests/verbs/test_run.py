@@ -221,6 +221,9 @@ def test_the_result_of_another_drive_is_not_replaced(tmp_path: Path) -> None:
     assert line.startswith(f"--out: {out} has the result of another recording, {tmp_path}/one/")
     assert contents(out) == before
     done("run", one, "--set", "filter=exact", "--no-figures", "--out", out)
+    for damaged in ("no JSON", "[]", "{}", '{"config": {"recording": "x"}}'):
+        (out / "run.json").write_text(damaged)
+        done("run", other, "--no-figures", "--out", out)
 
 
 @pytest.mark.parametrize(
