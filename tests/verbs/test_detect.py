@@ -97,7 +97,10 @@ def test_parameters_and_a_range_of_frames_reach_the_detector(place: Path, tmp_pa
     ("words", "message"),
     [
         (["--detector", "mll"], "unknown name 'mll' (did you mean"),
-        (["--set", "lri_frame=3"], "unknown key 'lri_frame' (did you mean 'lri_frames'?)"),
+        (
+            ["--set", "lri_frame=3"],
+            "parameters.detector: unknown key 'lri_frame' (did you mean 'lri_frames'?)",
+        ),
         (
             ["--set", "recording.frames=[500,900]"],
             "no frame from 500 to before 900; it has 16 frames",

@@ -100,7 +100,8 @@ def detector_of(experiment: Experiment, key: str) -> Detector:
         )
     where = f"{source}: recording.detector"
     given = experiment.parameters.get(DETECTOR, {})
-    return find_detector(recording.detector, given, Path(), where)
+    given_by = f"{source}: parameters.{DETECTOR}"
+    return find_detector(recording.detector, given, Path(), where, given_by)
 
 
 def pictures_of(experiment: Experiment, key: str) -> PictureFiles:

@@ -40,14 +40,14 @@ def find_detector(
 
     - given: values of parameters; the others keep their defaults
     - where: beginning of messages about the name
-    - given_by: beginning of messages about parameters; `<where>_parameters` by default
+    - given_by: beginning of messages about parameters; by default `<where>: parameters`
 
     Raises InputError for an unknown detector or parameter and for a wrong value.
     """
     own = str(base / name) if name.endswith(".py") else name
     module = load_plugin("detectors", own, where)
     specs = getattr(module, "PARAMETERS", ())
-    values = resolve_parameters(specs, given, 1, given_by or f"{where}_parameters")
+    values = resolve_parameters(specs, given, 1, given_by or f"{where}: parameters")
     for key, value in values.items():
         # A user's file (a program, a network), relative to `base` as well.
         if isinstance(value, str) and value.endswith((".py", ".yaml", ".yml")):
