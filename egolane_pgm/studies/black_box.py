@@ -15,7 +15,7 @@ from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies import fits
 from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.space import Point, SearchSpace, distributions
-from egolane_pgm.studies.study import check_labels, tuning_of
+from egolane_pgm.studies.study import check_labels
 from egolane_pgm.types import InputError, not_one_of, suggestion
 
 
@@ -117,7 +117,7 @@ def objective(
     True
     """
     chosen = load_experiment(experiment, overrides)
-    tuning = tuning_of(chosen)
+    tuning = chosen.fit
     name = check_objective(score or tuning.objective[0], "score" if score else "fit.objective")
     drives = read_drives(chosen, lines, ground_truth)
     check_labels(drives, "tune")

@@ -29,7 +29,7 @@ from egolane_pgm.parameters import Parameter, Value, not_searched, resolve_param
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
-    DETECTOR,
+    PREFIX,
     check_filter,
     posterior_at,
     scores_of,
@@ -378,7 +378,7 @@ def current_values(model: Model, tuning: FitSettings) -> dict[str, Value]:
 
 def searches_detector(tuning: FitSettings) -> bool:
     """Whether parameters of the detector are searched; then all others are kept unless named."""
-    return any(name.startswith(DETECTOR) for name in tuning.parameters)
+    return any(name.startswith(PREFIX) for name in tuning.parameters)
 
 
 def searched_values(space: SearchSpace, tuning: FitSettings, point: Point) -> dict[str, Value]:

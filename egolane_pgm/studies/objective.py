@@ -9,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from egolane_pgm.drives import Drive, read_drives
-from egolane_pgm.experiment import Experiment
+from egolane_pgm.experiment import DETECTOR, Experiment
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.model import make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value
@@ -43,7 +43,7 @@ BELIEF_SCORES = (
 )
 
 #: The prefix of a detector's parameters in a search.
-DETECTOR = "detector."
+PREFIX = f"{DETECTOR}."
 
 #: The value of an undefined score, such as the delay if no lane change was followed.
 UNDEFINED = 1e6
@@ -78,15 +78,15 @@ def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[
 
     detector = detector_of(experiment, "fit.parameters: detector")
     specs = getattr(detector.module, "PARAMETERS", ())
-    values = {DETECTOR + name: value for name, value in detector.parameters.items()}
-    return [replace(spec, name=DETECTOR + spec.name) for spec in specs], values
+    values = {PREFIX + name: value for name, value in detector.parameters.items()}
+    return [replace(spec, name=PREFIX + spec.name) for spec in specs], values
 
 
 def split(parameters: Mapping[str, Value]) -> tuple[dict[str, Value], dict[str, Value]]:
     """Split a parameter set: graph and evidence rule, and the detector without its prefix."""
-    own = {k: v for k, v in parameters.items() if not k.startswith(DETECTOR)}
-    detector = {k: v for k, v in parameters.items() if k.startswith(DETECTOR)}
-    return own, {name.removeprefix(DETECTOR): v for name, v in detector.items()}
+    own = {k: v for k, v in parameters.items() if not k.startswith(PREFIX)}
+    detector = {k: v for k, v in parameters.items() if k.startswith(PREFIX)}
+    return own, {name.removeprefix(PREFIX): v for name, v in detector.items()}
 
 
 def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Experiment:

@@ -19,8 +19,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
-from egolane_pgm.experiment import DETECTOR, Experiment, FitSettings, resolved, validated
-from egolane_pgm.loading import merge
+from egolane_pgm.experiment import DETECTOR, Experiment, FitSettings, resolved
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
@@ -386,8 +385,8 @@ def run_held_out(
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
-    tuning = tuning_of(experiment)
-    tuning = tuning_of(experiment, trials=tuning.trials or TRIALS_PER_FOLD)
+    trials = experiment.fit.trials or TRIALS_PER_FOLD
+    tuning = experiment.fit.model_copy(update={"trials": trials})
     fits: dict[str, Fit] = {
         "none": fit_nothing,
         "learn": fit_learn,
@@ -430,7 +429,7 @@ def run_study(
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
-    tuning = tuning or tuning_of(first.experiment)
+    tuning = tuning or first.experiment.fit
     fit: Fit = fit_learn
     settings: dict[str, Any] = {}
     if directory is not None:
@@ -507,10 +506,3 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
             raise InputError(f"{e.source}: ground_truth: is missing, {what}")
         if drive.is_crossing[drive.rows].all():
             raise InputError(f"{e.source}: every annotated frame is a crossing, nothing to score")
-
-
-def tuning_of(experiment: Experiment, **changes: Any) -> FitSettings:
-    """The `fit` section of an experiment, with changes; None and `{}` change nothing."""
-    content = experiment.fit.model_dump(exclude_unset=True)
-    given = {key: value for key, value in changes.items() if value not in (None, {})}
-    return validated(FitSettings, merge(content, given), f"{experiment.source}: fit")

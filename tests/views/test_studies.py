@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from egolane_pgm.runs import open_input
-from egolane_pgm.studies.study import Study, block_folds, run_study, tuning_of
+from egolane_pgm.studies.study import Study, block_folds, run_study
 from egolane_pgm.types import InputError
 from egolane_pgm.views.studies import (
     draw_study,
@@ -25,7 +25,7 @@ from tests.kits.drives import simulated
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
     experiment = simulated(recording={"simulate": "quickstart", "frames": [0, 400]})
     drives = open_input(experiment).drives()
-    tuning = tuning_of(experiment, trials=24, sampler="random")
+    tuning = experiment.fit.model_copy(update={"trials": 24, "sampler": "random"})
     folder = tmp_path_factory.mktemp("study")
     return run_study(drives, "tune", block_folds(drives, 2), tuning=tuning, directory=folder)
 
