@@ -142,7 +142,7 @@ def read_recording(
         # With a frame rate in the experiment it has warned of another one in the file.
         return log, None, None if "frame_rate" in r.model_fields_set else frame_rate
     elif r.simulate is not None:
-        # SciPy is imported for simulations only.
+        # Imported for simulations only.
         from egolane_pgm.simulation import simulate
 
         with problems_in(f"{source}: recording"):

@@ -109,7 +109,8 @@ def lane_events(
        time_s  from_lane  to_lane
     0     0.8          1        2
     """
-    import pandas as pd  # imported late: takes a second
+    # pandas is imported for tables only.
+    import pandas as pd
 
     if not frame_rate > 0:
         raise InputError(f"frame_rate: {frame_rate} must be greater than 0 (frames per second)")

@@ -54,7 +54,6 @@ class Option:
 Hidden = Option(hidden=True)
 
 Progress = Annotated[bool | None, Hidden]
-Seed = Annotated[int, Ge(0)]
 Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 CameraFile = Annotated[StrPath, Option("FILE", required=True)]
 #: Number of folds; 0 for none.
@@ -67,7 +66,6 @@ Graph = Annotated[Any, Option("NAME|FILE")]
 ColumnNames = Annotated[
     str | Sequence[str] | Mapping[str, Any] | None, Option("OURS=THEIRS,...", many=True)
 ]
-Frames = Annotated[tuple[int, int] | None, Option("FIRST STOP")]
 TableOfRuns = Annotated[StrPath | Any | None, Option("FILE")]
 ByTag = Annotated[str | None, Option("NAME")]
 Overrides = Annotated[
