@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from egolane_pgm.inference.events import lane_events as lane_events
     from egolane_pgm.inference.expected_counts import expected_counts as expected_counts
     from egolane_pgm.inference.filtering import filter_beliefs as filter_beliefs
+    from egolane_pgm.inference.sampling import posterior_paths as posterior_paths
+    from egolane_pgm.inference.sampling import predicted as predicted
+    from egolane_pgm.inference.sampling import sample as sample
     from egolane_pgm.inference.smoothing import fixed_lag_beliefs as fixed_lag_beliefs
     from egolane_pgm.inference.smoothing import smooth_beliefs as smooth_beliefs
     from egolane_pgm.inference.unrolling import unrolled as unrolled
@@ -80,6 +83,9 @@ _PUBLIC = {
     "smooth_beliefs": "inference.smoothing",
     "fixed_lag_beliefs": "inference.smoothing",
     "viterbi": "inference.viterbi",
+    "sample": "inference.sampling",
+    "posterior_paths": "inference.sampling",
+    "predicted": "inference.sampling",
     "expected_counts": "inference.expected_counts",
     "learned_network": "studies.em",
     "lane_events": "inference.events",

@@ -48,16 +48,20 @@ class Passed:
 
 
 def pass_forward(
-    compiled: Compiled, evidence: Evidence, before: FloatArray | None = None
+    compiled: Compiled,
+    evidence: Evidence,
+    before: FloatArray | None = None,
+    is_first: BoolArray | None = None,
 ) -> Passed:
     """Run the exact recursion over T frames.
 
     - before (S,): the joint belief after the previous frame, None at the start of a sequence.
+    - is_first (T,): True where a sequence begins; by default the first frame only.
 
     Raises InputError for evidence that does not fit the network.
     """
     index = joint_input(compiled, evidence)
-    begins = np.zeros(len(evidence), dtype=bool)
+    begins = np.zeros(len(evidence), dtype=bool) if is_first is None else is_first.copy()
     begins[:1] = before is None
     likelihood = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(

@@ -1,0 +1,160 @@
+"""Draws from a network: drives of the model, paths of the posterior, and what is predicted.
+
+A drive is drawn frame by frame from the tables (ancestral sampling). A path of the posterior is
+drawn backwards from the beliefs of the exact filter (forward filtering, backward sampling:
+Fruhwirth-Schnatter 1994), so that paths are distributed as P(hidden nodes of all frames |
+evidence of all frames).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pandas as pd
+
+from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.filtering import joint_input
+from egolane_pgm.inference.kernels.draws import draw_backward, draw_forward
+from egolane_pgm.inference.smoothing import pass_forward
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
+
+if TYPE_CHECKING:
+    from egolane_pgm.model import Model
+
+
+def compiled_of(model: Compiled | Model) -> Compiled:
+    """Return the arrays of a model, or of a network that is compiled already."""
+    return model if isinstance(model, Compiled) else model.compiled
+
+
+def sample(
+    model: Compiled | Model,
+    n_frames: int,
+    seed: int,
+    *,
+    inputs: Mapping[str, Sequence[int] | IntArray] | None = None,
+) -> pd.DataFrame:
+    """Draw a drive from the model.
+
+    - n_frames: number T of frames.
+    - inputs: per input node the index of its value in each frame (T,).
+
+    Returns a row per frame and a column per node: the index of its value, lanes count from 0.
+    Observed nodes have a value, not soft evidence; `Evidence.hard` takes them. Raises InputError
+    for inputs that are missing or do not fit.
+
+    >>> import egolane_pgm as ego
+    >>> place = ego.experiments_folder() / "quickstart.yaml"
+    >>> model = ego.run(place, overrides={"recording.frames": [0, 9]}).model
+    >>> drive = ego.sample(model, 1000, seed=0)
+    >>> list(drive)
+    ['SensorState', 'Lane', 'DetectorOutput', 'WOR']
+    >>> len(ego.Evidence.hard(drive[["DetectorOutput", "WOR"]], model.compiled))
+    1000
+    """
+    compiled, rng = compiled_of(model), np.random.default_rng(seed)
+    drawn = sampled_states(compiled, n_frames, 1, rng, inputs)[0]
+    nodes = dict.fromkeys((*compiled.state_nodes, *compiled.functions))
+    columns = {name: compiled.node_value[name][drawn] for name in nodes}
+    for group in compiled.groups:
+        emission = group.emission.cumsum(axis=1)[drawn]
+        goal = rng.random(n_frames)[:, None] * emission[:, -1:]
+        column = (emission <= goal).sum(axis=1)
+        values = np.unravel_index(column, group.sizes)
+        columns |= dict(zip(group.nodes, map(np.asarray, values), strict=True))
+    for name in compiled.inputs:
+        columns[name] = np.asarray((inputs or {})[name])
+    return pd.DataFrame(columns)
+
+
+def sampled_states(
+    compiled: Compiled,
+    n_frames: int,
+    n: int,
+    rng: np.random.Generator,
+    inputs: Mapping[str, Sequence[int] | IntArray] | None = None,
+) -> IntArray:
+    """Return n drives drawn from the model as joint states, (n, T)."""
+    if n_frames < 1 or n < 1:
+        raise InputError(f"sample: {min(n_frames, n)} is not a positive number")
+    ones = {key: np.ones((n_frames, *sizes)) for key, sizes in _shapes(compiled).items()}
+    given = {name: np.asarray(index) for name, index in (inputs or {}).items()}
+    index = joint_input(compiled, Evidence(ones, given))
+    paths = np.empty((n, n_frames), dtype=np.int64)
+    prior, transition = compiled.prior.cumsum(axis=-1), compiled.transition.cumsum(axis=-1)
+    draw_forward(prior, transition, index, rng.random((n, n_frames)), paths)
+    return paths
+
+
+def posterior_paths(
+    model: Compiled | Model,
+    evidence: Evidence,
+    n: int,
+    seed: int,
+    *,
+    is_first: BoolArray | None = None,
+) -> dict[str, IntArray]:
+    """Draw n paths from the posterior given the evidence of all T frames.
+
+    - is_first (T,): True where a sequence begins; by default the first frame only.
+
+    Returns for each hidden node the index of its value, (n, T); lanes count from 0. Evidence that
+    the filter flags as impossible is ignored. Raises InputError for evidence that does not fit.
+
+    >>> import egolane_pgm as ego
+    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> paths = ego.posterior_paths(run.model, run.evidence, 1000, seed=0)
+    >>> smoothed = ego.smooth_beliefs(run.model.compiled, run.evidence)
+    >>> bool(abs((paths["Lane"] == 0).mean(axis=0) - smoothed.lane[:, 0]).max() < 0.06)
+    True
+    """
+    compiled = compiled_of(model)
+    if n < 1:
+        raise InputError(f"posterior_paths: n: {n} is not a positive number")
+    passed = pass_forward(compiled, evidence, is_first=is_first)
+    uniform = np.random.default_rng(seed).random((n, len(evidence)))
+    paths = np.empty(uniform.shape, dtype=np.int64)
+    draw_backward(passed.filtered, compiled.transition, passed.index, passed.begins, uniform, paths)
+    return {name: compiled.node_value[name][paths] for name in compiled.hidden}
+
+
+def predicted(
+    model: Compiled | Model, evidence: Evidence, *, is_first: BoolArray | None = None
+) -> dict[str, FloatArray]:
+    """Return P(observed node | evidence of earlier frames), before the node's own evidence.
+
+    - is_first: as in `posterior_paths`.
+
+    Returns for each observed node (T, cardinality). Raises InputError for evidence that does not
+    fit.
+
+    >>> import egolane_pgm as ego
+    >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> ego.predicted(run.model, run.evidence)["WOR"].shape
+    (300, 2)
+    """
+    compiled = compiled_of(model)
+    passed = pass_forward(compiled, evidence, is_first=is_first)
+    before = np.roll(passed.filtered, 1, axis=0)
+    states = compiled.prior[passed.index]
+    for u in range(len(compiled.transition)):
+        rows = ~passed.begins & (passed.index == u)
+        states[rows] = before[rows] @ compiled.transition[u]
+    found: dict[str, FloatArray] = {}
+    for group in compiled.groups:
+        joint = (states @ group.emission).reshape(-1, *group.sizes)
+        for k, name in enumerate(group.nodes):
+            others = tuple(1 + j for j in range(len(group.sizes)) if j != k)
+            found[name] = joint.sum(axis=others)
+    return found
+
+
+def _shapes(compiled: Compiled) -> dict[str | tuple[str, ...], tuple[int, ...]]:
+    """Return the cardinalities of each observed key."""
+    return {
+        key: tuple(group.sizes[k] for k in axes)
+        for group in compiled.groups
+        for key, axes in zip(group.observed, group.axes, strict=True)
+    }
