@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     # What editors and type checkers see of the names below.
+    from egolane_pgm.checking import check as check
+    from egolane_pgm.checking import prediction_calibration as prediction_calibration
     from egolane_pgm.graphs import cpds as cpds
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
@@ -86,6 +88,8 @@ _PUBLIC = {
     "sample": "inference.sampling",
     "posterior_paths": "inference.sampling",
     "predicted": "inference.sampling",
+    "check": "checking",
+    "prediction_calibration": "checking",
     "expected_counts": "inference.expected_counts",
     "learned_network": "studies.em",
     "lane_events": "inference.events",

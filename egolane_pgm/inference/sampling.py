@@ -41,7 +41,7 @@ def sample(
     - n_frames: number T of frames.
     - inputs: per input node the index of its value in each frame (T,).
 
-    Returns a row per frame and a column per node: the index of its value, lanes count from 0.
+    Returns a row per frame and a categorical column per node, with the names of its values.
     Observed nodes have a value, not soft evidence; `Evidence.hard` takes them. Raises InputError
     for inputs that are missing or do not fit.
 
@@ -66,7 +66,8 @@ def sample(
         columns |= dict(zip(group.nodes, map(np.asarray, values), strict=True))
     for name in compiled.inputs:
         columns[name] = np.asarray((inputs or {})[name])
-    return pd.DataFrame(columns)
+    names = compiled.values
+    return pd.DataFrame({k: pd.Categorical.from_codes(v, names[k]) for k, v in columns.items()})
 
 
 def sampled_states(
