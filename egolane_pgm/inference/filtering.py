@@ -55,12 +55,14 @@ def filter_beliefs(
     method: str = "exact",
     *,
     frame_id: IntArray | None = None,
+    is_first: BoolArray | None = None,
 ) -> Beliefs:
     """Return P(node | evidence so far) for every hidden node and frame, and the log evidence.
 
     - evidence: T frames.
     - method: "exact", or "assumed_density" (the paper's).
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
+    - is_first (T,): True where a sequence begins; by default the first frame only.
 
     A frame whose joint likelihood is zero keeps its prediction and is flagged. Raises InputError
     for an unknown method and for evidence that does not fit the network (both named).
@@ -71,18 +73,23 @@ def filter_beliefs(
     >>> ego.filter_beliefs(run.model.compiled, run.evidence)
     Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
-    _, beliefs = step(compiled, None, evidence, method)
+    _, beliefs = step(compiled, None, evidence, method, is_first=is_first)
     return beliefs if frame_id is None else replace(beliefs, frame_id=frame_id)
 
 
 def step(
-    compiled: Compiled, state: FloatArray | None, evidence: Evidence, method: str = "exact"
+    compiled: Compiled,
+    state: FloatArray | None,
+    evidence: Evidence,
+    method: str = "exact",
+    *,
+    is_first: BoolArray | None = None,
 ) -> tuple[FloatArray, Beliefs]:
     """Filter one more frame (or several) online; return the new state and the frames' beliefs.
 
     - state (S,): the state that the previous call returned (not modified), None at the start: the
       belief after the last frame, under assumed density the product of its marginals.
-    - evidence, method, errors: as in `filter_beliefs`.
+    - evidence, method, is_first, errors: as in `filter_beliefs`.
     """
     if method not in METHODS:
         raise InputError(f"filter '{method}'{suggestion(method, METHODS)}")
@@ -90,7 +97,7 @@ def step(
     n_frames = len(evidence)
     ids = np.arange(n_frames)
     joint = np.zeros(compiled.n_states) if state is None else state.copy()
-    begins = np.zeros(n_frames, dtype=bool)
+    begins = np.zeros(n_frames, dtype=bool) if is_first is None else is_first.copy()
     begins[:1] = state is None
     index = joint_input(compiled, evidence)
     done = []

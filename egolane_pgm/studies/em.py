@@ -8,7 +8,7 @@ it is used; a zero is part of the structure and stays zero.
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,10 @@ TOLERANCE = 1e-6
 _NEGLIGIBLE = 1e-280
 
 _SMALLEST = float(np.finfo(np.float64).tiny)
+
+#: The M step of a table in a form of its own: from its expected counts to its values and their log
+#: prior, relative to the start.
+Step = Callable[[FloatArray], tuple[FloatArray, float]]
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,7 @@ def fit_tables(
     nodes: Container[str] | None = None,
     strength: float = 100.0,
     iterations: int = 200,
+    steps: Mapping[SliceNode, Step] | None = None,
 ) -> LearnedTables:
     """Find the most probable tables by EM, starting from the tables of the compiled network.
 
@@ -67,6 +72,7 @@ def fit_tables(
     - nodes: the nodes whose tables are learned; by default all that can be.
     - strength: of the prior, frames per row.
     - iterations: the largest number of iterations.
+    - steps: the M steps of tables that have a form of their own.
 
     A node that has the same table in the first frame and later keeps one table. Raises InputError
     as `expected_counts`.
@@ -78,17 +84,23 @@ def fit_tables(
     >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
     True
     """
-    start = counted_tables(compiled)
+    start, steps = counted_tables(compiled), steps or {}
+    free = {node: table for node, table in start.items() if node not in steps}
     now = dict(start)
     history: list[float] = []
+    of_steps = dict.fromkeys(steps, 0.0)
     while True:
         learned = with_learned(compiled, now)
         expected = expected_counts(learned, evidence, known, is_first)
-        history.append(expected.log_evidence + strength * _log_prior(start, now))
+        log_prior = strength * _log_prior(free, now) + sum(of_steps.values())
+        history.append(expected.log_evidence + log_prior)
         gain = history[-1] - history[-2] if len(history) > 1 else np.inf
         if gain <= TOLERANCE * max(1, len(evidence)) or len(history) > iterations:
             return LearnedTables(now, learned, np.array(history), expected.is_impossible)
-        for node, table in start.items():
+        for node, step in steps.items():
+            values, of_steps[node] = step(expected.counts[node])
+            now[node] = Table(node, start[node].parents, values)
+        for node, table in free.items():
             if nodes is None or node[0] in nodes:
                 rows = _most_probable(expected.counts[node], table.values, strength)
                 now[node] = Table(node, table.parents, rows)

@@ -210,7 +210,7 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
 
 
 def training_of(
-    drive: Drive, train: IntArray, *, labels: bool
+    drive: Drive, train: IntArray, *, labels: bool, evidence: Evidence | None = None
 ) -> tuple[Evidence, IntArray, BoolArray]:
     """The evidence of the training frames of a drive, their known lanes, and where sequences begin.
 
@@ -227,7 +227,8 @@ def training_of(
         known = rows[train][~drive.is_crossing[rows[train]]]
         lane[known] = drive.true_lane[known] - 1
     # A rule may have a memory: its evidence is computed for the whole drive.
-    evidence, _ = make_evidence(drive.model, drive.log)
+    if evidence is None:
+        evidence, _ = make_evidence(drive.model, drive.log)
     is_first = np.diff(np.flatnonzero(used), prepend=-2) > 1
     return evidence.take(used), lane[used], is_first
 

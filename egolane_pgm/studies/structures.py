@@ -1,0 +1,173 @@
+"""Structures of a graph: edges that are added to its tables or taken away.
+
+A table gets another parent by repeating its rows, so that the network says the same as before until
+it is fitted; small random factors let a new hidden node differ from the start. A table loses a
+parent by the mean over it. A node that repeats itself has the compact form
+
+    P(x | x before, parents) = rho [x = x before] + (1 - rho) P(x | parents)
+
+with one number instead of a full table of all values before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from egolane_pgm.graphs.cpds import SliceNode, Table, dynamics, previous, prior, sticky, uniform
+from egolane_pgm.studies.em import Step
+from egolane_pgm.types import FloatArray, InputError
+
+#: Random factors of the rows of a new edge are between 1 and 1 plus this.
+_JITTER = 0.2
+
+#: The share of repetition, and of a new node that stays, before the fit.
+_REPEATS, _STAYS = 0.5, 0.9
+
+
+@dataclass(frozen=True, order=True)
+class Edge:
+    """An edge from parent to child.
+
+    - lag: 0 within a frame, 1 from the frame before.
+    - repeats: the compact form of an edge from a node to itself.
+    """
+
+    child: str
+    parent: str
+    lag: int
+    repeats: bool = False
+
+    def __str__(self) -> str:
+        if self.repeats:
+            return f"{self.child} repeats itself"
+        return f"{self.parent}{'(t-1)' if self.lag else ''} -> {self.child}"
+
+
+#: The edges in which a graph differs from the one it starts from.
+Structure = frozenset[Edge]
+
+
+def edges_of(tables: Iterable[Table]) -> list[Edge]:
+    """Return the edges into later frames, which hold in the first frame as far as they can."""
+    return [
+        Edge(table.node[0], parent, 1 - s)
+        for table in tables
+        if table.node[1] == 1
+        for parent, s in table.parents
+    ]
+
+
+def parse_edge(text: str, nodes: Iterable[str]) -> Edge:
+    """Read an edge as `str` writes it. Raises InputError, naming it, for another text."""
+    parent, arrow, child = (part.strip() for part in text.partition("->"))
+    edge = Edge(child, parent.removesuffix("(t-1)").strip(), int(parent.endswith("(t-1)")))
+    if not arrow and text.strip().endswith(" repeats itself"):
+        name = text.strip().removesuffix(" repeats itself")
+        edge = Edge(name, name, 1, True)
+    for name in (edge.parent, edge.child):
+        if name not in nodes:
+            raise InputError(
+                f"edge '{text}': no node '{name}'; write 'Lane -> WOR', 'Lane(t-1) -> WOR' or"
+                f" 'WOR repeats itself', of {', '.join(nodes)}"
+            )
+    return edge
+
+
+def with_node(tables: Sequence[Table], name: str, size: int) -> list[Table]:
+    """Add a hidden node without edges to others, which keeps its value for about ten frames."""
+    stay = np.linspace(_STAYS, (_STAYS + 1) / 2, size)
+    return [
+        *tables,
+        *prior(name, uniform(size)),
+        *dynamics(name, [previous(name)], sticky(*stay)),
+    ]
+
+
+def with_structure(
+    tables: Sequence[Table], structure: Structure, seed: int
+) -> tuple[list[Table], dict[SliceNode, FloatArray]]:
+    """Return the tables with some edges changed, and the tables that repeat, without repetition.
+
+    - structure: edges that the tables have are taken away, others are added.
+    """
+    there = set(edges_of(tables))
+    found = {table.node: table for table in tables}
+    for edge in sorted(structure & there):
+        for s in (0, 1):
+            node, parent = (edge.child, s), (edge.parent, s - edge.lag)
+            if parent in found[node].parents:
+                found[node] = _without(found[node], parent)
+    rng = np.random.default_rng(seed)
+    for edge in sorted(structure - there):
+        if not edge.repeats:
+            size = found[edge.parent, 0].values.shape[-1]
+            # The same random numbers for both slices.
+            factors = rng.uniform(1, 1 + _JITTER, (size, found[edge.child, 0].values.shape[-1]))
+            for s in range(edge.lag, 2):
+                node, parent = (edge.child, s), (edge.parent, s - edge.lag)
+                found[node] = _with(found[node], parent, factors)
+    bases = {}
+    for edge in sorted(structure - there):
+        if edge.repeats:
+            node = (edge.child, 1)
+            bases[node] = found[node].values
+            repeated = repetition(found[node].values, _REPEATS)
+            found[node] = Table(node, (*found[node].parents, (edge.child, 0)), repeated)
+    return list(found.values()), bases
+
+
+def repetition(base: FloatArray, rho: float) -> FloatArray:
+    """Return the compact form (..., n, n) of a table (..., n): the value before is the last
+    parent."""
+    n = base.shape[-1]
+    return np.asarray(rho * np.eye(n) + (1 - rho) * base[..., None, :])
+
+
+def repetition_step(base: FloatArray, strength: float) -> Step:
+    """Make the M step of a table in the compact form.
+
+    - base (..., n): the table without repetition at the start.
+    - strength: of its prior, frames per row.
+    """
+    now, rho = base, _REPEATS
+
+    def step(counts: FloatArray) -> tuple[FloatArray, float]:
+        nonlocal now, rho
+        full = repetition(now, rho)
+        same = rho * np.eye(base.shape[-1])
+        share = np.divide(same, full, out=np.zeros_like(full), where=full > 0)
+        repeated = float((counts * share).sum())
+        rho = repeated / max(float(counts.sum()), 1e-300)
+        own = (counts * (1 - share)).sum(axis=-2) + strength * base
+        total = own.sum(axis=-1, keepdims=True)
+        now = np.where(total > 0, own / np.where(total > 0, total, 1), base)
+        allowed = base > 0
+        ratio = np.log(np.maximum(now[allowed], 1e-300)) - np.log(base[allowed])
+        return repetition(now, rho), strength * float((base[allowed] * ratio).sum())
+
+    return step
+
+
+def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode]) -> int:
+    """Return the number of free numbers of tables: entries above zero but one of each row; for the
+    compact form those without repetition, and one."""
+    bases, total = set(bases), 0
+    for node, table in tables.items():
+        values = table.values[..., 0, :] if node in bases else table.values
+        total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
+    return total
+
+
+def _with(table: Table, parent: SliceNode, factors: FloatArray) -> Table:
+    values = table.values[..., None, :] * factors
+    values = values / values.sum(axis=-1, keepdims=True)
+    return Table(table.node, (*table.parents, parent), values)
+
+
+def _without(table: Table, parent: SliceNode) -> Table:
+    axis = table.parents.index(parent)
+    left = tuple(p for p in table.parents if p != parent)
+    return replace(table, parents=left, values=table.values.mean(axis=axis))
