@@ -54,7 +54,7 @@ def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
 
 def _counted(compiled: Compiled, node: SliceNode) -> SliceNode:
     """The table that a use of this node's table counts for."""
-    return (node[0], 1) if compiled.has_one_table(node[0]) else node
+    return (node[0], 1) if node[0] in compiled.one_table else node
 
 
 def expected_counts(

@@ -288,7 +288,7 @@ def seen_before(model: Model) -> list[str]:
 
 def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
     return {
-        f"{TABLES}{name}{'' if compiled.has_one_table(name) else _SLICES[s]}": table
+        f"{TABLES}{name}{'' if name in compiled.one_table else _SLICES[s]}": table
         for (name, s), table in tables.items()
     }
 

@@ -36,7 +36,7 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
     tables: list[dict[str, Any]] = []
     for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
         frames = ["first frame", "later frames"]
-        for s, when in enumerate(["every frame"] if compiled.has_one_table(name) else frames):
+        for s, when in enumerate(["every frame"] if name in compiled.one_table else frames):
             each = compiled.tables[name, s]
             parents = [parent + _BEFORE * (t != s) for parent, t in each.parents]
             axes, shape = [*parents, name], list(each.values.shape)

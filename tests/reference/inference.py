@@ -273,7 +273,7 @@ def expected_counts(
         used = np.zeros(table.values.shape)
         np.add.at(used, tuple(np.broadcast_to(i, array.shape) for i in place.indices), array)
         # A table that holds in the first frame and later is counted once.
-        counted = (node[0], 1) if compiled.has_one_table(node[0]) else node
+        counted = (node[0], 1) if node[0] in compiled.one_table else node
         counts[counted] = counts.get(counted, 0.0) + used
     kept = ~is_impossible
     return Expected(counts, float((log_evidence + log_scale)[kept].sum()), is_impossible)
