@@ -181,7 +181,7 @@ def state_likelihood(
         if group.only is not None:
             likelihood *= block[:, group.only]
         else:
-            multiply_likelihood(block, group.emission, likelihood)
+            multiply_likelihood(block, np.ascontiguousarray(group.emission.T), likelihood)
     return likelihood
 
 

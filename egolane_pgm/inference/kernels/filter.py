@@ -1,6 +1,6 @@
 """Kernels of the forward recursion and its likelihood.
 
-Each is compiled for networks of any size, and again for small networks with their sizes as
+The recursion is compiled for networks of any size, and again for small networks with their sizes as
 constants: unrolled loops over states are up to three times as fast.
 """
 
@@ -129,11 +129,14 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
 def multiply_likelihood(block: FloatArray, emission: FloatArray, likelihood: FloatArray) -> None:
     """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
 
-    block (T, K): the group's evidence. emission (S, K).
+    block (T, K): the group's evidence. emission (K, S).
     """
+    term = np.empty(emission.shape[1])
     for t in range(block.shape[0]):
-        for s in range(emission.shape[0]):
-            term = 0.0
-            for k in range(emission.shape[1]):
-                term += block[t, k] * emission[s, k]
-            likelihood[t, s] *= term
+        term[:] = 0.0
+        for k in range(emission.shape[0]):
+            share = block[t, k]
+            for s in range(emission.shape[1]):
+                term[s] += share * emission[k, s]
+        for s in range(emission.shape[1]):
+            likelihood[t, s] *= term[s]
