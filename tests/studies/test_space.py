@@ -131,8 +131,8 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
         ({"p1": [0.1, 0.2, 0.3]}, "p1: .* must be \\[low, high\\]"),
         ({"p1": ["a", "b"]}, "p1: 'a' is not a number"),
         ({"bonus_value": [0.5, 3]}, "bonus_value: .* whole numbers"),
-        ({"normal": ["density"]}, "normal: .* leaves nothing to search"),
-        ({"normal": ["density", "densty"]}, "did you mean 'density'"),
+        ({"no_valid_line": ["ignore"]}, "no_valid_line: .* leaves nothing to search"),
+        ({"no_valid_line": ["ignore", "ignor"]}, "did you mean 'ignore'"),
         (dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"), 0.5), "to"),
     ],
 )

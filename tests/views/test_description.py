@@ -50,7 +50,7 @@ def test_a_graph_is_described_by_nodes_edges_tables_and_parameters() -> None:
         "shape": [3, 3],
     }
     assert found["tables"][-1]["frames"] == "every frame"
-    sigma1, *_, normal, _ = found["parameters"]
+    sigma1, *_ = found["parameters"]
     assert sigma1 == {
         "name": "sigma1",
         "kind": "sigma",
@@ -60,7 +60,6 @@ def test_a_graph_is_described_by_nodes_edges_tables_and_parameters() -> None:
         "range": (0.0, 3.0),
         "meaning": "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`",
     }
-    assert (normal["choices"], normal["range"]) == (["density", "integral"], None)
 
 
 def test_an_input_is_given_and_has_no_table() -> None:
