@@ -150,21 +150,14 @@ def ve_name(observed: Observed) -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence pgmpy's warnings, log lines and progress bars."""
+    """Silence pgmpy's warnings and log lines."""
     logger = logging.getLogger("pgmpy")
     level = logger.level
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logger.setLevel(logging.CRITICAL)
         try:
-            from pgmpy.global_vars import config
-
-            shown = config.get_show_progress()
-            config.set_show_progress(False)
-            try:
-                yield
-            finally:
-                config.set_show_progress(shown)
+            yield
         finally:
             logger.setLevel(level)
 
