@@ -5,8 +5,8 @@ naming the node, so the filters do not check again. Each node has one role:
 
 - An input is a root whose value is given in every frame. It selects among its children's tables.
 - A function is a hidden node that is determined by other nodes of its frame.
-- A plain emission is an observed node that depends on its frame only and on no input, by the same
-  table in every frame. Its children, if any, are plain emissions.
+- A plain emission is a node without children that has one evidence, alone or jointly with others.
+  It depends on its frame only and on no input, by the same table in every frame.
 - Every other node, hidden or observed, is in the joint state.
 
 A joint state has one value for each node of the last kind; the filters propagate a belief over the
@@ -42,24 +42,19 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 MAX_STATES = 4096
 
 #: Why an observed node is in the joint state.
-_NOT_PLAIN = "an edge across the slices, an input, a carried child or another first table"
+_NOT_PLAIN = "an edge across the slices, an input, a child, two evidences or another first table"
 
 
 @dataclass(frozen=True)
 class Group:
-    """Observed nodes with a common emission table.
+    """The evidence of a node, or of several nodes jointly.
 
-    observed: the keys of the evidence, in order. nodes: the network nodes that index the columns.
-    sizes: their cardinalities; K is their product. axes: per observed key the positions of its
-    nodes in `nodes`. emission (S, K): P(nodes | joint state), 0 if the joint state and the column
-    differ in a node that is in both. only (S,): the only possible column of each joint state, None
-    if a state has several.
+    observed: the key of the evidence, whose K values are those of the nodes, the first one's vary
+    slowest. emission (S, K): P(values | joint state), 0 if they differ from those in the joint
+    state. only (S,): the only possible value in each joint state, None if a state has several.
     """
 
-    observed: tuple[Observed, ...]
-    nodes: tuple[str, ...]
-    sizes: tuple[int, ...]
-    axes: tuple[tuple[int, ...], ...]
+    observed: Observed
     emission: FloatArray
     only: IntArray | None
 
@@ -90,7 +85,7 @@ class Compiled:
     parts: the columns of each hidden node in `indicator`, nodes of the joint state first.
     prior (U, S): P(joint state of the first frame), before its evidence.
     transition (U, S, S): row is the previous state.
-    groups: the emissions.
+    groups: the emissions, one for each key of the evidence.
     places: the array that each table is a factor of.
     tables: the table of every node but the virtual-evidence ones, in both slices.
     one_table: the nodes with the same table in the first frame and in all later ones.
@@ -129,7 +124,7 @@ class Compiled:
     @property
     def observed(self) -> tuple[Observed, ...]:
         """The keys that the evidence must have."""
-        return tuple(key for group in self.groups for key in group.observed)
+        return tuple(group.observed for group in self.groups)
 
     @property
     def network(self) -> DynamicBayesianNetwork:
@@ -249,8 +244,7 @@ def compile_tables(
             if is_shared or np.abs(first.values - later.values).max() <= 1e-12:
                 one_table.add(name)
     size = {name: t.values.shape[-1] for (name, s), t in of_node.items() if s == 0}
-    nodes = tuple(dict.fromkeys(chain.from_iterable(names_of.values())))
-    functions, emissions, state = _roles(aligned, one_table, hidden, nodes, inputs)
+    functions, emissions, state = _roles(aligned, one_table, hidden, names_of, inputs)
     if not state:
         raise InputError(
             f"every hidden node ({', '.join(hidden)}) is a constant, so there is nothing to filter"
@@ -290,9 +284,7 @@ def compile_tables(
                 shape[0 if is_input else 1 + at] = -1
                 indices.append((input_value if is_input else node_value)[node].reshape(shape))
             places[name, s] = Placement(target, tuple(indices))
-    groups = []
-    for g, keys in enumerate(_linked_keys(aligned, names_of, emissions)):
-        nodes = tuple(dict.fromkeys(chain.from_iterable(names_of[key] for key in keys)))
+    for g, nodes in enumerate(names_of.values()):
         shown = _values_in(nodes, size)
         arrays[g] = np.ones((n_states, math.prod(size[n] for n in nodes)))
         for name, value in shown.items():
@@ -301,16 +293,14 @@ def compile_tables(
                 places[name, 1] = Placement(
                     g, tuple(shown[n] if n in shown else node_value[n][:, None] for n in axes)
                 )
-            elif name in node_value:
+            else:
                 arrays[g] *= node_value[name][:, None] == value
-        sizes = tuple(size[n] for n in nodes)
-        positions = tuple(tuple(map(nodes.index, names_of[key])) for key in keys)
-        groups.append(Group(keys, nodes, sizes, positions, arrays[g], None))
     for used, place in places.items():
         arrays[place.target] *= aligned[used].values[place.indices]
-    for g, group in enumerate(groups):
-        if np.isin(group.emission, (0.0, 1.0)).all():
-            groups[g] = replace(group, only=group.emission.argmax(axis=1))
+    groups = []
+    for g, key in enumerate(observed):
+        is_certain = np.isin(arrays[g], (0.0, 1.0)).all()
+        groups.append(Group(key, arrays[g], arrays[g].argmax(axis=1) if is_certain else None))
     names = {}
     for node, n_values in size.items():
         first_name = int(node in LANES)
@@ -431,47 +421,25 @@ def _roles(
     tables: Mapping[SliceNode, Table],
     one_table: Collection[str],
     hidden: Sequence[str],
-    nodes: Sequence[str],
+    names_of: Mapping[Observed, tuple[str, ...]],
     inputs: Collection[str],
 ) -> tuple[list[str], set[str], list[str]]:
     """Return the functions in topological order, the plain emissions, and the nodes of the joint
-    state. nodes: the observed ones."""
+    state."""
     later = {name: table for (name, s), table in tables.items() if s == 1}
     chosen = {n for n, table in later.items() if any(p in inputs for p, _ in table.parents)}
     previous = {p for table in later.values() for p, s in table.parents if s == 0}
+    with_child = {p for table in later.values() for p, _ in table.parents}
     plain = set(one_table) - chosen
-    emissions = plain.intersection(nodes).difference(hidden)
-    others = [table for (name, _), table in tables.items() if name not in emissions]
-    while others:
-        for parent, _ in others.pop().parents:
-            if parent in emissions:
-                emissions.remove(parent)
-                others += [tables[parent, 0], tables[parent, 1]]
+    times = Counter(chain.from_iterable(names_of.values()))
+    emissions = {n for n in plain - with_child if times[n] == 1 and n not in hidden}
     sources = {
         name: [p for p, _ in later[name].parents]
         for name in hidden
         if name in plain - previous and np.isin(later[name].values, (0.0, 1.0)).all()
     }
     functions = [name for name in TopologicalSorter(sources).static_order() if name in sources]
-    carried = [n for n in dict.fromkeys((*hidden, *nodes)) if n not in {*sources, *emissions}]
+    carried = [n for n in dict.fromkeys((*hidden, *times)) if n not in {*sources, *emissions}]
     # The largest node last, so that its values are contiguous in memory.
     state = sorted(carried, key=lambda name: later[name].values.shape[-1])
     return functions, emissions, state
-
-
-def _linked_keys(
-    tables: Mapping[SliceNode, Table],
-    names_of: Mapping[Observed, tuple[str, ...]],
-    emissions: Collection[str],
-) -> list[tuple[Observed, ...]]:
-    """Return the keys of each group of observed nodes, in the order declared. Keys share a group if
-    their plain emissions are linked by an edge or a common virtual-evidence node."""
-    clusters: list[tuple[set[str], set[Observed]]] = []
-    for key, names in names_of.items():
-        linked = {n for n in names if n in emissions}
-        linked |= {p for n in linked for p, _ in tables[n, 1].parents if p in emissions}
-        near = [cluster for cluster in clusters if cluster[0] & linked]
-        clusters = [cluster for cluster in clusters if cluster not in near]
-        clusters.append((linked.union(*(n for n, _ in near)), {key}.union(*(k for _, k in near))))
-    groups = [tuple(key for key in names_of if key in keys) for _, keys in clusters]
-    return sorted(groups, key=lambda keys: list(names_of).index(keys[0]))

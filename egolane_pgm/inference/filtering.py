@@ -154,19 +154,11 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
 def evidence_blocks(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> list[FloatArray]:
-    """Return the evidence of each group of observed nodes in some frames, (T, K): the product over
-    the group's keys, for all values of its nodes. `joint_input` has checked the evidence."""
+    """Return the evidence of each group in some frames, (T, K). `joint_input` has checked it."""
     blocks = []
     for group in compiled.groups:
-        block = evidence.likelihoods[group.observed[0]][frames]
-        if len(group.observed) > 1:
-            block = np.ones((len(block), *group.sizes))
-            for key, axes in zip(group.observed, group.axes, strict=True):
-                # The evidence's axes in the order of the group's, then 1 along the others.
-                shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
-                values = evidence.likelihoods[key][frames].transpose(0, *(1 + np.argsort(axes)))
-                block *= values.reshape(-1, *shape)
-        rows = block.reshape(len(block), math.prod(group.sizes))
+        values = evidence.likelihoods[group.observed][frames]
+        rows = values.reshape(len(values), math.prod(values.shape[1:]))
         blocks.append(np.ascontiguousarray(rows, dtype=np.float64))
     return blocks
 

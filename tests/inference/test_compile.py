@@ -67,28 +67,6 @@ def test_tables_that_name_their_axes_in_another_order_compile_to_the_same(seed: 
         assert_same_beliefs(filter_beliefs(renewed, evidence, method), right, 1e-13)
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2, 3), (0, 3, 2, 1), (2, 0, 3, 1), (3, 2, 1, 0)])
-def test_leaves_that_hang_together_in_a_chain_are_one_group_in_the_order_declared(
-    order: tuple[int, ...],
-) -> None:
-    """D <- E <- F, and G sees D: whichever is declared first, one emission table holds them all."""
-    rng = np.random.default_rng(0)
-    both = rng.dirichlet(np.ones(2), (2, 2))
-    tables = [
-        *simple_tables(),
-        *within("E", ["D"], SEES),
-        *within("F", ["A", "E"], both),
-        *within("G", ["D"], SEES[::-1]),
-    ]
-    observed = tuple("DEFG"[k] for k in order)
-    compiled = compile(declare(tables, observed), hidden=["A"], observed=observed)
-    assert compiled.observed == observed
-    assert len(compiled.groups) == 1
-    evidence = draw_evidence(compiled, 2, rng)
-    right = {m: brute_force(tables, ["A"], evidence, m) for m in METHODS}
-    assert_filters_agree(compiled, evidence, right)
-
-
 def test_new_tables_of_another_shape_or_other_parents_are_refused() -> None:
     compiled = compiled_simple()
     wider = [t for t in simple_tables() if t.node[0] != "D"] + within("D", ["A"], uniform(2, 3))
@@ -242,11 +220,15 @@ INPUT = within("Input", [], [0.5, 0.5])
          ["A", "F"]),
         ([*simple_tables(), *within("F", [], [0.0, 1.0]), *within("E", ["F"], SEES)],
          ["A", "F"], ["D", "E"], [], ["A"]),
+        ([*simple_tables(), *within("E", ["D"], SEES), *within("F", ["A", "E"], OF_TWO),
+          *within("G", ["D"], SEES[::-1])], ["A"], ["G", "E", "D", "F"], [], ["A", "E", "D"]),
+        ([*simple_tables(), *within("E", ["A"], SEES)], ["A"], ["D", ("E", "D")], [], ["A", "D"]),
     ],
     ids=["edge into observed", "passing hidden", "hidden of observed", "function of observed",
          "input of observed", "function of input", "first emission differs",
          "first function differs", "nothing persists", "parent of a carried one", "its child",
-         "function that later frames depend on", "constant"],
+         "function that later frames depend on", "constant", "observed with children",
+         "two evidences"],
 )  # fmt: skip
 def test_only_what_must_be_carried_or_is_no_plain_emission_is_in_the_state(
     tables: list[Table],
@@ -276,7 +258,8 @@ def test_a_joint_state_too_large_is_refused_with_its_size_and_its_nodes() -> Non
     tables += dynamics("D", ["A", previous("D")], uniform(n, n, n))
     assert refused(tables) == (
         "the joint state has 4225 values (A 65 x D 65), more than 4096; D: observed, but no plain"
-        " emission (an edge across the slices, an input, a carried child or another first table)"
+        " emission (an edge across the slices, an input, a child, two evidences or another first"
+        " table)"
     )
 
 
