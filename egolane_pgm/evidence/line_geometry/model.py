@@ -21,9 +21,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry.flag_semantics import N_CLASSES
 from egolane_pgm.parameters import Value, number
 from egolane_pgm.types import FloatArray
+
+#: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI of `scale`; 2 valid
+#: with a lower LRI; 3 not valid with LRI >= LEAST_LRI.
+N_CLASSES = 4
 
 #: The lane width to which lines are scaled; all metres here are relative to such lanes.
 LANE_M = 3.5

@@ -19,7 +19,6 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     CLUTTER_PER_M,
     GENERIC,
@@ -31,6 +30,7 @@ from egolane_pgm.evidence.line_geometry.model import (
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
+from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.evidence.line_geometry.visibility import (
     new_visibility,
     visibility_models,
@@ -264,15 +264,16 @@ def test_the_class_of_a_line(
 ) -> None:
     log = line_log([[offset]], is_valid=[[valid]], is_continuous=[[continuous]], lri=[[lri]])
     assert seen_lines(log).kind.tolist() == [[kind]]
-    _, is_strong = line_classes(log)
+    _, is_strong = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
     # How far is too far depends on the lane width, which the strong lines tell.
     is_too_far = abs(offset) > 16
     assert is_strong.tolist() == [[valid and not lri < 6 and (kind >= 0 or is_too_far)]]
 
 
 def seen_lines(log: LineLog, **given: object) -> SeenLines:
-    kind, _ = line_classes(log)
-    seen, _ = read_lines(log, kind, np.full(len(log), W), resolved(**given))
+    kind, _ = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
+    widths = np.full(len(log), W)
+    seen, _ = read_lines(log, kind, widths, resolved(**given), repeats_are_held=False)
     return seen
 
 
