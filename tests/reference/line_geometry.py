@@ -9,8 +9,9 @@ from unittest.mock import patch
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import kernels, lane_width, reading, rule, scale
+from egolane_pgm.evidence.line_geometry import fitting, kernels, lane_width, reading, rule, scale
 from egolane_pgm.evidence.line_geometry.kernels import DOUBLE, FRAME_S, INERTIA, LastFrame
+from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M, LineModel
 from egolane_pgm.evidence.line_geometry.scale import WidthBelief
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, pad_and_concat
@@ -266,3 +267,14 @@ def weigh_positions(
         place = np.exp(log_mean_p[t] - log_mean_p[t].max())
         visibility *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alphas[t]
         visibility /= visibility.sum()
+
+
+def log_prior(model: LineModel, first: LineModel) -> float:
+    """Return the logarithm of the prior density of a fit, up to a constant."""
+    metres = 2 * REACH_M * len(model.rates)
+    away = (model.shoulders - first.shoulders) * LANE_M / first.sigmas_m[-2:]
+    value = (first.rates * np.log(model.rates)).sum() - model.rates.sum()
+    value += (first.class_shares * np.log(model.class_shares)).sum()
+    value += metres * ((first.clutter * np.log(model.clutter)).sum() - model.clutter.sum())
+    value -= np.log(model.sigmas_m).sum() + 0.5 * ((first.sigmas_m / model.sigmas_m) ** 2).sum()
+    return fitting.STRENGTH * float(value - 0.5 * (away**2).sum())

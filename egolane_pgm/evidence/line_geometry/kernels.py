@@ -382,19 +382,19 @@ def expected_counts(
     place_m: FloatArray,
     rates: FloatArray,
     class_shares: FloatArray,
-    sigma_m: FloatArray,
+    sigmas_m: FloatArray,
     clutter: FloatArray,
     width_m: float,
     cells: int,
-    lines: FloatArray,
-    classes: FloatArray,
-    moments: FloatArray,
-    of_clutter: FloatArray,
-) -> float:
-    """Adds expected counts to lines (n, K), classes (K, 4), moments (3, K) and of_clutter (4,), as
-    in `fitting.Statistics`. Returns the log likelihood without the expected numbers of lines."""
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the log likelihood without the expected numbers of lines, and the expected counts
+    lines (n, K), classes (K, 4), moments (3, K) and of clutter (4,), as in `fitting.Statistics`."""
     n_frames, n_slots = offset_m.shape
     n_lines = rates.shape[1]
+    lines = np.zeros(rates.shape)
+    classes = np.zeros(class_shares.shape)
+    moments = np.zeros((3, n_lines))
+    of_clutter = np.zeros(len(clutter))
     log_place = np.empty(cells)
     share = np.empty((n_slots, cells, n_lines + 1))
     log_likelihood = 0.0
@@ -411,11 +411,11 @@ def expected_counts(
                 total = max(clutter[c], 1e-12)
                 share[i, u, n_lines] = total
                 for k in range(n_lines):
-                    away = (z - place_m[own, k]) / sigma_m[k]
+                    away = (z - place_m[own, k]) / sigmas_m[k]
                     density = 0.0
                     if abs(away) < _FAR:
                         density = math.exp(-0.5 * away * away) / (
-                            sigma_m[k] * math.sqrt(2 * math.pi)
+                            sigmas_m[k] * math.sqrt(2 * math.pi)
                         )
                     share[i, u, k] = rates[own, k] * class_shares[k, c] * density
                     total += share[i, u, k]
@@ -444,4 +444,4 @@ def expected_counts(
                     moments[1, k] += part * away
                     moments[2, k] += part * away * away
                 of_clutter[c] += weight * share[i, u, n_lines]
-    return log_likelihood
+    return log_likelihood, lines, classes, moments, of_clutter

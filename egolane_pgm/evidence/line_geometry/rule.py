@@ -210,24 +210,16 @@ def _evidence(
 
 
 def fit(
-    log: LineLog, lane: IntArray, is_used: BoolArray, n_lanes: int, parameters: Parameters
+    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
     """Learn the parameters `LEARNED` from frames whose lane is known.
 
-    - lane: (T,) 1 to n; only used frames count
-    - is_used: (T,) the frames to learn from
+    - parts: of each recording its log of T frames; the lanes (T,), 1 to n; and which of the frames
+      to learn from, (T,). The first recording gives the expected lane width.
     - parameters: the first guess, which is worth `fitting.STRENGTH` frames of each lane
 
     A lane without a frame keeps the first guess, with a warning.
     """
-    return fit_pooled([(log, lane, is_used)], n_lanes, parameters)
-
-
-def fit_pooled(
-    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
-) -> dict[str, Value]:
-    """As `fit`, from several recordings: log, lane and is_used of each. The first one gives the
-    expected lane width."""
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
@@ -250,16 +242,14 @@ def fit_pooled(
             )
     if not len(known):
         return {}
-    model, _ = fit_lines(
+    model = fit_lines(
         pad_and_concat(offsets, 0.0),
         pad_and_concat(kinds, -1),
         known,
         line_model(n_lanes, parameters),
-        LANE_M,
         int(number(parameters, "cells")),
     )
     found: dict[str, Value] = {
-        name: tuple(np.asarray(getattr(model, field)).ravel().tolist())
-        for name, field in FITTED.items()
+        name: tuple(getattr(model, name).ravel().tolist()) for name in FITTED
     }
     return {**found, "fallback_width_m": first_width}

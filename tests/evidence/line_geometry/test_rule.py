@@ -24,7 +24,6 @@ from egolane_pgm.evidence.line_geometry.model import (
     GENERIC,
     LANE_M,
     TABLE_STEP_M,
-    generic_model,
     line_model,
     places,
 )
@@ -129,7 +128,7 @@ def by_the_formula(
                     intensity[m, lane] = model.clutter[c]
                     for k in range(n + 3):
                         z = offset * width / of_width + in_lane - place[lane, k]
-                        sigma = math.hypot(model.sigma_m[k], model.sigma_per_m * place[lane, k])
+                        sigma = math.hypot(model.sigmas_m[k], model.sigma_per_m * place[lane, k])
                         z /= sigma
                         normal = math.exp(-0.5 * z**2) / (sigma * math.sqrt(2 * math.pi))
                         rate = model.rates[lane, k] * model.class_shares[k, c]
@@ -355,7 +354,7 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
-    shares = generic_model(3, replace(GENERIC, edge_continuous=0.95), 0.0).class_shares
+    shares = line_model(3, resolved(), replace(GENERIC, edge_continuous=0.95)).class_shares
     parameters = resolved(class_shares=shares, alpha=1)
     cannot_tell = line_log(lines * 2)
     can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
