@@ -310,7 +310,8 @@ def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
 
     def places_of(log: LineLog) -> FloatArray:
         nonlocal mean, last_s
-        lri = log.lri * FULL_LRI / max_lri
+        with np.errstate(over="ignore"):
+            lri = log.lri * FULL_LRI / max_lri
         _, is_strong = line_classes(log.offset_m, log.is_valid, log.is_continuous, lri)
         widths = follow(width, log.offset_m, is_strong)
         away = log.offset_m / widths[:, N_QUANTILES // 2, None]
