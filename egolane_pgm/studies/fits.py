@@ -140,15 +140,7 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         lane[rows] = drive.true_lane[rows]
         parts.append((drive.log, lane, lane > 0))
     with plugin_errors(rule, "evidence"):
-        if len(parts) == 1:
-            found: Mapping[str, Value] = rule.fit(*parts[0], model.n_lanes, start)
-        elif hasattr(rule, "fit_pooled"):
-            found = rule.fit_pooled(parts, model.n_lanes, start)
-        else:
-            raise InputError(
-                f"{model.experiment.source}: the evidence rule {model.experiment.evidence} learns"
-                " from one recording, it has no fit_pooled"
-            )
+        found: Mapping[str, Value] = rule.fit(parts, model.n_lanes, start)
     if unknown := set(found).difference(rule.LEARNED):
         raise InputError(f"{rule.__file__}: fit() returned {unknown.pop()}, not one of LEARNED")
     return Fitted(found)

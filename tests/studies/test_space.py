@@ -150,6 +150,6 @@ def test_a_point_outside_of_the_bounds_is_none() -> None:
     assert to_point(space(), parameters) is not None
     assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
     assert to_point(space(), {**CURRENT, "bonus_value": 2.5}) is None
-    names = space(no_valid_line=["uniform", "ignore"])
-    assert to_point(names, {**CURRENT, "no_valid_line": "ignore"}) is not None
-    assert to_point(names, {**CURRENT, "no_valid_line": "neither"}) is None
+    names = space(normal=["density", "integral"])
+    assert to_point(names, {**CURRENT, "normal": "integral"}) is not None
+    assert to_point(names, {**CURRENT, "normal": "neither"}) is None
