@@ -52,6 +52,6 @@ def messages(reader: McapReader, topic: str) -> Iterator[Message]:
 
 
 def fields_of(reader: McapReader, topic: str) -> Fields:
-    """The fields of all messages on a topic, and their times; empty without messages."""
-    found = [{"time_s": time_s, **value} for time_s, value in messages(reader, topic)]
-    return fields_of_dicts(found, topic) if found else {}
+    """The fields of all messages on a topic, and their times."""
+    found = messages(reader, topic)
+    return fields_of_dicts({"time_s": time_s, **value} for time_s, value in found)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.columns import to_numbers
@@ -21,8 +22,7 @@ def show_recording(path: Path) -> str:
     """Describe a table or a bag. Raises InputError for a file that cannot be read."""
     if path.suffix.lower() in TABLES:
         table = read_columns(path)
-        columns = dict(zip(table.column_names, table.columns, strict=True))
-        return "\n".join([f"{path}: {table.num_rows} rows", *_spans(columns), *_command(path)])
+        return "\n".join([f"{path}: {len(table)} rows", *_spans(table), *_command(path)])
     text = []
     for topic, (kind, count) in topics_of(path).items():
         text.append(f"{topic} ({kind}): {count} messages")
@@ -34,13 +34,13 @@ def show_recording(path: Path) -> str:
             text.append(f"  {error}")
             continue
         text[-1] += f"; {_pace(np.asarray(fields['time_s']))}"
-        text += [*_spans(table_of(fields)[0]), *_command(path, topic=topic)]
+        text += [*_spans(table_of(fields)), *_command(path, topic=topic)]
     return "\n".join(text or [f"{path}: has no topics"])
 
 
-def _spans(columns: Mapping[str, Any]) -> Iterator[str]:
+def _spans(table: pd.DataFrame) -> Iterator[str]:
     """A line per column: smallest and largest number, or the first cells."""
-    for name, column in columns.items():
+    for name, column in table.items():
         try:
             values = to_numbers(Path(), "lri", column)
             known = values[~np.isnan(values)]
