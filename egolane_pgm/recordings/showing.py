@@ -15,7 +15,7 @@ from egolane_pgm.recordings.columns import to_numbers
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.table import TABLES, read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import InputError
 
 
 def show_recording(path: Path) -> str:
@@ -33,7 +33,9 @@ def show_recording(path: Path) -> str:
         except InputError as error:
             text.append(f"  {error}")
             continue
-        text[-1] += f"; {_pace(np.asarray(fields['time_s']))}"
+        time_s = np.asarray(fields["time_s"])
+        rate = rate_of(np.arange(len(time_s)), time_s)
+        text[-1] += f"; {_pace(rate, (np.diff(time_s) > 1.5 / (rate or np.inf)).sum())}"
         text += [*_spans(table_of(fields)), *_command(path, topic=topic)]
     return "\n".join(text or [f"{path}: has no topics"])
 
@@ -50,15 +52,8 @@ def _spans(table: pd.DataFrame) -> Iterator[str]:
         yield f"  {name:<24} {span}"
 
 
-def _pace(time_s: FloatArray) -> str:
-    """The rate of times, and their gaps."""
-    step = np.diff(time_s)
-    if not (step > 0).any():
-        return "no rate (time stands still)"
-    usual = float(np.median(step[step > 0]))
-    gap = step > 1.5 * usual
-    longest = f" (the longest {step.max():.3g} s)" if gap.any() else ""
-    return f"{1 / usual:.4g} per second, gaps: {gap.sum()}{longest}"
+def _pace(rate: float | None, n_gaps: int) -> str:
+    return f"{f'{rate:.4g} per second' if rate else 'time stands still'}, gaps: {n_gaps}"
 
 
 def _command(path: Path, **options: Any) -> list[str]:
@@ -71,9 +66,9 @@ def _command(path: Path, **options: Any) -> list[str]:
     given = "".join(
         f" --set recording.{name}={shlex.quote(value)}" for name, value in options.items()
     )
-    n_gaps = (np.diff(log.frame_id) > 1).sum()
+    pace = _pace(rate_of(log.frame_id, log.time_s), (np.diff(log.frame_id) > 1).sum())
     return [
-        f"  {len(log)} frames, {rate_of(log.frame_id, log.time_s)} per second, gaps: {n_gaps}",
+        f"  {len(log)} frames, {pace}",
         "  to run it (N: number of lanes of the road):",
         f"  egolane run {shlex.quote(str(path))} --n-lanes N{given}",
     ]
