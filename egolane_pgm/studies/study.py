@@ -39,7 +39,7 @@ from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import describe
-from egolane_pgm.studies.storage import JOURNAL_NAME, named
+from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
@@ -454,15 +454,9 @@ def run_study(
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]
     with noting() as of_fits:
-        try:
-            whole, *fitted = fit_folds(
-                drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-            )
-        except KeyboardInterrupt:
-            if method != "tune" or storage is None:
-                raise
-            kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
-            raise KeyboardInterrupt(kept) from None
+        whole, *fitted = fit_folds(
+            drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
+        )
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
     notes = [*notes, *of_fits]
