@@ -12,7 +12,6 @@ import pytest
 
 from egolane_pgm.drives import Drive
 from egolane_pgm.evidence import line_geometry
-from egolane_pgm.evidence import line_geometry as line_geometry_rule
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
 from egolane_pgm.evidence.line_geometry.model import LineModel, line_model, places
 from egolane_pgm.loading import load_experiment
@@ -151,20 +150,12 @@ def test_detectors_with_other_metres_are_pooled_in_lane_widths() -> None:
     np.testing.assert_allclose(np.asarray(pooled["sigmas_m"]), alone["sigmas_m"], atol=0.02)
 
 
-def test_a_rule_that_learns_from_one_recording_cannot_be_pooled(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.delattr(line_geometry_rule, "fit_pooled")
-    with pytest.raises(InputError, match="it has no fit_pooled"):
-        fit_rule([drive()] * 2, [np.arange(9)] * 2)
-
-
 def test_a_rule_that_learns_what_it_does_not_name_is_refused(tmp_path: Path) -> None:
     (tmp_path / "rule.py").write_text(
         "from egolane_pgm.evidence import counting\n"
         "PARAMETERS, PROVIDES = counting.PARAMETERS, counting.PROVIDES\n"
         "evidence, LEARNED = counting.evidence, ('bonus_value',)\n"
-        "def fit(log, lane, is_used, n_lanes, parameters):\n"
+        "def fit(parts, n_lanes, parameters):\n"
         "    return {'bonus_value': 2.0, 'max_lri': 7.0}\n"
     )
     one = drive_of(load_experiment(write_drive(tmp_path, 60, evidence="./rule.py")))

@@ -242,24 +242,16 @@ def _evidence(
 
 
 def fit(
-    log: LineLog, lane: IntArray, is_used: BoolArray, n_lanes: int, parameters: Parameters
+    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
     """Learn the parameters `LEARNED` from frames whose lane is known.
 
-    - lane: (T,) 1 to n; only used frames count
-    - is_used: (T,) the frames to learn from
+    - parts: per recording its lines, lane (T,) from 1 to n, and the frames to learn from (T,). The
+      first one gives the expected lane width.
     - parameters: the first guess, which is worth `fitting.STRENGTH` frames of each lane
 
     A lane without a frame keeps the first guess, with a warning.
     """
-    return fit_pooled([(log, lane, is_used)], n_lanes, parameters)
-
-
-def fit_pooled(
-    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
-) -> dict[str, Value]:
-    """As `fit`, from several recordings: log, lane and is_used of each. The first one gives the
-    expected lane width."""
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0

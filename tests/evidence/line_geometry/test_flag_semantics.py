@@ -351,7 +351,7 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = [
-            line_geometry.fit(each, lane, everywhere, 3, resolved(lane_width_m=width))
+            line_geometry.fit([(each, lane, everywhere)], 3, resolved(lane_width_m=width))
             for each, width in ((in_lanes, 3.5), (odd, 375))
         ]
     for name in found[0]:
