@@ -35,12 +35,7 @@ from egolane_pgm.vision.camera import model as camera
 from egolane_pgm.vision.detectors.networks.description import Network
 
 #: The functions that compute scores, by module, in the order of the page.
-METRICS = (
-    "confusion",
-    "probabilistic",
-    "events",
-    "bootstrap",
-)
+METRICS = ("confusion", "events", "bootstrap")
 
 
 def pages() -> dict[str, str]:

@@ -13,12 +13,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
-from egolane_pgm.scoring.probabilistic import (
+from egolane_pgm.scoring.confusion import (
     N_BINS,
     calibration_curve,
+    confusion,
     coverage_curve,
     expected_calibration_error,
+    scores_from_confusion,
 )
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.answers import answers, scored

@@ -23,11 +23,10 @@ from tests.kits.drives import simulated
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    experiment = simulated(recording={"simulate": "quickstart", "frames": [0, 400]})
-    drives = open_input(experiment).drives()
-    tuning = experiment.fit.model_copy(update={"trials": 24, "sampler": "random"})
+    recording, fit = {"simulate": "quickstart", "frames": [0, 400]}, {"sampler": "random"}
+    drives = open_input(simulated(recording=recording, fit={**fit, "trials": 24})).drives()
     folder = tmp_path_factory.mktemp("study")
-    return run_study(drives, "tune", block_folds(drives, 2), tuning=tuning, directory=folder)
+    return run_study(drives, "tune", block_folds(drives, 2), directory=folder)
 
 
 def test_a_study_has_scores_in_sample_beside_held_out_and_the_best_parameters(

@@ -214,8 +214,8 @@ def fit(
 ) -> dict[str, Value]:
     """Learn the parameters `LEARNED` from frames whose lane is known.
 
-    - parts: of each recording its log of T frames; the lanes (T,), 1 to n; and which of the frames
-      to learn from, (T,). The first recording gives the expected lane width.
+    - parts: per recording its lines, lane (T,) from 1 to n, and the frames to learn from (T,). The
+      first one gives the expected lane width.
     - parameters: the first guess, which is worth `fitting.STRENGTH` frames of each lane
 
     A lane without a frame keeps the first guess, with a warning.
