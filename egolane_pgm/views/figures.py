@@ -20,7 +20,7 @@ from egolane_pgm.scoring.probabilistic import (
     coverage_curve,
     expected_calibration_error,
 )
-from egolane_pgm.types import IntArray
+from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.answers import answers, scored
 from egolane_pgm.views.style import (
     ANSWER_STYLE,
@@ -59,7 +59,11 @@ def _measured(frames: pd.DataFrame, measure: Callable[..., T]) -> dict[str, T]:
 
 def confusions(frames: pd.DataFrame) -> dict[str, IntArray]:
     """The confusion matrices (n + 1, n) of the answers."""
-    return _measured(frames, lambda belief, lane, *truth: confusion(lane, *truth, belief.shape[1]))
+
+    def measure(belief: FloatArray, lane: Any, truth: Any, crossing: Any) -> IntArray:
+        return confusion(lane, truth, crossing, belief.shape[1])
+
+    return _measured(frames, measure)
 
 
 def _titled(frames: pd.DataFrame, title: str) -> str:
@@ -176,7 +180,8 @@ def dispersion_figure(results: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
 
     - results: titles and frames.
     """
-    rows, y = {}, []
+    rows: dict[Any, dict[str, int]] = {}
+    y: list[float] = []
     for k, (title, frames) in enumerate(results):
         for name, matrix in confusions(frames).items():
             note = (
