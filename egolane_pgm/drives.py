@@ -22,7 +22,7 @@ from egolane_pgm.loading import IN_MEMORY, existing
 from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
-from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_names
+from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
@@ -197,9 +197,9 @@ def check_file(experiment: Experiment) -> None:
     """Raise InputError for a file of lines that is missing, or whose format is unknown."""
     r, source = experiment.recording, experiment.source
     if r.format is not None and r.format not in FORMATS:
-        where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
-        if r.format not in known and not r.format.endswith(".py"):
-            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
+        where = f"{source}: recording.format"
+        if not r.format.endswith(".py"):
+            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, FORMATS)}")
         load_plugin("recordings", r.format, where)
     path = existing(experiment, "recording.path", _FETCH)
     format = r.format or format_of(path)
