@@ -16,7 +16,7 @@ from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import LANES
 from egolane_pgm.model import Model, compile_graph, matching_evidence_rule
-from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_place
+from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import InputError, problems_in
 
@@ -35,7 +35,7 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         return os.path.abspath(name) if name.endswith(OWN_FILES) else name
     if isinstance(graph, ModuleType):
         if graph.__name__.startswith("egolane_pgm.graphs."):
-            return plugin_place(graph)
+            return graph.__name__.rpartition(".")[2]
         if not str(getattr(graph, "__file__", "")).endswith(OWN_FILES):
             raise InputError(f"graph: the module {graph.__name__} has no file; write it to one")
         return os.path.abspath(str(graph.__file__))
