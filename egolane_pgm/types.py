@@ -407,7 +407,8 @@ class Evidence(_Frames):
         try:
             table = pd.DataFrame({node: np.asarray(rows[node], dtype=object) for node in rows})
         except ValueError as error:
-            raise InputError(f"evidence: needs a value per frame and node: {error}") from error
+            needed = "a list of values for each node, all of the same length"
+            raise InputError(f"evidence: needs {needed}") from error
         observed = [(key,) if isinstance(key, str) else key for key in compiled.observed]
         known = {*(node for nodes in observed for node in nodes), *compiled.inputs}
         given: dict[str, IntArray] = {}
