@@ -330,8 +330,8 @@ class _Group(click.Group):
                 warnings.showwarning = lambda message, *_, **__: warn(str(message))
                 return super().invoke(ctx)
         except KeyboardInterrupt as stop:
-            # A verb may name what was kept: KeyboardInterrupt("3 of 5 runs are in results/x").
-            kept = str(stop) or "no file is half-written; repeat the command to start again"
+            # A verb may name what was kept: KeyboardInterrupt("the lines are in x.csv").
+            kept = str(stop) or "finished runs and trials are kept; repeat the command to go on"
             click.echo(f"egolane: interrupted; {kept}", err=True)
             ctx.exit(130)
         except InputError as error:

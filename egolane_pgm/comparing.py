@@ -12,7 +12,7 @@ import pandas as pd
 
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.result import TAG, Result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
@@ -128,7 +128,11 @@ def _value(result: Result, key: str | None) -> Any:
         if place is None:
             return result.name
         return place.parent.name if key == "folder" else place.name
-    value = result.value(key)
+    if key.startswith(TAG):
+        return result.run["tags"].get(key.removeprefix(TAG))
+    value: Any = result.run["config"]
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
     if isinstance(value, str) and value.endswith(OWN_FILES):
         return Path(value).stem
     return tuple(value) if isinstance(value, list) else value

@@ -22,7 +22,7 @@ from egolane_pgm.loading import IN_MEMORY, existing
 from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
-from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_names
+from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_lines
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
@@ -41,7 +41,6 @@ from egolane_pgm.types import (
     InputError,
     IntArray,
     LineLog,
-    check_lanes,
     clip_slices,
     problems_in,
     suggestion,
@@ -197,9 +196,9 @@ def check_file(experiment: Experiment) -> None:
     """Raise InputError for a file of lines that is missing, or whose format is unknown."""
     r, source = experiment.recording, experiment.source
     if r.format is not None and r.format not in FORMATS:
-        where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
-        if r.format not in known and not r.format.endswith(".py"):
-            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
+        where = f"{source}: recording.format"
+        if not r.format.endswith(".py"):
+            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, FORMATS)}")
         load_plugin("recordings", r.format, where)
     path = existing(experiment, "recording.path", _FETCH)
     format = r.format or format_of(path)
@@ -254,7 +253,7 @@ def read_drives(
             f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
         )
     drives: list[Drive] = []
-    for frames in clip_slices(log.clip, len(log)):
+    for frames in [slice(None)] if log.clip is None else clip_slices(log.clip):
         clip = log.take(frames)
         name = experiment.name if clip.clip is None else str(clip.clip[0])
         clip = replace(clip, clip=None)
@@ -281,13 +280,18 @@ def make_drive(
     lane = np.full(len(log), NOT_ANNOTATED)
     crossing = np.zeros(len(log), dtype=bool)
     if truth is not None and (not most_lanes or np.isin(log.frame_id, truth.index).any()):
-        check_lanes(truth, most_lanes or model.n_lanes)
+        widest, source = most_lanes or model.n_lanes, truth.attrs.get("source", "ground truth")
+        outside = truth[~truth["true_lane"].between(1, widest)]
+        if len(outside):
+            raise InputError(
+                f"{source}: frame {outside.index[0]}: lane {outside['true_lane'].iloc[0]} is"
+                f" outside 1..{widest}; is n_lanes right?"
+            )
         at = truth.index.get_indexer(log.frame_id)
         rows, known = np.flatnonzero(at >= 0), truth.iloc[at[at >= 0]]
         if not len(rows):
             raise InputError(
-                f"no common frames: {log.source} has {frame_range(log.frame_id)},"
-                f" {truth.attrs.get('source', 'ground truth')} has"
+                f"no common frames: {log.source} has {frame_range(log.frame_id)}, {source} has"
                 f" {frame_range(truth.index.to_numpy())}"
             )
         lane[rows], crossing[rows] = known["true_lane"], known["is_crossing"]

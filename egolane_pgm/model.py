@@ -26,7 +26,6 @@ from egolane_pgm.plugins import (
     load_plugin,
     plugin_errors,
     plugin_names,
-    plugin_place,
 )
 from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog, Observed, problems_in
 
@@ -69,12 +68,12 @@ class Model:
         return self.compiled.network
 
     def __getstate__(self) -> dict[str, Any]:
-        # Modules are pickled by name or file.
-        return {**vars(self), "rule": plugin_place(self.rule), "graph": plugin_place(self.graph)}
+        # Modules are not pickled, but loaded by the names in the experiment.
+        return {**vars(self), "rule": None, "graph": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        rule = load_plugin("evidence", state["rule"], "evidence")
-        graph = load_plugin("graphs", state["graph"], "graph")
+        rule = load_plugin("evidence", state["experiment"].evidence, "evidence")
+        graph = load_plugin("graphs", state["experiment"].graph, "graph")
         vars(self).update({**state, "rule": rule, "graph": graph})
 
 

@@ -224,12 +224,7 @@ def run_table(
     folder = Path(out)
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
-    done: list[dict[str, Any]] = []
-    try:
-        done.extend(bar(rows, progress, total=len(inputs), unit="run"))
-    except KeyboardInterrupt:
-        kept = f"{len(done)} of {len(inputs)} runs are in {folder}; repeat the command to go on"
-        raise KeyboardInterrupt(kept) from None
+    done = list(bar(rows, progress, total=len(inputs), unit="run"))
     summary = pd.DataFrame(done).set_index("name")
     summary.to_parquet(folder / SUMMARY)
     return summary
@@ -241,10 +236,7 @@ def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:
     row: dict[str, Any] = {"name": experiment.name}
     row |= {f"{TAG}{key}": value for key, value in given.tags.items()}
     try:
-        done = stored(experiment, place, given.tags)
-        is_held_out = done is not None and "block" in done.frames
-        if done is not None and is_held_out != (n_blocks is not None):
-            done = None
+        done = stored(experiment, place, given.tags, n_blocks)
         row["was_there"] = done is not None
         if done is None:
             done = run_input(given, n_blocks=n_blocks)

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from egolane_pgm.drives import Drive, drive_names, read_drives
+from egolane_pgm.drives import Drive, drive_names, make_drive, read_drives
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.maps.road_table import save
 from egolane_pgm.recordings.ground_truth import write_ground_truth
@@ -269,3 +269,11 @@ def test_what_a_road_needs_is_named(on_road: Path) -> None:
         run(on_road.parent / "lines.csv", experiment=on_road)
     with pytest.raises(InputError, match=r"recording\.path: pass the lines that are in memory"):
         read_drives(load_experiment("zero_label", lines=short_drive().log, n_lanes=3))
+
+
+@pytest.mark.parametrize("lane", [0, 4, -1])
+def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
+    [drive] = read_drives(load_experiment(simulated(), n_lanes=3))
+    truth = lane_truth([7, 8, 9], [1, lane, 3], [False] * 3, "gt.txt")
+    with pytest.raises(InputError, match=rf"^gt.txt: frame 8: lane {lane} is outside 1\.\.3; is"):
+        make_drive("x", drive.model, drive.log, truth)

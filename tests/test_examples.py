@@ -41,7 +41,7 @@ def test_a_network_in_pgmpys_own_style_is_compiled_filtered_and_learned() -> Non
     assert compiled.hidden == ("Lane", "Sensor")
     run = ego.run(simulated(graph=str(TUTORIAL)))
     beliefs = ego.filter_beliefs(compiled, run.evidence, "assumed_density")
-    np.testing.assert_array_equal(beliefs.lane, run.beliefs.lane)
+    np.testing.assert_array_equal(beliefs.lane, run.node("Lane"))
     assert run.scores["model"]["accuracy"] > run.scores["detector"]["accuracy"]
     # pgmpy's own answer to the first frame, the tables multiplied by name.
     given = run.evidence.likelihoods

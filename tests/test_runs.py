@@ -99,13 +99,13 @@ def test_a_table_is_the_same_as_csv_parquet_and_data_frame(tmp_path: Path) -> No
 
 
 def test_a_row_changes_the_keys_that_it_names(tmp_path: Path) -> None:
-    text = "recording.seed,n_lanes,parameters.sigma1,parameters.lane_widths,tag.driver\n"
-    path = table(tmp_path, text + '7,3,0.2,"[1, 1, 2]",anna\n8,,,,\n')
+    text = "recording.seed,n_lanes,parameters.sigma1,parameters.p3,tag.driver\n"
+    path = table(tmp_path, text + '7,3,0.2,"[0.6, 0.6, 0.7]",anna\n8,,,,\n')
     base = load_experiment("quickstart")
     first, second = table_inputs("quickstart", path, {"filter": "exact"})
     one, other = first.experiment, second.experiment
     assert (one.name, one.recording.seed, one.n_lanes) == ("quickstart_1", 7, 3)
-    assert one.parameters["lane_widths"] == (1, 1, 2)
+    assert one.parameters["p3"] == (0.6, 0.6, 0.7)
     assert (one.parameters["sigma1"], dict(first.tags)) == (0.2, {"driver": "anna"})
     assert (other.name, other.recording.seed, other.n_lanes) == ("quickstart_2", 8, base.n_lanes)
     assert (other.parameters, other.filter, dict(second.tags)) == (base.parameters, "exact", {})

@@ -10,11 +10,9 @@ import pytest
 
 from egolane_pgm.parameters import Parameter, resolve_parameters
 from egolane_pgm.types import (
-    Beliefs,
     Evidence,
     InputError,
     LineLog,
-    check_lanes,
     lane_truth,
 )
 
@@ -35,19 +33,12 @@ def a_log(n_frames: int = 3, n_lines: int = 2) -> LineLog:
 # --- line logs and truth -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("ids", "message"),
-    [
-        ([4, 5, 5], "drive.bag: frame id 5 occurs more than once"),
-        ([0, 0, 0], "drive.bag: frame id 0 occurs more than once"),
-        ([4, 7, 6], "drive.bag: frame ids decrease, 7 is followed by 6"),
-    ],
-)
-def test_frame_ids_that_do_not_increase_are_refused(ids: list[int], message: str) -> None:
-    with pytest.raises(InputError) as error:
+@pytest.mark.parametrize("ids", [[4, 5, 5], [4, 7, 6]])
+def test_frame_ids_that_do_not_increase_are_refused(ids: list[int]) -> None:
+    message = f"frame ids must increase, {ids[1]} is followed by {ids[2]}"
+    with pytest.raises(InputError, match=f"^drive.bag: {message}$"):
         replace(a_log(), frame_id=np.array(ids))
-    assert str(error.value) == message
-    with pytest.raises(InputError, match=message.split(": ")[1]):
+    with pytest.raises(InputError, match=message):
         lane_truth(ids, [1, 1, 1], [False] * 3)
 
 
@@ -118,14 +109,6 @@ def test_lines_given_one_after_the_other_are_padded_frame_by_frame() -> None:
             at += count
 
 
-@pytest.mark.parametrize("lane", [0, 4, -1])
-def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
-    truth = lane_truth([7, 8, 9], [1, lane, 3], [False] * 3, "gt.txt")
-    with pytest.raises(InputError) as error:
-        check_lanes(truth, 3)
-    assert str(error.value) == f"gt.txt: frame 8: lane {lane} is outside 1..3; is n_lanes right?"
-
-
 # --- evidence and beliefs ------------------------------------------------------------------------
 
 
@@ -153,20 +136,6 @@ def test_evidence_may_be_zero_and_need_not_sum_to_one() -> None:
     last = evidence.take(slice(1, 2))
     assert last.likelihoods["A"].tolist() == [[5, 3]]
     assert last.inputs["I"].tolist() == [1]
-
-
-def test_the_mean_log_evidence_leaves_out_flagged_frames() -> None:
-    beliefs = Beliefs(
-        np.arange(3),
-        {"Lane": np.full((3, 2), 0.5)},
-        np.array([-1.0, 0.0, -3.0]),
-        np.array([False, True, False]),
-    )
-    assert beliefs.mean_log_evidence == -2
-    assert beliefs.lane is beliefs.marginals["Lane"]
-    assert len(beliefs) == 3
-    nothing = replace(beliefs, is_impossible=np.ones(3, dtype=bool))
-    assert math.isnan(nothing.mean_log_evidence)
 
 
 # --- parameters ----------------------------------------------------------------------------------

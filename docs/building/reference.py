@@ -35,12 +35,7 @@ from egolane_pgm.vision.camera import model as camera
 from egolane_pgm.vision.detectors.networks.description import Network
 
 #: The functions that compute scores, by module, in the order of the page.
-METRICS = (
-    "confusion",
-    "probabilistic",
-    "events",
-    "bootstrap",
-)
+METRICS = ("confusion", "events", "bootstrap")
 
 
 def pages() -> dict[str, str]:
@@ -245,24 +240,21 @@ def recordings_page() -> str:
         as_markdown(inspect.getdoc(ground_truth.read_ground_truth) or ""),
         "## Positions",
         as_markdown(about(positions)),
-        columns_of(positions.Positions, {k: v[1:] for k, v in positions.COLUMNS.items()}),
+        positions_table(),
         "## Road table",
         as_markdown(about(road_table)),
-        columns_of(road_table.RoadTable, {}),
+        meanings(road_table.COLUMNS),
     ]
     return "\n\n".join(parts)
 
 
-def columns_of(kind: type, other_names: Mapping[str, Sequence[str]]) -> str:
-    """The columns of a table that is read into a dataclass."""
-    said = listed(inspect.getdoc(kind) or "")
-    rows = []
-    for field in dataclasses.fields(kind):
-        if field.name != "source":
-            others = ", ".join(f"`{name}`" for name in other_names.get(field.name, ()))
-            rows.append([f"`{field.name}`", others, said[field.name]])
-    if not other_names:
-        return markdown(["column", "meaning"], [[row[0], row[2]] for row in rows])
+def positions_table() -> str:
+    """The columns of a table of positions."""
+    said = listed(inspect.getdoc(positions.Positions) or "")
+    rows = [
+        [f"`{name}`", ", ".join(f"`{other}`" for other in others), said[name]]
+        for name, (_, *others) in positions.COLUMNS.items()
+    ]
     return markdown(["column", "also called", "meaning"], rows)
 
 

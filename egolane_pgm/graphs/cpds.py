@@ -40,86 +40,31 @@ PLACEHOLDER = (
 )
 
 
-def discretised_normal(
-    mean: float | FloatArray,
-    sigma: float,
-    n: int,
-    normal: str = "density",
-    widths: Sequence[float] | None = None,
-) -> FloatArray:
-    """Return the paper's F(N(mean, sigma^2)): the normal as probabilities of the lanes 1 to n
-    (section "HMM with Transient Failure Model").
+def lane_normals(sigma: float, n: int, shift: float = 0.0) -> FloatArray:
+    """Return the paper's F(N(mean, sigma^2)) for each of the lanes 1 to n plus `shift` as the mean:
+    (n, n), a row per mean.
 
-    - mean: one mean, or an array (...) of them, lanes
+    F is the density at the lane centres divided by its sum over the lanes, as the authors computed
+    it; the text of section "HMM with Transient Failure Model" describes the integral across each
+    lane.
+
     - sigma: standard deviation, lanes
-    - normal: "density" takes the density at the lane centres, as the authors computed it;
-      "integral" takes the integral across each lane, as the text describes it
-    - widths: (n,) width of each lane in units of the nominal lane, all 1 by default
-
-    Returns (..., n); each row sums to one.
     """
-    edges, centres = lane_edges(n, widths)
-    mean = np.asarray(mean, dtype=np.float64)[..., None]
-    if normal == "density":
-        distance = np.abs(centres - mean)
-        with np.errstate(over="ignore", invalid="ignore"):
-            exponent = -0.5 * (distance / sigma) ** 2
-            mass = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
-    else:
-        distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
-        # With a tiny sigma this overflows to infinity, which gives the right limit.
-        with np.errstate(over="ignore"):
-            z = (edges - mean) / sigma / math.sqrt(2.0)
-        # Lanes near the mean use differences of erf, lanes far from it those of the tail on their
-        # side, so that small masses keep their digits.
-        middle, right, left = np.diff(_erf(z)), -np.diff(_erfc(z)), np.diff(_erfc(-z))
-        mass = np.where(z[..., :-1] > 0.5, right, np.where(z[..., 1:] < -0.5, left, middle))
-    total = mass.sum(axis=-1, keepdims=True)
-    if not (total > 0).all():
-        # All lanes are infinitely many standard deviations away: use the nearest one.
-        nearest = distance == distance.min(axis=-1, keepdims=True)
-        mass = np.where(total > 0, mass, nearest)
-        total = mass.sum(axis=-1, keepdims=True)
-    return np.asarray(mass / total, dtype=np.float64)
-
-
-def _erf(z: FloatArray) -> FloatArray:
-    # Importing scipy.special takes longer than most runs spend in it.
-    return np.array([math.erf(x) for x in z.flat]).reshape(z.shape)
-
-
-def _erfc(z: FloatArray) -> FloatArray:
-    return np.array([math.erfc(x) for x in z.flat]).reshape(z.shape)
+    lanes = np.arange(1.0, n + 1)
+    distance = np.abs(lanes - (lanes[:, None] + shift))
+    nearest = distance.min(axis=1, keepdims=True)
+    # (distance^2 - nearest^2) / sigma^2, so that a tiny sigma leaves all on the nearest lanes.
+    with np.errstate(over="ignore"):
+        squares = ((distance - nearest) / sigma) * ((distance + nearest) / sigma)
+    mass = np.exp(-0.5 * squares)
+    return np.asarray(mass / mass.sum(axis=1, keepdims=True))
 
 
 def normal_cdf(x: FloatArray) -> FloatArray:
     """Return the cumulative distribution function of the standard normal, of the shape of x."""
-    return np.asarray(0.5 * _erfc(-x / math.sqrt(2.0)))
-
-
-def lane_edges(n: int, widths: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the edges (n + 1,) and centres (n,) of the lanes, in units of the nominal lane.
-
-    Lane 1 starts at 0.5, so that lanes of width 1 have their centres at 1 to n.
-    """
-    widths_array = np.ones(n) if widths is None else np.asarray(widths, dtype=np.float64)
-    edges = 0.5 + np.concatenate([[0.0], np.cumsum(widths_array)])
-    return edges, (edges[:-1] + edges[1:]) / 2
-
-
-def lane_normals(
-    sigma: float,
-    n: int,
-    normal: str = "density",
-    widths: Sequence[float] | None = None,
-    shift: float = 0.0,
-) -> FloatArray:
-    """Return F of a normal around each lane's centre plus `shift` lanes: (n, n), a row per lane.
-
-    The other parameters are those of `discretised_normal`.
-    """
-    _, centres = lane_edges(n, widths)
-    return discretised_normal(centres + shift, sigma, n, normal, widths)
+    # Importing scipy.special takes longer than most runs spend in it.
+    values = [0.5 * math.erfc(-each / math.sqrt(2.0)) for each in x.flat]
+    return np.array(values).reshape(x.shape)
 
 
 def binary(ok: float, bad: float) -> FloatArray:
@@ -205,21 +150,14 @@ def ve_name(observed: Observed) -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence pgmpy's warnings, log lines and progress bars."""
+    """Silence pgmpy's warnings and log lines."""
     logger = logging.getLogger("pgmpy")
     level = logger.level
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logger.setLevel(logging.CRITICAL)
         try:
-            from pgmpy.global_vars import config
-
-            shown = config.get_show_progress()
-            config.set_show_progress(False)
-            try:
-                yield
-            finally:
-                config.set_show_progress(shown)
+            yield
         finally:
             logger.setLevel(level)
 

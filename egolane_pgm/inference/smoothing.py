@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import forward, joint_input, marginals_of, state_likelihood
+from egolane_pgm.inference.filtering import forward, joint_input, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
 from egolane_pgm.types import (
     Beliefs,
@@ -178,5 +178,6 @@ def _beliefs(
     compiled: Compiled, passed: Passed, joint: FloatArray, frame_id: IntArray | None
 ) -> Beliefs:
     ids = np.arange(len(joint)) if frame_id is None else frame_id
-    marginals = marginals_of(compiled, joint)
+    rows = joint @ compiled.indicator
+    marginals = {name: rows[:, columns] for name, columns in compiled.parts.items()}
     return Beliefs(ids, marginals, passed.log_evidence, passed.is_impossible, compiled.values)

@@ -150,7 +150,7 @@ def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
     from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)
-    there = table.column_names
+    there = list(table)
     for ours, theirs in columns.items():
         if ours not in COLUMNS:
             raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, COLUMNS)}")

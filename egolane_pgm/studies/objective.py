@@ -16,12 +16,14 @@ from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring.confusion import (
     SCORES,
     assigned_lane,
+    brier,
     confusion,
+    expected_calibration_error,
+    log_loss_per_frame,
     on_widest,
     scores_from_confusion,
 )
 from egolane_pgm.scoring.events import stability_scores
-from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss_per_frame
 from egolane_pgm.types import (
     BoolArray,
     Evidence,

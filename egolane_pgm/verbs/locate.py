@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.maps import road_table
 from egolane_pgm.maps.locating import locate as locate_on
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
-from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.options import Option, StrPath
@@ -32,7 +32,7 @@ def locate(
         Option("OURS=THEIRS", names=("--column",), example="latitude=lat_gps"),
     ] = None,
     shift: Annotated[float, Option("SECONDS")] = 0.0,
-) -> RoadTable:
+) -> pd.DataFrame:
     """Find the road of a car: segment, place on it, number of lanes, and probability.
 
     MAP is an extract of OpenStreetMap (.osm, .osm.pbf). POSITIONS is a .csv, .parquet, .gpx or bag
@@ -61,14 +61,14 @@ def locate(
     return table
 
 
-def summary(done: RoadTable, given: Mapping[str, Any]) -> str:
+def summary(done: pd.DataFrame, given: Mapping[str, Any]) -> str:
     """Summarise the table and the fit of the map."""
     on = done.segment >= 0
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
     n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
     assumed = (on & (done.unknown_way > 0)).mean()
     return (
-        f"{given['out']}: {len(done)} rows, {done.t_s[0]:g} to {done.t_s[-1]:g} s,"
+        f"{given['out']}: {len(done)} rows, {done.t_s.iloc[0]:g} to {done.t_s.iloc[-1]:g} s,"
         f" {on.mean():.1%} on the map\n"
         f"half of the positions lie within {np.median(off_by):.1f} m of the way's line;"
         f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'}"

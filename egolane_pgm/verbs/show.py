@@ -53,7 +53,7 @@ _KINDS: dict[str, Callable[[], list[str] | dict[str, str]]] = {
     "evidence": lambda: plugin_names("evidence"),
     "detectors": lambda: plugin_names("detectors"),
     "networks": lambda: [*ready_networks()],
-    "recordings": lambda: [*FORMATS, *plugin_names("recordings")],
+    "recordings": lambda: [*FORMATS],
     "simulations": lambda: sorted(PRESETS),
     "experiments": lambda: _descriptions("experiments"),
     "tuning": lambda: _descriptions("tuning"),
@@ -202,7 +202,7 @@ def _yaml(name: str) -> dict[str, Any]:
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:
     """The description of a plugin; a graph is also written to `out`."""
-    kind, bare = find_plugin(name, _PLUGINS, Path.cwd())
+    kind, bare = find_plugin(name, _PLUGINS)
     if out is not None:
         check_not_read(Path(out), [Path(bare)])
     module = load_plugin(_PLUGINS[kind], bare, kind)

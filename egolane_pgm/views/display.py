@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from egolane_pgm.inference.events import CONFIDENT, SURE
+from egolane_pgm.inference.events import CONFIDENT, SURE, lane_segments
 from egolane_pgm.result import TAG, Result, by_drive, lanes_of
 from egolane_pgm.views.answers import is_known
 from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
@@ -123,9 +123,10 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     elif "drive" in result.frames:
         lines = [f"{run['name']}: no ground truth, no scores"]
     else:
-        last = result.node("Lane")[-1]
+        lane, time_s = result.node("Lane"), result.frames["time_s"].to_numpy()
+        last = lane[-1]
         lines = [
-            f"{run['name']}: {segments_text(result.segments)}",
+            f"{run['name']}: {segments_text(lane_segments(lane, result.events, time_s))}",
             f"most probable at the end: lane {last.argmax() + 1} ({last.max():.2f});"
             " no ground truth, no scores",
         ]

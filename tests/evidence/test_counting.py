@@ -73,11 +73,9 @@ def by_the_rules(
         values = [1.0] * n
     values = [v + float(parameters["tentative_noise"]) for v in values]  # type: ignore[arg-type]
     tentative = [v / sum(values) for v in values]
-    noise, top = float(parameters["wor_noise"]), float(parameters["max_lri"])  # type: ignore[arg-type]
+    noise, top = counting.WOR_NOISE, float(parameters["max_lri"])  # type: ignore[arg-type]
     s = sum(top if math.isnan(lri) else lri for *_, lri in valid) / (top * (n + 1)) - noise
     s = noise if s < 0 else 1 - noise if s >= 1 else s
-    if not valid and parameters["no_valid_line"] == "ignore":
-        s = 0.5
     return tentative, [s, 1 - s]
 
 
@@ -99,7 +97,6 @@ frames = st.lists(st.lists(lines, max_size=6), min_size=1, max_size=8)
     frames=frames,
     n_lanes=st.integers(1, 6),
     bonus_value=st.sampled_from([0, 1, 2, 9, 0.5]),
-    no_valid_line=st.sampled_from(["uniform", "ignore"]),
     max_lri=st.sampled_from([10, 7]),
     tentative_noise=st.sampled_from([0.001, 0.1]),
 )
@@ -196,23 +193,6 @@ def test_the_paper_s_box_of_four_lines() -> None:
     np.testing.assert_allclose(wor[0], [17 / 40 - 0.01, 1 - 17 / 40 + 0.01], rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("lris", "noise", "ok"),
-    [
-        ([1.0], 0.1, 0.1),  # below 0
-        ([10.0], 0.5, 0.0),  # just 0 is left as it is,
-        ([3.0], 0.1, 0.05),  # and so is what is nearer to 0 than the noise
-        ([10.0, 10.0, 10.0], 0.5, 0.5),  # just 1 is not
-        ([10.0, 10.0, 10.0], 0.25, 0.75),  # above 1
-    ],
-)
-def test_the_ends_of_wor_worked_by_hand(lris: list[float], noise: float, ok: float) -> None:
-    """One lane, so two lines are expected: s = sum / 20 - noise."""
-    lines: list[Line] = [(-1.0, True, False, lri) for lri in lris]
-    _, wor = seen([lines], 1, wor_noise=noise)
-    np.testing.assert_allclose(wor[0], [ok, 1 - ok], rtol=0, atol=1e-15)
-
-
 def test_without_noise_a_frame_without_votes_is_uniform_still() -> None:
     tentative, _ = seen([[], [(-5.0, False, True, 10.0)]], 4, tentative_noise=0)
     np.testing.assert_allclose(tentative, np.full((2, 4), 0.25))
@@ -243,14 +223,10 @@ def test_wor_is_the_share_of_the_expected_reliability(lris: list[float], s: floa
     np.testing.assert_allclose(wor[0], [s, 1 - s], rtol=1e-12)
 
 
-def test_a_frame_without_a_valid_line_says_nothing_or_that_the_sensor_is_bad() -> None:
-    frames: list[list[Line]] = [[(2.0, False, True, 9.0)], [], [(2.0, True, False, 0.0)]]
-    tentative, wor = seen(frames, 4)
+def test_a_frame_without_a_valid_line_is_uniform_and_has_the_lowest_wor() -> None:
+    tentative, wor = seen([[(2.0, False, True, 9.0)], [], [(2.0, True, False, 0.0)]], 4)
     np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
-    np.testing.assert_allclose(wor[:, 0], [0.01, 0.01, 0.01])
-    tentative, wor = seen(frames, 4, no_valid_line="ignore")
-    np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
-    np.testing.assert_allclose(wor[:, 0], [0.5, 0.5, 0.01])
+    np.testing.assert_allclose(wor[:, 0], 0.01)
 
 
 def test_garbage_in_lines_that_are_not_valid_is_never_read() -> None:
@@ -262,14 +238,13 @@ def test_garbage_in_lines_that_are_not_valid_is_never_read() -> None:
 
 
 def test_without_noise_a_lane_that_no_line_allows_is_impossible() -> None:
-    tentative, wor = seen([[(-9.0, True, False, 10.0)]], 3, tentative_noise=0, wor_noise=0)
+    tentative, _ = seen([[(-9.0, True, False, 10.0)]], 3, tentative_noise=0)
     np.testing.assert_array_equal(tentative[0], [0, 0, 1])
-    np.testing.assert_allclose(wor[0], [0.25, 0.75])
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.integers(1, 6), st.booleans())
-def test_counting_equals_plain_numpy(seed: int, n_lanes: int, ignore: bool) -> None:
+@given(st.integers(0, 2**32 - 1), st.integers(1, 6))
+def test_counting_equals_plain_numpy(seed: int, n_lanes: int) -> None:
     rng = np.random.default_rng(seed)
     shape = (30, 5)
     on_border = rng.choice([-7.0, -3.5, 0.0, 3.5, 7.0, 10.5], shape)
@@ -279,11 +254,7 @@ def test_counting_equals_plain_numpy(seed: int, n_lanes: int, ignore: bool) -> N
     lri = np.where(rng.uniform(size=shape) < 0.1, np.nan, rng.integers(-1, 12, shape))
     ids = np.arange(30)
     log = LineLog(ids, ids / 10, offset, valid, rng.uniform(size=shape) < 0.5, lri)
-    parameters = resolve_parameters(
-        counting.PARAMETERS,
-        {"bonus_value": rng.uniform(0, 9), "no_valid_line": "ignore" if ignore else "uniform"},
-        n_lanes,
-    )
+    parameters = resolved(n_lanes, bonus_value=rng.uniform(0, 9))
     fast = counting.evidence(log, n_lanes, parameters)
     plain = reference.evidence(log, n_lanes, parameters)
     for key in counting.PROVIDES:

@@ -268,9 +268,9 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "continuous network": (
         lambda: LinearGaussianBayesianNetwork([("Lane_0", "Lane_1")]),
-        "a LinearGaussianBayesianNetwork is not discrete: cut its continuous nodes into",
+        "LinearGaussianBayesianNetwork is no discrete Bayesian network of pgmpy; cut continuous",
     ),
-    "no network": (lambda: {"Lane": 3}, "dict is no Bayesian network of pgmpy"),
+    "no network": (lambda: {"Lane": 3}, "dict is no discrete Bayesian network of pgmpy"),
     "one slice only": (one_slice, "Lane: is of neither slice; name the nodes Lane_0 and Lane_1"),
 }
 

@@ -137,8 +137,6 @@ def test_a_frame_of_zero_joint_likelihood_keeps_its_prediction_and_is_flagged(me
     for name in compiled.hidden:
         np.testing.assert_allclose(ours.marginals[name], right.marginals[name], atol=1e-13)
     assert (ours.log_evidence[[2, 4]] == 0).all()
-    kept = [0, 1, 3, 5]
-    np.testing.assert_allclose(ours.mean_log_evidence, right.log_evidence[kept].mean())
 
 
 def test_the_paper_s_update_worked_by_hand() -> None:
@@ -184,7 +182,7 @@ def test_long_sequences_agree_with_the_twin_whatever_kernel_does_them(
     assert 0 < right.is_impossible.sum() < 1000
     ours = filter_beliefs(compiled, evidence, method)
     assert_same_beliefs(ours, right, 1e-9)
-    assert np.isfinite(ours.mean_log_evidence)
+    assert np.isfinite(ours.log_evidence).all()
     easy = draw_evidence(compiled, 1500, rng, zeros=0)
     right = reference.filter_beliefs(compiled, easy, method)
     assert_same_beliefs(filter_beliefs(compiled, easy, method), right, 1e-9)

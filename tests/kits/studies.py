@@ -34,6 +34,13 @@ def drive_of(experiment: Experiment) -> Drive:
     return drive
 
 
+def fitting(drive: Drive, **fit: Any) -> Drive:
+    """The drive with other settings in its section `fit`."""
+    own = drive.experiment.fit.model_dump(exclude_unset=True)
+    experiment = drive.experiment.model_copy(update={"fit": FitSettings(**{**own, **fit})})
+    return replace(drive, model=replace(drive.model, experiment=experiment))
+
+
 def two_drives(**keys: Any) -> list[Drive]:
     """Two simulated drives."""
     named = [simulated(f"d{seed}", recording=quickstart(seed), **keys) for seed in (0, 1)]

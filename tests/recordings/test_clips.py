@@ -34,9 +34,7 @@ def pictures(clip: str, numbers: Any) -> list[dict[str, Any]]:
 def clips_of(log: LineLog) -> list[tuple[str, list[int]]]:
     """The name and the frame ids of each clip."""
     assert log.clip is not None
-    return [
-        (str(log.clip[p.start]), log.frame_id[p].tolist()) for p in clip_slices(log.clip, len(log))
-    ]
+    return [(str(log.clip[p.start]), log.frame_id[p].tolist()) for p in clip_slices(log.clip)]
 
 
 def test_each_folder_of_the_official_test_labels_is_a_clip(tmp_path: Path) -> None:

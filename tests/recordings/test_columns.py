@@ -126,7 +126,7 @@ def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str,
             "in s; set `columns: {time_unit: ns}`",
         ),
         ("frame,offset_m\n1,2\n", "no column frame_id (did you mean 'frame'?)"),
-        ("time_s,offset_m\n2,1\n1,1\n", "row 2: time is empty or goes back; sort by time"),
+        ("time_s,offset_m\n2,1\n1,1\n", "row 2: time_s goes back; sort by time"),
     ],
 )
 def test_a_table_without_frames_is_refused_with_a_cure(

@@ -77,7 +77,7 @@ GOOD_MESSAGE = plain_message(0, LINES[0])
 
 
 def of_ids(*ids: int) -> Callable[[Path], object]:
-    return lambda path: write_bag(path, [plain_message(k, []) for k in ids])
+    return lambda path: write_bag(path, [plain_message(k, LINES[0]) for k in ids])
 
 
 def of_type(body: str, line: str = PLAIN_LINE) -> Callable[[Path], object]:
@@ -117,7 +117,7 @@ def killed(path: Path) -> None:
         (
             of_ids(0, 0, 0),
             {},
-            "way_id stays the same from message to message; `columns: {frame_id: null}`",
+            "row 2: its frame has this line twice; `columns: {frame_id: null}` numbers frames by",
         ),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],

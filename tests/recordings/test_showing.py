@@ -20,7 +20,7 @@ def test_lines_under_our_names_have_a_command_that_runs(tmp_path: Path, name: st
     log = short_drive(60).log
     write_lines(tmp_path / name, log)
     shown = done("show", tmp_path / name).stdout
-    assert "60 frames, 10.0 per second, gaps: 0" in shown
+    assert "60 frames, 10 per second, gaps: 0" in shown
     (command,) = (line for line in shown.splitlines() if line.startswith("  egolane run"))
     words = shlex.split(command.replace("--n-lanes N", "--n-lanes 3"))[1:]
     done(*words, "--no-figures", "--out", tmp_path / "out")

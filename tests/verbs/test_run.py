@@ -278,8 +278,8 @@ def test_without_a_single_valid_line_the_belief_stays_what_the_model_predicts(
     lines: list[Line] = [] if is_empty else [(False, True, 5, -1.0)]
     line_bag(tmp_path / "a.bag", list(range(1, 9)), [lines] * 8)
     # Over three lanes the lane dynamics by themselves favour the middle one.
-    wide: dict[str, Any] = {"sigma1": 2.0, "no_valid_line": "ignore"}
-    said, found = kept(tmp_path, tmp_path / "a.bag", parameters=wide)
+    wide: dict[str, Any] = {"sigma1": 2.0}
+    said, found = kept(tmp_path, tmp_path / "a.bag", graph="lane_only", parameters=wide)
     assert len(said) == 1
     assert "not a single valid line in 8 frames" in said[0]
     centres = np.arange(1, 4)

@@ -90,7 +90,6 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("zzz", "(known: aly, autoregressive, "),
         ("evidence:sensor_failure", "evidence: unknown name"),
         ("none.py", "graph: no file "),
-        ("{0}/both.py", "both.py is of several kinds; write graph:{0}/both.py or evidence:{0}"),
         ("detector:{0}/both.py", "does not define"),
         ("lane_only --n-lanes 51", "'--n-lanes': 51 is not in the range"),
         ("lane_only --json {0}/both.py/x.json", "cannot be written"),

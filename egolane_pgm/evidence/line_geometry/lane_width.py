@@ -22,7 +22,17 @@ from functools import lru_cache
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
+from egolane_pgm.evidence.line_geometry.scale import (
+    ALIKE,
+    DOUBLE,
+    ENOUGH_PAIRS,
+    EXPECTED_WITHIN,
+    GAP_SIGMA,
+    LEAST_PAIRS,
+    MOST_LANES,
+    PAIR_WITHIN,
+    line_classes,
+)
 from egolane_pgm.types import BoolArray, FloatArray, LineLog
 
 #: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.
@@ -33,34 +43,8 @@ _SMALLEST, _LARGEST = 1e-3, 1e5
 #: neighbours. That gap is one lane if all lines are seen, and several if some are missed.
 NARROWEST, WIDEST = 0.2, 1.5
 
-#: Gaps of more lanes than this count as off the lattice. If only every other line is seen, the
-#: second next one is four lanes away; with a smaller limit, twice the true width would explain gaps
-#: that the true width does not.
-MOST_LANES = 4
-
-#: Standard deviation of a gap, lane widths: lines lie within about .15 m of their place.
-GAP_SIGMA = 0.06
-
-#: A gap of less than this share of the frame's largest one is no lane, but a line reported twice.
-DOUBLE = 0.1
-
 #: The shares of gaps off the lattice that are tried.
 OFF_LATTICE = (0.05, 0.3, 0.6, 0.9)
-
-#: The number of gaps that count as one, because neighbouring frames show the same lines: two
-#: seconds of frames are little more evidence than a single one.
-ALIKE = 20
-
-#: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between
-#: every other line is two lanes, to within this many lane widths (the second). This is checked only
-#: with enough gaps (the third) for about three independent ones, since a detector may report two
-#: lines only.
-LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
-ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
-
-#: Scale of the prior, a Cauchy distribution of the logarithm of the width around the expected one.
-#: A width a tenth away is half as probable; those far away keep a chance.
-EXPECTED_WITHIN = 0.1
 
 #: The least log odds (natural) of a sure answer, against no lattice and against any other maximum.
 LEAST_ODDS = math.log(20)
@@ -112,7 +96,7 @@ def gap_counts(log: LineLog) -> FloatArray:
         where = (np.log(inside / _SMALLEST) / _STEP).astype(np.int64)
         counts[kind] += np.bincount(np.minimum(where, _N_BINS - 1), minlength=_N_BINS)
 
-    _, is_strong = line_classes(log)
+    _, is_strong = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
     offsets = np.sort(np.where(is_strong, log.offset_m, np.inf), axis=1)
     if offsets.shape[1] < 2:
         return counts

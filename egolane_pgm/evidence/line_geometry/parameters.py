@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from egolane_pgm.evidence.line_geometry.flag_semantics import N_CLASSES
+from egolane_pgm.evidence.line_geometry.model import N_CLASSES
 from egolane_pgm.graphs.position_in_lane import CELLS, MOTION_BINS
 from egolane_pgm.parameters import Parameter
 

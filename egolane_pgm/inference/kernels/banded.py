@@ -9,6 +9,7 @@ width of the band.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -42,8 +43,9 @@ class Band(NamedTuple):
     band: FloatArray
 
 
+@lru_cache(maxsize=16)
 def find_band(compiled: Compiled) -> Band | None:
-    """The banded form of a network's transition, or None where it has none."""
+    """Return the banded form of a network's transition, or None; cached for online filters."""
     sizes = [compiled.cardinality[name] for name in compiled.state_nodes]
     n_wide, n_others = sizes[-1], math.prod(sizes[:-1])
     n_inputs = len(compiled.transition)

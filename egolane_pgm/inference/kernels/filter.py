@@ -1,6 +1,6 @@
 """Kernels of the forward recursion and its likelihood.
 
-Each is compiled for networks of any size, and again for small networks with their sizes as
+The recursion is compiled for networks of any size, and again for small networks with their sizes as
 constants: unrolled loops over states are up to three times as fast.
 """
 
@@ -125,34 +125,18 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     return forward
 
 
-@lru_cache(maxsize=64)
-def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
-    """The likelihood of one group's evidence, compiled for these sizes; 0 for any size."""
+@kernel(fastmath={"contract"}, error_model="numpy")
+def multiply_likelihood(block: FloatArray, emission: FloatArray, likelihood: FloatArray) -> None:
+    """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
 
-    @kernel(fastmath={"contract"}, error_model="numpy")
-    def multiply_likelihood(
-        block: FloatArray, emission: FloatArray, likelihood: FloatArray
-    ) -> None:
-        """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
-
-        block (T, K): the group's evidence. emission (K, S).
-        """
-        n = n_states if n_states else emission.shape[1]
-        m = n_columns if n_columns else emission.shape[0]
-        given, table, written = block.ravel(), emission.ravel(), likelihood.ravel()
-        for t in range(block.shape[0]):
-            for s in range(n):
-                term = 0.0
-                for k in range(m):
-                    term += given[t * m + k] * table[k * n + s]
-                written[t * n + s] *= term
-
-    return multiply_likelihood
-
-
-@kernel()
-def multiply_chosen(block: FloatArray, only: IntArray, likelihood: FloatArray) -> None:
-    """As `multiply_likelihood`, for states that show one column each: only (S,)."""
+    block (T, K): the group's evidence. emission (K, S).
+    """
+    term = np.empty(emission.shape[1])
     for t in range(block.shape[0]):
-        for s in range(only.shape[0]):
-            likelihood[t, s] *= block[t, only[s]]
+        term[:] = 0.0
+        for k in range(emission.shape[0]):
+            share = block[t, k]
+            for s in range(emission.shape[1]):
+                term[s] += share * emission[k, s]
+        for s in range(emission.shape[1]):
+            likelihood[t, s] *= term[s]

@@ -7,7 +7,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,9 @@ from hypothesis import strategies as st
 
 from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.evidence import line_geometry
-from egolane_pgm.evidence.line_geometry import kernels as _line_geometry_kernel
+from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.flag_semantics import (
+    NO_LINES,
     FlagSemantics,
     LineCounts,
     added,
@@ -28,11 +29,11 @@ from egolane_pgm.evidence.line_geometry.flag_semantics import (
     count_lines,
     flag_semantics_of,
     is_placed,
-    line_classes,
 )
 from egolane_pgm.evidence.line_geometry.model import CLUTTER_PER_M
-from egolane_pgm.evidence.line_geometry.reading import frame_weights, read_lines
+from egolane_pgm.evidence.line_geometry.reading import read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
+from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.graphs import position_in_lane
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence
@@ -135,7 +136,13 @@ def test_without_an_lri_a_line_that_repeats_its_offset_is_held() -> None:
     )
     parameters, widths = resolved(lane_width_m=3.75), np.full(len(log), 3.75)
     ours, theirs = (
-        read_lines(each, line_classes(each)[0], widths, parameters, repeats_are_held=True)[0].kind
+        read_lines(
+            each,
+            line_classes(each.offset_m, each.is_valid, each.is_continuous, each.lri)[0],
+            widths,
+            parameters,
+            repeats_are_held=True,
+        )[0].kind
         for each in (held, gone)
     )
     np.testing.assert_array_equal(ours >= 0, theirs >= 0)
@@ -188,8 +195,9 @@ def test_an_ordinary_detector_is_left_alone() -> None:
 def test_counts_of_parts_add_up_to_that_of_the_drive() -> None:
     log = drive().log
     parts = [counted(log.take(slice(a, b))) for a, b in pairwise([0, 1, 300, 300, len(log)])]
-    assert flag_semantics_of(added(parts), "x") == flag_semantics_of(counted(log), "x")
-    assert added(parts).valid == counted(log).valid
+    total = reduce(added, parts, NO_LINES)
+    assert flag_semantics_of(total, "x") == flag_semantics_of(counted(log), "x")
+    np.testing.assert_array_equal(total.numbers, counted(log).numbers)
 
 
 # --- offsets -------------------------------------------------------------------------------------
@@ -254,9 +262,9 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
     kind = rng.integers(-1, 4, (30, n_lines))
     near = rng.uniform(0, 0.6, 30)
     found = []
-    for module in (_line_geometry_kernel, _line_geometry_numpy):
-        is_double, lines = np.empty(kind.shape, dtype=bool), np.zeros((31, 2), dtype=np.int64)
-        module.find_doubles(offset, kind, near, 1.0, is_double, lines)
+    for module in (kernels, _line_geometry_numpy):
+        before = np.zeros(2, dtype=np.int64)
+        is_double, lines = module.find_doubles(offset, kind, near / kernels.DOUBLE, before)
         assert lines[-1].tolist() == [(kind >= 0).sum(), is_double.sum()]
         found.append((is_double, lines))
     (ours, lines), (twin, of_twin) = found
@@ -292,22 +300,28 @@ def test_what_lines_say_weighs_by_the_time_since_the_frame_before() -> None:
     np.testing.assert_allclose(np.log(long[1:]), np.log(full[1:]), atol=1e-9)
 
 
+def frame_weights(log: LineLog) -> FloatArray:
+    weights: FloatArray = kernels.weigh_frames(log.time_s, log.is_missing, -np.inf)[0]
+    return weights
+
+
 def test_ten_frames_a_second_weigh_one_each() -> None:
     log = drive().log
-    assert (frame_weights(log)[0] == 1).all()
+    assert (frame_weights(log) == 1).all()
     late = replace(log, frame_id=log.frame_id + 10**9, time_s=(log.frame_id + 10**9) / 10.0)
-    assert (frame_weights(late)[0] == 1).all()
+    assert (frame_weights(late) == 1).all()
     unknown = replace(log, time_s=np.full(len(log), np.nan))
-    assert (frame_weights(unknown)[0] == 1).all()
+    assert (frame_weights(unknown) == 1).all()
 
 
 def test_frames_that_were_put_in_do_not_count_as_a_frame_before() -> None:
     log = drive().log.take(slice(0, 6))
     put_in = replace(log, is_missing=np.array([False, False, True, True, False, False]))
-    assert frame_weights(put_in)[0].tolist() == [1, 1, 1, 2, 3, 1]
+    assert frame_weights(put_in).tolist() == [1, 1, 1, 2, 3, 1]
     parts, last_s = [], -np.inf
     for t in range(6):
-        weight, last_s = frame_weights(put_in.take(slice(t, t + 1)), last_s)
+        frame = put_in.take(slice(t, t + 1))
+        weight, last_s = kernels.weigh_frames(frame.time_s, frame.is_missing, last_s)
         parts += weight.tolist()
     assert parts == [1, 1, 1, 2, 3, 1]
 
@@ -351,7 +365,7 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         found = [
-            line_geometry.fit(each, lane, everywhere, 3, resolved(lane_width_m=width))
+            line_geometry.fit([(each, lane, everywhere)], 3, resolved(lane_width_m=width))
             for each, width in ((in_lanes, 3.5), (odd, 375))
         ]
     for name in found[0]:

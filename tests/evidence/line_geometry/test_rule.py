@@ -19,18 +19,17 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     CLUTTER_PER_M,
     GENERIC,
     LANE_M,
     TABLE_STEP_M,
-    generic_model,
     line_model,
     places,
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
+from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.evidence.line_geometry.visibility import (
     new_visibility,
     visibility_models,
@@ -129,7 +128,7 @@ def by_the_formula(
                     intensity[m, lane] = model.clutter[c]
                     for k in range(n + 3):
                         z = offset * width / of_width + in_lane - place[lane, k]
-                        sigma = math.hypot(model.sigma_m[k], model.sigma_per_m * place[lane, k])
+                        sigma = math.hypot(model.sigmas_m[k], model.sigma_per_m * place[lane, k])
                         z /= sigma
                         normal = math.exp(-0.5 * z**2) / (sigma * math.sqrt(2 * math.pi))
                         rate = model.rates[lane, k] * model.class_shares[k, c]
@@ -264,15 +263,16 @@ def test_the_class_of_a_line(
 ) -> None:
     log = line_log([[offset]], is_valid=[[valid]], is_continuous=[[continuous]], lri=[[lri]])
     assert seen_lines(log).kind.tolist() == [[kind]]
-    _, is_strong = line_classes(log)
+    _, is_strong = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
     # How far is too far depends on the lane width, which the strong lines tell.
     is_too_far = abs(offset) > 16
     assert is_strong.tolist() == [[valid and not lri < 6 and (kind >= 0 or is_too_far)]]
 
 
 def seen_lines(log: LineLog, **given: object) -> SeenLines:
-    kind, _ = line_classes(log)
-    seen, _ = read_lines(log, kind, np.full(len(log), W), resolved(**given))
+    kind, _ = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
+    widths = np.full(len(log), W)
+    seen, _ = read_lines(log, kind, widths, resolved(**given), repeats_are_held=False)
     return seen
 
 
@@ -354,7 +354,7 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
-    shares = generic_model(3, replace(GENERIC, edge_continuous=0.95), 0.0).class_shares
+    shares = line_model(3, resolved(), replace(GENERIC, edge_continuous=0.95)).class_shares
     parameters = resolved(class_shares=shares, alpha=1)
     cannot_tell = line_log(lines * 2)
     can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
