@@ -18,7 +18,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import joint_input
 from egolane_pgm.inference.kernels.draws import draw_backward, draw_forward
 from egolane_pgm.inference.smoothing import pass_forward
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
     from egolane_pgm.model import Model
@@ -61,9 +61,9 @@ def sample(
     for group in compiled.groups:
         emission = group.emission.cumsum(axis=1)[drawn]
         goal = rng.random(n_frames)[:, None] * emission[:, -1:]
-        column = (emission <= goal).sum(axis=1)
-        values = np.unravel_index(column, group.sizes)
-        columns |= dict(zip(group.nodes, map(np.asarray, values), strict=True))
+        shown, sizes = _nodes(compiled, group.observed)
+        values = np.unravel_index((emission <= goal).sum(axis=1), sizes)
+        columns |= dict(zip(shown, map(np.asarray, values), strict=True))
     for name in compiled.inputs:
         columns[name] = np.asarray((inputs or {})[name])
     names = compiled.values
@@ -80,7 +80,7 @@ def sampled_states(
     """Return n drives drawn from the model as joint states, (n, T)."""
     if n_frames < 1 or n < 1:
         raise InputError(f"sample: {min(n_frames, n)} is not a positive number")
-    ones = {key: np.ones((n_frames, *sizes)) for key, sizes in _shapes(compiled).items()}
+    ones = {key: np.ones((n_frames, *_nodes(compiled, key)[1])) for key in compiled.observed}
     given = {name: np.asarray(index) for name, index in (inputs or {}).items()}
     index = joint_input(compiled, Evidence(ones, given))
     paths = np.empty((n, n_frames), dtype=np.int64)
@@ -145,17 +145,15 @@ def predicted(
         states[rows] = before[rows] @ compiled.transition[u]
     found: dict[str, FloatArray] = {}
     for group in compiled.groups:
-        joint = (states @ group.emission).reshape(-1, *group.sizes)
-        for k, name in enumerate(group.nodes):
-            others = tuple(1 + j for j in range(len(group.sizes)) if j != k)
+        names, sizes = _nodes(compiled, group.observed)
+        joint = (states @ group.emission).reshape(-1, *sizes)
+        for k, name in enumerate(names):
+            others = tuple(1 + j for j in range(len(sizes)) if j != k)
             found[name] = joint.sum(axis=others)
     return found
 
 
-def _shapes(compiled: Compiled) -> dict[str | tuple[str, ...], tuple[int, ...]]:
-    """Return the cardinalities of each observed key."""
-    return {
-        key: tuple(group.sizes[k] for k in axes)
-        for group in compiled.groups
-        for key, axes in zip(group.observed, group.axes, strict=True)
-    }
+def _nodes(compiled: Compiled, key: Observed) -> tuple[tuple[str, ...], tuple[int, ...]]:
+    """Return the nodes of a key of the evidence and their cardinalities."""
+    names = (key,) if isinstance(key, str) else key
+    return names, tuple(compiled.cardinality[name] for name in names)

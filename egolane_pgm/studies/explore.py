@@ -25,9 +25,8 @@ from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial
 from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, make_evidence
-from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval, ratio
-from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.scoring.probabilistic import log_loss_per_frame
+from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
+from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.studies.fits import learnable_nodes, start_of_learning, training_of
 from egolane_pgm.studies.structures import (
@@ -274,7 +273,7 @@ def gain_of(found: Judged, start: Judged) -> Interval:
         np.stack([np.nan_to_num(a - b), (~np.isnan(a)).astype(np.float64)], axis=1)
         for a, b in pairs
     ]
-    return bootstrap_interval(counts, ratio)
+    return bootstrap_interval(counts, lambda sums: np.asarray(sums[..., 0] / sums[..., 1], float))
 
 
 class _Tried:
