@@ -33,12 +33,6 @@ SliceNode = tuple[str, int]
 #: The end of the name of a virtual-evidence node.
 VE_SUFFIX = "_ve"
 
-#: The note at the virtual-evidence nodes of a declared network.
-PLACEHOLDER = (
-    "virtual evidence: this table is a placeholder; ego.unrolled or Result.network(evidence=True)"
-    " gives frames whose tables hold their evidence"
-)
-
 
 def lane_normals(sigma: float, n: int, shift: float = 0.0) -> FloatArray:
     """Return the paper's F(N(mean, sigma^2)) for each of the lanes 1 to n plus `shift` as the mean:
@@ -170,15 +164,14 @@ def declare(
     """Declare the tables as a pgmpy network with both slices in full.
 
     - observed: nodes, or tuples of nodes observed jointly. Each gets a binary child `<name>_ve` for
-      virtual evidence, whose table is a placeholder (1/2 everywhere) with a note, see
-      `network.nodes["WOR_ve", 0]`
+      virtual evidence, whose table is a placeholder (1/2 everywhere); `unrolled` gives frames whose
+      tables hold their evidence
     - values: the names of each node's values (pgmpy's state names), by default numbers from 0
 
     Raises InputError as `check_tables`.
     """
     tables = list(tables)
     check_tables(tables, observed)
-    n_given = len(tables)
     cardinality = {table.node: table.values.shape[-1] for table in tables}
     for target in observed:
         names = (target,) if isinstance(target, str) else target
@@ -215,8 +208,6 @@ def declare(
                     },
                 )
             )
-        for table in tables[n_given:]:
-            network.nodes[table.node]["note"] = PLACEHOLDER
         return network
 
 

@@ -235,7 +235,10 @@ def compile_tables(
     aligned = {}
     for (name, s), table in of_node.items():
         parents = tuple((p, s) for p, _ in of_node[name, 1].parents)
-        aligned[name, s] = _in_order(table, parents)
+        if table.parents != parents and sorted(table.parents) == sorted(parents):
+            order = [table.parents.index(p) for p in parents]
+            table = Table(table.node, parents, table.values.transpose(*order, len(order)))
+        aligned[name, s] = table
     one_table = set()
     for (name, s), first in aligned.items():
         later = aligned[name, 1]
@@ -336,7 +339,7 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     The numbers may change a node's role: a function may become uncertain, an emission's table may
     differ between the slices.
 
-    Raises InputError, naming the node, for a table with other parents or another shape.
+    Raises InputError, naming the node, for a table with other parents or values.
     """
     now = dict(compiled.tables)
     for table in tables:
@@ -345,10 +348,10 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
         if table.node not in now:
             continue  # a virtual-evidence node
-        old = now[table.node]
-        table = now[table.node] = _in_order(table, old.parents)
-        if table.parents != old.parents or table.values.shape != old.values.shape:
-            raise InputError(f"{name}: the table has other parents or another shape than before")
+        old, now[table.node] = now[table.node], table
+        n_values = old.values.shape[-1]
+        if set(table.parents) != set(old.parents) or table.values.shape[-1] != n_values:
+            raise InputError(f"{name}: the table has other parents or values than before")
     new = compile_tables(
         list(now.values()),
         observed=compiled.observed,
@@ -368,14 +371,6 @@ def with_initial_lane(compiled: Compiled, start: FloatArray) -> Compiled:
     prior = compiled.prior * start[compiled.node_value["Lane"]]
     total = prior.sum(axis=1, keepdims=True)
     return replace(compiled, prior=prior / np.where(total > 0, total, 1), start=start)
-
-
-def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
-    """Return the table with its parents in this order, or unchanged if it has other parents."""
-    if table.parents == parents or sorted(table.parents) != sorted(parents):
-        return table
-    order = [table.parents.index(p) for p in parents]
-    return Table(table.node, parents, table.values.transpose(*order, len(order)))
 
 
 def _values_in(nodes: Sequence[str], size: Mapping[str, int]) -> dict[str, IntArray]:

@@ -134,13 +134,6 @@ def test_frames_with_their_evidence_give_the_same_answers() -> None:
         np.testing.assert_allclose(found, filtered[node][3], rtol=0, atol=1e-12)
 
 
-def test_a_declared_network_says_that_its_virtual_evidence_is_a_placeholder() -> None:
-    network = compiled().network
-    for s in (0, 1):
-        assert "placeholder" in network.nodes["Rpm_ve", s]["note"]
-        assert not network.nodes["Rpm", s]
-
-
 def test_what_was_learned_goes_back_into_the_network() -> None:
     network = own_network()
     fitted = fit_tables(compiled(), evidence(), strength=1.0, iterations=5)
