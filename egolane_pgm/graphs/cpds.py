@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from egolane_pgm.types import FloatArray, InputError, Observed
 
 if TYPE_CHECKING:
+    from pgmpy.factors.discrete import TabularCPD
     from pgmpy.models import DynamicBayesianNetwork
 
 SliceNode = tuple[str, int]
@@ -95,19 +96,18 @@ class Table:
 
     def __post_init__(self) -> None:
         # Quick, because a search builds thousands of tables per second; NaN fails both comparisons.
-        if self.values.ndim == len(self.parents) + 1:
-            off = np.abs(self.values.sum(axis=-1) - 1).max()
-            if self.values.min() >= 0 and off <= 1e-9:
-                return
-        name = f"P({_spell(self.node)} | {', '.join(map(_spell, self.parents)) or 'nothing'})"
-        if self.values.ndim != len(self.parents) + 1:
-            raise InputError(
-                f"{name}: the table has {self.values.ndim} axes, needs {len(self.parents) + 1}:"
-                " one per parent and the node's own"
-            )
-        if not np.isfinite(self.values).all() or (self.values < 0).any():
-            raise InputError(f"{name}: the table has a negative or NaN entry")
-        raise InputError(f"{name}: the rows of the table must sum to one")
+        n_axes = len(self.parents) + 1
+        if self.values.ndim != n_axes:
+            has = f"the table has {self.values.ndim} axes, needs {n_axes}"
+            problem = f"{has}: one per parent and the node's own"
+        elif not self.values.min() >= 0:
+            problem = "the table has a negative or NaN entry"
+        elif not np.abs(self.values.sum(axis=-1) - 1).max() <= 1e-9:
+            problem = "the rows of the table must sum to one"
+        else:
+            return
+        given = ", ".join(map(_spell, self.parents)) or "nothing"
+        raise InputError(f"P({_spell(self.node)} | {given}): {problem}")
 
 
 def _spell(node: SliceNode) -> str:
@@ -178,7 +178,6 @@ def declare(
         sizes = [cardinality[name, 0] for name in names]
         tables += within(ve_name(target), names, np.full((*sizes, 2), 0.5))
     with quiet():
-        from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DynamicBayesianNetwork
         from pgmpy.models.DynamicBayesianNetwork import DynamicNode
 
@@ -193,22 +192,28 @@ def declare(
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
                 super(DynamicBayesianNetwork, network).add_node(DynamicNode(*table.node))
-            # In pgmpy the node's values are rows and the parents' combinations columns.
-            columns = table.values.reshape(-1, table.values.shape[-1]).T
-            axes = zip((*table.parents, table.node), table.values.shape, strict=True)
-            network.add_cpds(
-                TabularCPD(
-                    table.node,
-                    len(columns),
-                    columns,
-                    evidence=list(table.parents),
-                    evidence_card=list(table.values.shape[:-1]),
-                    state_names={
-                        node: list((values or {}).get(node[0], range(size))) for node, size in axes
-                    },
-                )
-            )
+            network.add_cpds(tabular_cpd(table, values or {}))
         return network
+
+
+def tabular_cpd(
+    table: Table,
+    values: Mapping[str, Sequence[str]],
+    spell: Callable[[SliceNode], Any] = lambda node: node,
+) -> TabularCPD:
+    """Return a table as pgmpy's CPD.
+
+    - values: the names of each node's values, by default numbers from 0
+    - spell: gives the node in pgmpy
+    """
+    from pgmpy.factors.discrete import TabularCPD
+
+    axes = zip((*table.parents, table.node), table.values.shape, strict=True)
+    names = {spell(node): list(values.get(node[0], range(size))) for node, size in axes}
+    *parents, node = names
+    # In pgmpy the node's values are rows and the parents' combinations columns.
+    columns = table.values.reshape(-1, table.values.shape[-1]).T
+    return TabularCPD(node, len(columns), columns, parents, list(table.values.shape[:-1]), names)
 
 
 def builder(

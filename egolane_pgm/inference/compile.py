@@ -18,7 +18,6 @@ likelihood of the states with these values.
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, declare, ve_name
 from egolane_pgm.graphs.from_pgmpy import read_network
-from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, Observed, suggestion
+from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -117,11 +116,6 @@ class Compiled:
         return f"Compiled({nodes}: {self.n_states} joint states; observes {seen})"
 
     @property
-    def functions(self) -> tuple[str, ...]:
-        """The hidden nodes that are functions of others."""
-        return tuple(name for name in self.hidden if name not in self.state_nodes)
-
-    @property
     def observed(self) -> tuple[Observed, ...]:
         """The keys that the evidence must have."""
         return tuple(group.observed for group in self.groups)
@@ -156,10 +150,9 @@ def compile(
     - values: names of nodes' values, instead of the network's. By default those of LANES count
       from 1 and those of any other node from 0.
 
-    Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
-    naming the node or the file, for anything that the filters do not support.
+    A virtual-evidence child that an observed node does not have is added. Raises InputError, naming
+    the node or the file, for anything that the filters do not support.
 
-    >>> import warnings
     >>> import numpy as np
     >>> import egolane_pgm as ego
     >>> from pgmpy.factors.discrete import TabularCPD
@@ -170,9 +163,7 @@ def compile(
     ...     TabularCPD(("Lane", 1), 2, [[0.9, 0.1], [0.1, 0.9]], [("Lane", 0)], [2]),
     ...     TabularCPD(("Line", 0), 2, [[0.8, 0.2], [0.2, 0.8]], [("Lane", 0)], [2]),
     ... )
-    >>> with warnings.catch_warnings():
-    ...     warnings.simplefilter("ignore")  # Line has no virtual-evidence node
-    ...     compiled = ego.compile(network, observed=["Line"])
+    >>> compiled = ego.compile(network, observed=["Line"])
     >>> compiled
     Compiled(Lane (2): 2 joint states; observes Line)
     >>> seen = ego.Evidence({"Line": np.array([[1.0, 0.0], [1.0, 0.0]])})
@@ -195,22 +186,13 @@ def compile(
             tables.append(table)
         elif set(table.parents) != {(n, s) for n in ve[name]}:
             raise InputError(f"{name}: its parents must be {', '.join(ve[name])} in the same slice")
-    compiled = compile_tables(
+    return compile_tables(
         tables,
         observed=tuple(observed),
         hidden=tuple(hidden),
         inputs=tuple(inputs),
         values={**declared.values, **(values or {})},
     )
-    missing = [name for name in ve if (name, 0) not in declared.tables]
-    if missing:
-        warnings.warn(
-            f"{NOTE}the network has no {', '.join(missing)}: missing"
-            " virtual-evidence nodes are added",
-            UserWarning,
-            stacklevel=2,
-        )
-    return compiled
 
 
 def compile_tables(

@@ -36,9 +36,6 @@ class Path:
     log_probability: float
     is_impossible: BoolArray
 
-    def __len__(self) -> int:
-        return len(self.frame_id)
-
     @property
     def lane(self) -> IntArray:
         """(T,): the lane in each frame, 1 to n."""

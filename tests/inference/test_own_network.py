@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -69,9 +68,7 @@ def own_network() -> Any:
 
 def compiled(network: Any = None, **options: Any) -> Compiled:
     roles: dict[str, Any] = {"observed": ["Rpm", "Noise"], "inputs": ["Hill"], **options}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it has no virtual-evidence nodes
-        return compile(network or own_network(), **roles)
+    return compile(network or own_network(), **roles)
 
 
 def evidence() -> Evidence:
