@@ -106,11 +106,12 @@ class Table:
             problem = "the rows of the table must sum to one"
         else:
             return
-        given = ", ".join(map(_spell, self.parents)) or "nothing"
-        raise InputError(f"P({_spell(self.node)} | {given}): {problem}")
+        given = ", ".join(map(spell, self.parents)) or "nothing"
+        raise InputError(f"P({spell(self.node)} | {given}): {problem}")
 
 
-def _spell(node: SliceNode) -> str:
+def spell(node: SliceNode) -> str:
+    """Return a node of a slice as messages name it."""
     return f"{node[0]} at t" if node[1] == 0 else f"{node[0]} at t+1"
 
 
@@ -199,17 +200,17 @@ def declare(
 def tabular_cpd(
     table: Table,
     values: Mapping[str, Sequence[str]],
-    spell: Callable[[SliceNode], Any] = lambda node: node,
+    name_of: Callable[[SliceNode], Any] = lambda node: node,
 ) -> TabularCPD:
     """Return a table as pgmpy's CPD.
 
     - values: the names of each node's values, by default numbers from 0
-    - spell: gives the node in pgmpy
+    - name_of: returns the name of a node in pgmpy
     """
     from pgmpy.factors.discrete import TabularCPD
 
     axes = zip((*table.parents, table.node), table.values.shape, strict=True)
-    names = {spell(node): list(values.get(node[0], range(size))) for node, size in axes}
+    names = {name_of(node): list(values.get(node[0], range(size))) for node, size in axes}
     *parents, node = names
     # In pgmpy the node's values are rows and the parents' combinations columns.
     columns = table.values.reshape(-1, table.values.shape[-1]).T
@@ -236,7 +237,7 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
     for table in tables:
         name, n_values = table.node[0], table.values.shape[-1]
         if table.node in parents:
-            raise InputError(f"{_spell(table.node)}: there are two tables for it")
+            raise InputError(f"{spell(table.node)}: there are two tables for it")
         if size.setdefault(name, n_values) != n_values:
             raise InputError(
                 f"{name}: has {size[name]} values in the first frame and {n_values} later"
@@ -251,7 +252,7 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
         for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):
             if (parent, at) not in parents:
                 raise InputError(
-                    f"{_spell(table.node)} has the parent {_spell((parent, at))}, for which there"
+                    f"{spell(table.node)} has the parent {spell((parent, at))}, for which there"
                     " is no table"
                 )
             if at > s:
@@ -273,6 +274,6 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
         for name, at in sorted(parents[node]):
             if at == s and (name, 1 - s) not in parents.get(other, ()):
                 raise InputError(
-                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
-                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
+                    f"{spell(node)} depends on {spell((name, s))}, but {spell(other)} does not"
+                    f" depend on {spell((name, 1 - s))}: give both tables the same parent"
                 )

@@ -40,16 +40,13 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
-#: Why an observed node is in the joint state.
-_NOT_PLAIN = "an edge across the slices, an input, a child, two evidences or another first table"
-
 
 @dataclass(frozen=True)
 class Group:
     """The evidence of a node, or of several nodes jointly.
 
-    observed: the key of the evidence, whose K values are those of the nodes, the first one's vary
-    slowest. emission (S, K): P(values | joint state), 0 if they differ from those in the joint
+    observed: the key of the evidence. K is the number of joint values of its nodes, the first one's
+    vary slowest. emission (S, K): P(values | joint state), 0 if they differ from those in the joint
     state. only (S,): the only possible value in each joint state, None if a state has several.
     """
 
@@ -59,8 +56,9 @@ class Group:
 
 
 class Placement(NamedTuple):
-    """The array that a table is a factor of: `target` is "prior", "transition" or the number of a
-    group (its emission), `indices` (a broadcastable array per axis) select the table's entries."""
+    """The place of a table in the arrays. It is multiplied into `target`: "prior", "transition" or
+    the number of a group (its emission). `indices`, a broadcastable array per axis, select its
+    entries."""
 
     target: str | int
     indices: tuple[IntArray, ...]
@@ -85,7 +83,7 @@ class Compiled:
     prior (U, S): P(joint state of the first frame), before its evidence.
     transition (U, S, S): row is the previous state.
     groups: the emissions, one for each key of the evidence.
-    places: the array that each table is a factor of.
+    places: the place of each table in these arrays.
     tables: the table of every node but the virtual-evidence ones, in both slices.
     one_table: the nodes with the same table in the first frame and in all later ones.
     values: the names of each of these nodes' values.
@@ -147,8 +145,8 @@ def compile(
     - hidden: the nodes of the beliefs; by default Lane and all nodes that are neither observed nor
       inputs.
     - inputs: nodes without parents whose value is known in every frame.
-    - values: names of nodes' values, instead of the network's. By default those of LANES count
-      from 1 and those of any other node from 0.
+    - values: names of nodes' values, instead of the network's. By default the values of LANES are
+      counted from 1, of any other node from 0.
 
     A virtual-evidence child that an observed node does not have is added. Raises InputError, naming
     the node or the file, for anything that the filters do not support.
@@ -236,11 +234,9 @@ def compile_tables(
         )
     n_states, n_inputs = math.prod(size[n] for n in state), math.prod(size[n] for n in inputs)
     if n_states > MAX_STATES:
-        seen = [n for n in state if n not in hidden]
-        why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
         product = " x ".join(f"{n} {size[n]}" for n in state)
         raise InputError(
-            f"the joint state has {n_states} values ({product}), more than {MAX_STATES}{why}"
+            f"the joint state has {n_states} values ({product}), more than {MAX_STATES}"
         )
     node_value = _values_in(state, size)
     first_column = np.cumsum([0, *(size[n] for n in state)])[:-1, None]
