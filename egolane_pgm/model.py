@@ -143,11 +143,8 @@ def compile_graph(
                 f" {', '.join(map(str, provides)) or 'nothing (it has no PROVIDES)'}, the graph has"
                 f" {', '.join(sorted(nodes))}"
             )
-    with warnings.catch_warnings():
-        # A plain network has no virtual-evidence nodes.
-        warnings.simplefilter("ignore", UserWarning)
-        hidden = getattr(graph, "HIDDEN", None)
-        compiled = compile(network, hidden=hidden, observed=observed, inputs=inputs, values=values)
+    hidden = getattr(graph, "HIDDEN", None)
+    compiled = compile(network, hidden=hidden, observed=observed, inputs=inputs, values=values)
     return compiled, unused
 
 

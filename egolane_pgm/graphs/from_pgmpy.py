@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet, spell
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -186,8 +186,8 @@ def _tables(
             continue
         if node not in parents or set(given) != set(parents[node]):
             raise InputError(
-                f"{node[0]} in slice {node[1]}: its table is given {_names(given)}, its edges come"
-                f" from {_names(parents.get(node, ()))}"
+                f"{spell(node)}: its table is given {_names(given)}, its edges come from"
+                f" {_names(parents.get(node, ()))}"
             )
         tables[node] = _table(cpd, values)
     for (name, s), edges in parents.items():
@@ -199,17 +199,15 @@ def _tables(
         shifted = tuple((p, 1 - q) for p, q in table.parents)
         if set(shifted) != set(edges):
             raise InputError(
-                f"{name}: no table for slice {s}, where its edges come from {_names(edges)}; that"
-                f" of slice {1 - s} is given {_names(table.parents)}"
+                f"{spell((name, s))}: has no table, and its edges come from {_names(edges)}; the"
+                f" table of the other slice is given {_names(table.parents)}"
             )
         tables[name, s] = Table((name, s), shifted, table.values)
     return tables
 
 
 def _names(nodes: Iterable[SliceNode]) -> str:
-    return (
-        ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
-    )
+    return ", ".join(sorted(map(spell, nodes))) or "nothing"
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -236,11 +234,8 @@ def read_file(path: Path) -> Any:
             # pgmpy's readers raise any error for a file that is no network.
             why = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{path}: is no {kind} file that pgmpy can read ({why})") from error
-        without = [str(n) for n in network if network.get_cpds(n) is None]
     if not len(network):
         raise InputError(f"{path}: has no variable; is it a {kind} file?")
-    if without:
-        raise InputError(f"{path}: no probabilities of {', '.join(without)}; is it truncated?")
     return network
 
 

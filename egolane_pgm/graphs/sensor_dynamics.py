@@ -21,8 +21,8 @@ PARAMETERS = (
         "sigma1_bad",
         "sigma",
         0.6,
-        "standard deviation of the lane dynamics into a frame in which the sensor is BAD, lanes"
-        " (`sigma1`: in which it is OK)",
+        "standard deviation of the lane dynamics into a frame with a BAD sensor, lanes (`sigma1`:"
+        " with an OK one)",
     ),
 )
 

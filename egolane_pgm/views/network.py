@@ -70,7 +70,8 @@ class Structure:
 def structure_of(compiled: Compiled) -> Structure:
     """The structure of a compiled network, with its virtual-evidence nodes."""
     kind = {name: "observed" for name, _ in compiled.tables}
-    kind |= dict.fromkeys(compiled.hidden, "hidden") | dict.fromkeys(compiled.functions, "function")
+    for name in compiled.hidden:
+        kind[name] = "hidden" if name in compiled.state_nodes else "function"
     kind |= dict.fromkeys(compiled.inputs, "input")
     edges = [(parent, node) for node, table in compiled.tables.items() for parent in table.parents]
     for key in compiled.observed:

@@ -72,7 +72,7 @@ def test_the_normal_s_distribution_function_keeps_the_digits_of_its_tail() -> No
         ((("A", 0),), np.full(2, 0.5), "P(D at t+1 | A at t): the table has 1 axes, needs 2"),
         ((), np.array([np.nan, 1.0]), "P(D at t+1 | nothing): the table has a negative or NaN"),
         ((), np.array([-0.5, 1.5]), "P(D at t+1 | nothing): the table has a negative or NaN"),
-        ((), np.array([np.inf, 1.0]), "P(D at t+1 | nothing): the table has a negative or NaN"),
+        ((), np.array([np.inf, 1.0]), "P(D at t+1 | nothing): the rows of the table must sum"),
         (
             (("A", 1),),
             np.array([[0.5, 0.5], [0.5, 0.6]]),

@@ -244,12 +244,12 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "one CPD missing": (lambda: dynamic(without(*FIRST, *LATER)), "Seen: has no table (a Tab"),
     "prior missing": (
         lambda: dynamic(without(("Lane", 0))),
-        "Lane: no table for slice 0, where its edges come from nothing; that of slice 1 is given"
-        " Lane[t]",
+        "Lane at t: has no table, and its edges come from nothing; the table of the other slice is"
+        " given Lane at t",
     ),
     "another parent": (
         lambda: changed(halves(("WOR", 1), ("Lane", 1))),
-        "WOR in slice 1: its table is given Lane[t+1], its edges come from Sensor[t+1]",
+        "WOR at t+1: its table is given Lane at t+1, its edges come from Sensor at t+1",
     ),
     "too many rows": (
         lambda: changed(halves(("WOR", 1), ("Sensor", 1), sizes=(3,))),

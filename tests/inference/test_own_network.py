@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -69,9 +68,7 @@ def own_network() -> Any:
 
 def compiled(network: Any = None, **options: Any) -> Compiled:
     roles: dict[str, Any] = {"observed": ["Rpm", "Noise"], "inputs": ["Hill"], **options}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # it has no virtual-evidence nodes
-        return compile(network or own_network(), **roles)
+    return compile(network or own_network(), **roles)
 
 
 def evidence() -> Evidence:
@@ -132,13 +129,6 @@ def test_frames_with_their_evidence_give_the_same_answers() -> None:
             np.testing.assert_allclose(found, smoothed[node][t], rtol=0, atol=1e-12)
         found = ask(latest.network, f"{node}@3", evidence=latest.given)
         np.testing.assert_allclose(found, filtered[node][3], rtol=0, atol=1e-12)
-
-
-def test_a_declared_network_says_that_its_virtual_evidence_is_a_placeholder() -> None:
-    network = compiled().network
-    for s in (0, 1):
-        assert "placeholder" in network.nodes["Rpm_ve", s]["note"]
-        assert not network.nodes["Rpm", s]
 
 
 def test_what_was_learned_goes_back_into_the_network() -> None:
