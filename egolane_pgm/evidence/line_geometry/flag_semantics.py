@@ -12,7 +12,6 @@ one. Then all lines are valid, or all are not continuous.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -169,14 +168,3 @@ def translated(log: LineLog, detector: FlagSemantics) -> LineLog:
     if not detector.uses_continuous and log.is_continuous.any():
         changes["is_continuous"] = np.zeros(log.is_continuous.shape, dtype=bool)
     return replace(log, **changes) if changes else log
-
-
-def translated_recording(log: LineLog) -> tuple[LineLog, FlagSemantics]:
-    """Return a whole recording on the paper's scale (`translated`), and its flag semantics.
-
-    Warns of unusual semantics.
-    """
-    detector = flag_semantics_of(count_lines([columns(log)]), log.source)
-    for note in detector.notes:
-        warnings.warn(note, stacklevel=2)
-    return translated(log, detector), detector
