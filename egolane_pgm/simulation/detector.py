@@ -59,18 +59,18 @@ class DetectorModel:
     - noise_m: standard deviation of a reported line from its place
     - seen_left, seen_inner, seen_right, seen_shoulder: probability that a near line is in view: the
       leftmost line, an inner (dashed) one, the rightmost one, the line beyond the shoulder
-    - range_m: distance at which a line is in view half as often
+    - range_m: distance that halves the probability of being in view
     - in_view_s: correlation time of being in view, seconds
     - miss: probability that a line in view is missed in a frame
     - continuous_left, continuous_inner, continuous_right, continuous_shoulder: probability that the
       line has the continuous flag
-    - clutter: share of the time for which each of the two false tracks is there
+    - clutter: share of the time in which each of the two false tracks is present
     - ok_s, bad_s: mean time in the states OK and BAD of the sensor, a Markov chain, seconds;
       bad_s = 0 for no failures
-    - bad_missed: probability, per line and failure, that the line is not detected
-    - bad_shifted: probability, per line and failure, that the line is reported shifted; all lines
+    - bad_missed: probability, per line and failure, of no detection of the line
+    - bad_shifted: probability, per line and failure, of a shift of the reported line; all lines
       of a failure share the shift
-    - bad_clutter: probability, per false track and failure, that the track is there
+    - bad_clutter: probability, per false track and failure, of the presence of the track
     """
 
     offset_scale: Positive = 1.0
@@ -250,7 +250,7 @@ class SimulatedDrive:
     - log: the detected lines
     - truth: the annotated lane
     - position_m: (T,) distance of the vehicle from the leftmost line, metres
-    - is_failing: (T,) whether the sensor is in its BAD state
+    - is_failing: (T,) True in the BAD state of the sensor
     """
 
     log: LineLog

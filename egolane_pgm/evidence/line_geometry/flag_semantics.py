@@ -25,7 +25,7 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 #: now and then report larger numbers, from uninitialised memory.
 FULL_SHARE = 0.95
 
-#: The shares of lines with a flag between which the flag is used. In the paper's recordings at
+#: A flag is used if its share of the lines is between these. In the paper's recordings at
 #: least two thirds of the lines are valid, and at most a fifth of these are continuous.
 LEAST_VALID, LEAST_CONTINUOUS, MOST_CONTINUOUS = 0.1, 0.01, 0.9
 
@@ -77,7 +77,7 @@ PAPER = FlagSemantics(FULL_LRI, uses_valid=True, uses_continuous=True)
 
 
 def is_placed(offset_m: FloatArray) -> BoolArray:
-    """Return whether each offset is a line, not padding or a placeholder."""
+    """Return True for offsets of lines, False for padding and placeholders."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.isfinite(offset_m) & (np.abs(offset_m) > PLACEHOLDER_M))
 

@@ -149,8 +149,8 @@ def _online(
             log, kind, middle, parameters, detector.repeats_are_held, last
         )
         weights, last_s = kernels.weigh_frames(recorded.time_s, recorded.is_missing, last_s)
-        told = tables[has_flags]
-        return _evidence(seen, widths, weights, log.is_missing, told, visibility, parameters)
+        used = tables[has_flags]
+        return _evidence(seen, widths, weights, log.is_missing, used, visibility, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         if len(recorded) <= 1:
