@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from pydantic import Field, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
@@ -28,9 +29,6 @@ from egolane_pgm.simulation.world import (
     slow_noise,
 )
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: Correlation times of the noise and of the continuous flag, and the mean duration of a false
 #: track, seconds.
@@ -190,12 +188,6 @@ def _clutter_tracks(
     return offset, is_detected, is_continuous
 
 
-def _last_frame_with(event: BoolArray) -> IntArray:
-    """The last frame up to now with the event, (T, K); -1 before the first."""
-    frame = np.arange(len(event))[:, None]
-    return np.asarray(np.maximum.accumulate(np.where(event, frame, -1), axis=0))
-
-
 def line_reliability(is_detected: BoolArray) -> tuple[IntArray, BoolArray]:
     """Return LRI and valid flags, (T, K) each, of tracks with detections (T, K).
 
@@ -205,7 +197,8 @@ def line_reliability(is_detected: BoolArray) -> tuple[IntArray, BoolArray]:
     first = np.repeat(is_detected[:1], _LRI_MAX, axis=0)
     total = np.cumsum(np.concatenate([first, is_detected]), axis=0)
     lri = total[_LRI_MAX:] - total[:-_LRI_MAX]
-    return lri, _last_frame_with(lri == _LRI_MAX) > _last_frame_with(lri == 0)
+    state = pd.DataFrame(np.select([lri == _LRI_MAX, lri == 0], [1.0, 0.0], np.nan)).ffill()
+    return lri, (state == 1).to_numpy()
 
 
 def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, seed: int) -> LineLog:
@@ -225,9 +218,11 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
     )
     lri, is_valid = line_reliability(is_detected)
     is_listed = lri > 0
-    last = np.maximum(_last_frame_with(is_detected), 0)
-    offset = np.where(is_listed, np.take_along_axis(offset, last, axis=0), np.nan)
-    is_continuous = np.take_along_axis(is_continuous, last, axis=0) & is_listed
+    held, flag = (
+        pd.DataFrame(np.where(is_detected, values, np.nan)).ffill().to_numpy()
+        for values in (offset, is_continuous)
+    )
+    offset, is_continuous = np.where(is_listed, held, np.nan), (flag == 1) & is_listed
 
     n_slots = max(1, int(is_listed.sum(axis=1).max()))
     order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last

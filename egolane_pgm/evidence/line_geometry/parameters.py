@@ -17,8 +17,8 @@ PARAMETERS = (
         "positive",
         "causal",
         "lane width in the detector's metres: a number, `causal` (estimated, like the semantics of"
-        " the detector's flags and LRI, from the frames so far) or `auto` (from the whole recording;"
-        " the default of the filter `smoothed`)",
+        " the detector's flags and LRI, from the frames so far) or `auto` (from the whole"
+        " recording; the default of the filter `smoothed`)",
         choices=("auto", "causal"),
         smoothed="auto",
         lowest=_NARROWEST_M,
