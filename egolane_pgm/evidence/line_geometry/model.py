@@ -99,7 +99,7 @@ class Kind:
     edge_continuous: float = 0.25
 
 
-#: The kind if none is learned.
+#: The default kind.
 GENERIC = Kind()
 
 #: The parameters that a fit gives: fields of the model.

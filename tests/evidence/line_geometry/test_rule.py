@@ -36,8 +36,6 @@ from egolane_pgm.evidence.line_geometry.visibility import (
     visibility_tables,
 )
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.inference.compile import compile
-from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import simulate
@@ -526,31 +524,6 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
             )
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_without_labels_it_beats_the_votes_on_a_simulated_drive(seed: int) -> None:
-    from egolane_pgm.evidence import counting
-
-    drive = simulate("quickstart", seed=seed, frames=800)
-    parameters = resolved(lane_width_m="auto")
-    graph = position_in_lane
-    network = compile(
-        graph.build(3, parameters),
-        hidden=graph.HIDDEN,
-        observed=graph.OBSERVED,
-        inputs=graph.INPUTS,
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        given = line_geometry.evidence(drive.log, 3, parameters)
-    lane = filter_beliefs(network, given, "exact").lane.argmax(axis=1) + 1
-    votes = counting.evidence(drive.log, 3, resolve_parameters(counting.PARAMETERS, {}, 3))
-    voted = votes.likelihoods["DetectorOutput"].argmax(axis=1) + 1
-    scored = ~drive.truth["is_crossing"].to_numpy()
-    right = drive.truth["true_lane"].to_numpy()[scored]
-    assert (lane[scored] == right).mean() > 0.95
-    assert (lane[scored] == right).mean() > (voted[scored] == right).mean()
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -577,19 +550,6 @@ def test_a_table_may_be_nested_or_in_one_row() -> None:
     assert isinstance(line_geometry.evidence(line_log([[1.8]]), 3, resolved(rates=flat)), Evidence)
 
 
-def log_of(offset_m: FloatArray, is_valid: bool = True) -> LineLog:
-    ids = np.arange(len(offset_m))
-    known = np.isfinite(offset_m)
-    return LineLog(
-        ids,
-        ids / 10.0,
-        offset_m,
-        known & is_valid,
-        np.zeros(offset_m.shape, dtype=bool),
-        np.full(offset_m.shape, 10.0),
-    )
-
-
 def belief_of(folder: Path, log: LineLog) -> tuple[FloatArray, str]:
     """P(lane) of the model without labels, and its warnings."""
     write_table(folder / "lines.csv", log)
@@ -601,12 +561,12 @@ def belief_of(folder: Path, log: LineLog) -> tuple[FloatArray, str]:
 def test_a_recording_in_which_no_width_can_be_told_is_run_with_the_usual_one(
     tmp_path: Path,
 ) -> None:
-    belief, said = belief_of(tmp_path, log_of(np.full((300, 1), -1.6)))
+    belief, said = belief_of(tmp_path, line_log(np.full((300, 1), -1.6)))
     assert "no two lines in one frame" in said
     assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)
     anywhere = np.random.default_rng(0).uniform(-9, 9, (600, 4))
-    belief, said = belief_of(tmp_path, log_of(anywhere))
+    belief, said = belief_of(tmp_path, line_log(anywhere))
     assert "unsure" in said
     assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)
