@@ -53,9 +53,6 @@ if TYPE_CHECKING:
 #: Keys of `recording` that identify a drive; the others describe how to read it.
 DRIVE_KEYS = ("simulate", "seed", "frames")
 
-#: Advice about a missing file of the public data.
-_FETCH = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
-
 
 @dataclass(frozen=True, eq=False)
 class Drive:
@@ -92,9 +89,8 @@ class Drive:
     @property
     def rows(self) -> IntArray:
         """(K,): the annotated frames; all frames without ground truth."""
-        if not self.has_truth:
-            return np.arange(len(self.log))
-        return np.flatnonzero(self.true_lane != NOT_ANNOTATED)
+        is_annotated = self.true_lane != NOT_ANNOTATED
+        return np.flatnonzero(is_annotated | ~is_annotated.any())
 
     @property
     def is_trusted(self) -> BoolArray:
@@ -102,8 +98,7 @@ class Drive:
         frame_id = self.log.frame_id[self.rows]
         trusted = np.ones(len(frame_id), dtype=bool)
         for first, stop in self.experiment.fit.untrusted_frames:
-            last = np.inf if stop is None else stop
-            trusted &= (frame_id < first) | (frame_id >= last)
+            trusted &= (frame_id < first) | (frame_id >= (np.inf if stop is None else stop))
         return trusted
 
     def mask_labels(self, train: IntArray) -> Drive:
@@ -111,11 +106,8 @@ class Drive:
 
         Masked frames count as crossing, in lane 1: no fit reads the lane of a crossing frame.
         """
-        if not self.has_truth:
-            return self
-        kept = np.zeros(len(self.log), dtype=bool)
-        kept[self.rows[train]] = True
-        masked = (self.true_lane != NOT_ANNOTATED) & ~kept
+        masked = self.true_lane != NOT_ANNOTATED
+        masked[self.rows[train]] = False
         lane = np.where(masked, 1, self.true_lane)
         return replace(self, true_lane=lane, is_crossing=self.is_crossing | masked)
 
@@ -157,17 +149,13 @@ def read_recording(
 
 def read_file(experiment: Experiment) -> LineLog:
     """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
-    check_file(experiment)
+    path, reader = check_file(experiment)
     r = experiment.recording
-    path = Path(str(r.path))
-    options = {**r.options, "frame_rate": r.frame_rate}
-    given = {key: getattr(r, key) for key in ("camera", "topic", "columns")}
-    options |= {key: value for key, value in given.items() if value is not None}
-    if r.format is None or r.format in FORMATS:
-        return read_lines(path, format=r.format, **options)
+    given = {"camera": r.camera, "topic": r.topic, "frame_rate": r.frame_rate}
+    options = {**r.options, **{key: value for key, value in given.items() if value is not None}}
+    if reader is None:
+        return read_lines(path, format=r.format, columns=r.columns, **options)
     where = f"{experiment.source}: recording.format"
-    reader = load_plugin("recordings", r.format, where)
-    options.pop("columns", None)
     with plugin_errors(reader, where):
         found = reader.read(path, **options)
     with problems_in(where):
@@ -188,20 +176,24 @@ def check_sources(experiment: Experiment) -> None:
 
         with problems_in(f"{experiment.source}: recording"):
             simulated_road(r.simulate, frames=1)
-    for key in ("ground_truth.path", "road"):
-        if getattr(experiment, key.partition(".")[0]) is not None:
-            existing(experiment, key, _FETCH)
+    if experiment.ground_truth is not None:
+        existing(experiment, "ground_truth.path")
+    if experiment.road is not None:
+        existing(experiment, "road")
 
 
-def check_file(experiment: Experiment) -> None:
-    """Raise InputError for a file of lines that is missing, or whose format is unknown."""
-    r, source = experiment.recording, experiment.source
+def check_file(experiment: Experiment) -> tuple[Path, Any]:
+    """The file of lines, and the user's own reader of its format, if there is one.
+
+    Raises InputError for a file that is missing and for an unknown format.
+    """
+    r, source, reader = experiment.recording, experiment.source, None
     if r.format is not None and r.format not in FORMATS:
         where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
         if r.format not in known and not r.format.endswith(".py"):
             raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
-        load_plugin("recordings", r.format, where)
-    path = existing(experiment, "recording.path", _FETCH)
+        reader = load_plugin("recordings", r.format, where)
+    path = existing(experiment, "recording.path")
     format = r.format or format_of(path)
     if r.camera is not None:
         existing(experiment, "recording.camera")
@@ -209,6 +201,7 @@ def check_file(experiment: Experiment) -> None:
         raise InputError(
             f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
         )
+    return path, reader
 
 
 # --- from a recording to drives ------------------------------------------------------------------
@@ -236,18 +229,15 @@ def read_drives(
     if truth is not None:
         known = None if isinstance(truth, str) and truth == "none" else truth_of(truth)
     elif annotated is not None:
-        path = existing(experiment, "ground_truth.path", _FETCH)
+        path = existing(experiment, "ground_truth.path")
         known = read_ground_truth(path, annotated.extra_rows)
     if own_rate is not None and "frame_rate" not in recording.model_fields_set:
         experiment = with_rate(experiment, own_rate)
         recording = experiment.recording
     elif own_rate is not None and abs(own_rate / recording.frame_rate - 1) > 0.1:
-        warnings.warn(
-            f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
-            f" with recording.frame_rate, {recording.frame_rate:g}",
-            UserWarning,
-            stacklevel=2,
-        )
+        note = f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
+        note += f" with recording.frame_rate, {recording.frame_rate:g}"
+        warnings.warn(note, UserWarning, stacklevel=2)
     log = select_frames(log, *(recording.frames or (None, None)))
     if known is not None and log.clip is not None:
         raise InputError(
@@ -349,12 +339,8 @@ def data_files(experiment: Experiment) -> list[Path]:
     """The files that an experiment names, plugins included."""
     recording, truth = experiment.recording, experiment.ground_truth
     named = [recording.path, recording.right, recording.camera, truth and truth.path]
-    named += [experiment.road, experiment.evidence, experiment.graph]
-    named += [
-        recording.format,
-        recording.detector,
-        *experiment.parameters.get(DETECTOR, {}).values(),
-    ]
+    named += [experiment.road, experiment.evidence, experiment.graph, recording.format]
+    named += [recording.detector, *experiment.parameters.get(DETECTOR, {}).values()]
     return [Path(name) for name in named if isinstance(name, str) and os.path.isabs(name)]
 
 
