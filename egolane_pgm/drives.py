@@ -11,7 +11,6 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,7 @@ from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
 from egolane_pgm.plugins import load_plugin, plugin_errors, plugin_names
-from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_lines
+from egolane_pgm.recordings import files_of, format_of, read_lines, reader_of
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
     fill_missing,
@@ -44,7 +43,6 @@ from egolane_pgm.types import (
     check_lanes,
     clip_slices,
     problems_in,
-    suggestion,
 )
 
 if TYPE_CHECKING:
@@ -187,20 +185,16 @@ def check_file(experiment: Experiment) -> tuple[Path, Any]:
 
     Raises InputError for a file that is missing and for an unknown format.
     """
-    r, source, reader = experiment.recording, experiment.source, None
-    if r.format is not None and r.format not in FORMATS:
-        where, known = f"{source}: recording.format", [*FORMATS, *plugin_names("recordings")]
-        if r.format not in known and not r.format.endswith(".py"):
-            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, known)}")
-        reader = load_plugin("recordings", r.format, where)
+    format, reader = experiment.recording.format, None
+    where = f"{experiment.source}: recording.format"
+    if format is not None and (format.endswith(".py") or format in plugin_names("recordings")):
+        reader = load_plugin("recordings", format, where)
+    elif format is not None:
+        with problems_in(where):
+            reader_of(format)
     path = existing(experiment, "recording.path")
-    format = r.format or format_of(path)
-    if r.camera is not None:
-        existing(experiment, "recording.camera")
-    elif format in IN_PIXELS:
-        raise InputError(
-            f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
-        )
+    if format is None:
+        format_of(path)
     return path, reader
 
 
@@ -240,9 +234,7 @@ def read_drives(
         warnings.warn(note, UserWarning, stacklevel=2)
     log = select_frames(log, *(recording.frames or (None, None)))
     if known is not None and log.clip is not None:
-        raise InputError(
-            f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
-        )
+        raise InputError(f"{log.source}: clips have no ground truth; leave out ground_truth")
     drives: list[Drive] = []
     for frames in clip_slices(log.clip, len(log)):
         clip = log.take(frames)
@@ -298,14 +290,15 @@ def cut(name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | N
     n_lanes = lanes_along(road, log)
     for note in unknown_lanes(road, log):
         warnings.warn(note, UserWarning, stacklevel=2)
-    widths = sorted(set(n_lanes.tolist()))
-    models = {n: compile_model(changed(experiment, road=None, n_lanes=n)) for n in widths}
-    borders = [0, *(np.flatnonzero(np.diff(n_lanes)) + 1).tolist(), len(log)]
-    drives = []
-    for number, (start, stop) in enumerate(pairwise(borders), start=1):
-        part, model = log.take(slice(start, stop)), models[int(n_lanes[start])]
-        drives.append(make_drive(f"{name}_{number}", model, part, truth, most_lanes=widths[-1]))
-    return drives
+    widest = int(n_lanes.max())
+    models = {
+        n: compile_model(changed(experiment, road=None, n_lanes=n)) for n in set(n_lanes.tolist())
+    }
+    segments = np.split(np.arange(len(log)), np.flatnonzero(np.diff(n_lanes)) + 1)
+    return [
+        make_drive(f"{name}_{k}", models[n_lanes[at[0]]], log.take(at), truth, most_lanes=widest)
+        for k, at in enumerate(segments, start=1)
+    ]
 
 
 def changed(experiment: Experiment, **changes: Any) -> Experiment:

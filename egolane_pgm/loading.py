@@ -33,7 +33,7 @@ FILES = {"recording.path", "recording.camera", "recording.right", "ground_truth.
 PLUGINS = {"graph", "evidence", "recording.format", "recording.detector"}
 
 #: Keys of a recording, which other lines do not inherit.
-RECORDING_KEYS = ("recording", "ground_truth", "road", "tuning", "description")
+RECORDING_KEYS = ("recording", "ground_truth", "road", "description")
 
 ExperimentLike = Experiment | str | os.PathLike[str] | Mapping[str, Any]
 Overrides = Mapping[str, Any] | Sequence[str] | None

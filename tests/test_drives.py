@@ -64,14 +64,6 @@ def test_a_simulated_drive_has_its_own_ground_truth() -> None:
     assert not one(simulated(), ground_truth="none").has_truth
 
 
-def test_a_range_of_frames_is_read_as_if_there_were_no_others(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    log = one(path, {"recording.frames": [30, 90]}).log
-    np.testing.assert_array_equal(log.frame_id, np.arange(30, 90))
-    with pytest.raises(InputError, match="no frame from 500 to before 900; the recording has"):
-        one(path, {"recording.frames": [500, 900]})
-
-
 # --- pictures ------------------------------------------------------------------------------------
 
 
