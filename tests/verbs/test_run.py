@@ -189,7 +189,7 @@ def half_a_bag(folder: Path) -> None:
             bag(0, 0, 0),
             "a.bag",
             "",
-            "a.bag: row 2: its frame has this line twice; `columns: {{frame_id: null}}` numbers frames",
+            "a.bag: row 2: its frame has this line twice; `columns: {{frame_id: null}}`",
         ),
         (bag(3, 4), "a.bag", "--set recording.frames=[10,20]", "no frame from 10 to before 20;"),
         (bag(1, 2, truth=[(2, 4, 0)]), "a.bag", "", "ground_truth.txt: frame 2: lane 4 is outside"),
