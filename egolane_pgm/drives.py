@@ -148,12 +148,11 @@ def read_recording(
 def read_file(experiment: Experiment) -> LineLog:
     """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
     path, reader = check_file(experiment)
-    r = experiment.recording
+    r, where = experiment.recording, f"{experiment.source}: recording.format"
     given = {"camera": r.camera, "topic": r.topic, "frame_rate": r.frame_rate}
     options = {**r.options, **{key: value for key, value in given.items() if value is not None}}
     if reader is None:
         return read_lines(path, format=r.format, columns=r.columns, **options)
-    where = f"{experiment.source}: recording.format"
     with plugin_errors(reader, where):
         found = reader.read(path, **options)
     with problems_in(where):
@@ -210,9 +209,8 @@ def read_drives(
     """Read the recording of an experiment: one drive, or several.
 
     - lines: a DataFrame or LineLog, for `recording.path: in memory`.
-    - truth: a DataFrame with frame_id, lane and crossing, or "none", in place of the ground truth
-      of the experiment.
-    - tags: tags of the drives.
+    - truth: a DataFrame with frame_id, lane and crossing, or "none", instead of the experiment's.
+    - tags: labels of the drives.
 
     Raises InputError for files that cannot be used, and warns of oddities.
     """
@@ -237,9 +235,8 @@ def read_drives(
         raise InputError(f"{log.source}: clips have no ground truth; leave out ground_truth")
     drives: list[Drive] = []
     for frames in clip_slices(log.clip, len(log)):
-        clip = log.take(frames)
-        name = experiment.name if clip.clip is None else str(clip.clip[0])
-        clip = replace(clip, clip=None)
+        name = experiment.name if log.clip is None else str(log.clip[frames.start])
+        clip = replace(log.take(frames), clip=None)
         if recording.missing_frames != "skip":
             clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
         if model is None:
@@ -269,16 +266,13 @@ def make_drive(
         if not len(rows):
             raise InputError(
                 f"no common frames: {log.source} has {frame_range(log.frame_id)},"
-                f" {truth.attrs.get('source', 'ground truth')} has"
-                f" {frame_range(truth.index.to_numpy())}"
+                f" {truth.attrs['source']} has {frame_range(truth.index.to_numpy())}"
             )
         lane[rows], crossing[rows] = known["true_lane"], known["is_crossing"]
         notes += sign_warning(log.take(rows), known["true_lane"].to_numpy())
         if missing := len(log) - len(rows):
-            notes.append(
-                f"{log.source}: {missing} of {len(log)} frames have no ground truth; filtered,"
-                " not scored"
-            )
+            unscored = f"{missing} of {len(log)} frames have no ground truth; filtered, not scored"
+            notes.append(f"{log.source}: {unscored}")
     for note in notes:
         warnings.warn(note, UserWarning, stacklevel=2)
     return Drive(name, model, log, lane, crossing)
