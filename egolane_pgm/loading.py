@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import operator
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -142,8 +143,7 @@ def _on_lines(content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any]
 
 def safe_name(text: str) -> str:
     """Replace characters that are not allowed in the name of an experiment."""
-    kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in text)
-    return "".join(kept).lstrip("._-") or "recording"
+    return re.sub(r"[^a-zA-Z0-9._-]", "_", text).lstrip("._-") or "recording"
 
 
 # --- YAML files ----------------------------------------------------------------------------------

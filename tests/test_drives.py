@@ -88,22 +88,6 @@ def test_a_folder_of_pictures_gives_what_the_video_of_them_gives(place: Path) ->
         np.testing.assert_array_equal(folder.is_valid, other.is_valid)
 
 
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"path": "drive.avi", "detector": None}, "of a video a detector"),
-        ({"path": "nowhere"}, "nowhere: no such file"),
-        ({"path": "none"}, "none: has no pictures"),
-    ],
-)
-def test_pictures_that_cannot_be_used_are_named(
-    place: Path, keys: dict[str, Any], said: str
-) -> None:
-    (place / "none").mkdir()
-    with pytest.raises(InputError, match=said):
-        one(place / "run.yaml", {"recording": {**keys, "path": place / keys["path"]}})
-
-
 # --- ground truth --------------------------------------------------------------------------------
 
 

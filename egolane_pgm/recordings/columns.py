@@ -211,7 +211,7 @@ def _lines_of(
         table.refuse(np.isnan(flag) & has_column & ~is_empty, f"{name} is empty", row)
         found[name] = np.where(has_column, flag == 1, default)
     if "line" in lines[0]:
-        line: FloatArray = cells("line")
+        line: Any = cells("line")
         is_there = ~np.isnan(line)
         table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
         # Lines may be numbered from 0.
