@@ -212,9 +212,9 @@ def parse_overrides(overrides: Overrides) -> dict[str, Any]:
     """Overrides as nested keys and values."""
     if isinstance(overrides, str) or not isinstance(overrides, (Iterable, type(None))):
         raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
-    if isinstance(overrides, Mapping):
-        return nest(overrides)
-    return nest(dict(read_override(each, "n_lanes=3") for each in overrides or ()))
+    if not isinstance(overrides, Mapping):
+        overrides = dict(read_override(each, "n_lanes=3") for each in overrides or ())
+    return nest(overrides) if overrides else {}
 
 
 def read_override(override: Any, example: str, option: str = "overrides") -> tuple[str, Any]:
