@@ -451,7 +451,8 @@ def make_result(
     first = drives[0]
     model = first.model
     rate = model.experiment.recording.frame_rate
-    e = with_rate(experiment, rate)
+    is_same_rate = rate == experiment.recording.frame_rate
+    e = experiment if is_same_rate else with_rate(experiment, rate)
     notes = list(dict.fromkeys(notes))
     impossible = int(frames["is_impossible"].sum())
     if impossible:

@@ -26,9 +26,6 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
 #: Extensions of the files in a folder that is a bag.
 _IN_BAGS = (".mcap", ".db3", ".zstd")
 
-#: Formats whose lines are in pixels, which need a camera.
-IN_PIXELS = ("tusimple",)
-
 
 def read_lines(
     path: str | Path,

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from rosbags.interfaces import Nodetype
 
 from egolane_pgm.types import BoolArray, IntArray
@@ -75,7 +74,10 @@ class Decoder:
         return found
 
     def _message(self, kind: str, of: IntArray) -> Fields:
-        """Read a message of some type at the current position of the messages `of` (N,)."""
+        """Read a message of some type at the current position of the messages `of` (N,).
+
+        Texts, and lists inside the entries of a list, are left out.
+        """
         found: Fields = {}
         for name, (node, detail) in self.fielddefs[kind][1]:
             if node == Nodetype.BASE:
@@ -83,55 +85,45 @@ class Decoder:
             elif node == Nodetype.ARRAY:
                 found[name] = self._list(detail[0], np.full(len(of), detail[1]), of)
             elif node == Nodetype.SEQUENCE:
-                counts = self._values("uint32", of).astype(np.int64)
-                found[name] = self._list(detail[0], counts, of)
+                found[name] = self._list(detail[0], self._values("uint32", of).astype(int), of)
             else:
                 inner = self._message(detail, of)
                 stamp = stamp_of(inner)
                 fields = {f"{name}.{each}": values for each, values in inner.items()}
                 found |= fields if stamp is None else {name: stamp}
-        return found
+        return {name: values for name, values in found.items() if values is not None}
 
     def _list(self, item: tuple[Any, Any], counts: IntArray, of: IntArray) -> Any:
         """Read a list of counts (N,) entries: an array of numbers, or a DataFrame of messages."""
         node, detail = item
-        if node == Nodetype.BASE and detail[0] != "string":
+        is_text = node == Nodetype.BASE and detail[0] == "string"
+        if node == Nodetype.BASE and not is_text:
             dtype = _dtype(detail[0])
             begin = self._skip(counts * dtype.itemsize, of, dtype.itemsize)
             each = zip(counts.tolist(), begin.tolist(), strict=True)
-            return _objects(np.frombuffer(self.bytes, dtype, n, at) for n, at in each)
+            arrays = (np.frombuffer(self.bytes, dtype, n, at) for n, at in each)
+            return np.fromiter(arrays, dtype=object)
         # Read the first entry of all lists, then the second. One round without any entry gives the
         # names of the fields if all lists are empty.
         rows, parts = [], []
         for k in range(counts.max(initial=1)):
-            some = np.flatnonzero(counts > k)
-            rows.append(some)
-            is_text = node == Nodetype.BASE
-            parts.append(
-                {"": self._values("string", of[some])}
-                if is_text
-                else self._message(detail, of[some])
-            )
-        # Lists inside the entries of a list are left out.
+            rows.append(np.flatnonzero(counts > k))
+            some = of[rows[-1]]
+            parts.append(self._values("string", some) if is_text else self._message(detail, some))
+        if is_text:
+            return None
         names = [name for name, values in parts[0].items() if not isinstance(values, pd.DataFrame)]
         fields = {name: np.concatenate([part[name] for part in parts]) for name in names}
-        entries = pd.DataFrame(fields, index=np.concatenate(rows)).sort_index(kind="stable")
-        if is_text:
-            return _objects(map(list, np.split(entries[""], np.cumsum(counts)[:-1])))
-        return entries
+        return pd.DataFrame(fields, index=np.concatenate(rows)).sort_index(kind="stable")
 
-    def _values(self, kind: str, of: IntArray) -> NDArray[Any]:
-        """Read a number or a text from each message, (N,); 0 or 1 for a flag."""
+    def _values(self, kind: str, of: IntArray) -> Any:
+        """Read a number from each message, (N,), 0 or 1 for a flag. Skip texts; return None."""
         if kind == "string":
-            length = self._values("uint32", of).astype(np.int64)
-            begin = self._skip(length, of)
-            # CDR ends texts with a zero.
-            each = zip(begin.tolist(), (begin + length - self.is_cdr).tolist(), strict=True)
-            return _objects(self.bytes[at:end].decode() for at, end in each)
+            self._skip(self._values("uint32", of).astype(int), of)
+            return None
         dtype = _dtype(kind)
         begin = self._skip(np.full(len(of), dtype.itemsize), of, dtype.itemsize)
-        found: NDArray[Any] = self.array[begin[:, None] + np.arange(dtype.itemsize)].view(dtype)
-        return found[:, 0]
+        return self.array[begin[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
 
     def _skip(self, size: IntArray, of: IntArray, align: int = 1) -> IntArray:
         """Advance by some bytes, (N,), to the end of a value; return its begin."""
@@ -149,10 +141,6 @@ class Decoder:
 
 def _dtype(kind: str) -> np.dtype[Any]:
     return np.dtype(_DTYPES.get(kind, kind)).newbyteorder("<")
-
-
-def _objects(values: Iterable[Any]) -> NDArray[Any]:
-    return np.fromiter(values, dtype=object)
 
 
 # --- JSON ----------------------------------------------------------------------------------------

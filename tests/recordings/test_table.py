@@ -219,9 +219,7 @@ def test_a_row_per_frame_is_the_same_as_a_row_per_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("rows", "said"),
     [
-        ("7,,,,,true", "frame 7: line 1 is valid but its offset is nan; drop it"),
         ("7,1,2,x,,true", "row 1: offset_3 (offset_m) is 'x', not a number"),
-        ("7,1,,,,true\n7,1,,,,true", "row 2: its frame has this line twice"),
         ("7,1,2,3,,", "row 1: is_valid is empty"),
     ],
 )
