@@ -458,11 +458,6 @@ class Experiment(Section):
         """The YAML file, for messages."""
         return self._source
 
-    @property
-    def model_parameters(self) -> dict[str, Any]:
-        """The values of the parameters of graph and evidence rule."""
-        return {name: value for name, value in self.parameters.items() if name != DETECTOR}
-
 
 def make_experiment(content: Mapping[str, Any], source: str) -> Experiment:
     """Make an experiment from its keys. Raises InputError for a key that does not fit.

@@ -181,7 +181,7 @@ def test_runs_are_written_as_numbers_and_ranges(text: str, runs: list[int]) -> N
         ("1-", "write numbers and ranges"),
         ("a", "write numbers and ranges"),
         ("5-11", "the paper has runs 1 to 10"),
-        ("5-3", "empty range"),
+        ("5-3", "write numbers and ranges"),
     ],
 )
 def test_other_runs_are_refused(text: str, said: str) -> None:

@@ -237,7 +237,7 @@ def test_a_run_in_chunks_is_the_run(drive: Path) -> None:
     [
         (
             {"filter": "smoothed"},
-            "filter: smoothed needs the whole drive; use fixed_lag",
+            "smoothed: not causal, .* this needs the whole drive",
         ),
         (
             {**POSITION, "parameters": {"lane_width_m": "auto"}},

@@ -224,8 +224,8 @@ def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
         ({"Rpm": ["slow"]}, "evidence for Hill: is missing, an input must be known"),
         (
             {"Rpm": "slow"},
-            "evidence: needs a value per frame and node: If using all scalar values, you must pass an"
-            " index",
+            "evidence: needs a value per frame and node: If using all scalar values, you must"
+            " pass an index",
         ),
     ],
 )
