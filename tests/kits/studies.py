@@ -24,7 +24,6 @@ EXPERIMENTS = experiments_folder()
 QUICKSTART = EXPERIMENTS / "quickstart.yaml"
 
 #: Blocks of the simulated drive without any of which every lane is left.
-BLOCKS = 7
 
 
 @functools.cache
