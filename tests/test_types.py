@@ -152,9 +152,9 @@ SPECS = (
         ("p3", [0.1, 0.2], "has 2 values for 3 lanes"),
         ("sigma1", 0, "0 must be greater than 0"),
         ("sigma1", math.inf, "inf is not a finite number"),
-        ("noise", -0.5, "-0.5 must not be negative"),
+        ("noise", -0.5, "-0.5 must be at least 0"),
         ("count", 1.5, "1.5 is not a whole number"),
-        ("count", -1, "-1 must not be negative"),
+        ("count", -1, "-1 must be at least 0"),
         ("normal", "densty", "'densty' is not one of density, integral (did you mean 'density'?)"),
     ],
 )
