@@ -202,22 +202,16 @@ def with_graph(experiment: Experiment, graph: str) -> Experiment:
     module = load_plugin("graphs", graph, where)
     evidence = matching_evidence_rule(module, experiment.n_lanes, experiment.evidence, where)
     rule = load_plugin("evidence", evidence, where)
-    known = {spec.name for spec in declared_parameters(rule, module)}
-    kept = {
-        name: value for name, value in experiment.parameters.items() if name in known | {DETECTOR}
-    }
+    known = {DETECTOR, *(spec.name for spec in declared_parameters(rule, module))}
+    kept = {name: value for name, value in experiment.parameters.items() if name in known}
     changes = {"graph": graph, "evidence": evidence, "parameters": kept}
     learned = getattr(module, "LEARNED_FROM", None)
-    if learned is not None:
-        changes["tuned_on"] = tuned_on(experiment, learned)
+    if learned in ("", "unknown"):
+        changes["tuned_on"] = "unknown"
+    elif learned is not None:
+        is_same = learned == recording_key(experiment)
+        changes["tuned_on"] = "same_frames" if is_same else "other_frames"
     return experiment.model_copy(update=changes)
-
-
-def tuned_on(experiment: Experiment, learned_from: str) -> str:
-    """Return the value of `tuned_on` for a graph that was learned from a recording."""
-    if learned_from in ("", "unknown"):
-        return "unknown"
-    return "same_frames" if learned_from == recording_key(experiment) else "other_frames"
 
 
 def recording_key(experiment: Experiment) -> str:
