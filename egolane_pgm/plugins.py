@@ -127,10 +127,10 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
 
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
-    """Return the parameters of an evidence rule and a graph; a common one is shared."""
-    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
-    for p in getattr(graph, "PARAMETERS", ()):
-        if p.name in specs and specs[p.name].kind != p.kind:
+    """Return the parameters of an evidence rule and a graph; both may declare the same one."""
+    specs: dict[str, Parameter] = {}
+    for p in (*getattr(rule, "PARAMETERS", ()), *getattr(graph, "PARAMETERS", ())):
+        if specs.setdefault(p.name, p).kind != p.kind:
             raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
         specs[p.name] = p
     return list(specs.values())

@@ -22,12 +22,7 @@ from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi
-from egolane_pgm.model import (
-    Model,
-    looks_ahead,
-    make_evidence,
-    online_rule,
-)
+from egolane_pgm.model import Model, make_evidence, online_rule, why_not_causal
 from egolane_pgm.recordings.select import fill_after
 from egolane_pgm.result import Result, make_result
 from egolane_pgm.scoring.confusion import assigned_lane
@@ -67,7 +62,9 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
             columns["assigned_lane"] = path.lane
         yield columns
         return
-    _check_causal(model)
+    # A fixed lag waits for its later frames.
+    if reasons := why_not_causal(model)[e.lag is not None :]:
+        raise InputError(f"{e.source}: {reasons[0]}; this needs the whole drive")
     recording = e.recording
     rule = online_rule(model)
     last: LineLog | None = None
@@ -127,18 +124,6 @@ def _columns_of(
 
 def _rows(values: FloatArray | None, frames: slice) -> FloatArray | None:
     return None if values is None else values[frames]
-
-
-def _check_causal(model: Model) -> None:
-    """Raise InputError for a model that needs the whole drive at once."""
-    e = model.experiment
-    if e.filter in ("smoothed", "viterbi"):
-        raise InputError(
-            f"{e.source}: filter: {e.filter} needs the whole drive; use fixed_lag, exact or"
-            " assumed_density"
-        )
-    if why := looks_ahead(model):
-        raise InputError(f"{e.source}: evidence: {why}; it needs the whole drive")
 
 
 # --- drives --------------------------------------------------------------------------------------

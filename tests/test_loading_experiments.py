@@ -248,7 +248,7 @@ def test_an_experiment_cannot_be_changed_and_is_compared_by_content() -> None:
     one, same, other = rich(), rich(), rich().model_copy(update={"parameters": {}})
     with pytest.raises(ValidationError, match="frozen"):
         one.recording.path = "other"  # type: ignore[misc]
-    with pytest.raises(TypeError, match="an experiment stays as it is"):
+    with pytest.raises(TypeError, match="an experiment is immutable"):
         one.parameters["table"].clear()
     assert one == same
     assert len({one, same, other}) == 2

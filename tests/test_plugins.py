@@ -193,7 +193,7 @@ def test_a_folder_that_is_called_as_a_plugin_is_none(
         (RULE.replace("seen[:, 0]", "seen[:, 7]"), "r.py, line 6: IndexError"),
         (RULE.replace('"Seen"', '"Sen"'), "observed node Seen: the evidence has nothing for it"),
         (RULE.replace("return", "seen[3] = -1; return"), "frame 3 has a negative or NaN value"),
-        ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "Seen, the evidence rule gives only Sen"),
+        ('PROVIDES = ("Sen",)\n' + textwrap.dedent(RULE), "observes Seen, the evidence rule gives"),
     ],
 )  # fmt: skip
 def test_a_rule_file_with_a_fault_is_refused_by_its_name(

@@ -141,8 +141,8 @@ def starting_points(given: Studied) -> list[dict[str, Any]]:
         specs = declared_parameters(model.rule, model.graph)
         known = {spec.name for spec in specs}
         for values in known_parameters(drive.experiment):
-            kept = {name: value for name, value in values.items() if name in known}
-            merged = {**drive.experiment.model_parameters, **kept}
-            starts.append(resolve_parameters(specs, merged, model.n_lanes))
+            merged = {**drive.experiment.parameters, **values}
+            kept = {name: value for name, value in merged.items() if name in known}
+            starts.append(resolve_parameters(specs, kept, model.n_lanes))
         starts.append(dict(model.parameters))
     return starts

@@ -201,7 +201,7 @@ def test_what_is_wrong_is_said_by_validate_with_the_experiments_name(tmp_path: P
         (tmp_path / "g.yaml").write_text(text.replace(old, new))
         return refused("run", "--dry-run", experiment, "--set", "n_lanes=4")
 
-    assert "g.yaml: observes SensorState, the evidence rule gives only" in said(
+    assert "g.yaml: observes DetectorOutput, SensorState, the" in said(
         "observed: [DetectorOutput, WOR]", "observed: [DetectorOutput, SensorState]"
     )
     where = "experiment.yaml: graph: g.yaml"

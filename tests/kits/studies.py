@@ -23,9 +23,6 @@ from tests.kits.drives import simulated
 EXPERIMENTS = experiments_folder()
 QUICKSTART = EXPERIMENTS / "quickstart.yaml"
 
-#: Blocks of the simulated drive without any of which every lane is left.
-BLOCKS = 7
-
 
 @functools.cache
 def drive_of(experiment: Experiment) -> Drive:

@@ -149,7 +149,7 @@ def test_nothing_is_written_without_a_place(
         (ego.run, {"given": QUICKSTART, "graph": 3}, "graph: int is no name, file or module"),
         (ego.run, {"given": QUICKSTART, "table": "x.csv"}, "table: needs out, the folder of its"),
         (ego.reproduce, {"runs": 11}, "run 11: the paper has runs 1 to 10"),
-        (ego.reproduce, {"runs": ["one"]}, "'one' is no number"),
+        (ego.reproduce, {"runs": ["one"]}, "write numbers and ranges"),
         (ego.tune, {"experiments": 3}, "3 is no experiment"),
         (ego.tune, {"experiments": []}, "experiments: name at least one"),
         (ego.tune, {"experiments": QUICKSTART, "parameter": ["p1=1"]}, "parameter: .* is no dict"),

@@ -237,7 +237,7 @@ def test_the_result_of_another_drive_is_not_replaced(tmp_path: Path) -> None:
         ("n_lane=3", "unknown key 'n_lane' (did you mean 'n_lanes'?)"),
         ("recording.topc=x", "recording: unknown key 'topc' (did you mean 'topic'?)"),
         ("parameters.p1=1.3", "parameters.p1: 1.3 is not a probability (0 to 1)"),
-        ("recording.frames=[9,3]", "recording: frames [9, 3] is an empty range"),
+        ("recording.frames=[9,3]", "recording.frames: [9, 3] is an empty range"),
         ("graph=./no.py", "graph: no file"),
     ],
 )

@@ -529,9 +529,9 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
     [
         ({"lane_width_m": "automatic"}, "'automatic' is neither a number nor auto or causal"),
         ({"lane_width_m": -1}, "must be greater than 0"),
-        ({"rates": [1.0, 2.0]}, "has 2 numbers, needs a list of 3 x 6 numbers"),
-        ({"rates": [[1.0] * 5] * 3}, "every row of the same length"),
-        ({"rates": 0.5}, "is not a list of 3 x 6 numbers"),
+        ({"rates": [1.0, 2.0]}, "needs a list of 3 x 6 numbers, got [1.0, 2.0]"),
+        ({"rates": [[1.0], [1.0, 2.0]]}, "every row of the same length"),
+        ({"rates": 0.5}, "needs a list of 3 x 6 numbers, got 0.5"),
         ({"sigmas_m": [0.2] * 5 + [0]}, "must be greater than 0"),
         ({"class_shares": [[2.0] * 4] * 6}, "not a probability"),
     ],
