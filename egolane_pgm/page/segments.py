@@ -11,7 +11,7 @@ from egolane_pgm.inference.events import SURE
 from egolane_pgm.result import Result, lanes_of, truth_of
 from egolane_pgm.scoring.events import TOLERANCES_S, match_events
 from egolane_pgm.scoring.events import lane_changes as true_changes
-from egolane_pgm.types import SIDES
+from egolane_pgm.types import SIDES, merged_runs
 from egolane_pgm.views.answers import is_known, outcomes, true_lane
 
 #: Wrong segments that are closer to each other are joined, seconds.
@@ -19,7 +19,7 @@ JOIN_S = 1.0
 
 
 def worst_segments(frames: pd.DataFrame) -> pd.DataFrame:
-    """List the segments with wrong answers, the longest first.
+    """List the segments with wrong answers.
 
     Without ground truth: those in which no lane has the probability `SURE`.
 
@@ -27,17 +27,14 @@ def worst_segments(frames: pd.DataFrame) -> pd.DataFrame:
     """
     known, lane, truth = is_known(frames), frames["assigned_lane"].to_numpy(), true_lane(frames)
     wrong = known & (lane != truth) if known.any() else lanes_of(frames).max(axis=1) < SURE
-    time_s = frames["time_s"].to_numpy()
-    [bad] = np.nonzero(wrong)
-    rows = []
-    for part in (
-        np.split(bad, 1 + np.flatnonzero(np.diff(time_s[bad]) > JOIN_S)) if len(bad) else []
-    ):
-        begin, end = time_s[part[0]], time_s[part[-1]]
+    time_s, rows = frames["time_s"].to_numpy(), []
+    for start, stop in merged_runs(wrong, time_s, JOIN_S):
+        begin, end = time_s[start], time_s[stop - 1]
+        part = start + np.flatnonzero(wrong[start:stop])
         row = {"begin_s": begin, "end_s": end, "time (s)": f"{begin:.1f} to {end:.1f}"}
         row |= {"frames": len(part), "answer": _lanes(lane[part])}
         rows.append(row | {"truth": _lanes(truth[part])} if known.any() else row)
-    return pd.DataFrame(sorted(rows, key=lambda row: -row["frames"]))
+    return pd.DataFrame(rows)
 
 
 def lane_changes(result: Result) -> pd.DataFrame:
@@ -63,7 +60,7 @@ def lane_changes(result: Result) -> pd.DataFrame:
         lanes = lanes if event["from_lane"] else SIDES[event["direction"]]
         row |= {"time (s)": f"{event['time_s']:.1f}", "lanes": lanes, "outcome": found}
         rows.append(row | ({"delay (s)": f"{event['delay_s']:+.1f}"} if found == "correct" else {}))
-    return pd.DataFrame(sorted(rows, key=lambda row: row["begin_s"]))
+    return pd.DataFrame(rows)
 
 
 def _lanes(lanes: Any) -> str:
