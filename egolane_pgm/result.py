@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import time
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
@@ -252,8 +251,7 @@ class Result:
         """
         # The page is a wing, so the core imports it by name.
         page = import_module("egolane_pgm.page.document")
-        for line in page.write_page([self], Path(file)):
-            warnings.warn(line, UserWarning, stacklevel=2)
+        page.write_page([self], Path(file))
         return Path(file)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:

@@ -39,11 +39,10 @@ MARGIN_S = 5.0
 _HIDDEN = ["begin_s", "end_s", "to_lane", "direction"]
 
 
-def write_page(results: Sequence[Result], file: Path) -> list[str]:
+def write_page(results: Sequence[Result], file: Path) -> None:
     """Write the page of results, which share one time axis.
 
-    Returns a line for each part that is missing. Raises InputError for a result with several
-    drives, and if the file cannot be written.
+    Raises InputError for a result with several drives, and if the file cannot be written.
     """
     for result in results:
         if "drive" in result.frames:
@@ -56,12 +55,10 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     times = pd.concat(result.frames["time_s"] for result in results)
     time = Range1d(times.min(), times.max(), name="time", bounds="auto", min_interval=0.5)
     shown: dict[Any, Any] = {}  # Panels that several results share are shown once.
-    lacking, scored, events = [], {}, []
+    scored, events = {}, []
     for name, result in given.items():
         for key, panel in panels(result, changes[name], "" if is_one else name, time):
             shown.setdefault(key, panel)
-        if not result.lines:
-            lacking.append(f"{name}: has no lines; the page shows none")
         for who, scores in scores_by_side(result).items():
             scored[who if is_one else f"{name}, {who}"] = scores
         if "within" in result.scores["events"]:
@@ -72,9 +69,10 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     grid = gridplot([[panel] for panel in shown.values()], sizing_mode="stretch_width", **bar)
     grid.name = "timeline"
     notes = [f"{name}: {note}" for name, result in given.items() for note in result.notes]
+    notes += [f"{name}: has no lines" for name, result in given.items() if not result.lines]
     words = {
         "results": [result_title(result) for result in results],
-        "notes": [without_folders(note) for note in (*notes, *lacking)],
+        "notes": [without_folders(note) for note in notes],
         "sure": SURE,
         "worst": _jump_list({name: worst_segments(r.frames) for name, r in given.items()}),
         "changes": _jump_list(changes),
@@ -86,7 +84,6 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     template = resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8")
     look = {"template": template, "template_variables": words}
     write_text(file, file_html(grid, INLINE, ", ".join(given), **look))
-    return lacking
 
 
 def _jump_list(lists: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
@@ -98,6 +95,8 @@ def _jump_list(lists: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     table = table.sort_values(order, ascending=ascending, kind="stable")
     hidden = [*_HIDDEN, "result"] if len(lists) == 1 else _HIDDEN
     shown = table.drop(columns=hidden, errors="ignore")
+    times = zip(table["begin_s"], table["end_s"], strict=True)
+    shown.insert(0, "time (s)", [f"{begin:.1f} to {end:.1f}" for begin, end in times])
     places = zip(table["begin_s"] - MARGIN_S, table["end_s"] + MARGIN_S, strict=True)
     cells = [[cell(value) for value in row] for row in shown.to_numpy(object)]
     return {"header": list(shown), "rows": list(zip(places, cells, strict=True))}
