@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -106,8 +105,7 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
 
         if frames:
             raise InputError("frames: does not go with a page, which shows all frames")
-        for line in write_page([load_result(place) for place in places], file):
-            warnings.warn(line, UserWarning, stacklevel=3)
+        write_page([load_result(place) for place in places], file)
         return file
     if len(places) > 1:
         raise InputError(f"out: {file}: shows one result; {len(places)} are named")

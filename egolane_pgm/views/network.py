@@ -193,9 +193,9 @@ def _places(structure: Structure) -> dict[str, tuple[float, float]]:
 def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
     radius = _SMALL if kind == "virtual evidence" else _RADIUS
     look: dict[str, Any] = {"fc": _FILL[kind], "ec": INK, "lw": 1.2, "zorder": 3}
-    half = 0.85 * radius
     node: Shape = Circle((x, y), radius, **look)
     if kind == "input":
+        half = 0.85 * radius
         node = Rectangle((x - half, y - half), 2 * half, 2 * half, **look)
     ax.add_patch(node)
     if kind == "function":
@@ -204,8 +204,7 @@ def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
         label = name.replace("+", "\n+ ")
         ax.text(x, y + radius + 0.08, label, fontsize=7, ha="center", va="top")
         return node
-    # One word per line, split at capitals and underscores.
-    words = re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name) or [name]
+    words = re.sub("(?<=[a-z])(?=[A-Z])", "_", name).split("_")
     size = min(9.5, 78 / max(map(len, words)), 34 / len(words))
     ax.text(x, y, "\n".join(words), fontsize=size, ha="center", va="center", zorder=4)
     return node

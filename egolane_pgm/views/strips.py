@@ -94,7 +94,7 @@ def result_strips(result: Result, first: int | None = None, last: int | None = N
         labels = [f"{x:.0f}" for x in at]
         if (np.diff(time_s) > 0).all():  # Clocks of drives differ.
             seconds = np.interp(at, frames.index, time_s).tolist()
-            labels = [f"{x}\n{clock(t, 1)}" for x, t in zip(labels, seconds, strict=True)]
+            labels = [f"{x}\n{clock(t)}" for x, t in zip(labels, seconds, strict=True)]
         ax.set_xticks(at, labels)
     axes[-1].set_xlabel("frame, time (minutes:seconds)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])
