@@ -200,7 +200,7 @@ class Result:
         return result_text(self, style, wide)
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the posterior over time as strips, the truth below.
+        """Draw the posterior over time as strips, and the truth.
 
         - first, last: frame ids, both included; all by default.
 
@@ -369,6 +369,12 @@ def truth_of(frames: pd.DataFrame) -> pd.DataFrame | None:
     return lane_truth(ids, known["true_lane"], known["is_crossing"])
 
 
+def trusted_frames(frames: pd.DataFrame) -> pd.DataFrame:
+    """The annotated frames whose labels are trusted."""
+    known = frames.dropna(subset=["true_lane"])
+    return known[known["is_trusted"]] if "is_trusted" in known else known
+
+
 def by_drive(frames: pd.DataFrame) -> list[tuple[Any, pd.DataFrame]]:
     """The frames of each drive by name; None for the name of the only one."""
     return list(frames.groupby("drive", sort=False)) if "drive" in frames else [(None, frames)]
@@ -402,8 +408,7 @@ def score(frames: pd.DataFrame, frame_rate: float, lag: int | None = None) -> di
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
         "events": {"detected": sum(map(len, events.values()))},
     }
-    every = frames.dropna(subset=["true_lane"])
-    kept = every[every["is_trusted"]] if "is_trusted" in every else every
+    every, kept = frames.dropna(subset=["true_lane"]), trusted_frames(frames)
     if kept.empty:
         return scores
     scores["frames_scored"] = int((~kept["is_crossing"]).sum())
@@ -448,14 +453,12 @@ def make_result(
     - begin: `time.perf_counter()` at the start.
     - more: further keys of run.json.
     """
-    first = drives[0]
-    model = first.model
+    first, model = drives[0], drives[0].model
     rate = model.experiment.recording.frame_rate
     is_same_rate = rate == experiment.recording.frame_rate
     e = experiment if is_same_rate else with_rate(experiment, rate)
     notes = list(dict.fromkeys(notes))
-    impossible = int(frames["is_impossible"].sum())
-    if impossible:
+    if impossible := int(frames["is_impossible"].sum()):
         notes.append(
             f"{first.log.source}: the evidence of {impossible} frame(s) has joint likelihood zero;"
             " they keep their prediction"
@@ -463,7 +466,6 @@ def make_result(
     data = [digest(path) for path in data_files(experiment)]
     widest = max(drives, key=lambda drive: drive.model.n_lanes).model
     reasons = why_not_causal(model)
-    scores = score(frames, rate, e.lag)
     run = {
         "name": e.name,
         "config": resolved(e, model.parameters),
@@ -486,4 +488,4 @@ def make_result(
     if begin is not None:
         run["seconds"] = round(time.perf_counter() - begin, 3)
     lines = dict(zip(drive_names(drives), (drive.log for drive in drives), strict=True))
-    return Result(e, frames, to_jsonable(run), to_jsonable(scores), lines)
+    return Result(e, frames, to_jsonable(run), to_jsonable(score(frames, rate, e.lag)), lines)

@@ -31,7 +31,7 @@ from egolane_pgm.loading import (
 from egolane_pgm.model import with_graph
 from egolane_pgm.result import TAG, Result, stored
 from egolane_pgm.running import noting, run_experiment
-from egolane_pgm.tools.files import make_directory, read_parquet
+from egolane_pgm.tools.files import make_directory
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.tools.yaml import parse_yaml
@@ -92,18 +92,14 @@ def open_input(
             [lines] = given.lines.values()
             truth = given.truth if truth is None else truth
         given = found
-    options: dict[str, Any] = {}
-    if of_recording := {key: value for key, value in (recording or {}).items() if value}:
-        options["recording"] = of_recording
+    options: dict[str, Any] = {f"recording.{k}": v for k, v in (recording or {}).items() if v}
     name = os.fspath(truth) if isinstance(truth, (str, os.PathLike)) else None
     if name is not None:
         options["ground_truth"] = None if name == "none" else {"path": name}
-    changes = merge(options, parse_overrides(overrides))
-    if lines is None and (experiment is not None or is_lines(given)):
-        lines = given
-        loaded = load_experiment(
-            ZERO_LABEL if experiment is None else experiment, changes, lines=lines, n_lanes=n_lanes
-        )
+    changes = merge(nest(options), parse_overrides(overrides))
+    if lines is None and is_lines(given):
+        lines, model = given, ZERO_LABEL if experiment is None else experiment
+        loaded = load_experiment(model, changes, lines=lines, n_lanes=n_lanes)
     else:
         loaded = load_experiment(given, changes, n_lanes=n_lanes)
     if graph is not None:
@@ -119,9 +115,10 @@ def is_lines(given: Any) -> bool:
     """Whether something is a recording of lines rather than an experiment."""
     if isinstance(given, (LineLog, pd.DataFrame)):
         return True
-    is_name = isinstance(given, (str, os.PathLike))
-    ending = Path(given).suffix.lower() if is_name else ""
-    return is_name and bool(ending or os.path.isdir(given)) and ending not in (".yaml", ".yml")
+    if not isinstance(given, (str, os.PathLike)):
+        return False
+    ending = Path(given).suffix.lower()
+    return bool(ending or os.path.isdir(given)) and ending not in (".yaml", ".yml")
 
 
 # --- tables of runs ------------------------------------------------------------------------------
@@ -130,16 +127,14 @@ def is_lines(given: Any) -> bool:
 def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[str, Any]], Path]:
     """The rows of a table of runs, without empty cells, and the folder of its paths.
 
-    A cell of a CSV is YAML, except in names, paths and tags, which are text. Raises InputError for
-    an unknown column and for a table without rows.
+    - table: a DataFrame, or a CSV whose cells are YAML, except names, paths and tags.
+
+    Raises InputError for an unknown column and for a table without rows.
     """
     if isinstance(table, pd.DataFrame):
-        cells, folder, where = table.copy(), Path.cwd(), "table"
+        cells, folder, where = table, Path.cwd(), "table"
     else:
-        path = Path(table)
-        folder, where = path.absolute().parent, str(path)
-        is_parquet = path.suffix == ".parquet"
-        cells = read_parquet(path) if is_parquet else _read_csv(path)
+        cells, folder, where = _read_csv(Path(table)), Path(table).absolute().parent, str(table)
     for column in map(str, cells):
         if not column.startswith(TAG) and column.split(".")[0] not in Experiment.model_fields:
             hint = suggestion(column, Experiment.model_fields)
@@ -232,15 +227,15 @@ def run_table(
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:
     """Run one row of a table, unless its result exists; return its row of the summary."""
-    experiment, place = given.experiment, folder / given.experiment.name
-    row: dict[str, Any] = {"name": experiment.name}
+    name = given.experiment.name
+    row: dict[str, Any] = {"name": name}
     row |= {f"{TAG}{key}": value for key, value in given.tags.items()}
     try:
-        done = stored(experiment, place, given.tags, n_blocks)
+        done = stored(given.experiment, folder / name, given.tags, n_blocks)
         row["was_there"] = done is not None
         if done is None:
             done = run_input(given, n_blocks=n_blocks)
-            done.save(place)
+            done.save(folder / name)
         return {**row, "seconds": done.run["seconds"], "error": None, **numbers(done.scores)}
     except InputError as error:
         return {**row, "error": str(error)}
@@ -254,8 +249,8 @@ def run_input(
     progress: bool | None = False,
 ) -> Result:
     """Run an experiment. n_blocks: hold out each of some blocks; chunk_frames: see `infer`."""
-    experiment, lines, truth, tags = given
     if n_blocks is None:
+        experiment, lines, truth, tags = given
         return run_experiment(
             experiment, lines, truth, chunk_frames=chunk_frames, tags=tags, progress=progress
         )
@@ -269,12 +264,11 @@ def run_input(
 
 def numbers(scores: Mapping[str, Any]) -> dict[str, Any]:
     """Every single number of some scores, by its keys with dots between them."""
-    flat = pd.json_normalize(dict(scores)).iloc[0].to_dict()
     found: dict[str, Any] = {}
-    for key, value in flat.items():
-        if key.rpartition(".")[0].endswith("intervals"):
+    for key, value in pd.json_normalize(dict(scores)).iloc[0].items():
+        if str(key).rpartition(".")[0].endswith("intervals"):
             if isinstance(value, list):
                 found |= {f"{key}.low": value[0], f"{key}.high": value[1]}
         elif not isinstance(value, list):
-            found[key] = value
+            found[str(key)] = value
     return found

@@ -80,17 +80,14 @@ def storage_errors(storage: str | None) -> Iterator[None]:
         raise
     except Exception as error:
         # Optuna may raise another error while it handles the first one.
-        chain: list[BaseException] = [error]
-        while chain[-1].__context__ is not None:
-            chain.append(chain[-1].__context__)
-        for each in chain:
+        each: BaseException | None = error
+        while each is not None:
             if not isinstance(each, Exception):
                 raise type(each)(*each.args) from None
-        for each in chain:
             if isinstance(each, (OSError, SQLAlchemyError, StorageInternalError)):
-                kept = "complete trials are kept, repeat the command to go on"
-                place = named(storage or "study")
-                raise InputError(f"{place}: {_reason(each)}; {kept}") from error
+                why = f"{_reason(each)}; complete trials are kept, repeat the command to go on"
+                raise InputError(f"{named(storage or 'study')}: {why}") from error
+            each = each.__context__
         raise
 
 

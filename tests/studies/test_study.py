@@ -149,16 +149,6 @@ def test_one_of_several_drives_may_have_untrusted_labels() -> None:
         assert int((~frames["is_trusted"]).sum()) == int((~odd.is_trusted).sum())
 
 
-def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 600, fit={"method": "learn"})
-    found = run_input(open_input(path), n_blocks=3)
-    again = load_result(found.save(tmp_path / "out"))
-    assert_frame_equal(again.frames, found.frames)
-    assert (again.run, again.scores) == (found.run, found.scores)
-    # Its experiment can be run and learned from again; the fit is that of the run.
-    assert run(again).scores["model"] == run(path).scores["model"]
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
