@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from egolane_pgm.recordings import read_lines as read_lines
     from egolane_pgm.result import Result as Result
     from egolane_pgm.result import load_result as load_result
+    from egolane_pgm.simulation import simulate as simulate
     from egolane_pgm.studies.black_box import Objective as Objective
     from egolane_pgm.studies.black_box import objective as objective
     from egolane_pgm.studies.em import fit_tables as fit_tables
@@ -47,7 +48,6 @@ if TYPE_CHECKING:
     from egolane_pgm.verbs.learn import learn as learn
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
     from egolane_pgm.verbs.run import run as run
-    from egolane_pgm.verbs.simulate import simulate as simulate
     from egolane_pgm.verbs.tune import tune as tune
     from egolane_pgm.views.network import draw_network as draw_network
 
@@ -64,7 +64,7 @@ _PUBLIC = {
     "reproduce": "verbs.reproduce",
     "detect": "verbs.detect",
     "label": "verbs.label",
-    "simulate": "verbs.simulate",
+    "simulate": "simulation",
     "objective": "studies.black_box",
     "Objective": "studies.black_box",
     "read_lines": "recordings",

@@ -209,7 +209,6 @@ def run_table(
     n_blocks: int | None = None,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> pd.DataFrame:
     """Run each row of a table of runs; write a result directory for each.
 
@@ -226,7 +225,7 @@ def run_table(
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
     done: list[dict[str, Any]] = []
     try:
-        done.extend(bar(rows, progress, total=len(inputs), unit="run"))
+        done.extend(bar(rows, total=len(inputs), unit="run"))
     except KeyboardInterrupt:
         kept = f"{len(done)} of {len(inputs)} runs are in {folder}; repeat the command to go on"
         raise KeyboardInterrupt(kept) from None
@@ -259,20 +258,17 @@ def run_input(
     *,
     n_blocks: int | None = None,
     chunk_frames: int | None = None,
-    progress: bool | None = False,
 ) -> Result:
     """Run an experiment. n_blocks: hold out each of some blocks; chunk_frames: see `infer`."""
     experiment, lines, truth, tags = given
     if n_blocks is None:
-        return run_experiment(
-            experiment, lines, truth, chunk_frames=chunk_frames, tags=tags, progress=progress
-        )
+        return run_experiment(experiment, lines, truth, chunk_frames=chunk_frames, tags=tags)
     # It can search: other runs do without Optuna.
     from egolane_pgm.studies.study import run_held_out
 
     with noting() as notes:
         drives = given.drives()
-    return run_held_out(drives, n_blocks, notes=notes, progress=progress)
+    return run_held_out(drives, n_blocks, notes=notes)
 
 
 def numbers(scores: Mapping[str, Any]) -> dict[str, Any]:

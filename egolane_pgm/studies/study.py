@@ -162,13 +162,12 @@ def fit_folds(
     *,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> list[Fitted]:
     """The fit of each numbered fold; see `fit_fold`."""
     work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
     fitted = []
-    for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
+    for fold, notes in bar(found, total=len(folds), unit="fit"):
         fitted.append(fold)
         for note in notes:
             warnings.warn(note, UserWarning, stacklevel=2)
@@ -379,7 +378,6 @@ def run_held_out(
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
-    progress: bool | None = False,
 ) -> Result:
     """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
     begin, experiment = time.perf_counter(), drives[0].experiment
@@ -394,7 +392,7 @@ def run_held_out(
     }
     folds = block_folds(drives, n_blocks)
     with noting() as found:
-        fitted = fit_folds(drives, fits[method], list(enumerate(folds)), progress=progress)
+        fitted = fit_folds(drives, fits[method], list(enumerate(folds)))
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -413,7 +411,6 @@ def run_study(
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> Study:
     """Fit to everything, and hold out each fold in turn.
 
@@ -455,9 +452,7 @@ def run_study(
     numbered = [(None, whole_fold), *enumerate(folds)]
     with noting() as of_fits:
         try:
-            whole, *fitted = fit_folds(
-                drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-            )
+            whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
         except KeyboardInterrupt:
             if method != "tune" or storage is None:
                 raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 import warnings
 from collections.abc import Iterable
@@ -14,23 +15,22 @@ if "IPython" in sys.modules:
         import tqdm.auto  # noqa: F401
 
 
-def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
-    """Make a bar of tqdm.
+def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
+    """Make a bar of tqdm, which is shown in a terminal and in a notebook, but not by a worker.
 
     - items: counted as they are taken; without items call `update`.
-    - progress: whether it is shown; by default in a terminal and in a notebook.
     - settings: of tqdm.
     """
     from tqdm import tqdm
 
     kind: Any = tqdm
-    shown = {"disable": None if progress is None else not progress}
+    # With None tqdm hides it outside of a terminal.
+    is_hidden = True if multiprocessing.parent_process() else None
     if hasattr(ipython(), "kernel"):
         from tqdm.auto import tqdm as kind
 
-        # None would hide it.
-        shown = {} if progress is None else shown
-    return kind(items, leave=False, **shown, **settings)
+        is_hidden = False
+    return kind(items, leave=False, disable=is_hidden, **settings)
 
 
 def ipython() -> Any:

@@ -40,7 +40,7 @@ _FILES = (".html", ".mp4", ".mcap")
 
 
 def plot(
-    results: Annotated[StrPath | Sequence[StrPath], Option(many=True)],
+    results: StrPath | Sequence[StrPath],
     *,
     frames: Annotated[tuple[int, int] | None, Option("FIRST LAST")] = None,
     out: Annotated[StrPath | None, Option("DIR|FILE")] = None,
@@ -72,8 +72,7 @@ def plot(
     found = open_results(place for place in places if place not in studies)
     is_several = len(found) + len(studies) > 1
 
-    def target(place: Path | None) -> Path:
-        assert place is not None
+    def target(place: Path) -> Path:
         if out is None:
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
@@ -87,7 +86,7 @@ def plot(
             for draw in (confusion_figure, reliability_figure, coverage_figure):
                 name = draw.__name__.removesuffix("_figure")
                 makes[name] = partial(draw, result.frames, title_of(result))
-        files += write_figures(makes, target(result.directory), style)
+        files += write_figures(makes, target(Path(str(result.directory))), style)
     if len(found) > 1:
         folder = places[0].parent if is_result(places[0]) else places[0]
         titled = [(title_of(result), result.frames) for result in found]
@@ -97,11 +96,9 @@ def plot(
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:
-    """Write a page, a video or an MCAP file."""
+    """Write a page, a video or an MCAP file. Their packages are extras, imported here."""
     check_place(file)
-    ending = file.suffix.lower()
-    if ending == ".html":
-        # Its packages are an extra, which `egolane plot --help` does not need.
+    if file.suffix.lower() == ".html":
         from egolane_pgm.page.document import write_page
 
         if frames:
@@ -111,15 +108,12 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
         return file
     if len(places) > 1:
         raise InputError(f"out: {file}: shows one result; {len(places)} are named")
-    result = load_result(places[0])
-    if ending == ".mcap":
-        from egolane_pgm.export.mcap_file import write_mcap
-
-        write_mcap(file, result, frames)
+    write: Callable[..., Any]
+    if file.suffix.lower() == ".mcap":
+        from egolane_pgm.export.mcap_file import write_mcap as write
     else:
-        from egolane_pgm.export.video_file import write_video
-
-        write_video(file, result, frames)
+        from egolane_pgm.export.video_file import write_video as write
+    write(file, load_result(places[0]), frames)
     return file
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -20,22 +19,8 @@ from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.result import Result, check_writable, is_result
 from egolane_pgm.runs import Input, open_input, run_input, run_table, table_inputs
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import (
-    Cluster,
-    ColumnNames,
-    Detector,
-    Graph,
-    Jobs,
-    Lines,
-    Option,
-    Overrides,
-    Progress,
-    StrPath,
-    TableOfRuns,
-    Truth,
-    path_of,
-    place_of,
-)
+from egolane_pgm.verbs import options
+from egolane_pgm.verbs.options import Option, StrPath, place_of
 
 EXAMPLES = (
     "egolane run lines.csv --n-lanes 4",
@@ -56,25 +41,24 @@ def run(given: Any, **options: Any) -> Result: ...
 
 # The overloads leave the options to this one.
 def run(  # type: ignore[misc]
-    given: Annotated[ExperimentLike | Lines | Result, Option("EXPERIMENT|LINES")],
+    given: Annotated[ExperimentLike | options.Lines | Result, Option("EXPERIMENT|LINES")],
     *,
-    experiment: Annotated[ExperimentLike | None, Option("X.yaml", shown="zero_label")] = None,
-    overrides: Overrides = (),
-    ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
+    experiment: Annotated[ExperimentLike | None, Option("X.yaml")] = None,
+    overrides: options.Overrides = (),
+    ground_truth: Annotated[options.Truth | None, Option("FILE|none")] = None,
     n_lanes: int | None = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
-    detector: Detector = None,
-    columns: ColumnNames = None,
-    graph: Graph = None,
-    table: TableOfRuns = None,
+    detector: options.Detector = None,
+    columns: options.ColumnNames = None,
+    graph: options.Graph = None,
+    table: options.TableOfRuns = None,
     chunk_frames: Annotated[int | None, Ge(1)] = None,
     held_out: bool = False,
     dry_run: bool = False,
-    out: Annotated[StrPath | None, Option("DIR", default="results/*", shown="results/NAME")] = None,
+    out: Annotated[StrPath | None, Option("DIR", default="results/*")] = None,
     figures: bool = True,
-    jobs: Jobs = 1,
-    cluster: Cluster = None,
-    progress: Progress = None,
+    jobs: options.Jobs = 1,
+    cluster: options.Cluster = None,
 ) -> Result | pd.DataFrame | str:
     """Infer the lane in each frame of a recording, score it, and list lane changes.
 
@@ -87,7 +71,7 @@ def run(  # type: ignore[misc]
 
     - given: an experiment; lines: a file, a DataFrame (see `read_lines`) or a LineLog; or a Result,
       whose experiment is run again on its recording.
-    - experiment: the model for LINES (evidence, graph, filter, parameters).
+    - experiment: the model for LINES (evidence, graph, filter, parameters), by default zero_label.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0, recording.topic=/lanes.
     - ground_truth: annotated lanes, a file or a DataFrame with frame_id, lane and crossing; "none"
       to run without.
@@ -107,7 +91,6 @@ def run(  # type: ignore[misc]
     - figures: draw the posterior over time.
     - jobs: processes that share the rows of a table.
     - cluster: Dask cluster for the rows of a table.
-    - progress: whether to show a bar; by default in a terminal only.
 
     Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Writes
     files only with `out`. Raises InputError if the arguments do not fit.
@@ -129,9 +112,9 @@ def run(  # type: ignore[misc]
         ground_truth=ground_truth,
         graph=graph,
         recording={
-            "camera": None if camera is None else path_of(camera, "camera"),
-            "detector": None if detector is None else path_of(detector, "detector"),
-            "columns": None if columns is None else column_keys(columns),
+            "camera": camera,
+            "detector": detector,
+            "columns": columns and column_keys(columns),
         },
     )
     place = None if out is None else place_of(out, chosen.experiment.name)
@@ -147,15 +130,13 @@ def run(  # type: ignore[misc]
         inputs = table_inputs(chosen.experiment, table)
         if dry_run:
             return "\n".join(check_input(each) for each in inputs)
-        return run_table(
-            inputs, place, n_blocks=n_blocks, jobs=jobs, cluster=cluster, progress=progress
-        )
+        return run_table(inputs, place, n_blocks=n_blocks, jobs=jobs, cluster=cluster)
     if dry_run:
         return check_input(chosen)
     if place is not None:
         check_writable(place)
         check_same_drive(place, chosen.experiment)
-    result = run_input(chosen, n_blocks=n_blocks, chunk_frames=chunk_frames, progress=progress)
+    result = run_input(chosen, n_blocks=n_blocks, chunk_frames=chunk_frames)
     if place is None:
         return result
     result = replace(result, directory=result.save(place))
@@ -202,30 +183,17 @@ def check_input(given: Input) -> str:
     )
 
 
-def text(done: Result | pd.DataFrame | str, style: str, wide: bool) -> str:
-    """The output of the command."""
-    if isinstance(done, pd.DataFrame):
-        from egolane_pgm.views.display import runs_text
+def text(done: pd.DataFrame | str, style: str, wide: bool) -> str:
+    """The output for a table of runs, or for a dry run."""
+    from egolane_pgm.views.display import runs_text
 
-        return runs_text(done, style, wide)
-    return done if isinstance(done, str) else done.to_text(style=style, wide=wide)
+    return done if isinstance(done, str) else runs_text(done, style, wide)
 
 
-def summary(done: Result | pd.DataFrame | str, given: Mapping[str, Any]) -> str:
+def summary(done: Result | pd.DataFrame, given: Mapping[str, Any]) -> str:
     """The paths of the results."""
-    if isinstance(done, str):
-        return ""
     if isinstance(done, Result):
-        assert done.directory is not None
-        picture = done.directory / "figures" / "strips.png"
+        picture = Path(str(done.directory)) / "figures" / "strips.png"
         return f"result: {done.directory}" + f"; picture: {picture}" * picture.is_file()
     good, there = int(done["error"].isna().sum()), int(done["was_there"].fillna(False).sum())
-    return f"results: {good} of {len(done)} in {os.fspath(given['out'])}, {there} were there"
-
-
-def failed(done: Result | pd.DataFrame | str) -> list[tuple[str, str]]:
-    """The name of each row of a table that failed, and why."""
-    if not isinstance(done, pd.DataFrame):
-        return []
-    errors = done["error"].dropna()
-    return list(zip(map(str, errors.index), errors, strict=True))
+    return f"results: {good} of {len(done)} in {given['out']}, {there} were there"
