@@ -1,7 +1,7 @@
 """The command `egolane`, made from the functions in `egolane_pgm.verbs`.
 
 A verb's parameters before the `*` become arguments, the others options. Types give the checks, the
-docstring gives the help, and `verbs.options.Option` the rest. A verb's module may also define:
+docstring gives the help, and `tools.options.Option` the rest. A verb's module may also define:
 
 - `text(done, style, wide)`: the output, if the object that a verb returns has no `to_text`.
 - `summary(done, given)`: the last lines of the output, such as the path of a result.
@@ -155,15 +155,15 @@ def _parts_of(hint: Any) -> tuple[list[Any], list[Any]]:
 
 def _param(parameter: inspect.Parameter, hint: Any, help: str) -> click.Parameter:
     """The argument or option of a verb's parameter."""
-    from egolane_pgm.verbs.options import Option
+    from egolane_pgm.tools.options import Option
 
     name, default, (kinds, extras) = parameter.name, parameter.default, _parts_of(hint)
     option = next((extra for extra in extras if isinstance(extra, Option)), Option())
     is_needed = default is inspect.Parameter.empty
     is_list = any(typing.get_origin(kind) is Sequence for kind in kinds)
     is_many = is_list and not isinstance(default, str)
-    settings: dict[str, Any] = {"metavar": option.metavar, "required": option.required or is_needed}
-    settings["type"] = _type_of(kinds[0], kinds, extras)
+    kind = _type_of(kinds[0], kinds, extras)
+    settings = {"metavar": option.metavar, "required": option.required or is_needed, "type": kind}
     value = default if option.default is None else option.default
     if value is not None and value != () and not is_needed:
         settings["default"] = value
@@ -191,13 +191,9 @@ def _type_of(first: Any, kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
     if kind is tuple:
         return given
     if first in (int, float, bool):
-        low, high = (
-            next((getattr(extra, key) for extra in extras if hasattr(extra, key)), None)
-            for key in ("ge", "le")
-        )
-        if low is None and high is None:
-            return first
-        return (click.IntRange if first is int else click.FloatRange)(low, high)
+        ends = {key: getattr(e, key) for e in extras for key in ("ge", "le") if hasattr(e, key)}
+        ranged = click.IntRange if first is int else click.FloatRange
+        return ranged(ends.get("ge"), ends.get("le")) if ends else first
     is_path = any(typing.get_origin(each) is os.PathLike for each in kinds)
     return click.Path() if is_path else str
 
@@ -208,7 +204,7 @@ def _type_of(first: Any, kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
 def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.ModuleType) -> None:
     """Call a verb with the values of the command line, and print what it returns."""
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
-    from egolane_pgm.verbs.options import several_of
+    from egolane_pgm.tools.options import several_of
 
     tables = {k.removeprefix("table_"): values.pop(k) for k in [*values] if k.startswith("table_")}
     json_file = values.pop("json_file", None)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from egolane_pgm.tools.files import check_place
+from egolane_pgm.tools.options import Option, Target
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import Option, Target
 from egolane_pgm.vision.calibration.chessboard import calibrate_lens, describe_lens
 from egolane_pgm.vision.calibration.road_lines import (
     ASSUMED_LENS,

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import pandas as pd
 
 from egolane_pgm.comparing import compare as compare_results
-from egolane_pgm.verbs.options import Option, StrPath, several_of
+from egolane_pgm.tools.options import Option, StrPath, several_of
 
 EXAMPLES = (
     "egolane compare results/a results/b",

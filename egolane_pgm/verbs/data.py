@@ -14,9 +14,8 @@ EXAMPLES = ("egolane data list", "egolane data fetch")
 def data(action: Literal["list", "fetch"]) -> str:
     """List the paper's recordings, or download what is missing.
 
-    `list` prints the folders in which they are searched for, and each file with its checksum's
-    state. `fetch` checks every sha256, keeps good files, and downloads the others to the folder
-    that `list` prints last (`$XDG_CACHE_HOME`).
+    `list` prints the search folders and the state of each file. `fetch` checks every sha256, keeps
+    good files, and downloads the others to the last of these folders (`$XDG_CACHE_HOME`).
 
     Returns the list, or the number of good files. Raises InputError if a file is not good.
     """

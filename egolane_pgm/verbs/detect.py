@@ -12,8 +12,8 @@ from egolane_pgm.experiment import DETECTOR
 from egolane_pgm.loading import load_experiment, parse_overrides
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import check_place
+from egolane_pgm.tools.options import Option, Overrides, StrPath, Target
 from egolane_pgm.types import InputError, LineLog
-from egolane_pgm.verbs.options import Option, Overrides, StrPath, Target
 from egolane_pgm.vision.detectors.pictures import detect_pictures
 
 EXAMPLES = (

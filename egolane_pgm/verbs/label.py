@@ -12,8 +12,8 @@ from egolane_pgm.loading import ExperimentLike
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.result import check_writable
 from egolane_pgm.runs import open_input
-from egolane_pgm.verbs import options
-from egolane_pgm.verbs.options import Option, StrPath, place_of
+from egolane_pgm.tools import options
+from egolane_pgm.tools.options import Option, StrPath, place_of
 
 EXAMPLES = ("egolane label drive/lines.csv --n-lanes 4 --out labels",)
 

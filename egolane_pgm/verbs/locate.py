@@ -16,8 +16,8 @@ from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.tools.files import check_place
+from egolane_pgm.tools.options import ColumnNames, Option, StrPath, Target
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import ColumnNames, Option, StrPath, Target
 
 EXAMPLES = ("egolane locate roads.osm.pbf drive.gpx -o road.parquet",)
 

@@ -11,7 +11,7 @@ from egolane_pgm.loading import ExperimentLike, load_experiment
 from egolane_pgm.online import online as answers
 from egolane_pgm.online import read_messages
 from egolane_pgm.recordings.columns import column_keys
-from egolane_pgm.verbs.options import ColumnNames, Option, Overrides
+from egolane_pgm.tools.options import ColumnNames, Option, Overrides
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 

@@ -12,8 +12,8 @@ from egolane_pgm.comparing import open_results
 from egolane_pgm.result import is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
+from egolane_pgm.tools.options import Option, StrPath, several_of
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import Option, StrPath, several_of
 from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.figures import (
     confusion_figure,

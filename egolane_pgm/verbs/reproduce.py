@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 import pandas as pd
 
 from egolane_pgm.paper import Reproduction, Runs, parse_runs, reproduce_run
+from egolane_pgm.tools.options import Option, StrPath
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.verbs.options import Option, StrPath
 from egolane_pgm.views.tables import page, table
 
 EXAMPLES = ("egolane reproduce --runs 1-5", "egolane reproduce --format latex > table.tex")

@@ -20,8 +20,8 @@ from egolane_pgm.recordings import FORMATS, format_of
 from egolane_pgm.recordings.showing import show_recording
 from egolane_pgm.simulation import PRESETS
 from egolane_pgm.tools.files import check_not_read
+from egolane_pgm.tools.options import Option, StrPath
 from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
-from egolane_pgm.verbs.options import Option, StrPath
 from egolane_pgm.views.description import (
     describe_detector,
     describe_graph,
@@ -67,9 +67,9 @@ def show(
     """List graphs, evidence rules, detectors and experiments, or describe a plugin or a file.
 
     Without NAME, or with a KIND (graphs, evidence, detectors, experiments, ...), the names are
-    listed. NAME is a graph, an evidence rule or a detector, or your own file. Prefixes tell apart
-    equal names: `graph:NAME`, `evidence:NAME`, `detector:NAME`. `schema` and `schema:tuning` print
-    the JSON Schemas of experiments and tuning files.
+    listed. NAME is a graph, an evidence rule or a detector, or your own file. A prefix
+    distinguishes equal names: `graph:NAME`, `evidence:NAME`, `detector:NAME`. `schema` and
+    `schema:tuning` print the JSON Schemas of experiments and tuning files.
 
     For a recording (a table or a bag), print its content and, if names and signs are clear, the
     command that runs it. For a lane network (FILE.onnx), print its inputs, its outputs and the

@@ -11,8 +11,8 @@ from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import simulate as simulate_drive
 from egolane_pgm.simulation import simulated_road
 from egolane_pgm.tools.files import make_directory, write_yaml
+from egolane_pgm.tools.options import Option, Overrides, StrPath
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import Option, Overrides, StrPath
 from egolane_pgm.vision.simulated import write_pictures
 
 EXAMPLES = (

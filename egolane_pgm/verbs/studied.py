@@ -25,8 +25,8 @@ from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.running import noting
 from egolane_pgm.runs import Input, is_lines, open_input, table_inputs
 from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds, run_study
+from egolane_pgm.tools.options import StrPath, place_of, several_of
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import StrPath, place_of, several_of
 
 
 class TuningFile(Section):

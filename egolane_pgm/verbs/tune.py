@@ -9,8 +9,8 @@ from annotated_types import Ge
 
 from egolane_pgm.loading import ExperimentLike, merge, parse_overrides
 from egolane_pgm.studies.study import Study
-from egolane_pgm.verbs import options
-from egolane_pgm.verbs.options import Option, StrPath
+from egolane_pgm.tools import options
+from egolane_pgm.tools.options import Option, StrPath
 from egolane_pgm.verbs.studied import fit_study
 from egolane_pgm.verbs.studied import summary as summary
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import ast
 import base64
 import copy
-import pickle
 import pydoc
 import warnings
 from importlib import import_module
@@ -79,14 +78,6 @@ def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
     assert base64.b64decode(data["image/png"]).startswith(b"\x89PNG")
     data, _ = formatter.format(run)
     assert data == {"text/plain": repr(run), "text/html": run._repr_html_()}
-
-
-def test_a_saved_run_is_read_back_and_saved_as_the_same(run: ego.Result, tmp_path: Path) -> None:
-    again = ego.load_result(run.save(tmp_path / "run"))
-    assert repr(again) == repr(run) == repr(pickle.loads(pickle.dumps(again)))
-    pd.testing.assert_frame_equal(again.frames, run.frames)
-    copied = contents(again.save(tmp_path / "copy"))
-    assert copied == contents(tmp_path / "run")
 
 
 def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_path: Path) -> None:

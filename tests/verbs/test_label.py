@@ -7,7 +7,6 @@ import io
 import json
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -50,14 +49,6 @@ def test_it_writes_the_labels_and_the_segments(lines: Path) -> None:
     # The folder is a run's result too.
     again = ego.load_result(folder).frames["assigned_lane"]
     assert again.to_list() == found.truth["true_lane"].to_list()
-
-
-def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> None:
-    truth = lines.parent / "labels" / "labels.txt"
-    words = ("--experiment", "zero_label", "--n-lanes", 3, "--ground-truth", truth)
-    said = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
-    is_crossing = read_ground_truth(truth)["is_crossing"]
-    assert f"of {np.count_nonzero(~is_crossing)} frames" in said
 
 
 def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) -> None:

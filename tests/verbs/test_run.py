@@ -84,17 +84,6 @@ def test_a_figure_is_part_of_the_result(drive: Path, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "out" / "figures").iterdir()] == ["strips.png"]
 
 
-def test_the_examples_of_own_files_run(tmp_path: Path) -> None:
-    experiment = ROOT / "examples" / "own_files.yaml"
-    assert "ok (4 lanes, 8 joint states)" in done("run", "--dry-run", experiment).stdout
-    done("run", experiment, "--no-figures", "--out", tmp_path / "out")
-    copy = tmp_path / "out" / "graph_my_graph.py"
-    assert copy.read_bytes() == (ROOT / "examples" / "my_graph.py").read_bytes()
-    found = load_result(tmp_path / "out")
-    assert found.experiment.graph == str(copy)
-    assert found.scores["model"]["accuracy"] > found.scores["detector"]["accuracy"]
-
-
 def test_lane_changes_are_printed_with_their_scores(tmp_path: Path) -> None:
     path, out = write_drive(tmp_path, 2400), tmp_path / "out"
     shown = done("run", path, "--no-figures", "--out", out).stdout
@@ -232,7 +221,7 @@ def test_the_result_of_another_drive_is_not_replaced(tmp_path: Path) -> None:
         ("n_lane=3", "unknown key 'n_lane' (did you mean 'n_lanes'?)"),
         ("recording.topc=x", "recording: unknown key 'topc' (did you mean 'topic'?)"),
         ("parameters.p1=1.3", "parameters.p1: 1.3 is not a probability (0 to 1)"),
-        ("recording.frames=[9,3]", "recording.frames: [9, 3] is an empty range"),
+        ("recording.frames=[9,3]", "recording: frames [9, 3] is an empty range"),
         ("graph=./no.py", "graph: no file"),
     ],
 )
@@ -257,7 +246,7 @@ def test_a_place_that_cannot_be_written_is_refused_before_anything_is_computed(
 ) -> None:
     experiment = write_drive(tmp_path, 20)
     before = contents(tmp_path)
-    monkeypatch.setattr("egolane_pgm.verbs.run.run_input", lambda *a, **k: pytest.fail("computed"))
+    monkeypatch.setattr("egolane_pgm.runs.run_input", lambda *a, **k: pytest.fail("computed"))
     below_a_file = experiment / "below" / "result"
     words = ("run", experiment, "--no-figures")
     if what == "--json":

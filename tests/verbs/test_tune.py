@@ -242,8 +242,6 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
         ),
         ({"ground_truth": None}, "", "ground_truth: is missing"),
         ({}, "--set fit.strength=0", "fit.strength: input should be greater than 0"),
-        ({}, "--table gone.csv", "gone.csv: cannot be read as a table"),
-        ({}, "--set n_lanes=51", "n_lanes: input should be less than or equal to 50"),
     ],
 )
 def test_what_cannot_be_learned_is_one_line(
