@@ -84,7 +84,7 @@ def run(  # type: ignore[misc]
     ground_truth: Annotated[options.Truth | None, Option("FILE|none")] = None,
     n_lanes: int | None = None,
     camera: Annotated[StrPath | None, Option("FILE")] = None,
-    detector: options.Detector = None,
+    detector: Annotated[StrPath | None, Option("NAME|FILE.py")] = None,
     columns: options.ColumnNames = None,
     graph: options.Graph = None,
     table: options.TableOfRuns = None,

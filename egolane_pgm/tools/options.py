@@ -6,23 +6,16 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from annotated_types import Ge
 
-from egolane_pgm.types import LineLog
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-    #: Lines of a drive: a file, or data in memory.
-    Lines = str | os.PathLike[str] | LineLog | pd.DataFrame
-    #: The annotated lanes of a drive; "none" for none.
-    Truth = str | os.PathLike[str] | pd.DataFrame
-else:
-    Lines = Truth = str | os.PathLike[str]
-
 StrPath = str | os.PathLike[str]
+
+#: Lines of a drive: a file, a LineLog or a DataFrame.
+Lines = StrPath | Any
+#: The annotated lanes of a drive: a file or a DataFrame; "none" for none.
+Truth = StrPath | Any
 
 
 @dataclass(frozen=True)
@@ -43,7 +36,6 @@ class Option:
     required: bool = False
 
 
-Detector = Annotated[StrPath | None, Option("NAME|FILE.py")]
 #: A file that the command writes.
 Target = Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)]
 #: Number of folds; 0 for none.

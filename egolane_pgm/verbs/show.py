@@ -88,7 +88,13 @@ def show(
     if not given or given in _KINDS:
         found: dict[str, Any] = {kind: _KINDS[kind]() for kind in ([given] if given else _KINDS)}
     elif given.partition(":")[0] == "schema":
-        found = _schema(given.partition(":")[2] or "experiment")
+        # Schemas import all rooms that have one.
+        from egolane_pgm.verbs.schema import KINDS, schema
+
+        kind = given.partition(":")[2] or "experiment"
+        if kind not in KINDS:
+            raise InputError(f"schema:{kind}: unknown kind{suggestion(kind, KINDS)}")
+        found = schema(kind)
     elif given.endswith(".onnx"):
         # OpenCV is imported only if it is needed.
         from egolane_pgm.vision.detectors.networks.checking import describe_onnx
@@ -145,15 +151,6 @@ def _is_recording(path: Path) -> bool:
         return format_of(path) in ("table", "rosbag")
     except InputError:
         return False
-
-
-def _schema(kind: str) -> dict[str, Any]:
-    # Schemas import all rooms that have one.
-    from egolane_pgm.verbs.schema import KINDS, schema
-
-    if kind not in KINDS:
-        raise InputError(f"schema:{kind}: unknown kind{suggestion(kind, KINDS)}")
-    return schema(kind)
 
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:
