@@ -191,6 +191,8 @@ def check_file(experiment: Experiment) -> tuple[Path, Any]:
         with problems_in(where):
             reader_of(format)
     path = existing(experiment, "recording.path")
+    if experiment.recording.camera is not None:
+        existing(experiment, "recording.camera")
     if format is None:
         format_of(path)
     return path, reader

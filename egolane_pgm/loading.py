@@ -208,28 +208,27 @@ def existing(experiment: Experiment, key: str) -> Path:
 # --- overrides -----------------------------------------------------------------------------------
 
 
-def parse_overrides(overrides: Overrides) -> dict[str, Any]:
-    """Overrides as nested keys and values."""
-    if isinstance(overrides, str) or not isinstance(overrides, (Iterable, type(None))):
-        raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
-    if not isinstance(overrides, Mapping):
-        overrides = dict(read_override(each, "n_lanes=3") for each in overrides or ())
-    return nest(overrides) if overrides else {}
+def parse_overrides(overrides: Overrides, name: str = "overrides") -> dict[str, Any]:
+    """Overrides as nested keys and values. Raises InputError, naming the argument.
 
-
-def read_override(override: Any, example: str, option: str = "overrides") -> tuple[str, Any]:
-    """The key and the YAML value of `key=value`. Raises InputError for anything else.
-
-    - example, option: for messages.
+    - overrides: a dict, or a list of `key=value`, whose values are YAML.
     """
-    key, equals, text = str(override).partition("=")
-    key = key.strip()
-    if not equals or not all(key.split(".")):
-        raise InputError(f"{option}: {override}: write it as key=value, e.g. {example}")
-    try:
-        return key, parse_yaml(text, option)
-    except InputError as error:
-        raise InputError(f"{option}: {override}: the value is not YAML") from error
+    if isinstance(overrides, str) or not isinstance(overrides, (Iterable, type(None))):
+        raise InputError(f"{name}: {overrides!r}: needs a dict, or a list of key=value")
+    if not overrides:
+        return {}
+    if isinstance(overrides, Mapping):
+        return nest(overrides)
+    found = {}
+    for override in overrides:
+        key, equals, text = str(override).partition("=")
+        if not equals or not all(key.strip().split(".")):
+            raise InputError(f"{name}: {override}: write it as key=value, e.g. n_lanes=3")
+        try:
+            found[key.strip()] = parse_yaml(text, name)
+        except InputError as error:
+            raise InputError(f"{name}: {override}: the value is not YAML") from error
+    return nest(found)
 
 
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:

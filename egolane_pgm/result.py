@@ -211,8 +211,10 @@ class Result:
 
         return inline_figure(lambda: result_strips(self, first, last))
 
-    def save(self, directory: str | os.PathLike[str]) -> Path:
+    def save(self, directory: str | os.PathLike[str], *, figures: bool = False) -> Path:
         """Write the result directory; an older result is replaced, other files stay.
+
+        - figures: also draw the posterior over time, figures/strips.png.
 
         Raises InputError if the directory holds something else or cannot be written.
         """
@@ -229,6 +231,10 @@ class Result:
         self.events.round(6).to_csv(place / "events.csv", index=False)
         write_json(place / "scores.json", self.scores)
         write_json(place / "run.json", self.run)
+        if figures:
+            from egolane_pgm.views.strips import draw_strips
+
+            draw_strips(self, place / "figures" / "strips.png")
         return place
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:

@@ -26,7 +26,6 @@ from egolane_pgm.model import Model, make_evidence, online_rule, why_not_causal
 from egolane_pgm.recordings.select import fill_after
 from egolane_pgm.result import Result, make_result
 from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOT_ANNOTATED, Beliefs, FloatArray, InputError, LineLog
 
 #: The columns of some frames, (T,) each, by the names of `result.COLUMNS`.
@@ -179,20 +178,17 @@ def run_experiment(
     *,
     chunk_frames: int | None = None,
     tags: Mapping[str, str] | None = None,
-    progress: bool | None = False,
 ) -> Result:
     """Read the drives of an experiment, infer the lane in each frame, and score it.
 
     - lines, truth: data in memory, as for `read_drives`.
     - chunk_frames: number of frames to infer at a time, to save memory.
     - tags: labels to group results by.
-    - progress: whether a bar counts the drives; by default in a terminal.
     """
     begin = time.perf_counter()
     with noting() as notes:
         drives = read_drives(experiment, lines, truth, tags)
-        shown = bar(drives, progress, unit="drive") if len(drives) > 1 else drives
-        frames = concat_drives(drives, [frames_of(drive, chunk_frames) for drive in shown])
+        frames = concat_drives(drives, [frames_of(drive, chunk_frames) for drive in drives])
     return make_result(experiment, drives, frames, notes, begin=begin)
 
 

@@ -39,7 +39,7 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
     time_s, answer = shown["time_s"].tolist(), shown["assigned_lane"].tolist()
     truth = shown["true_lane"].fillna(0).tolist()
     with (
-        bar(None, None, desc=detector.name, unit="frame", total=len(shown)) as progress,
+        bar(desc=detector.name, unit="frame", total=len(shown)) as progress,
         video_writer(file, result.frame_rate, places.size) as write,
     ):
         for picture, lines in with_detected_lines(pictures, detector, camera):

@@ -52,7 +52,7 @@ def read_lines(
     >>> import tempfile
     >>> import egolane_pgm as ego
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = ego.simulate("a4", frames=30, out=folder)
+    ...     ego.simulate("a4", frames=30).log.to_pandas().to_csv(f"{folder}/lines.csv")
     ...     lines = ego.read_lines(f"{folder}/lines.csv")
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])

@@ -164,13 +164,12 @@ def fit_folds(
     *,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> list[Fitted]:
     """The fit of each numbered fold; see `fit_fold`."""
     work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
     fitted = []
-    for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
+    for fold, notes in bar(found, total=len(folds), unit="fit"):
         fitted.append(fold)
         for note in notes:
             warnings.warn(note, UserWarning, stacklevel=2)
@@ -381,7 +380,6 @@ def run_held_out(
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
-    progress: bool | None = False,
 ) -> Result:
     """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
     begin, experiment = time.perf_counter(), drives[0].experiment
@@ -389,7 +387,7 @@ def run_held_out(
     check_labels(drives, method)
     folds, fit = block_folds(drives, n_blocks), fit_by_name(method, trials=TRIALS_PER_FOLD)
     with noting() as found:
-        fitted = fit_folds(drives, fit, list(enumerate(folds)), progress=progress)
+        fitted = fit_folds(drives, fit, list(enumerate(folds)))
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -407,7 +405,6 @@ def run_study(
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> Study:
     """Fit to everything, and hold out each fold in turn.
 
@@ -441,9 +438,7 @@ def run_study(
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]
     with noting() as of_fits:
-        whole, *fitted = fit_folds(
-            drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-        )
+        whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
     notes = [*notes, *of_fits]

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
 import warnings
 from collections.abc import Iterable
 from typing import Any
 
 
-def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
-    """Make a bar of tqdm.
+def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
+    """Make a bar of tqdm, which is shown in a terminal and in a notebook, but not by a worker.
 
     - items: counted as they are taken; without items call `update`.
-    - progress: whether it is shown; by default in a terminal and in a notebook.
     - settings: of tqdm.
     """
     with warnings.catch_warnings():
@@ -20,9 +20,10 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
         warnings.simplefilter("ignore")
         from tqdm.auto import tqdm
     # With None tqdm shows it in a terminal only.
-    by_default = False if hasattr(ipython(), "kernel") else None
-    disable = by_default if progress is None else not progress
-    return tqdm(items, leave=False, disable=disable, **settings)
+    is_hidden = True if multiprocessing.parent_process() else None
+    if hasattr(ipython(), "kernel"):
+        is_hidden = False
+    return tqdm(items, leave=False, disable=is_hidden, **settings)
 
 
 def ipython() -> Any:

@@ -9,9 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.maps.road_table import save
 from tests.kits.drives import command, run, short_drive, write_drive
-from tests.kits.lane_maps import road_rows
 from tests.kits.streams import messages
 
 N_FRAMES = 60
@@ -35,13 +33,6 @@ def test_the_answers_are_those_of_a_run(tmp_path: Path, late: int) -> None:
     assert set(found[0]["beliefs"]) == {"SensorState", "Lane"}
     beliefs = [answer["beliefs"]["SensorState"]["OK"] for answer in found]
     np.testing.assert_allclose(beliefs, frames["SensorState_OK"], atol=1e-12)
-
-
-def test_on_a_road_from_a_map_the_lanes_change(tmp_path: Path) -> None:
-    save(road_rows([3] * 3 + [4] * 3), tmp_path / "road.parquet")
-    path = write_drive(tmp_path, N_FRAMES)
-    words = ("--set", f"road={tmp_path}/road.parquet", "--set", "n_lanes=map", "--node", "Lane")
-    assert [len(a["beliefs"]["Lane"]) for a in answers(path, *words)] == [3] * 30 + [4] * 30
 
 
 def test_other_names_of_fields_are_an_option(tmp_path: Path) -> None:
