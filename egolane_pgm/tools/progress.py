@@ -7,6 +7,12 @@ import warnings
 from collections.abc import Iterable
 from typing import Any
 
+if "IPython" in sys.modules:
+    with warnings.catch_warnings():
+        # tqdm warns at its first import if ipywidgets is missing.
+        warnings.simplefilter("ignore")
+        import tqdm.auto  # noqa: F401
+
 
 def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
     """Make a bar of tqdm.
@@ -15,14 +21,16 @@ def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **sett
     - progress: whether it is shown; by default in a terminal and in a notebook.
     - settings: of tqdm.
     """
-    with warnings.catch_warnings():
-        # tqdm warns at its first import if ipywidgets is missing.
-        warnings.simplefilter("ignore")
-        from tqdm.auto import tqdm
-    # With None tqdm shows it in a terminal only.
-    by_default = False if hasattr(ipython(), "kernel") else None
-    disable = by_default if progress is None else not progress
-    return tqdm(items, leave=False, disable=disable, **settings)
+    from tqdm import tqdm
+
+    kind: Any = tqdm
+    shown = {"disable": None if progress is None else not progress}
+    if hasattr(ipython(), "kernel"):
+        from tqdm.auto import tqdm as kind
+
+        # None would hide it.
+        shown = {} if progress is None else shown
+    return kind(items, leave=False, **shown, **settings)
 
 
 def ipython() -> Any:
