@@ -8,6 +8,12 @@ import warnings
 from collections.abc import Iterable
 from typing import Any
 
+if "IPython" in sys.modules:
+    with warnings.catch_warnings():
+        # tqdm warns at its first import if ipywidgets is missing.
+        warnings.simplefilter("ignore")
+        import tqdm.auto  # noqa: F401
+
 
 def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
     """Make a bar of tqdm, which is shown in a terminal and in a notebook, but not by a worker.
@@ -15,15 +21,16 @@ def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
     - items: counted as they are taken; without items call `update`.
     - settings: of tqdm.
     """
-    with warnings.catch_warnings():
-        # tqdm warns at its first import if ipywidgets is missing.
-        warnings.simplefilter("ignore")
-        from tqdm.auto import tqdm
-    # With None tqdm shows it in a terminal only.
+    from tqdm import tqdm
+
+    kind: Any = tqdm
+    # With None tqdm hides it outside of a terminal.
     is_hidden = True if multiprocessing.parent_process() else None
     if hasattr(ipython(), "kernel"):
+        from tqdm.auto import tqdm as kind
+
         is_hidden = False
-    return tqdm(items, leave=False, disable=is_hidden, **settings)
+    return kind(items, leave=False, disable=is_hidden, **settings)
 
 
 def ipython() -> Any:
