@@ -12,15 +12,7 @@ import pandas as pd
 
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.result import (
-    TAG,
-    Result,
-    is_result,
-    lanes_of,
-    load_result,
-    trusted_frames,
-    truth_of,
-)
+from egolane_pgm.result import TAG, Result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
@@ -159,7 +151,8 @@ def _groups(results: Sequence[Result], key: str | None) -> dict[Any, list[Result
 
 def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The annotated frames whose labels are trusted, and their ground truth."""
-    frames = trusted_frames(result.frames)
+    frames = result.frames.dropna(subset=["true_lane"])
+    frames = frames[frames["is_trusted"]] if "is_trusted" in frames else frames
     truth = truth_of(frames)
     if truth is None:
         raise InputError(f"{result.name}: has no ground truth to compare with")

@@ -375,12 +375,6 @@ def truth_of(frames: pd.DataFrame) -> pd.DataFrame | None:
     return lane_truth(ids, known["true_lane"], known["is_crossing"])
 
 
-def trusted_frames(frames: pd.DataFrame) -> pd.DataFrame:
-    """The annotated frames whose labels are trusted."""
-    known = frames.dropna(subset=["true_lane"])
-    return known[known["is_trusted"]] if "is_trusted" in known else known
-
-
 def by_drive(frames: pd.DataFrame) -> list[tuple[Any, pd.DataFrame]]:
     """The frames of each drive by name; None for the name of the only one."""
     return list(frames.groupby("drive", sort=False)) if "drive" in frames else [(None, frames)]
@@ -414,7 +408,8 @@ def score(frames: pd.DataFrame, frame_rate: float, lag: int | None = None) -> di
         "sure": float((lane.max(axis=1) >= SURE).mean()) if len(lane) else None,
         "events": {"detected": sum(map(len, events.values()))},
     }
-    every, kept = frames.dropna(subset=["true_lane"]), trusted_frames(frames)
+    every = frames.dropna(subset=["true_lane"])
+    kept = every[every["is_trusted"]] if "is_trusted" in every else every
     if kept.empty:
         return scores
     scores["frames_scored"] = int((~kept["is_crossing"]).sum())

@@ -245,11 +245,12 @@ def open_input(
             [lines] = given.lines.values()
             truth = given.truth if truth is None else truth
         given = found
-    options: dict[str, Any] = {f"recording.{k}": v for k, v in (recording or {}).items() if v}
+    of_recording = {key: value for key, value in (recording or {}).items() if value}
+    options: dict[str, Any] = {"recording": of_recording} if of_recording else {}
     name = os.fspath(truth) if isinstance(truth, (str, os.PathLike)) else None
     if name is not None:
         options["ground_truth"] = None if name == "none" else {"path": name}
-    changes = merge(nest(options), parse_overrides(overrides))
+    changes = merge(options, parse_overrides(overrides))
     if lines is None and is_lines(given):
         lines, model = given, ZERO_LABEL if experiment is None else experiment
         loaded = load_experiment(model, changes, lines=lines, n_lanes=n_lanes)
