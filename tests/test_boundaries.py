@@ -49,14 +49,12 @@ def test_parameters_at_their_ends_give_beliefs_and_no_warnings(seed: int) -> Non
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
-            beliefs = ego.run(
-                ego.experiments_folder() / "zero_label.yaml", overrides=changes
-            ).beliefs
+            result = ego.run(ego.experiments_folder() / "zero_label.yaml", overrides=changes)
         except ego.InputError:
             return
-    for name, values in beliefs.marginals.items():
-        np.testing.assert_allclose(values.sum(axis=1), 1, rtol=1e-9, err_msg=name)
-    assert np.isfinite(beliefs.log_evidence).all()
+    for name in result.model.values:
+        np.testing.assert_allclose(result.node(name).sum(axis=1), 1, rtol=1e-9, err_msg=name)
+    assert np.isfinite(result.frames["log_evidence"]).all()
 
 
 def test_what_no_graph_can_use_is_refused() -> None:

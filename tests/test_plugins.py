@@ -223,7 +223,7 @@ def test_a_format_of_ones_own_reads_a_recording(tmp_path: Path) -> None:
     (tmp_path / "lines.csv").rename(tmp_path / "lines.dat")
     result = run(experiment)
     np.testing.assert_array_equal(result.frames["time_s"], short_drive(20).log.frame_id / 20)
-    assert result.value("recording.format") == str(tmp_path / "f.py")
+    assert result.experiment.recording.format == str(tmp_path / "f.py")
     write(tmp_path / "f.py", "def read(path, **options):\n    return path.nothing\n")
     with pytest.raises(InputError, match=r"recording\.format: .*f\.py, line 2: AttributeError"):
         run(experiment)

@@ -354,6 +354,11 @@ def simulate(
 
     Raises InputError for an unknown preset or key, with a suggestion, and for a value that is out
     of range, naming the key.
+
+    >>> import egolane_pgm as ego
+    >>> drive = ego.simulate("a4", frames=30)
+    >>> len(drive.log), drive.n_lanes, list(drive.truth)
+    (30, 4, ['true_lane', 'is_crossing'])
     """
     check_names(_OF_WORLD | _OF_DETECTOR, overrides, "simulation")
     of_detector = {k: overrides.pop(k) for k in _OF_DETECTOR & overrides.keys()}

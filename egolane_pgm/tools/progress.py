@@ -4,15 +4,8 @@ from __future__ import annotations
 
 import multiprocessing
 import sys
-import warnings
 from collections.abc import Iterable
 from typing import Any
-
-if "IPython" in sys.modules:
-    with warnings.catch_warnings():
-        # tqdm warns at its first import if ipywidgets is missing.
-        warnings.simplefilter("ignore")
-        import tqdm.auto  # noqa: F401
 
 
 def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
@@ -24,13 +17,14 @@ def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
     from tqdm import tqdm
 
     kind: Any = tqdm
-    # With None tqdm hides it outside of a terminal.
-    is_hidden = True if multiprocessing.parent_process() else None
     if hasattr(ipython(), "kernel"):
         from tqdm.auto import tqdm as kind
-
-        is_hidden = False
-    return kind(items, leave=False, disable=is_hidden, **settings)
+    elif multiprocessing.parent_process():
+        settings["disable"] = True
+    else:
+        # Outside of a terminal tqdm hides it.
+        settings["disable"] = None
+    return kind(items, leave=False, **settings)
 
 
 def ipython() -> Any:

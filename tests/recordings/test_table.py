@@ -173,7 +173,7 @@ def test_a_bad_row_is_refused_with_its_number(tmp_path: Path, row: str, said: st
             HEADING + "1,1,\udcff\udcfe,true,false,3\n",
             "row 1: offset_m is b'\\xff\\xfe', not a number",
         ),
-        (HEADING + "1,1,2,1,0,3\n0,1,2,1,0,3\n", "frame ids decrease, 1 is followed by 0"),
+        (HEADING + "1,1,2,1,0,3\n0,1,2,1,0,3\n", "frame ids must increase, 1 is followed by 0"),
         ("frame_id,line,offset_m,line\n", "column line occurs more than once"),
         (
             "frame_id,offset\n1,2.0\n",
