@@ -9,16 +9,20 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import optuna
 import pandas as pd
 import pytest
 import yaml
 
 from egolane_pgm.loading import experiments_folder, load_experiment
+from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.result import load_result
 from egolane_pgm.studies.storage import open_storage
+from egolane_pgm.types import lane_truth
 from egolane_pgm.verbs.studied import open_studied
-from tests.kits.drives import done, refused, rewritten, run, write_drive
+from tests.kits.drives import done, refused, rewritten, run, write_drive, write_experiment
+from tests.kits.image_line_files import entry, saved_camera, tusimple
 from tests.kits.processes import started
 
 QUICKSTART = experiments_folder() / "quickstart.yaml"
@@ -215,9 +219,16 @@ def test_a_study_scores_the_reject_option_as_a_run_does(tmp_path: Path) -> None:
 # --- learn ---------------------------------------------------------------------------------------
 
 
-def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(
-    labelled: Path, tmp_path: Path
-) -> None:
+def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Path) -> None:
+    frame = np.arange(12)
+    tusimple(tmp_path / "labels.json", [entry(k, raw_file=f"{k:05d}.jpg") for k in frame])
+    write_ground_truth(tmp_path / "t.txt", lane_truth(frame, np.full(12, 2), frame < 0))
+    labelled = write_experiment(
+        tmp_path / "x.yaml",
+        recording={"path": "labels.json", "camera": saved_camera(tmp_path).name},
+        ground_truth={"path": "t.txt"},
+        graph="lane_only",
+    )
     out = tmp_path / "new" / "folder"
     shown = done("learn", labelled, "--folds", 2, "--out", out).stdout
     assert shown.startswith("'drive': learn, accuracy ")
