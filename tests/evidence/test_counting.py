@@ -1,4 +1,4 @@
-"""The paper's evidence rule, against the NumPy reference and by hand."""
+"""The paper's evidence rule, against the NumPy reference and by hand; the one of levels."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
+from egolane_pgm.evidence.counting_levels import level_evidence
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import LineLog
 from tests.reference import counting as reference
@@ -151,11 +152,6 @@ def test_the_paper_s_box_of_four_lines() -> None:
     np.testing.assert_allclose(wor[0], [17 / 40 - 0.01, 1 - 17 / 40 + 0.01], rtol=1e-12)
 
 
-def test_without_noise_a_frame_without_votes_is_uniform_still() -> None:
-    tentative, _ = seen([[], [(-5.0, False, True, 10.0)]], 4, tentative_noise=0)
-    np.testing.assert_allclose(tentative, np.full((2, 4), 0.25))
-
-
 def test_votes_of_several_lines_add_up_and_the_bonus_is_weighed() -> None:
     lines = [(-5.0, True, False, 5.0), (5.0, True, True, 5.0), (-1.0, True, True, 5.0)]
     # Left line: lanes 2, 3. Right line: lanes 2, 1 and the bonus for lane 2. Near left: lane 1.
@@ -181,8 +177,10 @@ def test_wor_is_the_share_of_the_expected_reliability(lris: list[float], s: floa
     np.testing.assert_allclose(wor[0], [s, 1 - s], rtol=1e-12)
 
 
-def test_a_frame_without_a_valid_line_is_uniform_and_has_the_lowest_wor() -> None:
-    tentative, wor = seen([[(2.0, False, True, 9.0)], [], [(2.0, True, False, 0.0)]], 4)
+@pytest.mark.parametrize("noise", [0, 0.001])
+def test_a_frame_without_votes_is_uniform_and_has_the_lowest_wor(noise: float) -> None:
+    frames = [[(2.0, False, True, 9.0)], [], [(2.0, True, False, 0.0)]]
+    tentative, wor = seen(frames, 4, tentative_noise=noise)
     np.testing.assert_allclose(tentative, np.full((3, 4), 0.25))
     np.testing.assert_allclose(wor[:, 0], 0.01)
 
@@ -195,6 +193,13 @@ def test_garbage_in_lines_that_are_not_valid_is_never_read() -> None:
         np.testing.assert_array_equal(ours, right)
 
 
-def test_without_noise_a_lane_that_no_line_allows_is_impossible() -> None:
-    tentative, _ = seen([[(-9.0, True, False, 10.0)]], 3, tentative_noise=0)
-    np.testing.assert_array_equal(tentative[0], [0, 0, 1])
+@settings(max_examples=50, deadline=None)
+@given(s=st.lists(st.floats(0, 1), min_size=1, max_size=20), levels=st.integers(2, 9))
+def test_levels_of_evidence_sum_to_one_and_keep_the_reliability(
+    s: list[float], levels: int
+) -> None:
+    found = level_evidence(np.array(s), levels)
+    assert (found >= 0).all()
+    np.testing.assert_allclose(found.sum(axis=1), 1, atol=1e-12)
+    reliability = 1 - np.arange(levels) / (levels - 1)
+    np.testing.assert_allclose(found @ reliability, s, atol=1e-12)

@@ -3,12 +3,10 @@ rate: the rule finds the same in their lines."""
 
 from __future__ import annotations
 
-import re
 import warnings
 from dataclasses import replace
 from functools import cache, reduce
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,10 +29,10 @@ from egolane_pgm.evidence.line_geometry.model import CLUTTER_PER_M
 from egolane_pgm.evidence.line_geometry.reading import read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.scale import line_classes
-from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters
 from egolane_pgm.simulation import SimulatedDrive, simulate
 from egolane_pgm.types import FloatArray, LineLog
+from tests.kits import line_logs
 from tests.reference import line_geometry as _line_geometry_numpy
 
 
@@ -42,18 +40,14 @@ def counted(log: LineLog) -> LineCounts:
     return count_lines([columns(log)])
 
 
-ROOT = Path(__file__).parents[3]
-
-
 @cache
 def drive() -> SimulatedDrive:
     return simulate("quickstart", seed=1, frames=900)
 
 
-def resolved(n_lanes: int = 3, **given: object) -> Parameters:
+def resolved(**given: object) -> Parameters:
     """Unless `lane_width_m` is given, what is unusual is found in the whole recording."""
-    specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
-    return resolve_parameters(specs.values(), {"lane_width_m": "auto", **given}, n_lanes)
+    return line_logs.resolved(**{"lane_width_m": "auto", **given})
 
 
 def read(log: LineLog, **given: object) -> tuple[FloatArray, list[str]]:
@@ -339,22 +333,3 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
         ]
     for name in found[0]:
         np.testing.assert_allclose(found[1][name], found[0][name], rtol=1e-6)
-
-
-# --- units on the command line -------------------------------------------------------------------
-
-
-def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
-    """A table of frame, line and offset in feet alone."""
-    from tests.kits.drives import done
-
-    log = drive().log
-    rows = [
-        f"{log.frame_id[t]},{i + 1},{log.offset_m[t, i] / 0.3048:.2f}"
-        for t, i in np.argwhere(log.is_valid & is_placed(log.offset_m))
-    ]
-    (tmp_path / "feet.csv").write_text("\n".join(["frame_id,line,offset_m", *rows]) + "\n")
-    words = ("--n-lanes", 3, "--out", tmp_path / "result", "--no-figures")
-    result = done("run", tmp_path / "feet.csv", *words)
-    assert re.search(r"lane width 12\.[23]\d m from", result.stderr)
-    assert "offsets are taken to be in another unit" in result.stderr

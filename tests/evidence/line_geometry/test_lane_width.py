@@ -18,29 +18,22 @@ from egolane_pgm.paper import paper_experiment
 from egolane_pgm.types import FloatArray, LineLog
 from tests.evidence.line_geometry.test_scale import MEDIAN, widths_of
 from tests.evidence.line_geometry.test_scale import road as lines_of_road
+from tests.kits.line_logs import line_log
 from tests.kits.strangers import lane_width
 
 FALLBACK = 3.5
 
 
-def log_of(offsets: FloatArray, lri: float = 10.0) -> LineLog:
-    ids = np.arange(len(offsets))
-    valid = np.isfinite(offsets)
-    return LineLog(
-        ids, ids / 10, offsets, valid, np.zeros(offsets.shape, bool), np.where(valid, lri, np.nan)
-    )
-
-
 def road(width: float, n_frames: int = 400, seed: int = 0, **given: Any) -> LineLog:
     """Four lanes' lines around a vehicle that wanders, some of them missed."""
-    return log_of(lines_of_road(width, n_frames, seed, **{"n_lines": 5, **given}))
+    return line_log(lines_of_road(width, n_frames, seed, **{"n_lines": 5, **given}))
 
 
 # --- from the whole recording and from the frames so far -----------------------------------------
 
 
 def whole(offset: FloatArray) -> FloatArray:
-    found = lane_width(log_of(offset), FALLBACK)
+    found = lane_width(line_log(offset), FALLBACK)
     return np.array([found.width_m])
 
 
@@ -88,7 +81,7 @@ def test_odd_lines_do_not_hide_the_width(
 @pytest.mark.parametrize("seed", range(3))
 def test_lines_anywhere_tell_no_width(seed: int) -> None:
     offset = np.random.default_rng(seed).uniform(-9, 9, (3000, 4))
-    found = lane_width(log_of(offset), FALLBACK)
+    found = lane_width(line_log(offset), FALLBACK)
     assert not found.is_sure
     assert found.width_m == FALLBACK
     assert "unsure" in found.message
@@ -115,7 +108,7 @@ def test_the_width_of_gaps_added_up_is_that_of_all_the_frames(n_frames: int) -> 
     # The road becomes another one; no line in the first frames.
     offsets = np.concatenate([road(3.0).offset_m[:200], 0.8 * road(3.0).offset_m[200:]])
     offsets[:60] = np.nan
-    log = log_of(offsets[:n_frames])
+    log = line_log(offsets[:n_frames])
     parts = [gap_counts(log.take(slice(k, k + 50))) for k in range(0, n_frames, 50)]
     added_up = width_of_gaps(np.sum(parts, axis=0), FALLBACK, log.source)
     assert str(added_up) == str(lane_width(log, FALLBACK))
@@ -127,7 +120,7 @@ def test_the_width_of_gaps_added_up_is_that_of_all_the_frames(n_frames: int) -> 
 def test_the_width_does_not_depend_on_the_unit(unit: float, seed: int) -> None:
     """Feet, centimetres, pixels: the expected width is in another unit, and hardly matters."""
     log = road(3.6, seed=seed)
-    scaled = log_of(unit * log.offset_m)
+    scaled = line_log(unit * log.offset_m)
     metres, other = lane_width(log, FALLBACK), lane_width(scaled, FALLBACK)
     assert other.is_sure
     assert other.width_m == pytest.approx(unit * metres.width_m, rel=0.01)
@@ -139,7 +132,7 @@ def test_of_two_widths_that_explain_few_gaps_alike_the_expected_one_is_taken() -
     """Gaps of 3 m in half of the frames, of 4.5 m in the others."""
     offsets = np.tile([-4.5, 0.01, 4.5, np.nan], (40, 1))
     offsets[::2] = [-3.0, 0.01, 3.0, np.nan]
-    log = log_of(offsets)
+    log = line_log(offsets)
     assert lane_width(log, 3.0).found_m == pytest.approx(3.0, abs=0.05)
     assert lane_width(log, 4.5).found_m == pytest.approx(4.5, abs=0.05)
 
@@ -165,7 +158,7 @@ def test_too_few_gaps_tell_no_width() -> None:
 def test_without_two_lines_in_a_frame_the_fallback_is_used_and_it_says_so(
     offsets: FloatArray,
 ) -> None:
-    found = lane_width(log_of(offsets), 3.2)
+    found = lane_width(line_log(offsets), 3.2)
     assert (found.width_m, found.is_sure) == (3.2, False)
     assert np.isnan(found.found_m)
     assert "no two lines" in found.message
@@ -174,8 +167,8 @@ def test_without_two_lines_in_a_frame_the_fallback_is_used_and_it_says_so(
 
 def test_weak_lines_do_not_count_and_unknown_reliability_does() -> None:
     offsets = road(3.6).offset_m
-    assert "no two lines" in lane_width(log_of(offsets, lri=5), FALLBACK).message
-    assert lane_width(log_of(offsets, lri=np.nan), FALLBACK).is_sure
+    assert "no two lines" in lane_width(line_log(offsets, lri=5), FALLBACK).message
+    assert lane_width(line_log(offsets, lri=np.nan), FALLBACK).is_sure
 
 
 @pytest.mark.parametrize(

@@ -222,13 +222,6 @@ def test_weak_lines_do_not_count() -> None:
     np.testing.assert_array_equal(widths_of(both, strong=strong)[0], widths_of(offset)[0])
 
 
-def test_a_width_is_known_before_its_frame_only() -> None:
-    """The first frame's lines do not change the first frame's width."""
-    widths, _ = widths_of(road(5.0, 50))
-    np.testing.assert_array_equal(widths[0], widths_of(np.empty((1, 0)))[0][0])
-    assert not np.array_equal(widths[1], widths[0])
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_no_later_frame_changes_the_width_before(seed: int) -> None:
     offset = road(2.7, 500, seed, n_lines=5)

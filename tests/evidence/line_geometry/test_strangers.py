@@ -104,15 +104,6 @@ def test_a_clock_that_jumps_changes_no_belief_before_it_and_hardly_one_after(
 
 
 @needs_compiler
-def test_after_standing_still_the_lane_is_the_one_before(recordings: Path) -> None:
-    (drive,) = STRANGERS["stands still for ten minutes"](paper_drive(1))
-    lane = assigned_lane(beliefs_of(drive).lane)
-    still = np.flatnonzero(np.abs(np.diff(drive.position)) == 0)
-    assert len(still) >= 5999
-    assert (lane[still] == drive.lane[still[0]]).all()
-
-
-@needs_compiler
 def test_half_mirrored_lines_leave_the_belief_unsure(recordings: Path) -> None:
     """Nothing of where the lines are is left; a belief that says otherwise is wrong."""
     (drive,) = STRANGERS["half of the lines mirrored"](paper_drive(1))
