@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from egolane_pgm.vision.camera.model import read_camera
-from tests.kits.calibration_kit import TRUE, calibrate
-from tests.kits.drives import refused
+from tests.kits.calibration_kit import TRUE
+from tests.kits.drives import done, refused
 
 
 def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_path):
     out = tmp_path / "a" / "cam.yaml"
-    done = calibrate(
-        "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
+    said = done(
+        "calibrate", "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
         "--ignore", 0, 700, 1280, 720, "-o", out,
-    )  # fmt: skip
-    assert done.exit_code == 0, done.output
+    ).output  # fmt: skip
     camera = read_camera(out)
     assert camera.height_m == pytest.approx(TRUE.height_m, rel=0.03)
     assert camera.ignore == ((0, 700, 1280, 720),)
@@ -27,7 +26,7 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
     text = "\n".join(comment)
     for word in ("chessboards (9x6 inner corners) of 10", "px RMS", "meet at", "3.7 m"):
         assert word in text
-    assert done.output.count("px RMS\n") >= 8
+    assert said.count("px RMS\n") >= 8
 
 
 @pytest.mark.parametrize(
@@ -43,21 +42,15 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
     ],
 )
 def test_bad_options_are_one_line(tmp_path, arguments, said):
-    done = calibrate(*arguments, "-o", tmp_path / "cam.yaml")
-    assert done.exit_code == 2
-    assert said in done.output
-    assert len(done.output.strip().splitlines()) == 1
+    assert said in refused("calibrate", *arguments, "-o", tmp_path / "cam.yaml")
     assert not (tmp_path / "cam.yaml").exists()
 
 
 def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640, 3), np.uint8))
-    done = calibrate(
-        "--chessboards", boards, "--stills", tmp_path / "a.png", "--lane-width", 3.7,
-        "-o", tmp_path / "c.yaml",
-    )  # fmt: skip
-    assert done.exit_code == 2
-    assert "the chessboards are 1280x720, the road's pictures 640x480" in done.output
+    words = ("--chessboards", boards, "--stills", tmp_path / "a.png", "--lane-width", 3.7)
+    said = refused("calibrate", *words, "-o", tmp_path / "c.yaml")
+    assert "the chessboards are 1280x720, the road's pictures 640x480" in said
 
 
 @pytest.mark.parametrize("ignore", ["0 720 480 900", "1280 0 1300 90"])

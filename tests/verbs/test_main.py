@@ -38,7 +38,6 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
         ("run {0}/experiment.yaml --out=", "--out: is empty"),
         ("run {0}/experiment.yaml --ground-truth=", "--ground-truth: is empty"),
         ("run {0}/experiment.yaml --camera=", "--camera: is empty"),
-        ("reproduce --runs 11", "run 11: the paper has runs 1 to 10"),
     ],
 )
 def test_a_command_line_that_makes_no_sense_is_one_line(
