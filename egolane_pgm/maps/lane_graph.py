@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import FloatArray, IntArray
@@ -96,12 +95,6 @@ class LaneGraph:
         """(S + 1,): the joins that leave segment k are the rows `join_start[k]:join_start[k + 1]`
         of `before` and `after`."""
         return np.searchsorted(self.before, np.arange(len(self) + 1)).astype(np.int64)
-
-    @cached_property
-    def joins(self) -> Any:
-        """The joins as a sparse matrix, (S, S), weighted by the length of the first segment."""
-        weights = self.length_m[self.before], (self.before, self.after)
-        return csr_array(weights, shape=(len(self), len(self)))
 
     @cached_property
     def lines(self) -> Any:

@@ -19,7 +19,7 @@ COLUMNS = {
     "segment": "the row of the lane graph; -1 off the map",
     "along_m": "metres from the segment's start; NaN off the map",
     "offset_m": "metres of the position from the way's line, negative to its left; NaN off the map"
-    " and in rows without a position",
+    " and for outliers",
     "sure": "the probability of the segment, 0 to 1",
     "n_lanes": "lanes of the segment, assumed if `unknown_way` is set; 0 unknown",
     "unknown_way": "the way of a segment without a number of lanes in the map; 0 for other segments"

@@ -21,9 +21,8 @@ RUN = "import sys; from egolane_pgm.maps.osm import read_osm; read_osm(sys.argv[
 #: Ways of one road, one behind the other, and nodes of a way.
 ROAD, NODES = 200, 8
 
-#: Numbers of lanes along a road, and the tags that go with three of them.
+#: Numbers of lanes along a road.
 LANES = (4, 3, 3, 4, 3, 2, 4, 2)
-THREE = {"turn:lanes": "none|none|merge_to_left"}
 
 
 def write_country(path: Path, n_ways: int) -> None:
@@ -47,7 +46,6 @@ def write_country(path: Path, n_ways: int) -> None:
             tags = {"highway": "motorway", "lanes": str(n_lanes), "ref": f"A {road % 900}"}
             tags |= {"oneway": "yes", "maxspeed": "130", "lit": "no", "surface": "asphalt"}
             line = node[road][nth * NODES : (nth + 1) * NODES + 1]
-            tags |= THREE if n_lanes == 3 else {}
             file.add_way(osmium.osm.mutable.Way(id=k + 1, nodes=line, tags=tags))
 
 

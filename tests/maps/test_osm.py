@@ -59,10 +59,10 @@ def test_mistakes_in_tags_are_counted_in_one_warning(tmp_path: Path) -> None:
     ways = [
         (10, [1, 2], {**ROAD, "lanes": "two"}),
         (11, [2, 3], {**ROAD, "lanes": "two"}),
-        (12, [3, 4], {**ROAD, "turn:lanes": "through"}),
+        (12, [3, 4], {**ROAD, "lanes": "2"}),
     ]
     path = write_osm(tmp_path / "a.osm", NODES, ways)
-    with pytest.warns(UserWarning, match=r"3 way\(s\), first of way 10: lanes=two is not a number"):
+    with pytest.warns(UserWarning, match=r"2 way\(s\), first of way 10: lanes=two is not a number"):
         graph = read_osm(path)
     assert graph.n_lanes.tolist() == [0, 2]
 
