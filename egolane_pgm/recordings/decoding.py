@@ -9,23 +9,17 @@ import numpy as np
 import pandas as pd
 from rosbags.interfaces import Nodetype
 
-#: The parts of a time stamp in ROS 1, in ROS 2 and in Foxglove's schemas.
-_SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
-
 #: The fields of N messages by their paths, such as `header.seq`: N values each. A field that is a
 #: list of messages is a DataFrame with a row per entry; its index is the number of the message.
 Fields = dict[str, Any]
 
 
 def stamp_of(value: Any) -> Any:
-    """The seconds of a time stamp, a dict with its parts; None for anything else."""
-    if not isinstance(value, Mapping):
+    """The seconds of a time stamp of ROS or Foxglove, a dict with its parts; else None."""
+    if not isinstance(value, Mapping) or "sec" not in value:
         return None
-    seconds, nanoseconds = (
-        next((value[name] for name in names if name in value), None)
-        for names in (_SECONDS, _NANOSECONDS)
-    )
-    return None if seconds is None or nanoseconds is None else seconds + nanoseconds / 1e9
+    nanoseconds = value.get("nanosec", value.get("nsec"))
+    return None if nanoseconds is None else value["sec"] + nanoseconds / 1e9
 
 
 # --- ROS 1 and ROS 2 -----------------------------------------------------------------------------

@@ -200,7 +200,7 @@ def test_a_csv_that_does_not_fit_is_refused(tmp_path: Path, text: str, said: str
 def test_what_is_no_table_is_refused(tmp_path: Path) -> None:
     assert refused(tmp_path / "absent.csv") == "no such file"
     (tmp_path / "b.parquet").write_bytes(b"PAR1 this is not one")
-    assert "not a whole Parquet file" in refused(tmp_path / "b.parquet")
+    assert "cannot be read as Parquet" in refused(tmp_path / "b.parquet")
     with pytest.raises(InputError, match="greater than 0"):
         read_lines(csv(tmp_path, HEADING), frame_rate=-1)
 
