@@ -18,7 +18,6 @@ KEYS = (
     "lanes",
     "lanes:forward",
     "lanes:backward",
-    "lanes:both_ways",
 )
 
 #: A greater number in one direction is a mistake; the widest toll plazas have about 25 lanes.
@@ -56,15 +55,14 @@ def read_lanes(values: tuple[str | None, ...]) -> tuple[tuple[int, int], tuple[s
 
 
 def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[int, int]:
-    middle = _count(tags, ["lanes:both_ways"], problems)
     total = _count(tags, ["lanes"], problems)
     there, back = (_count(tags, ["lanes" + key], problems) for key in (":forward", ":backward"))
     if total and not there and not back:
         # Key:lanes of the wiki: an even number is half for each direction.
-        share, odd = divmod(max(total - middle, 0), 2)
+        share, odd = divmod(total, 2)
         there = back = 0 if odd else share
     elif total and not (there and back):
-        rest = max(total - middle - there - back, 0)
+        rest = max(total - there - back, 0)
         there, back = there or rest, back or rest
     return there, back
 
@@ -77,7 +75,7 @@ def _count(tags: dict[str, str], keys: list[str], problems: list[str]) -> int:
     text = tags[key]
     if text.isdecimal() and 1 <= int(text) <= MOST_LANES:
         return int(text)
-    # Zero lanes are valid in one direction and in the middle.
+    # Zero lanes are valid in one direction.
     if text != "0" or key == "lanes":
         problems.append(f"{key}={text} is not a number from 1 to {MOST_LANES}")
     return 0

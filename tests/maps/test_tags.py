@@ -11,9 +11,7 @@ from egolane_pgm.maps.tags import KEYS, read_lanes
 
 def read(**tags: object) -> tuple[tuple[int, int], list[str]]:
     """Tags with _ for : in their keys."""
-    given = {
-        key.replace("_", ":").replace("both:", "both_"): str(value) for key, value in tags.items()
-    }
+    given = {key.replace("_", ":"): str(value) for key, value in tags.items()}
     given = {"highway": "motorway", **given}
     assert set(given) <= set(KEYS)
     found, problems = read_lanes(tuple(given.get(key) for key in KEYS))
@@ -33,7 +31,6 @@ def read(**tags: object) -> tuple[tuple[int, int], list[str]]:
         # Of an even number alone, half goes in each direction.
         ({"highway": "trunk", "lanes": 4}, (2, 2)),
         ({"highway": "trunk", "lanes": 3}, (0, 0)),
-        ({"highway": "trunk", "lanes": 3, "lanes_both_ways": 1}, (1, 1)),
         ({"highway": "trunk", "lanes": 5, "lanes_forward": 3}, (3, 2)),
         ({"highway": "trunk", "lanes": 3, "lanes_forward": 2, "lanes_backward": 1}, (2, 1)),
         ({"highway": "trunk"}, (0, 0)),
