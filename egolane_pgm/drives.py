@@ -183,18 +183,15 @@ def check_file(experiment: Experiment) -> tuple[Path, Any]:
 
     Raises InputError for a file that is missing and for an unknown format.
     """
-    format, reader = experiment.recording.format, None
-    where = f"{experiment.source}: recording.format"
-    if format is not None and format.endswith(".py"):
-        reader = load_plugin("recordings", format, where)
-    elif format is not None:
-        with problems_in(where):
-            reader_of(format)
+    recording, where = experiment.recording, f"{experiment.source}: recording.format"
+    format = recording.format or ""
+    reader = load_plugin("recordings", format, where) if format.endswith(".py") else None
     path = existing(experiment, "recording.path")
-    if experiment.recording.camera is not None:
+    if recording.camera is not None:
         existing(experiment, "recording.camera")
-    if format is None:
-        format_of(path)
+    if reader is None:
+        with problems_in(where):
+            reader_of(format or format_of(path))
     return path, reader
 
 

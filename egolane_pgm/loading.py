@@ -10,7 +10,6 @@ another file, and `version: 1`, which is optional, is the version of the keys.
 
 from __future__ import annotations
 
-import functools
 import operator
 import os
 import re
@@ -155,14 +154,13 @@ def load_yaml(path: Path) -> dict[str, Any]:
     The file's own keys replace included ones; sections are merged, `{}` empties one. Paths in the
     included file are relative to the including one.
     """
-    contents, files = [read_yaml(path, "n_lanes: 4")], [path.absolute()]
-    while (name := contents[-1].pop("include", None)) is not None:
-        file = files[-1].parent / str(name)
-        if not file.is_file() or any(file.samefile(each) for each in files):
-            raise InputError(f"{files[-1]}: include: {name!r} is not the name of another file")
-        contents.append(read_yaml(file, "n_lanes: 4"))
-        files.append(file)
-    return functools.reduce(merge, reversed(contents))
+    content = read_yaml(path, "n_lanes: 4")
+    if (name := content.pop("include", None)) is None:
+        return content
+    file = path.parent / str(name)
+    if not file.is_file() or file.samefile(path):
+        raise InputError(f"{path}: include: {name!r} is not the name of another file")
+    return merge(load_yaml(file), content)
 
 
 # --- paths ---------------------------------------------------------------------------------------
@@ -224,10 +222,7 @@ def parse_overrides(overrides: Overrides, name: str = "overrides") -> dict[str, 
         key, equals, text = str(override).partition("=")
         if not equals or not all(key.strip().split(".")):
             raise InputError(f"{name}: {override}: write it as key=value, e.g. n_lanes=3")
-        try:
-            found[key.strip()] = parse_yaml(text, name)
-        except InputError as error:
-            raise InputError(f"{name}: {override}: the value is not YAML") from error
+        found[key.strip()] = parse_yaml(text, f"{name}: {override}")
     return nest(found)
 
 

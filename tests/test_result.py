@@ -301,9 +301,9 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
     ("change", "said"),
     [
         (lambda d: (d / "run.json").unlink(), "is not a result directory (no run.json and scor"),
-        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "is not a whole Parquet file"),
+        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "cannot be read as Parquet"),
         (lambda d: (d / "beliefs.parquet").unlink(), "beliefs.parquet: cannot be read"),
-        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: is not a whole"),
+        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: cannot be read"),
         (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
         (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
     ],

@@ -27,8 +27,8 @@ def read_osm(path: str | Path) -> LaneGraph:
     All nodes of the file are in memory while it is read (16 bytes each): take the roads out of a
     large extract first (`osmium tags-filter`).
 
-    Warns of invalid tags, whose lanes are unknown, and of nodes without coordinates, which are left
-    out. Raises InputError for a file that is no map or has no such road.
+    Warns of invalid tags, whose lanes are unknown, and of ways with nodes without coordinates,
+    which are left out. Raises InputError for a file that is no map or has no such road.
     """
     ways, point = _read(path)
     lanes = ways["tags"].map(read_lanes)
@@ -71,11 +71,8 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
                 # Much faster than a loop over the nodes.
                 line = bytes.fromhex(as_bytes(road))[9:]
             except bad_place:
-                places = [(n.lon, n.lat) for n in road.nodes if n.location.valid()]
-                lacking += len(road.nodes) - len(places)
-                if len(set(places)) < 2:
-                    continue
-                line = np.array(places, dtype="<f8").tobytes()
+                lacking += 1
+                continue
             get = road.tags.get
             name = get("ref") or get("name") or ""
             tags = tuple([get(key) for key in KEYS])
@@ -85,7 +82,7 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
     except bad_place as error:
         raise InputError(f"{path}: cannot be read as a map: {error}") from None
     if lacking:
-        _warn(f"{path}: left out {lacking} nodes of motorways or trunk roads without coordinates")
+        _warn(f"{path}: left out {lacking} way(s) with nodes that the file lacks")
     if not rows:
         raise InputError(
             f"{path}: no motorway and no trunk road with coordinates (highway={', '.join(KINDS)})"

@@ -67,23 +67,19 @@ class Positions:
         latitude: FloatArray,
         longitude: FloatArray,
         *,
-        speed_mps: FloatArray | None = None,
-        heading_deg: FloatArray | None = None,
-        sigma_m: FloatArray | None = None,
         source: str = "positions",
+        **further: FloatArray,
     ) -> Positions:
         """Check T rows of a receiver. Rows without a fix (NaN, or exactly 0 north 0 east) and rows
         that repeat a time are left out, with one warning each.
 
+        - further: speed_mps, heading_deg and sigma_m, as far as they are known.
+
         Raises InputError for a time that is missing or goes back, a latitude beyond 90 degrees, a
         longitude beyond 180, a standard deviation that is not positive, and if no row is left.
         """
-        given = {
-            "t_s": t_s, "latitude": latitude, "longitude": longitude,
-            "speed_mps": speed_mps, "heading_deg": heading_deg, "sigma_m": sigma_m,
-        }  # fmt: skip
-        unknown = np.full(len(t_s), np.nan)
-        rows = pd.DataFrame({k: unknown if v is None else v for k, v in given.items()}, dtype=float)
+        given = {"t_s": t_s, "latitude": latitude, "longitude": longitude, **further}
+        rows = pd.DataFrame(given, dtype=float).reindex(columns=[*COLUMNS])
         for bad, problem in (
             (~np.isfinite(rows.t_s), "has no time"),
             (rows.latitude.abs() > 90, "has a latitude beyond 90 degrees"),

@@ -19,7 +19,7 @@ COLUMNS = {
     "segment": "the row of the lane graph; -1 off the map",
     "along_m": "metres from the segment's start; NaN off the map",
     "offset_m": "metres of the position from the way's line, negative to its left; NaN off the map"
-    " and in rows without a position",
+    " and for outliers",
     "sure": "the probability of the segment, 0 to 1",
     "n_lanes": "lanes of the segment, assumed if `unknown_way` is set; 0 unknown",
     "unknown_way": "the way of a segment without a number of lanes in the map; 0 for other segments"
@@ -86,22 +86,15 @@ def lanes_at(table: pd.DataFrame, time_s: FloatArray) -> IntArray:
 
 
 def unknown_lanes(table: pd.DataFrame, log: LineLog) -> list[str]:
-    """Warnings, a line each, for frames with an assumed number of lanes, without one, and off the
-    map."""
+    """A warning of frames whose number of lanes is not in the map, if there are any."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
-    off, way, n_lanes = table.iloc[row][["segment", "unknown_way", "n_lanes"]].to_numpy().T
-    off = off < 0
-    assumed = (n_lanes > 0) & (way > 0)
-    known = pd.unique(way[assumed])
-    ways = ", ".join(map(str, known[:3])) + (", ..." if len(known) > 3 else "")
-    lacks = "the road has no number of lanes in the map"
-    kinds = (
-        (assumed, f"{lacks} (way {ways}); the number is assumed"),
-        (~off & (n_lanes == 0), f"{lacks}; the number before is kept"),
-        (off, "the car is off the map; the number before is kept"),
-    )
+    way, n_lanes = table.iloc[row][["unknown_way", "n_lanes"]].to_numpy().T
+    is_unknown = (way > 0) | (n_lanes == 0)
+    if not is_unknown.any():
+        return []
+    ways = ", ".join(map(str, pd.unique(way[way > 0])[:3])) or "none"
     return [
-        f"{table.attrs['source']}: in {marked.sum()} of {len(log)} frames {what}"
-        for marked, what in kinds
-        if marked.any()
+        f"{table.attrs['source']}: in {is_unknown.sum()} of {len(log)} frames the number of lanes"
+        f" is not in the map (first ways without it: {ways}); it is assumed, or the number before"
+        " is kept"
     ]

@@ -65,16 +65,13 @@ def column_keys(given: ColumnsGiven) -> dict[str, Any]:
     if isinstance(given, Mapping):
         return dict(given)
     keys: dict[str, Any] = {}
-    for each in [given] if isinstance(given, str) else given:
-        for part in re.split(r",(?![^\[]*\])", each):
-            name, equals, value = part.partition("=")
-            if not equals:
-                raise InputError(
-                    f"columns: {part!r}: write it as ours=theirs, e.g. offset_m=lateral, or"
-                    " offset_m=[left,right]"
-                )
-            # A single letter may be syntax of YAML.
-            keys[name.strip()] = value if len(value) == 1 else parse_yaml(value, f"columns: {name}")
+    for text in [given] if isinstance(given, str) else given:
+        if "=" not in text:
+            raise InputError(
+                f"columns: {text!r}: write it as ours=theirs, e.g. offset_m=lateral, or"
+                " offset_m=[left,right]"
+            )
+        keys |= parse_yaml("{" + text.replace("=", ": ") + "}", f"columns: {text}")
     return keys
 
 

@@ -42,7 +42,7 @@ Target = Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)]
 Folds = Annotated[int | None, Ge(0)]
 Jobs = Annotated[int, Ge(1)]
 #: A Dask cluster; see `tools.jobs`.
-Cluster = Annotated[str | None, Option("ADDRESS|local:N")]
+Cluster = Annotated[str | None, Option("ADDRESS")]
 Graph = Annotated[Any, Option("NAME|FILE")]
 #: Columns of a table, or fields of messages; see `recordings.columns`.
 ColumnNames = Annotated[str | Sequence[str] | Mapping[str, Any] | None, Option("OURS=THEIRS,...")]

@@ -14,17 +14,12 @@ def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
     - items: counted as they are taken; without items call `update`.
     - settings: of tqdm.
     """
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
-    kind: Any = tqdm
-    if hasattr(ipython(), "kernel"):
-        from tqdm.auto import tqdm as kind
-    elif multiprocessing.parent_process():
-        settings["disable"] = True
-    else:
-        # Outside of a terminal tqdm hides it.
-        settings["disable"] = None
-    return kind(items, leave=False, **settings)
+    is_worker = multiprocessing.parent_process() is not None
+    # Outside of a terminal tqdm hides it.
+    hidden = True if is_worker else False if hasattr(ipython(), "kernel") else None
+    return tqdm(items, leave=False, disable=hidden, **settings)
 
 
 def ipython() -> Any:

@@ -85,24 +85,19 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
     bag = line_bag(tmp_path / "a.bag", [1, 2])
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(bag)
-    with pytest.raises(InputError, match="0 topics of type NavSatFix named /isis"):
-        read_positions(bag, columns={"topic": "/isis_line_detector/lines"})
 
 
 @pytest.mark.parametrize(
     ("text", "said"),
     [
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
-        ("t,lat,lat,lon\n0,52,52,4\n", "column lat occurs more than once"),
         ("t,lat,lon\n0,52,4\n1,x,4\n", r"row 2: lat \(latitude\) is 'x', not a number"),
-        ("t,lat,lon\nsoon,52,4\n", "row 1: t .t_s. is 'soon', not a number"),
         ("t,lat,lon\n,52,4\n", "position 1 has no time"),
         ("t,lat,lon\n1,52,4\n0,52,4\n", "position 2 is earlier than the one before"),
         ("t,lat,lon\n1,92,4\n", "position 1 has a latitude beyond 90"),
         ("t,lat,lon\n1,52,184\n", "position 1 has a longitude beyond 180"),
         ("t,lat,lon,sigma_m\n1,52,4,0\n", "position 1 has a sigma_m that is not greater than 0"),
         ("t,lat,lon\n", "has no position"),
-        ("", "cannot be read as CSV"),
     ],
 )
 def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
@@ -118,7 +113,6 @@ def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str
         ("a.csv", {}, "no such file"),
         ("b.csv", {"topic": "/fix"}, "unknown column 'topic'"),
         ("b.bag", {"latitude": "x"}, r"unknown column 'latitude' \(known: topic"),
-        ("b.csv", {"latitud": "lat"}, r"unknown column 'latitud' \(did you mean"),
         ("b.csv", {"latitude": "lta"}, "no column lta; the table has t, lat, lon"),
     ],
 )
