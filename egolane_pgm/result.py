@@ -26,7 +26,6 @@ import pandas as pd
 from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events
-from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
@@ -48,7 +47,6 @@ from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, LineLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pgmpy.models import DynamicBayesianNetwork
 
 #: The columns of `Result.frames`; the index is frame_id. Those marked ? are not always there.
 COLUMNS = {
@@ -172,22 +170,6 @@ class Result:
         """The evidence of a single drive, made from its lines."""
         [log] = self.lines.values()
         return make_evidence(self.model, log)[0]
-
-    def network(
-        self, *, evidence: bool = False, first: int | None = None, last: int | None = None
-    ) -> DynamicBayesianNetwork | Unrolled:
-        """The graph in pgmpy, or some frames of it with their evidence.
-
-        - evidence: False for the declared network of two slices, whose virtual-evidence tables
-          (`WOR_ve`) are placeholders; True for unrolled frames and the run's evidence in them.
-        - first, last: with evidence: frame ids, both included; all by default. pgmpy takes seconds
-          for hundreds of frames.
-        """
-        if not evidence:
-            return self.model.network
-        ids = self.frames.index.to_numpy()
-        first, last = (ids[0] if first is None else first), (ids[-1] if last is None else last)
-        return unrolled(self.model.compiled, self.evidence, first, last, frame_id=ids)
 
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.

@@ -18,6 +18,7 @@ from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.inference.events import SURE
+from egolane_pgm.inference.unrolling import unrolled
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import compile_model
 from egolane_pgm.recordings.table import write_table
@@ -168,8 +169,8 @@ def test_posteriors_that_come_late_report_late(drive: Path) -> None:
 
 def test_a_result_gives_its_network_and_its_frames_with_their_evidence(saved: Path) -> None:
     found = run(simulated(filter="exact"))
-    assert ("WOR_ve", 1) in found.network()
-    some = found.network(evidence=True, first=200, last=202)
+    assert ("WOR_ve", 1) in found.model.network
+    some = unrolled(found.model.compiled, found.evidence, 200, 202)
     with quiet():
         from pgmpy.inference import VariableElimination
 

@@ -20,7 +20,6 @@ from egolane_pgm.scoring.confusion import (
     confusion,
     expected_calibration_error,
     log_loss_per_frame,
-    on_widest,
     scores_from_confusion,
 )
 from egolane_pgm.scoring.events import stability_scores
@@ -29,7 +28,6 @@ from egolane_pgm.types import (
     Evidence,
     FloatArray,
     InputError,
-    IntArray,
     lane_truth,
     suggestion,
 )
@@ -130,8 +128,6 @@ def scores_of(
     posteriors: Sequence[FloatArray],
     is_used: Sequence[BoolArray],
     objectives: Sequence[str],
-    *,
-    pooled: bool = False,
 ) -> list[float]:
     """Score a parameter set: per objective the mean over the drives, equal weight each.
 
@@ -141,33 +137,22 @@ def scores_of(
     - posteriors: per drive (K, n).
     - is_used: per drive (K,), marks the annotated frames that count.
     - objectives: names of scores.
-    - pooled: whether all frames count alike instead: confusion matrices are added, other scores
-      are weighted by frames.
     """
-    values, weights = np.zeros((2, len(drives), len(objectives)))
-    matrices: list[IntArray] = []
+    scores = np.full((len(drives), len(objectives)), np.nan)
     for k, (drive, posterior, used) in enumerate(zip(drives, posteriors, is_used, strict=True)):
         rows = drive.rows
-        lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
         assigned = assigned_lane(posterior, drive.experiment.min_confidence)
-        matrices.append(confusion(assigned, lane, crossing | ~used, posterior.shape[1]))
-        of_matrix = scores_from_confusion(matrices[k])
+        is_left_out = drive.is_crossing[rows] | ~used
+        matrix = confusion(assigned, drive.true_lane[rows], is_left_out, posterior.shape[1])
+        of_matrix = scores_from_confusion(matrix)
         for j, name in enumerate(objectives):
             is_of_matrix = name in SCORES
             value = of_matrix[name] if is_of_matrix else belief_score(drive, posterior, used, name)
-            if np.isnan(value):
-                continue
-            # The log-loss counts crossing frames as well.
-            counted = used if name == "log_loss" else used & ~crossing
-            weights[k, j] = np.count_nonzero(counted) if pooled and not is_of_matrix else 1
-            values[k, j] = value
-    total = weights.sum(axis=0)
-    found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
+            scores[k, j] = value
+    is_defined = ~np.isnan(scores)
+    total = is_defined.sum(axis=0)
+    found = np.where(is_defined, scores, 0.0).sum(axis=0) / np.where(total > 0, total, 1)
     found[total == 0] = UNDEFINED
-    if pooled:
-        of_matrix = scores_from_confusion(on_widest(matrices).sum(axis=0))
-        for j, name in enumerate(objectives):
-            found[j] = of_matrix[name] if name in SCORES else found[j]
     return found.tolist()  # type: ignore[no-any-return]
 
 

@@ -69,26 +69,12 @@ class _Journal(JournalFileBackend):
 
 @contextmanager
 def storage_errors(storage: str | None) -> Iterator[None]:
-    """Turn errors of a storage into InputError: a lost database, a full disk.
-
-    Ctrl-C comes out as KeyboardInterrupt: while Optuna stores a result or locks a journal, it
-    raises UnboundLocalError or RuntimeError instead.
-    """
+    """Turn errors of a storage into InputError: a lost database, a full disk."""
     try:
         yield
-    except InputError:
-        raise
-    except Exception as error:
-        # Optuna may raise another error while it handles the first one.
-        each: BaseException | None = error
-        while each is not None:
-            if not isinstance(each, Exception):
-                raise type(each)(*each.args) from None
-            if isinstance(each, (OSError, SQLAlchemyError, StorageInternalError)):
-                why = f"{_reason(each)}; complete trials are kept, repeat the command to go on"
-                raise InputError(f"{named(storage or 'study')}: {why}") from error
-            each = each.__context__
-        raise
+    except (OSError, SQLAlchemyError, StorageInternalError) as error:
+        why = f"{_reason(error)}; complete trials are kept, repeat the command to go on"
+        raise InputError(f"{named(storage or 'study')}: {why}") from error
 
 
 def named(storage: str) -> str:

@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -43,9 +43,6 @@ from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, wr
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
 
 #: The default number of blocks.
 N_BLOCKS = 5
@@ -271,18 +268,6 @@ class Study:
         found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
         return list(dict.fromkeys(found))
 
-    @property
-    def network(self) -> DynamicBayesianNetwork:
-        """The fitted graph in pgmpy, with its origin for the `tuned_on` of a run."""
-        network = self.model.network
-        network.learned_from = self.learned_from
-        return network
-
-    @property
-    def learned_from(self) -> str:
-        """The training recording; empty for several."""
-        return recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
-
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
@@ -319,8 +304,10 @@ class Study:
         (place / STUDY_FILE).unlink(missing_ok=True)
         content = self.experiment()
         if any(name.startswith(TABLES) for name in self.fitted):
-            graph = graph_yaml(self.model, f"tables learned from {self.learned_from or 'drives'}")
-            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": self.learned_from})
+            # The training recording; empty for several.
+            origin = recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
+            graph = graph_yaml(self.model, f"tables learned from {origin or 'drives'}")
+            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": origin})
             # The graph of learned tables has no parameters; only the rule's remain.
             of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
             kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
@@ -401,7 +388,6 @@ def run_study(
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
     directory: Path | None = None,
-    pooled: bool = False,
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
@@ -415,7 +401,6 @@ def run_study(
     - starts: parameter sets that the final search tries first; by default the current ones.
     - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
     - directory: the study is saved here.
-    - pooled: whether all frames count alike in a search; otherwise all drives do.
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
@@ -433,7 +418,7 @@ def run_study(
     elif not learns_rule(first.model):
         learnable_nodes(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
-    fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
+    fit = fit_by_name(method, storage=storage, starts=starts)
     # As in the paper, the search on everything uses all frames; no held-out score does.
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]

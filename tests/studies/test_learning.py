@@ -184,12 +184,12 @@ def test_a_learned_experiment_is_run_from_its_files(tmp_path: Path, labels: bool
     np.testing.assert_allclose(theirs.transition, ours.transition, rtol=1e-9)
 
 
-def test_a_network_that_was_learned_has_its_origin() -> None:
-    one = drive()
-    network = run_study([one], "learn", []).network
-    assert run(simulated(), graph=network).run["tuned_on"] == "same_frames"
+def test_a_learned_graph_has_its_origin(tmp_path: Path) -> None:
+    run_study([drive()], "learn", [], directory=tmp_path / "out")
+    graph = tmp_path / "out" / "best.graph.yaml"
+    assert run(simulated(), graph=graph).run["tuned_on"] == "same_frames"
     other = simulated(recording=quickstart(3))
-    assert run(other, graph=network).run["tuned_on"] == "other_frames"
+    assert run(other, graph=graph).run["tuned_on"] == "other_frames"
 
 
 def test_without_ground_truth_the_evidence_alone_is_learned_from(tmp_path: Path) -> None:

@@ -96,14 +96,6 @@ def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_pa
 # --- learn and tune ------------------------------------------------------------------------------
 
 
-def test_a_learned_network_counts_as_in_sample_on_its_own_frames(drive: Path) -> None:
-    study = ego.learn(drive, overrides={"fit.labels": False}, folds=0)
-    assert study.held_out is None
-    other = {"name": "other", "recording": {"simulate": "quickstart", "seed": 5}, "n_lanes": 3}
-    found = [ego.run(each, graph=study.network).run["tuned_on"] for each in (drive, other)]
-    assert found == ["same_frames", "other_frames"]
-
-
 def test_nothing_is_written_without_a_place(
     drive: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
