@@ -47,9 +47,6 @@ from egolane_pgm.types import InputError, IntArray, suggestion
 #: The default number of blocks.
 N_BLOCKS = 5
 
-#: Trials per fold of `run --held-out` with `fit.method: tune`; `tune` has more.
-TRIALS_PER_FOLD = 300
-
 #: The file that makes the directory of a study complete.
 STUDY_FILE = "study.json"
 
@@ -106,7 +103,8 @@ def _folds(drives: Sequence[Drive], numbers: Sequence[IntArray]) -> list[Fold]:
 def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -> list[Fold]:
     """Hold out whole drives: those with each value of a tag, or of each of some parts of the list.
 
-    Recordings of one drive are held out together. Raises InputError if nothing would be left.
+    Recordings of one drive are held out together, with the tag of the first one. Raises InputError
+    if nothing would be left.
     """
     experiments = [drive.experiment for drive in drives]
     keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
@@ -120,15 +118,10 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         known = {name for drive in drives for name in drive.tags}
         groups = [drive.tags.get(tag) for drive in drives]
         which = f"by_tag: all have one {tag}"
-        for drive, key, group in zip(drives, keys, groups, strict=True):
-            first = keys.index(key)
+        for drive, group in zip(drives, groups, strict=True):
             if group is None:
                 raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
-            if group != groups[first]:
-                raise InputError(
-                    f"{drive.name}: is the same drive as {drives[first].name} with another"
-                    f" tag.{tag}; held-out labels would leak"
-                )
+        groups = [groups[keys.index(key)] for key in keys]
     if len(set(groups)) < 2:
         raise InputError(f"{which}, so nothing would be left to fit to; folds 0 holds out nothing")
     return group_folds(drives, groups)
@@ -276,10 +269,8 @@ class Study:
         if detector:
             fitted = with_detector(fitted, detector)
         content: dict[str, Any] = to_jsonable(resolved(fitted, self.model.parameters))
-        how = "lines alone" if not first.fit.labels else "labels and lines"
-        how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
-        content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
+        content["description"] = f"{first.description}; fitted by {self.method}".lstrip("; ")
         # A later run may use one of several training drives.
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
         return content
@@ -372,7 +363,7 @@ def run_held_out(
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
-    folds, fit = block_folds(drives, n_blocks), fit_by_name(method, trials=TRIALS_PER_FOLD)
+    folds, fit = block_folds(drives, n_blocks), fit_by_name(method)
     with noting() as found:
         fitted = fit_folds(drives, fit, list(enumerate(folds)))
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
@@ -413,8 +404,8 @@ def run_study(
     if method == "tune":
         tuning = settings_of(first.experiment.fit, None, first.experiment.source)
         space = search_space([drive.model for drive in drives], tuning)
-        settings = {"objectives": list(tuning.objective)}
-        settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
+        keys = {"objective", "sampler", "trials", "seed"}
+        settings = tuning.model_dump(include=keys) | describe(space)
     elif not learns_rule(first.model):
         learnable_nodes(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
