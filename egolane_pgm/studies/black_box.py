@@ -78,7 +78,7 @@ def objective(
 
     >>> import optuna
     >>> import egolane_pgm as ego
-    >>> parts = ({"recording.frames": part} for part in ([0, 800], [800, None]))
+    >>> parts = ({"recording.frames": part} for part in ([0, 800], [800, 1600]))
     >>> fitted, held_out = (ego.objective("quickstart", overrides=part) for part in parts)
     >>> fitted.distributions["sigma1"]
     FloatDistribution(high=3.0, log=False, low=3e-06, step=None)
