@@ -81,9 +81,7 @@ def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
 
 
 def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_path: Path) -> None:
-    from egolane_pgm.graphs import lane_only
-
-    graph = ego.run(drive, graph=lane_only)
+    graph = ego.run(drive, graph="lane_only")
     assert graph.experiment.graph == "lane_only"
     again = ego.run(graph, overrides={"filter": "exact"})
     assert (again.experiment.filter, again.experiment.graph) == ("exact", "lane_only")
