@@ -37,7 +37,6 @@ if TYPE_CHECKING:
     from egolane_pgm.studies.black_box import Objective as Objective
     from egolane_pgm.studies.black_box import objective as objective
     from egolane_pgm.studies.em import fit_tables as fit_tables
-    from egolane_pgm.studies.em import learned_network as learned_network
     from egolane_pgm.studies.study import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
@@ -81,7 +80,6 @@ _PUBLIC = {
     "fixed_lag_beliefs": "inference.smoothing",
     "viterbi": "inference.viterbi",
     "expected_counts": "inference.expected_counts",
-    "learned_network": "studies.em",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
     "fit_tables": "studies.em",

@@ -82,7 +82,7 @@ class Labels:
         unsure, n = self.segments()["frames"], len(self.frames)
         changes = np.count_nonzero(np.diff(self.frames["lane"]))
         text = (
-            f"{self.run.name!r}: {n} frames, {self.run.experiment.n_lanes} lanes, {changes} lane"
+            f"{self.run.name!r}: {n} frames, {self.run.n_lanes} lanes, {changes} lane"
             f" changes, {len(unsure)} uncertain segments ({unsure.sum() / n:.1%})"
         )
         if self.run.truth is not None:

@@ -26,11 +26,9 @@ import pandas as pd
 from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events
-from egolane_pgm.inference.unrolling import Unrolled, unrolled
-from egolane_pgm.loading import IN_MEMORY, load_experiment
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
@@ -48,7 +46,6 @@ from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, LineLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pgmpy.models import DynamicBayesianNetwork
 
 #: The columns of `Result.frames`; the index is frame_id. Those marked ? are not always there.
 COLUMNS = {
@@ -173,22 +170,6 @@ class Result:
         [log] = self.lines.values()
         return make_evidence(self.model, log)[0]
 
-    def network(
-        self, *, evidence: bool = False, first: int | None = None, last: int | None = None
-    ) -> DynamicBayesianNetwork | Unrolled:
-        """The graph in pgmpy, or some frames of it with their evidence.
-
-        - evidence: False for the declared network of two slices, whose virtual-evidence tables
-          (`WOR_ve`) are placeholders; True for unrolled frames and the run's evidence in them.
-        - first, last: with evidence: frame ids, both included; all by default. pgmpy takes seconds
-          for hundreds of frames.
-        """
-        if not evidence:
-            return self.model.network
-        ids = self.frames.index.to_numpy()
-        first, last = (ids[0] if first is None else first), (ids[-1] if last is None else last)
-        return unrolled(self.model.compiled, self.evidence, first, last, frame_id=ids)
-
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
 
@@ -253,12 +234,6 @@ class Result:
             table = pd.concat(logs, names=["drive"]).reset_index()
             table = table if len(logs) > 1 else table.drop(columns="drive")
             table.to_parquet(place / "lines.parquet", index=False)
-        if config["recording"].get("path") == IN_MEMORY:
-            kept = {k: v for k, v in config["recording"].items() if k not in ("frames", "columns")}
-            config["recording"] = {**kept, "path": "./lines.parquet"}
-            if self.truth is not None and len(self.lines) == 1:
-                write_ground_truth(place / "ground_truth.txt", self.truth)
-                config["ground_truth"] = {"path": "./ground_truth.txt"}
         return config
 
 
@@ -339,16 +314,10 @@ def stored(
 
 
 def identity(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
-    """A checksum of the config, the content of the files and the version.
-
-    The location of the files does not count: a moved file is the same data.
-    """
+    """A checksum of the config, the content of the files and the version."""
     config = experiment.model_dump(mode="json", exclude={"fit"}) | {"fit": experiment.fit.method}
-    names = {entry["path"]: entry["sha256"] for entry in data}
-    text = json.dumps(config, sort_keys=True)
-    for path, sha256 in sorted(names.items(), reverse=True):
-        text = text.replace(json.dumps(path), json.dumps(sha256))
-    return hashlib.sha256(f"{text} {metadata.version('egolane-pgm')}".encode()).hexdigest()
+    content = config, [entry["sha256"] for entry in data], metadata.version("egolane-pgm")
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 # --- the table of frames -------------------------------------------------------------------------
@@ -456,8 +425,7 @@ def make_result(
     """
     first, model = drives[0], drives[0].model
     rate = model.experiment.recording.frame_rate
-    is_same_rate = rate == experiment.recording.frame_rate
-    e = experiment if is_same_rate else with_rate(experiment, rate)
+    e = with_rate(experiment, rate)
     notes = list(dict.fromkeys(notes))
     if impossible := int(frames["is_impossible"].sum()):
         notes.append(

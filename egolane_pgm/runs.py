@@ -33,7 +33,7 @@ from egolane_pgm.loading import (
 )
 from egolane_pgm.model import compile_model, with_graph
 from egolane_pgm.recordings.columns import column_keys
-from egolane_pgm.result import TAG, Result, check_writable, is_result, stored
+from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
 from egolane_pgm.tools import options
 from egolane_pgm.tools.files import make_directory
@@ -116,7 +116,7 @@ def run(  # type: ignore[misc]
     - detector: line detector for a video or pictures.
     - columns: names and units of a table's columns or of fields, e.g.
       offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
-    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - graph: another graph: a name or a file; in Python also a pgmpy network.
     - table: table of runs: columns are YAML keys (recording.path, parameters.sigma1) and tag.X.
     - chunk_frames: infer this many frames at a time, to save memory on long drives.
     - held_out: infer each block of the annotated frames with parameters that were fitted to the
@@ -180,15 +180,12 @@ def run(  # type: ignore[misc]
 
 def check_same_drive(place: Path, experiment: Experiment) -> None:
     """Raise InputError if a directory has the result of another recording."""
-    if not is_result(place):
-        return
     try:
-        old = dict(json.loads((place / "run.json").read_text())["config"]["recording"])
-    except (OSError, ValueError, LookupError, TypeError):
-        return  # A result of another version, or a damaged one, is replaced.
-    new = experiment.model_dump(mode="json")["recording"]
-    if any(old.get(key) != new.get(key) for key in ("path", "simulate")):
+        old = json.loads((place / "run.json").read_text())["config"]["recording"]
         name = old.get("path") or old.get("simulate")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return  # A result of another version, or a damaged one, is replaced.
+    if name != (experiment.recording.path or experiment.recording.simulate):
         raise InputError(f"out: {place} has the result of another recording, {name}; name another")
 
 
@@ -230,7 +227,7 @@ def open_input(
       recording), or lines (a file, a DataFrame or a LineLog).
     - experiment: the model for lines, `zero_label` if not given. Keys of the recording come from
       the other arguments.
-    - graph: in place of the experiment's: a name, a file, a module or a network of pgmpy.
+    - graph: in place of the experiment's: a name, a file or a network of pgmpy.
     - ground_truth: a file, a DataFrame with frame_id, lane and crossing, or "none".
     - recording: further keys of `recording`, such as `topic`.
 

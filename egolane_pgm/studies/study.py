@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -44,14 +44,8 @@ from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
 
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
-
 #: The default number of blocks.
 N_BLOCKS = 5
-
-#: Trials per fold of `run --held-out` with `fit.method: tune`; `tune` has more.
-TRIALS_PER_FOLD = 300
 
 #: The file that makes the directory of a study complete.
 STUDY_FILE = "study.json"
@@ -109,7 +103,8 @@ def _folds(drives: Sequence[Drive], numbers: Sequence[IntArray]) -> list[Fold]:
 def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -> list[Fold]:
     """Hold out whole drives: those with each value of a tag, or of each of some parts of the list.
 
-    Recordings of one drive are held out together. Raises InputError if nothing would be left.
+    Recordings of one drive are held out together, with the tag of the first one. Raises InputError
+    if nothing would be left.
     """
     experiments = [drive.experiment for drive in drives]
     keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
@@ -123,15 +118,10 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         known = {name for drive in drives for name in drive.tags}
         groups = [drive.tags.get(tag) for drive in drives]
         which = f"by_tag: all have one {tag}"
-        for drive, key, group in zip(drives, keys, groups, strict=True):
-            first = keys.index(key)
+        for drive, group in zip(drives, groups, strict=True):
             if group is None:
                 raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
-            if group != groups[first]:
-                raise InputError(
-                    f"{drive.name}: is the same drive as {drives[first].name} with another"
-                    f" tag.{tag}; held-out labels would leak"
-                )
+        groups = [groups[keys.index(key)] for key in keys]
     if len(set(groups)) < 2:
         raise InputError(f"{which}, so nothing would be left to fit to; folds 0 holds out nothing")
     return group_folds(drives, groups)
@@ -271,18 +261,6 @@ class Study:
         found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
         return list(dict.fromkeys(found))
 
-    @property
-    def network(self) -> DynamicBayesianNetwork:
-        """The fitted graph in pgmpy, with its origin for the `tuned_on` of a run."""
-        network = self.model.network
-        network.learned_from = self.learned_from
-        return network
-
-    @property
-    def learned_from(self) -> str:
-        """The training recording; empty for several."""
-        return recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
-
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
@@ -291,10 +269,8 @@ class Study:
         if detector:
             fitted = with_detector(fitted, detector)
         content: dict[str, Any] = to_jsonable(resolved(fitted, self.model.parameters))
-        how = "lines alone" if not first.fit.labels else "labels and lines"
-        how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
-        content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
+        content["description"] = f"{first.description}; fitted by {self.method}".lstrip("; ")
         # A later run may use one of several training drives.
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
         return content
@@ -319,8 +295,10 @@ class Study:
         (place / STUDY_FILE).unlink(missing_ok=True)
         content = self.experiment()
         if any(name.startswith(TABLES) for name in self.fitted):
-            graph = graph_yaml(self.model, f"tables learned from {self.learned_from or 'drives'}")
-            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": self.learned_from})
+            # The training recording; empty for several.
+            origin = recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
+            graph = graph_yaml(self.model, f"tables learned from {origin or 'drives'}")
+            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": origin})
             # The graph of learned tables has no parameters; only the rule's remain.
             of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
             kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
@@ -385,7 +363,7 @@ def run_held_out(
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
-    folds, fit = block_folds(drives, n_blocks), fit_by_name(method, trials=TRIALS_PER_FOLD)
+    folds, fit = block_folds(drives, n_blocks), fit_by_name(method)
     with noting() as found:
         fitted = fit_folds(drives, fit, list(enumerate(folds)))
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
@@ -401,7 +379,6 @@ def run_study(
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
     directory: Path | None = None,
-    pooled: bool = False,
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
@@ -415,7 +392,6 @@ def run_study(
     - starts: parameter sets that the final search tries first; by default the current ones.
     - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
     - directory: the study is saved here.
-    - pooled: whether all frames count alike in a search; otherwise all drives do.
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
@@ -428,12 +404,12 @@ def run_study(
     if method == "tune":
         tuning = settings_of(first.experiment.fit, None, first.experiment.source)
         space = search_space([drive.model for drive in drives], tuning)
-        settings = {"objectives": list(tuning.objective)}
-        settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
+        keys = {"objective", "sampler", "trials", "seed"}
+        settings = tuning.model_dump(include=keys) | describe(space)
     elif not learns_rule(first.model):
         learnable_nodes(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
-    fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
+    fit = fit_by_name(method, storage=storage, starts=starts)
     # As in the paper, the search on everything uses all frames; no held-out score does.
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]

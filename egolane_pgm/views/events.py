@@ -72,10 +72,8 @@ def event_lines(scores: Mapping[str, Any]) -> list[str]:
     warning = scores["crossing"]
     if warning is not None:
         lines.append(
-            f"line crossing: AUC {cell(warning['auc'])}, precision {cell(warning['precision'])},"
-            f" recall {cell(warning['recall'])} of the crossing frames; {warning['warned']} of"
-            f" {warning['changes']} changes with a warning,"
-            f" {cell(warning['lead_s']['median'], 1)} s (median) before the label changes,"
+            f"line crossing: {warning['warned']} of {warning['changes']} changes with a warning,"
+            f" {cell(warning['lead_s'], 1)} s (median) before the label changes,"
             f" {cell(warning['false_per_hour'], 1)} false warnings per hour"
         )
     return lines

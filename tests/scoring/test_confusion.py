@@ -54,10 +54,6 @@ def test_the_most_probable_lane_is_assigned(belief: Any, lanes: list[int]) -> No
     assert assigned_lane(belief).tolist() == lanes
 
 
-def test_the_label_of_a_crossing_frame_is_not_looked_at() -> None:
-    assert confusion([1, 2], [1, 9], [False, True], 2).tolist() == [[1, 0], [0, 0], [0, 0]]
-
-
 @given(drives())
 def test_the_scores_equal_those_of_plain_loops(
     drive: tuple[np.ndarray, np.ndarray, np.ndarray, int],

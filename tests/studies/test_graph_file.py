@@ -39,7 +39,6 @@ def assert_same(ours: Compiled, theirs: Compiled) -> None:
 
 
 @needs_compiler
-@pytest.mark.filterwarnings("ignore:.*no frame to learn from has lane:UserWarning")
 @pytest.mark.parametrize("name", DISCRETE)
 def test_every_discrete_graph_can_be_learned_and_written(name: str, tmp_path: Path) -> None:
     rule = "counting_levels" if name == "wor_levels" else "counting"
