@@ -257,7 +257,7 @@ def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
     assert f"the lines of the frames before are in {target}" in said
     assert read_lines(target).frame_id.tolist() == [0, 1, 2, 3, 4]
     assert cv2.imwrite(str(folder / "5.png"), images(1)[0][:100])
-    assert "frame 5: the picture has" in refused(
+    assert "frame 5: a picture of 480x100" in refused(
         "detect", folder, "--camera", place / "cam.yaml", "-o", target
     )
 

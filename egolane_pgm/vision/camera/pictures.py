@@ -31,7 +31,7 @@ from egolane_pgm.recordings import FORMATS
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.topics import messages, topics_of
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.types import NOTE, FloatArray, InputError, problems_in
+from egolane_pgm.types import FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
 from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.camera.writing import silent
@@ -128,21 +128,6 @@ def camera_of_pictures(camera: Camera, source: Source) -> Camera:
         stacklevel=2,
     )
     return resized
-
-
-def note_assumed_rate(source: Source, rate: float, key: str) -> None:
-    """Warn that the frame rate of a source is unknown.
-
-    - rate: what is assumed, Hz
-    - key: the key that sets another
-    """
-    if source.frame_rate is None:
-        warnings.warn(
-            f"{NOTE}{source.path}: does not say its pictures per second: {rate:g} are assumed"
-            f" ({key} says another)",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 def read_pictures(
