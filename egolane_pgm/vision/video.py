@@ -180,13 +180,14 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
         name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
-        _centred(canvas, name, (left + right) // 2, lower + 15, right - left, INK)
+        middle, room = (left + right) // 2, right - left
+        _write(canvas, name, (middle, lower + 15), room, INK, centred=True)
         if k < n_lanes:
             text = f"{100 * share:.0f} %"
-            _centred(canvas, text, (left + right) // 2, upper - 5, right - left, INK)
+            _write(canvas, text, (middle, upper - 5), room, INK, centred=True)
             if scene.truth == k + 1:
                 cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
-                _centred(canvas, "truth", (left + right) // 2, lower + 32, right - left, TRUTH)
+                _write(canvas, "truth", (middle, lower + 32), room, TRUTH, centred=True)
     top = places.camera.height
     cv2.line(canvas, (0, top), (canvas.shape[1], top), FRAME, 1)
 
@@ -206,19 +207,21 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
         if colour is not None:
             start = left + 24
             cv2.rectangle(canvas, (left, baseline - 8), (left + 16, baseline), colour, -1)
-        room = canvas.shape[1] - 6 - start
-        _write(canvas, text, (start, baseline), min(TEXT, TEXT * room / _text_width(text)), INK)
+        _write(canvas, text, (start, baseline), canvas.shape[1] - 6 - start, INK)
 
 
-def _text_width(text: str, scale: float = TEXT) -> int:
-    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0])
-
-
-def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour: Colour) -> None:
-    scale = min(TEXT, TEXT * room / _text_width(text))
-    _write(canvas, text, (middle - _text_width(text, scale) // 2, row), scale, colour)
-
-
-def _write(image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour) -> None:
+def _write(
+    canvas: Image,
+    text: str,
+    at: tuple[int, int],
+    room: int,
+    colour: Colour,
+    *,
+    centred: bool = False,
+) -> None:
+    """Write text that begins (or has its middle) at a column and row, not wider than `room`."""
     font: Any = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(image, text, at, font, scale, colour, 1, cv2.LINE_AA)
+    width = cv2.getTextSize(text, font, TEXT, 1)[0][0]
+    share = min(1.0, room / width)
+    left = at[0] - round(share * width) // 2 if centred else at[0]
+    cv2.putText(canvas, text, (left, at[1]), font, TEXT * share, colour, 1, cv2.LINE_AA)

@@ -276,6 +276,6 @@ def test_pairs_that_do_not_match_are_refused(pair: Path) -> None:
     said = refused(*with_right(pair))
     assert "have not equally many pictures" in said
     cv2.imwrite(str(pair / "right/3.png"), np.zeros((100, 100, 3), dtype=np.uint8))
-    assert "frame 3: the picture has 100x100" in refused(*with_right(pair))
+    assert "frame 3: a picture of 100x100" in refused(*with_right(pair))
     write_camera(pair / "pair.yaml", CAMERA)
     assert "baseline_m of the camera" in refused(*with_right(pair))

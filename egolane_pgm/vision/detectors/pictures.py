@@ -139,8 +139,8 @@ def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
     from egolane_pgm.vision.camera.pictures import is_bag, is_pattern, open_source
 
     path = getattr(experiment.recording, key)
-    if not is_pattern(path):
-        place = existing(experiment, f"recording.{key}")
-        return open_source(place, experiment.recording.topic if is_bag(place) else None)
-    with problems_in(f"{experiment.source}: recording.{key}"):
-        return open_source(path)
+    if is_pattern(path):
+        with problems_in(f"{experiment.source}: recording.{key}"):
+            return open_source(path)
+    place = existing(experiment, f"recording.{key}")
+    return open_source(place, experiment.recording.topic if is_bag(place) else None)

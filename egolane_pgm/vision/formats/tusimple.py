@@ -9,17 +9,16 @@ Results as the benchmark takes them have no `h_samples`: the rows are then its o
 continuous. (6, a double white line, is not: another lane lies beyond it, and the flag is evidence
 of the road's edge.)
 
-What is a drive follows from the folders. `clips/0313-1/6040/20.jpg` and others whose folder is a
-count and has one picture of the file are frames of one drive: frame 6040 of 0313-1. Any other
-folder is a clip of its own, and the frame number is then the last number in the picture's name
-(`frame_00042.jpg`: 42). The frame ids of a clip continue those of the clip before, and no line
-is followed from one into the next.
+A folder that is a count and has one picture is a frame of the drive in the folder above it:
+`clips/0313-1/6040/20.jpg` is frame 6040 of 0313-1. Any other folder is a clip, in which the last
+number of a picture's name is the frame (`frame_00042.jpg`: 42). The frame ids of a clip continue
+those of the clip before, and no line is followed from one into the next.
 
 The points of a line are put on the road by the camera, and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
-to them; the offset is s0. The fit trusts a point as far as a pixel is wide on the road where it
-lies, and expects the heading and curvature of a motorway, so that a line of which only a far piece
-is seen does not get an absurd offset. A line is followed from frame to frame by the nearest offset;
-its LRI counts in how many of the last ten pictures it was seen (the paper's k).
+to them; the offset is s0. Points are weighted by the width of a pixel on the road; a prior on the
+heading and curvature of a motorway keeps the offset of a far piece of a line sane. A line is
+followed from frame to frame by the nearest offset; its LRI counts in how many of the last ten
+pictures it was seen (the paper's k).
 """
 
 from __future__ import annotations
@@ -37,13 +36,7 @@ import numpy as np
 
 from egolane_pgm.recordings import known_formats
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import (
-    BoolArray,
-    FloatArray,
-    InputError,
-    LineLog,
-    clip_slices,
-)
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, clip_slices
 from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
 from egolane_pgm.vision.detectors.simple.tracking import closest
 

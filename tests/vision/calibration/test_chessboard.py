@@ -17,8 +17,6 @@ from egolane_pgm.vision.camera.model import (
 )
 from tests.kits.calibration_kit import TRUE, cameras, lines_of, unturned, view_of_lines
 
-# --- the lens ---
-
 
 def test_a_lens_is_recovered_from_drawn_chessboards(boards):
     lens = calibrate_lens(sorted(boards.iterdir()))
@@ -58,9 +56,6 @@ def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
         calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
     with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard of 9x6"):
         calibrate_lens(sorted(stills.iterdir()))
-
-
-# --- lines of the road ---
 
 
 @settings(deadline=None, max_examples=25)
