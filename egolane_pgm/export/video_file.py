@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import tee
 from pathlib import Path
 
 from egolane_pgm.export import chosen_frames
@@ -11,7 +12,8 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.pictures import camera_of_pictures, read_pictures
 from egolane_pgm.vision.camera.writing import video_writer
 from egolane_pgm.vision.detectors.pictures import open_pictures
-from egolane_pgm.vision.video import Scene, draw_frame, layout, with_detected_lines
+from egolane_pgm.vision.detectors.runner import detect
+from egolane_pgm.vision.video import Scene, draw_frame, layout
 
 
 def write_video(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
@@ -42,10 +44,13 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
         bar(desc=detector.name, unit="frame", total=len(shown)) as progress,
         video_writer(file, result.frame_rate, places.size) as write,
     ):
-        for picture, lines in with_detected_lines(pictures, detector, camera):
+        # The detector takes one picture at a time, so no more than one is kept.
+        drawn, given = tee(pictures)
+        for picture, (_, lines) in zip(drawn, detect(detector, camera, given), strict=True):
             if picture.frame_id not in shown.index:
                 continue
             row = int(shown.index.get_loc(picture.frame_id))
-            given = time_s[row], lines, posterior[row], answer[row], truth[row] or None
-            write(draw_frame(places, picture.image, Scene(picture.frame_id, *given)))
+            belief = posterior[row], answer[row], truth[row] or None
+            scene = Scene(picture.frame_id, time_s[row], lines, *belief)
+            write(draw_frame(places, picture.image, scene))
             progress.update()

@@ -15,14 +15,13 @@ from egolane_pgm.vision.calibration.chessboard import calibrate_lens, describe_l
 from egolane_pgm.vision.calibration.road_lines import (
     ASSUMED_LENS,
     assumed_camera,
-    check_lane_width,
     describe_view,
     doubts_of,
     find_in_stills,
     view_from,
 )
 from egolane_pgm.vision.camera.model import Camera, write_camera
-from egolane_pgm.vision.camera.pictures import files_matching, read_images, size_of
+from egolane_pgm.vision.camera.pictures import picture_files, read_image, size_of
 
 EXAMPLES = (
     "egolane calibrate --stills 'road/*.jpg' --lane-width 3.7 -o cam.yaml",
@@ -58,17 +57,13 @@ def calibrate(
     """
     if out is not None:
         check_place(Path(out))
-    check_lane_width(lane_width)
 
-    pictures = files_matching(stills)
-    skipped: list[str] = []
-    first = next(read_images(pictures, skipped), None)
-    if first is None:
-        raise InputError(f"{stills}: no picture among {len(skipped)} files; {skipped[0]}")
-    size = size_of(first[1])
+    pictures = picture_files(stills)
+    size = size_of(read_image(pictures[0]))
     if chessboards:
-        lens = calibrate_lens(files_matching(chessboards), *board)
-        _warn_of(lens.skipped)
+        lens = calibrate_lens(picture_files(chessboards), *board)
+        for line in lens.skipped:
+            warnings.warn(f"skipped: {line}", UserWarning, stacklevel=2)
         camera, comment = lens.camera, [describe_lens(lens, "x".join(map(str, board)))]
         if (camera.width, camera.height) != size:
             raise InputError(
@@ -81,10 +76,9 @@ def calibrate(
         if mask[0] >= camera.width or mask[1] >= camera.height:
             text = " ".join(map(str, mask))
             raise InputError(f"ignore: {text} is not in a picture of {size[0]}x{size[1]}")
-    camera = replace(camera, roll_deg=roll, ignore=tuple(ignore))
+    camera = replace(camera, roll_deg=roll, ignore=tuple(ignore), lane_width_m=lane_width)
     found = find_in_stills(camera, pictures)
-    _warn_of(found.skipped)
-    view = view_from(camera, found.ahead, found.each, found.fits, lane_width)
+    view = view_from(camera, found.ahead, found.each, found.fits)
     n_lines = sum(len(lines) for lines in found.lines)
     comment.append(describe_view(view, f"{n_lines} lines found in {len(found.lines)} stills"))
     if doubt := doubts_of(view):
@@ -100,8 +94,3 @@ def summary(done: Camera, given: Mapping[str, Any]) -> str:
     lines = Path(given["out"]).read_text(encoding="utf-8").splitlines()
     comment = [line.removeprefix("# ") for line in lines if line.startswith("# ")]
     return "\n".join([*comment[1:], f"written to {given['out']}"])
-
-
-def _warn_of(skipped: Sequence[str]) -> None:
-    for line in skipped:
-        warnings.warn(f"skipped: {line}", UserWarning, stacklevel=3)

@@ -234,7 +234,7 @@ def test_a_video_shows_lines_and_truth_on_the_pictures(tmp_path: Path) -> None:
     write_video(tmp_path / "b.mp4", result, (11, 13))
     assert len(frames_of(tmp_path / "b.mp4")) == 3
     cv2.imwrite(str(tmp_path / "pictures" / "img_0012.png"), road()[:-8])
-    with pytest.raises(InputError, match="frame 12: the picture has 640x392 pixels"):
+    with pytest.raises(InputError, match="frame 12: a picture of 640x392 pixels"):
         write_video(tmp_path / "c.mp4", result)
     assert len(frames_of(tmp_path / "c.mp4")) == 2
 

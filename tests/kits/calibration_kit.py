@@ -69,7 +69,8 @@ def view_of_lines(true: Camera, camera: Camera, frames, lane_width_m=3.6):
         if (fit := fit_frame([to_level(camera, *line.T) for line in lines], about)) is not None
     ]
     each = np.stack([fit.vanishing_point for fit in fits])
-    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m)
+    known = replace(camera, lane_width_m=lane_width_m)
+    return view_from(known, np.median(each, axis=0), each, fits)
 
 
 @cache

@@ -257,7 +257,7 @@ def test_a_picture_that_cannot_be_used_keeps_the_lines_of_those_before(
     assert f"the lines of the frames before are in {target}" in said
     assert read_lines(target).frame_id.tolist() == [0, 1, 2, 3, 4]
     assert cv2.imwrite(str(folder / "5.png"), images(1)[0][:100])
-    assert "frame 5: the picture has" in refused(
+    assert "frame 5: a picture of 480x100" in refused(
         "detect", folder, "--camera", place / "cam.yaml", "-o", target
     )
 
@@ -276,6 +276,6 @@ def test_pairs_that_do_not_match_are_refused(pair: Path) -> None:
     said = refused(*with_right(pair))
     assert "have not equally many pictures" in said
     cv2.imwrite(str(pair / "right/3.png"), np.zeros((100, 100, 3), dtype=np.uint8))
-    assert "frame 3: the picture has 100x100" in refused(*with_right(pair))
+    assert "frame 3: a picture of 100x100" in refused(*with_right(pair))
     write_camera(pair / "pair.yaml", CAMERA)
     assert "baseline_m of the camera" in refused(*with_right(pair))

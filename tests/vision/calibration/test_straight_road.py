@@ -12,19 +12,13 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.road_lines import (
     FrameFit,
     RoadView,
-    check_lane_width,
     doubts_of,
     view_from,
 )
 from egolane_pgm.vision.camera.model import Camera
 from tests.kits.calibration_kit import TRUE, lines_of, unturned, view_of_lines
 
-PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25)
-
-
-def test_a_width_of_no_lane_is_refused() -> None:
-    with pytest.raises(InputError, match="lanes are 2 to 6 m wide"):
-        check_lane_width(0.36)
+PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25, lane_width_m=3.6)
 
 
 def view_of(
@@ -33,8 +27,8 @@ def view_of(
     ahead: tuple[float, float] = (0.0, 0.0),
     camera: Camera = PLAIN,
 ) -> RoadView:
-    fits = [FrameFit(np.array(ahead), np.array(s), 0.0) for s in slopes]
-    return view_from(camera, np.array(ahead), np.array(each, dtype=float), fits, 3.6)
+    fits = [FrameFit(np.array(ahead), np.array(s)) for s in slopes]
+    return view_from(camera, np.array(ahead), np.array(each, dtype=float), fits)
 
 
 def test_the_height_is_the_lane_width_over_the_gap_of_slopes() -> None:
