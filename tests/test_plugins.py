@@ -124,7 +124,7 @@ def test_parameters_of_files_of_ones_own_are_checked_as_any_other(tmp_path: Path
     ("graph", "said"),
     [
         ("x = (", "g.py: SyntaxError"),
-        ("HIDDEN = OBSERVED = ()", "g.py does not define build, nor a pgmpy network at its top"),
+        ("HIDDEN = OBSERVED = ()", "g.py defines neither tables nor build, nor a pgmpy network"),
         (PLAIN + "    b = network.copy()", "and has 2 pgmpy networks (network, b) at its top"),
         (PLAIN, "the evidence rule gives nothing (it has no PROVIDES), the graph has"),
         (GRAPH.replace("return declare", "declare"), "build() returned NoneType, not"),

@@ -217,13 +217,6 @@ def tabular_cpd(
     return TabularCPD(node, len(columns), columns, parents, list(table.values.shape[:-1]), names)
 
 
-def builder(
-    tables: Callable[[int, Any], Iterable[Table]], observed: Iterable[Observed]
-) -> Callable[[int, Any], DynamicBayesianNetwork]:
-    """Return the `build(n_lanes, parameters)` of a graph file from its `tables`."""
-    return lambda n_lanes, parameters: declare(tables(n_lanes, parameters), observed)
-
-
 def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> None:
     """Check that the tables of two slices fit each other.
 

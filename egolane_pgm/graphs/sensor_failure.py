@@ -11,7 +11,6 @@ import numpy as np
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    builder,
     dynamics,
     lane_normals,
     previous,
@@ -70,6 +69,3 @@ def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("SensorState", [previous("SensorState")], binary(p1, p2)),
         *within("DetectorOutput", ["SensorState", "Lane"], np.stack(outputs)),
     ]
-
-
-build = builder(tables, OBSERVED)

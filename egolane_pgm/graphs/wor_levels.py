@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, builder, within
+from egolane_pgm.graphs.cpds import Table, within
 from egolane_pgm.graphs.sensor_failure import WOR_LEVELS
 from egolane_pgm.parameters import Parameters, number
 from egolane_pgm.types import FloatArray
@@ -40,6 +40,3 @@ def binomial(keep: float, levels: int) -> FloatArray:
     draws = levels - 1
     terms = [math.comb(draws, j) * keep ** (draws - j) * (1 - keep) ** j for j in range(levels)]
     return np.array(terms) / math.fsum(terms)
-
-
-build = builder(tables, OBSERVED)

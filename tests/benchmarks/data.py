@@ -12,7 +12,7 @@ import pandas as pd
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.inference.compile import Compiled, compile, with_tables
+from egolane_pgm.inference.compile import Compiled, compile_tables, with_tables
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, LineLog
 
@@ -60,8 +60,10 @@ def load() -> Data:
     rule = resolve_parameters(counting.PARAMETERS, {"bonus_value": BONUS_VALUE}, N_LANES)
     evidence = counting.evidence(log, N_LANES, rule)
     given = resolve_parameters(sensor_failure.PARAMETERS, PARAMETERS, N_LANES)
-    network = sensor_failure.build(N_LANES, given)
-    compiled = compile(network, hidden=sensor_failure.HIDDEN, observed=sensor_failure.OBSERVED)
+    tables = sensor_failure.tables(N_LANES, given)
+    compiled = compile_tables(
+        tables, hidden=sensor_failure.HIDDEN, observed=sensor_failure.OBSERVED
+    )
     return Data(log, truth, rule, evidence, compiled, f"{source}, {len(log)} frames", read)
 
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import yaml
 
+from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.plugins import load_plugin
 from egolane_pgm.types import InputError
 from tests.conformance.networks import (
@@ -57,8 +58,12 @@ def changed(**changes: Any) -> str:
 
 
 def refusal(folder: Path, text: str) -> str:
+    def declared() -> None:
+        module = load(folder, text)
+        declare(module.tables(2, {}), module.OBSERVED)
+
     with pytest.raises(InputError) as caught:
-        load(folder, text).build(2, {})
+        declared()
     return str(caught.value)
 
 
