@@ -130,5 +130,4 @@ def test_every_graph_gets_an_evidence_rule_that_fits_it() -> None:
         compile_model(load_experiment(simulated(graph=name, evidence=rule), n_lanes=3))
         found[name] = rule
     assert found["sensor_failure"] == "counting"
-    assert found["wor_levels"] == "counting_levels"
     assert found["position_in_lane"] == "line_geometry"

@@ -27,7 +27,7 @@ from egolane_pgm.types import FloatArray, InputError, Observed
 
 if TYPE_CHECKING:
     from pgmpy.factors.discrete import TabularCPD
-    from pgmpy.models import DynamicBayesianNetwork
+    from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
 SliceNode = tuple[str, int]
 
@@ -215,6 +215,26 @@ def tabular_cpd(
     # In pgmpy the node's values are rows and the parents' combinations columns.
     columns = table.values.reshape(-1, table.values.shape[-1]).T
     return TabularCPD(node, len(columns), columns, parents, list(table.values.shape[:-1]), names)
+
+
+def flat_network(
+    tables: Iterable[Table], values: Mapping[str, Sequence[str]]
+) -> DiscreteBayesianNetwork:
+    """Return tables of any number of frames as a pgmpy network without time.
+
+    - tables: the second part of their nodes is a frame, not a slice.
+    - values: the names of each node's values, by default 0, 1, ...
+    """
+    with quiet():
+        from pgmpy.models import DiscreteBayesianNetwork
+
+        network = DiscreteBayesianNetwork()
+        for table in tables:
+            cpd = tabular_cpd(table, values, lambda node: f"{node[0]}@{node[1]}")
+            network.add_node(cpd.variable)
+            network.add_edges_from([(p, cpd.variable) for p in cpd.variables[1:]])
+            network.add_cpds(cpd)
+        return network
 
 
 def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> None:

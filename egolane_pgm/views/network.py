@@ -1,11 +1,10 @@
-"""The structure of a network: as a picture of its two slices, or in a BIF file."""
+"""The structure of a network, and a picture of its two slices."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,15 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from egolane_pgm.graphs.cpds import SliceNode, ve_name
-from egolane_pgm.graphs.flat import bif
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.model import Model
-from egolane_pgm.tools.files import write_text
-from egolane_pgm.types import InputError
-from egolane_pgm.views.style import FORMATS, INK, inline_figure, new_figure, write_figure
-
-#: Extensions of the files that a network can be written to.
-ENDINGS = (*FORMATS, ".bif")
+from egolane_pgm.views.style import INK, inline_figure, new_figure
 
 Edge = tuple[SliceNode, SliceNode]
 Shape = Circle | Rectangle
@@ -79,24 +72,6 @@ def structure_of(compiled: Compiled) -> Structure:
         names = (key,) if isinstance(key, str) else key
         edges += [((name, s), (ve_name(key), s)) for s in (0, 1) for name in names]
     return Structure(kind, edges)
-
-
-def check_ending(path: str | Path) -> None:
-    """Raise InputError for a file that a network cannot be written to."""
-    if Path(path).suffix.lower() not in ENDINGS:
-        raise InputError(f"{path}: unknown format; a network is written to {', '.join(ENDINGS)}")
-
-
-def write_network(compiled: Compiled, path: str | Path) -> None:
-    """Write a network as a picture, or both slices with their tables as BIF (.bif).
-
-    Virtual-evidence nodes, which have no numbers of their own, are not in a BIF file. Raises
-    InputError for a file that cannot be written.
-    """
-    if Path(path).suffix.lower() == ".bif":
-        write_text(path, bif(compiled.tables.values(), compiled.values))
-    else:
-        write_figure(lambda: network_figure(structure_of(compiled)), path)
 
 
 # --- the picture ---------------------------------------------------------------------------------
