@@ -229,11 +229,8 @@ class LineLog(_Frames):
         if self.is_missing.size == 0 and n_frames:
             object.__setattr__(self, "is_missing", np.zeros(n_frames, dtype=bool))
         check_frame_ids(self.frame_id, self.source)
-        if self.offset_m.ndim != 2 or len(self.offset_m) != n_frames:
-            raise InputError(
-                f"{self.source}: offset_m has shape {self.offset_m.shape}, needs ({n_frames}, L)"
-            )
-        of_lines = dict.fromkeys(("is_valid", "is_continuous", "lri"), self.offset_m.shape)
+        lines = (n_frames, self.offset_m.shape[-1])
+        of_lines = dict.fromkeys(("offset_m", "is_valid", "is_continuous", "lri"), lines)
         of_frames = dict.fromkeys(("time_s", "is_missing", "clip"), (n_frames,))
         for name, shape in {**of_frames, **of_lines}.items():
             array = getattr(self, name)
@@ -490,10 +487,7 @@ class Beliefs(_Frames):
     @property
     def lane(self) -> FloatArray:
         """(T, n): the posterior over lanes. Raises InputError without a node Lane."""
-        if "Lane" not in self.marginals:
-            nodes = ", ".join(self.marginals)
-            raise InputError(f"the network has no node Lane, it has {nodes}: take beliefs[node]")
-        return self.marginals["Lane"]
+        return self["Lane"]
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row per frame and a column `Node=value` per value, Lane first."""
