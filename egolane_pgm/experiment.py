@@ -74,7 +74,7 @@ _Keys = Annotated[dict[str, Any], AfterValidator(plain)]
 
 
 class Section(BaseModel):
-    """Keys of a YAML file, immutable; unknown keys are refused."""
+    """Keys of a YAML file; unknown keys are refused, and no key can be set later."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -410,10 +410,10 @@ class Experiment(Section):
     @field_validator("parameters")
     @classmethod
     def _goes_with_a_detector(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
-        recording = info.data.get("recording")
-        if not isinstance(value.get(DETECTOR, {}), Mapping):
+        recording, own = info.data.get("recording"), value.get(DETECTOR, {})
+        if not isinstance(own, Mapping):
             raise ValueError(f"{DETECTOR}: needs keys and values")
-        if value.get(DETECTOR) and recording is not None and recording.detector is None:
+        if own and recording is not None and recording.detector is None:
             raise ValueError(f"{DETECTOR}: the recording has no detector")
         return value
 
@@ -459,8 +459,6 @@ def validated(kind: type[AnySection], content: Mapping[str, Any], source: str) -
         return made
     except ValidationError as error:
         raise InputError(f"{source}: {_first_problem(error, kind)}") from None
-    except RecursionError:
-        raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
 
 
 #: Messages for pydantic's error types, in terms of YAML.

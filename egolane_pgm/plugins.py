@@ -128,12 +128,8 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
     """Return the parameters of an evidence rule and a graph; both may declare the same one."""
-    specs: dict[str, Parameter] = {}
-    for p in (*getattr(rule, "PARAMETERS", ()), *getattr(graph, "PARAMETERS", ())):
-        if specs.setdefault(p.name, p).kind != p.kind:
-            raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
-        specs[p.name] = p
-    return list(specs.values())
+    both = (*getattr(rule, "PARAMETERS", ()), *getattr(graph, "PARAMETERS", ()))
+    return list({spec.name: spec for spec in both}.values())
 
 
 def _build_from_network(module: ModuleType, where: str) -> None:

@@ -404,26 +404,21 @@ class Evidence(_Frames):
         try:
             table = pd.DataFrame({node: np.asarray(rows[node], dtype=object) for node in rows})
         except ValueError as error:
-            needed = "a list of values for each node, all of the same length"
-            raise InputError(f"evidence: needs {needed}") from error
+            raise InputError(f"evidence: needs a list of values for each node: {error}") from error
         observed = [(key,) if isinstance(key, str) else key for key in compiled.observed]
         known = {*(node for nodes in observed for node in nodes), *compiled.inputs}
         given: dict[str, IntArray] = {}
         for node, column in table.items():
             if node not in known:
-                raise InputError(
-                    f"evidence for {node}: the network has no such observed node or input"
-                    f"{suggestion(str(node), known)}; `compile` is given those that are observed"
-                )
+                meant = suggestion(str(node), known)
+                raise InputError(f"evidence for {node}: no such observed node or input{meant}")
             name, names = str(node), compiled.values[str(node)]
             given[name] = pd.Index(names).get_indexer(column.convert_dtypes().astype("string"))
             unknown = np.flatnonzero((given[name] < 0) & column.notna())
             if len(unknown):
-                value = column[unknown[0]]
-                raise InputError(
-                    f"evidence for {node}: row {unknown[0]}: {value!r} is not the name of a"
-                    f" value{suggestion(str(value), names)}"
-                )
+                row, value = unknown[0], column[unknown[0]]
+                meant = f"{value!r} is not the name of a value{suggestion(str(value), names)}"
+                raise InputError(f"evidence for {node}: row {row}: {meant}")
         for node in compiled.inputs:
             if node not in given or (given[node] < 0).any():
                 raise InputError(f"evidence for {node}: is missing, an input must be known")

@@ -172,7 +172,7 @@ def declare(
     Raises InputError as `check_tables`.
     """
     tables = list(tables)
-    check_tables(tables, observed)
+    check_tables(tables)
     cardinality = {table.node: table.values.shape[-1] for table in tables}
     for target in observed:
         names = (target,) if isinstance(target, str) else target
@@ -237,7 +237,7 @@ def flat_network(
         return network
 
 
-def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> None:
+def check_tables(tables: Iterable[Table]) -> None:
     """Check that the tables of two slices fit each other.
 
     Raises InputError, naming the nodes, if a table is missing or given twice, for an edge back in
@@ -256,10 +256,6 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
                 f"{name}: has {size[name]} values in the first frame and {n_values} later"
             )
         parents[table.node] = table.parents
-    for key in observed:
-        for name in (key,) if isinstance(key, str) else key:
-            if (name, 0) not in parents:
-                raise InputError(f"observed node {name}: there is no table for it")
     for table in tables:
         name, s = table.node
         for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):
