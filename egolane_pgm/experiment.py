@@ -8,8 +8,8 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args, get_type_hints
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import (
@@ -24,10 +24,9 @@ from pydantic import (
     model_validator,
     with_config,
 )
-from pydantic_core import ErrorDetails
-from typing_extensions import TypedDict, is_typeddict
+from typing_extensions import TypedDict
 
-from egolane_pgm.types import MAX_LANES, InputError, not_one_of, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, near_word
 
 #: What an experiment keeps for `n_lanes: map`.
 FROM_MAP = 0
@@ -36,30 +35,14 @@ FROM_MAP = 0
 DETECTOR = "detector"
 
 
-class FrozenDict(dict[str, Any]):
-    """An immutable dict. It can be pickled, and hashed if its values can."""
-
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError("an experiment is immutable; model_copy(update={...}) makes another")
-
-    __setitem__ = __delitem__ = __ior__ = _refuse
-    clear = pop = popitem = setdefault = update = _refuse
-
-    def __hash__(self) -> int:  # type: ignore[override]
-        return hash(frozenset(self.items()))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return FrozenDict, (dict(self),)
-
-
-def frozen(value: Any) -> Any:
-    """Return an immutable copy; NumPy's numbers and arrays become Python's, and paths text."""
+def plain(value: Any) -> Any:
+    """Return a copy: lists become tuples, NumPy's numbers and arrays Python's, and paths text."""
     if isinstance(value, Mapping):
-        return FrozenDict({key: frozen(each) for key, each in value.items()})
+        return {key: plain(each) for key, each in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
-        return frozen(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return tuple(map(frozen, value))
+        return tuple(map(plain, value))
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
@@ -77,17 +60,17 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 _LaneNumber = Annotated[int, Field(ge=1, le=MAX_LANES)] | Literal["map"]
 
 #: A section with free keys, such as parameters.
-_Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
+_Keys = Annotated[dict[str, Any], AfterValidator(plain)]
 
 
 class Section(BaseModel):
-    """Keys of a YAML file, immutable; unknown keys are refused."""
+    """Keys of a YAML file; unknown keys are refused, and no key can be set later."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with other values for some keys, which are not checked."""
-        return super().model_copy(update=frozen(update or {}), deep=deep)
+        return super().model_copy(update=plain(update or {}), deep=deep)
 
 
 AnySection = TypeVar("AnySection")
@@ -139,7 +122,7 @@ def _columns_per_line(columns: Columns) -> Columns:
         theirs = columns.get(name)
         if theirs is not None and n_lines != (len(theirs) if isinstance(theirs, tuple) else None):
             raise ValueError(f"{name}: needs as many columns as offset_m")
-    return frozen(columns)  # type: ignore[no-any-return]
+    return plain(columns)  # type: ignore[no-any-return]
 
 
 #: Columns, checked.
@@ -199,7 +182,7 @@ class Recording(Section):
         examples=["right/*.png"],
     )
     options: _Keys = Field(
-        default_factory=FrozenDict,
+        default_factory=dict,
         description="further options of the format's reader",
         examples=[{"valid": "always"}],
     )
@@ -264,7 +247,7 @@ class FitSettings(Section):
     )
     seed: int = Field(default=0, ge=0, description="tune: random seed of the sampler")
     parameters: _Keys = Field(
-        default_factory=FrozenDict,
+        default_factory=dict,
         description="tune: by name [low, high], the names of a choice, or one value to keep; if"
         " parameters of the detector (detector.NAME) are among them, only what is named is"
         " searched",
@@ -358,7 +341,7 @@ class Experiment(Section):
         description="frames whose most probable lane is less probable get no lane",
     )
     parameters: _Keys = Field(
-        default_factory=FrozenDict,
+        default_factory=dict,
         description="values of the parameters of graph and evidence rule (`egolane show GRAPH`),"
         " and in `detector` of the detector; others keep their defaults",
         examples=[{"sigma1": 0.35, "bonus_value": 9}, {"detector": {"every": 2}}],
@@ -415,11 +398,11 @@ class Experiment(Section):
 
     @field_validator("parameters")
     @classmethod
-    def _goes_with_a_detector(cls, value: FrozenDict, info: ValidationInfo) -> FrozenDict:
-        recording = info.data.get("recording")
-        if not isinstance(value.get(DETECTOR, {}), Mapping):
+    def _goes_with_a_detector(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        recording, own = info.data.get("recording"), value.get(DETECTOR, {})
+        if not isinstance(own, Mapping):
             raise ValueError(f"{DETECTOR}: needs keys and values")
-        if value.get(DETECTOR) and recording is not None and recording.detector is None:
+        if own and recording is not None and recording.detector is None:
             raise ValueError(f"{DETECTOR}: the recording has no detector")
         return value
 
@@ -431,6 +414,10 @@ class Experiment(Section):
         return value
 
     _source: str = "experiment"
+
+    def __hash__(self) -> int:
+        # Dicts have no hash.
+        return hash((self.name, self.graph, self.evidence))
 
     @property
     def source(self) -> str:
@@ -461,8 +448,14 @@ def validated(kind: type[AnySection], content: Mapping[str, Any], source: str) -
         return made
     except ValidationError as error:
         raise InputError(f"{source}: {_first_problem(error, kind)}") from None
-    except RecursionError:
-        raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
+
+
+#: Messages for pydantic's error types, in terms of YAML.
+_NEEDS = {
+    "model_type": "needs keys and values",
+    "dict_type": "needs keys and values",
+    "tuple_type": "needs a list",
+}
 
 
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -485,52 +478,19 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
 def _first_problem(error: ValidationError, kind: Any) -> str:
     """pydantic's first complaint. An unknown key goes before others, with a suggestion."""
     problems = error.errors(include_url=False)
-    for problem in problems:
-        if problem["type"] == "extra_forbidden":
-            *above, key = problem["loc"]
-            prefix = f"{'.'.join(map(str, above))}: " if above else ""
-            known = _keys_at(kind, problem["loc"])
-            return f"{prefix}unknown key '{key}'{suggestion(str(key), known)}"
-    return _problem(problems[0])
-
-
-def _keys_at(kind: Any, loc: Sequence[int | str]) -> Iterable[str]:
-    """Return the keys of the section of a key."""
-    for part in loc[:-1]:
-        inside = _sections_in(get_type_hints(kind, include_extras=True).get(str(part)))
-        kind = next(inside, kind)
-    return get_type_hints(next(_sections_in(kind)))
-
-
-def _sections_in(kind: Any) -> Iterator[Any]:
-    """The sections in a type such as `Section | None`."""
-    if isinstance(kind, type) and (issubclass(kind, Section) or is_typeddict(kind)):
-        yield kind
-    for part in get_args(kind):
-        yield from _sections_in(part)
-
-
-#: Messages for pydantic's error types, in terms of YAML.
-_NEEDS = {
-    "model_type": "needs keys and values",
-    "dict_type": "needs keys and values",
-    "tuple_type": "needs a list",
-}
-
-
-def _problem(problem: ErrorDetails) -> str:
-    """One of pydantic's complaints that is not about an unknown key."""
+    problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     where = ".".join(map(str, problem["loc"]))
     if problem["type"] == "missing":
         return f"{where}: is missing"
+    if problem["type"] == "extra_forbidden":
+        above, key = ".".join(map(str, problem["loc"][:-1])), str(problem["loc"][-1])
+        # Of all sections: a key may be at the wrong place.
+        schema = _adapter(kind).json_schema()
+        parts = (schema, *schema.get("$defs", {}).values())
+        known = {each for part in parts for each in part.get("properties", ())}
+        return f"{above}{': ' if above else ''}unknown key '{key}'{near_word(key, known)}"
     value = problem["input"]
-    if problem["type"] == "literal_error" and isinstance(value, str):
-        choices = [
-            c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")
-        ]
-        return f"{where}: {not_one_of(value, choices)}"
     message = problem["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    message = _NEEDS.get(problem["type"], message)
+    message = _NEEDS.get(problem["type"], message[0].lower() + message[1:])
     shown = "" if isinstance(value, dict) else f" (got {repr(value)[:100]})"
     return f"{where}: {message}{shown}" if where else f"{message}{shown}"

@@ -17,7 +17,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.experiment import DETECTOR, Experiment, frozen, make_experiment
+from egolane_pgm.experiment import DETECTOR, Experiment, make_experiment, plain
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
@@ -232,7 +232,7 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in flat.items():
         if not isinstance(key, str) or not all(key.split(".")):
             raise InputError(f"{key!r} is not the name of a key, e.g. parameters.sigma1")
-        section = nest(value) if isinstance(value, Mapping) else frozen(value)
+        section = nest(value) if isinstance(value, Mapping) else plain(value)
         for part in reversed(key.split(".")):
             section = {part: section}
         nested = merge(nested, section)

@@ -222,24 +222,18 @@ def recording_key(experiment: Experiment) -> str:
 def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: str) -> str:
     """Return the evidence rule that provides what a graph observes, preferably `first`.
 
-    Of several rules the one that declares most of the graph's integer parameters is taken; for a
-    plain pgmpy network the one of whose evidence it observes most.
+    For a plain pgmpy network it is the rule of whose evidence the network observes most.
     """
     names = dict.fromkeys([first, *plugin_names("evidence")])
     rules = {name: load_plugin("evidence", name, where) for name in names}
-    specs = getattr(graph, "PARAMETERS", ())
     if not hasattr(graph, "OBSERVED"):
+        specs = getattr(graph, "PARAMETERS", ())
         network = build_network(graph, n_lanes, resolve_parameters(specs, {}, n_lanes))
         return max(rules, key=lambda name: len(observed_under(rules[name], network)))
     seen = set(graph.OBSERVED)
     known = {*seen, *getattr(graph, "UNUSED", ())}
-    shapes = {p.name for p in specs if p.kind == "integer"}
-    missing = {
-        name: len(shapes - {p.name for p in getattr(rule, "PARAMETERS", ())})
-        for name, rule in rules.items()
-        if seen <= set(getattr(rule, "PROVIDES", seen)) <= known
-    }
-    return min(missing, key=missing.__getitem__, default=first)
+    fits = (n for n, rule in rules.items() if seen <= {*getattr(rule, "PROVIDES", seen)} <= known)
+    return next(fits, first)
 
 
 # --- evidence ------------------------------------------------------------------------------------

@@ -14,7 +14,7 @@ from pydantic import ConfigDict, Field
 from pydantic_core import from_json
 
 from egolane_pgm.drives import changed
-from egolane_pgm.experiment import FROM_MAP, Columns, Experiment, Section, validated
+from egolane_pgm.experiment import FROM_MAP, Experiment, Recording, Section, validated
 from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.loading import existing
 from egolane_pgm.maps.road_table import lanes_at
@@ -151,23 +151,17 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 
     Raises InputError, naming the message, for one that cannot be used.
     """
-    recording, after = experiment.recording, 0
+    after = 0
     for number, text in enumerate(messages, start=1):
         if text.strip():
-            where = f"message {number}"
-            log = parse_message(text, where, recording.frame_rate, after, recording.columns)
+            log = _parse(text, f"message {number}", experiment.recording, after)
             after = int(log.frame_id[0]) + 1
             yield log
 
 
-def parse_message(
-    text: str, where: str, frame_rate: float, after: int = 0, columns: Columns | None = None
-) -> LineLog:
-    """Parse one message into a LineLog of one frame; see `read_messages`.
-
-    - after: the frame id of a message without one.
-    - columns: other names of the fields.
-    """
+def _parse(text: str, where: str, recording: Recording, after: int) -> LineLog:
+    """Return one frame. after: its id if the message has a time only."""
+    columns, frame_rate = recording.columns, recording.frame_rate
     try:
         content = from_json(text)
     except ValueError as error:

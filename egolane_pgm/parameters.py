@@ -93,16 +93,11 @@ class Parameter:
             if not isinstance(value, str):
                 raise InputError(f"{where}: {value!r} is not text")
             return value
-        if self.kind == "choice":
-            if not isinstance(value, str) or value not in self.choices:
-                raise InputError(f"{where}: {not_one_of(value, self.choices)}")
-            return value
-        if isinstance(value, str) and self.choices:
+        if self.kind == "choice" or (self.choices and isinstance(value, str)):
             if value not in self.choices:
-                raise InputError(
-                    f"{where}: '{value}' is neither a number nor {' or '.join(self.choices)}"
-                )
-            return value
+                number = "" if self.kind == "choice" else ", nor a number"
+                raise InputError(f"{where}: {not_one_of(value, self.choices)}{number}")
+            return str(value)
         if self.shape is not None:
             return self._check_table(value, self.shape(n_lanes), where)
         if isinstance(value, (list, tuple, np.ndarray)):

@@ -110,11 +110,6 @@ class Result:
 
         return f"Result({result_title(self)})"
 
-    def _repr_html_(self) -> str:
-        from egolane_pgm.views.display import result_html
-
-        return result_html(self)
-
     @property
     def name(self) -> str:
         """The name of the experiment."""
@@ -213,9 +208,10 @@ class Result:
         write_json(place / "scores.json", self.scores)
         write_json(place / "run.json", self.run)
         if figures:
-            from egolane_pgm.views.strips import draw_strips
+            from egolane_pgm.views.strips import result_strips
+            from egolane_pgm.views.style import write_figure
 
-            draw_strips(self, place / "figures" / "strips.png")
+            write_figure(lambda: result_strips(self), place / "figures" / "strips.png")
         return place
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:

@@ -14,7 +14,6 @@ from egolane_pgm.parameters import LARGEST, Parameter
 #: Graphs and rules that go together, whatever the drive.
 PAIRS = [
     ("sensor_failure", "counting"),
-    ("wor_levels", "counting_levels"),
     ("position_in_lane", "line_geometry"),
 ]
 
@@ -62,6 +61,3 @@ def test_what_no_graph_can_use_is_refused() -> None:
     few = {"recording.frames": [0, 40], "evidence": "counting"}
     with pytest.raises(ego.InputError, match=r"shift: 1.7e\+308 must be at most 1e\+100"):
         ego.run(place, overrides={**few, "graph": "biased_sensor", "parameters.shift": 1.7e308})
-    rule = {"graph": "sensor_failure", "evidence": "counting_levels"}
-    with pytest.raises(ego.InputError, match="evidence for WOR: shape"):
-        ego.run(place, overrides={**few, **rule})

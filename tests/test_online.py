@@ -12,7 +12,7 @@ import pytest
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.maps.road_table import save
-from egolane_pgm.online import online, parse_message, read_messages
+from egolane_pgm.online import online, read_messages
 from egolane_pgm.recordings.select import MAX_FILLED
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.types import InputError
@@ -153,11 +153,17 @@ def test_a_jump_of_frame_ids_is_refused_where_the_gap_would_be_filled(
     assert len(answers_of(load_experiment(drive), sent)) == 2
 
 
-def test_a_line_is_valid_dashed_and_of_unknown_reliability_by_default() -> None:
-    log = parse_message('{"frame_id": 4, "lines": [{"offset_m": 1}, {"offset_m": -2}]}', "m", 5.0)
+def test_a_line_is_valid_dashed_and_of_unknown_reliability_by_default(
+    experiment: Experiment,
+) -> None:
+    sent = [
+        '{"frame_id": 4, "lines": [{"offset_m": 1}, {"offset_m": -2}]}',
+        '{"frame_id": 5, "lines": []}',
+    ]
+    log, empty = read_messages(experiment, sent)
     np.testing.assert_array_equal(log.offset_m, [[1, -2]])
     assert log.is_valid.all()
     assert not log.is_continuous.any()
     assert np.isnan(log.lri).all()
-    assert log.time_s[0] == 0.8
-    assert parse_message('{"frame_id": 4, "lines": []}', "m", 5.0).offset_m.shape == (1, 0)
+    assert log.time_s[0] == 0.4
+    assert empty.offset_m.shape == (1, 0)

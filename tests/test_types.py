@@ -52,9 +52,9 @@ def test_arrays_of_another_shape_are_refused_naming_the_array() -> None:
         replace(a_log(), time_s=np.zeros(2))
     with pytest.raises(InputError, match=r"is_missing has shape \(2,\), needs \(3,\)"):
         replace(a_log(), is_missing=np.zeros(2, dtype=bool))
-    with pytest.raises(InputError, match=r"offset_m has shape \(3,\), needs \(3, L\)"):
+    with pytest.raises(InputError, match=r"offset_m has shape \(3,\), needs \(3, 3\)"):
         replace(a_log(), offset_m=np.zeros(3))
-    with pytest.raises(InputError, match=r"offset_m has shape \(2, 2\), needs \(3, L\)"):
+    with pytest.raises(InputError, match=r"offset_m has shape \(2, 2\), needs \(3, 2\)"):
         replace(a_log(), offset_m=np.zeros((2, 2)))
     with pytest.raises(InputError, match=r"frame_id has shape \(3, 1\)"):
         replace(a_log(), frame_id=np.zeros((3, 1), dtype=int))

@@ -27,7 +27,7 @@ from egolane_pgm.types import FloatArray, InputError, Observed
 
 if TYPE_CHECKING:
     from pgmpy.factors.discrete import TabularCPD
-    from pgmpy.models import DynamicBayesianNetwork
+    from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
 SliceNode = tuple[str, int]
 
@@ -172,7 +172,7 @@ def declare(
     Raises InputError as `check_tables`.
     """
     tables = list(tables)
-    check_tables(tables, observed)
+    check_tables(tables)
     cardinality = {table.node: table.values.shape[-1] for table in tables}
     for target in observed:
         names = (target,) if isinstance(target, str) else target
@@ -217,14 +217,27 @@ def tabular_cpd(
     return TabularCPD(node, len(columns), columns, parents, list(table.values.shape[:-1]), names)
 
 
-def builder(
-    tables: Callable[[int, Any], Iterable[Table]], observed: Iterable[Observed]
-) -> Callable[[int, Any], DynamicBayesianNetwork]:
-    """Return the `build(n_lanes, parameters)` of a graph file from its `tables`."""
-    return lambda n_lanes, parameters: declare(tables(n_lanes, parameters), observed)
+def flat_network(
+    tables: Iterable[Table], values: Mapping[str, Sequence[str]]
+) -> DiscreteBayesianNetwork:
+    """Return tables of any number of frames as a pgmpy network without time.
+
+    - tables: the second part of their nodes is a frame, not a slice.
+    - values: the names of each node's values, by default 0, 1, ...
+    """
+    with quiet():
+        from pgmpy.models import DiscreteBayesianNetwork
+
+        network = DiscreteBayesianNetwork()
+        for table in tables:
+            cpd = tabular_cpd(table, values, lambda node: f"{node[0]}@{node[1]}")
+            network.add_node(cpd.variable)
+            network.add_edges_from([(p, cpd.variable) for p in cpd.variables[1:]])
+            network.add_cpds(cpd)
+        return network
 
 
-def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> None:
+def check_tables(tables: Iterable[Table]) -> None:
     """Check that the tables of two slices fit each other.
 
     Raises InputError, naming the nodes, if a table is missing or given twice, for an edge back in
@@ -243,10 +256,6 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
                 f"{name}: has {size[name]} values in the first frame and {n_values} later"
             )
         parents[table.node] = table.parents
-    for key in observed:
-        for name in (key,) if isinstance(key, str) else key:
-            if (name, 0) not in parents:
-                raise InputError(f"observed node {name}: there is no table for it")
     for table in tables:
         name, s = table.node
         for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, within
+from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior, within
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = (*sensor_failure.HIDDEN, "Phase")
@@ -50,6 +50,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("Phase", [previous("Phase")], moves),
         *within("SensorState", ["Phase"], is_bad),
     ]
-
-
-build = builder(tables, OBSERVED)

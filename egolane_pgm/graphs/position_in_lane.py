@@ -26,7 +26,6 @@ import numpy as np
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    builder,
     dynamics,
     normal_cdf,
     previous,
@@ -182,9 +181,6 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         ),
         *within("Lane", ["RoadPosition"], lane),
     ]
-
-
-build = builder(tables, OBSERVED)
 
 
 def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:

@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.graphs.cpds import Table, declare, uniform
+from egolane_pgm.graphs.cpds import Table, uniform
 from egolane_pgm.parameters import check_names
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
@@ -84,7 +84,7 @@ class _Graph(Section):
 
 def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     """Make a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
-    tables, build, ...).
+    tables, ...).
 
     - name: name of the new module
     - where: how error messages begin
@@ -106,7 +106,6 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         VALUES={n: values for n, values in graph.nodes.items() if not isinstance(values, int)},
         PARAMETERS=(),
         tables=lambda n_lanes, parameters: tables,
-        build=lambda n_lanes, parameters: declare(tables, graph.observed),
     )
     return module
 

@@ -211,7 +211,7 @@ def compile_tables(
     of_node = {table.node: table for table in tables}
     names_of = {key: (key,) if isinstance(key, str) else key for key in observed}
     _check_declared(of_node, hidden, names_of, observed, inputs)
-    check_tables(tables, observed)
+    check_tables(tables)
     aligned = {}
     for (name, s), table in of_node.items():
         parents = tuple((p, s) for p, _ in of_node[name, 1].parents)

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
-from egolane_pgm.graphs.flat import flat_network
+from egolane_pgm.graphs.cpds import SliceNode, Table, flat_network, uniform, ve_name
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import joint_input, step
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from typing import Any
 
 import pandas as pd
@@ -23,13 +22,6 @@ from egolane_pgm.views.tables import (
     table,
     with_interval,
 )
-
-#: The parameters of a held-out block, by the experiment's `fit`.
-_FITS = {
-    "none": "the experiment's own parameters",
-    "learn": "parameters learned on the other blocks",
-    "tune": "parameters tuned on the other blocks",
-}
 
 #: The columns of a table of runs that are printed, and their names.
 _COLUMNS = {
@@ -62,16 +54,6 @@ def result_title(result: Result) -> str:
         parts.append("no ground truth")
     causal = "causal" if run["is_causal"] else "not causal"
     return f"{', '.join(parts)}; {TUNED_ON_SHORT[run['tuned_on']]}, {causal}"
-
-
-def result_html(result: Result) -> str:
-    """The title and a table of the scores, for a notebook."""
-    lines = [f"<p>{html.escape(line)}</p>" for line in (result_title(result), *result.notes)]
-    if scores_by_side(result):
-        found = score_table(scores_by_side(result))
-        scores = pd.DataFrame(found.rows, columns=found.header)
-        lines.insert(1, scores.to_html(index=False))
-    return f"<div>{''.join(lines)}</div>"
 
 
 def result_text(result: Result, style: str = "markdown", wide: bool = False) -> str:
@@ -141,7 +123,7 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     )
     lines += run["why_not_causal"]
     if "blocks" in run:
-        lines.append(f"held out, {run['blocks']} blocks: each with {_FITS[run['fit']]}")
+        lines.append(f"held out, {run['blocks']} blocks; fit.method: {run['fit']}")
     found, n_events = scores["events"], len(result.events)
     if "within" in found:
         within = found["within"]["1"]

@@ -11,7 +11,7 @@ import numpy as np
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.compile import Compiled, compile_tables
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, FloatArray
@@ -41,9 +41,8 @@ class Position:
 def prepared(data: Data) -> Position:
     specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
     parameters = resolve_parameters(specs.values(), {}, N_LANES)
-    network = position_in_lane.build(N_LANES, parameters)
-    compiled = compile(
-        network,
+    compiled = compile_tables(
+        position_in_lane.tables(N_LANES, parameters),
         hidden=position_in_lane.HIDDEN,
         observed=position_in_lane.OBSERVED,
         inputs=position_in_lane.INPUTS,

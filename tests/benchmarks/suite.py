@@ -16,8 +16,7 @@ import numpy as np
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, quiet
-from egolane_pgm.graphs.flat import flat_network
+from egolane_pgm.graphs.cpds import Table, flat_network, quiet
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import FloatArray, IntArray

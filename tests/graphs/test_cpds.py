@@ -163,8 +163,6 @@ def test_a_node_whose_second_slice_has_no_edge_is_declared_all_the_same() -> Non
             [],
             "A: has 2 values in the first frame and 3 later",
         ),
-        (persistent("A"), ["D"], "observed node D: there is no table for it"),
-        (persistent("A"), [("A", "D")], "observed node D: there is no table for it"),
         ([*persistent("A"), *prior("A", [0.5, 0.5])], [], "A at t: there are two tables for it"),
         (
             [*persistent("A"), *prior("B", [0.5, 0.5]), *dynamics("B", ["A"], KEEP)],

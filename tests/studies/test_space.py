@@ -41,10 +41,8 @@ SEARCHED: dict[str, set[str]] = {
     "sensor_failure": PAPER,
     "three_sensor_states": PAPER | {"sigma2_worn", "p_worn", "p3_worn"},
     "wor_direct": {"sigma1", "sigma2", "p_wor"},
-    "wor_levels": PAPER,
     "wor_on_lane": PAPER,
     "counting": {"bonus_value"},
-    "counting_levels": {"bonus_value"},
     "line_geometry": {"alpha", "beta"},
     **{key: set() for key in ("ml", "mc", "sl", "sc")},
 }

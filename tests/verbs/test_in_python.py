@@ -77,7 +77,7 @@ def test_a_notebook_draws_a_figure_though_nobody_used_pyplot(
     data, _ = formatter.format(run.plot())
     assert base64.b64decode(data["image/png"]).startswith(b"\x89PNG")
     data, _ = formatter.format(run)
-    assert data == {"text/plain": repr(run), "text/html": run._repr_html_()}
+    assert data == {"text/plain": repr(run)}
 
 
 def test_the_parts_of_python_only_are_taken(run: ego.Result, drive: Path, tmp_path: Path) -> None:

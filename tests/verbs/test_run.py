@@ -102,7 +102,7 @@ def test_chunks_and_held_out_blocks_have_options(drive: Path, tmp_path: Path) ->
     shown = done(
         "run", drive, "--held-out", "--set", "fit.folds=3", "--no-figures", "--out", tmp_path / "o"
     )
-    assert "held out, 3 blocks: each with the experiment's own parameters" in shown.stdout
+    assert "held out, 3 blocks; fit.method: none" in shown.stdout
     assert load_result(tmp_path / "o").frames["block"].nunique() == 3
 
 

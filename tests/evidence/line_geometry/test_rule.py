@@ -504,7 +504,7 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"lane_width_m": "automatic"}, "'automatic' is neither a number nor auto or causal"),
+        ({"lane_width_m": "automatic"}, "'automatic' is not one of auto, causal"),
         ({"lane_width_m": -1}, "must be greater than 0"),
         ({"rates": [1.0, 2.0]}, "needs a list of 3 x 6 numbers, got [1.0, 2.0]"),
         ({"rates": [[1.0], [1.0, 2.0]]}, "every row of the same length"),
