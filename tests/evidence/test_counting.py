@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 import pytest
+from egolane_pgm.evidence.counting_levels import level_evidence
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.evidence import counting
-from egolane_pgm.evidence.counting_levels import level_evidence
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import LineLog
 from tests.reference import counting as reference
