@@ -45,8 +45,8 @@ RANGES = {
     "lane_width_m": (2, 6, "metres"),
 }
 
-#: The lowest and the highest camera on usual cars and vans, and the usual width of lanes, metres.
-USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 2.2), 3.66
+#: The lowest camera on usual cars, the highest on lorries, and the usual width of lanes, metres.
+USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 3.2), 3.66
 
 
 #: The distortion models and how many coefficients they have.
@@ -142,9 +142,9 @@ def _check_numbers(name: str, values: object, n: int) -> None:
 
 
 def said_height(camera: Camera) -> str:
-    """Compare the height of the camera with cameras of cars."""
+    """Compare the height of the camera with cameras of cars and lorries."""
     usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
-    return f"the camera is {high:.2f} m above the road, where those of cars are at {usual}"
+    return f"the camera is {high:.2f} m above the road, those of cars and lorries {usual}"
 
 
 def axes(camera: Camera) -> FloatArray:
