@@ -12,7 +12,7 @@ import pandas as pd
 
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.result import Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.result import TAG, Result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
@@ -78,7 +78,10 @@ def compare(
                 row |= _intervals(counts, of_first)
             row["tuned_on"] = ""
             if node == "Lane":
-                row |= _event_scores(aligned)
+                # The means of the defined scores of lane changes.
+                table = pd.DataFrame([numbers(each.scores) for each in aligned])
+                means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
+                row |= means.rename(EVENT_SCORES).to_dict()
                 row["tuned_on"] = ", ".join(dict.fromkeys(e.run["tuned_on"] for e in aligned))
             rows.append(row)
     return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
@@ -128,7 +131,11 @@ def _value(result: Result, key: str | None) -> Any:
         if place is None:
             return result.name
         return place.parent.name if key == "folder" else place.name
-    value = result.value(key)
+    if key.startswith(TAG):
+        return result.run["tags"].get(key.removeprefix(TAG))
+    value: Any = result.run["config"]
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
     if isinstance(value, str) and value.endswith(OWN_FILES):
         return Path(value).stem
     return tuple(value) if isinstance(value, list) else value
@@ -145,8 +152,7 @@ def _groups(results: Sequence[Result], key: str | None) -> dict[Any, list[Result
 def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The annotated frames whose labels are trusted, and their ground truth."""
     frames = result.frames.dropna(subset=["true_lane"])
-    if "is_trusted" in frames:
-        frames = frames[frames["is_trusted"]]
+    frames = frames[frames["is_trusted"]] if "is_trusted" in frames else frames
     truth = truth_of(frames)
     if truth is None:
         raise InputError(f"{result.name}: has no ground truth to compare with")
@@ -201,10 +207,3 @@ def _intervals(
         label = name if minus is None else f"{name}_difference"
         cells |= {label: found.estimate, f"{label}_low": found.low, f"{label}_high": found.high}
     return cells
-
-
-def _event_scores(results: Sequence[Result]) -> dict[str, float]:
-    """The means over the recordings of the scores of lane changes that are defined."""
-    table = pd.DataFrame([numbers(result.scores) for result in results])
-    means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
-    return {name: means[key] for key, name in EVENT_SCORES.items()}

@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     TypeAdapter,
@@ -37,10 +38,10 @@ DETECTOR = "detector"
 
 
 class FrozenDict(dict[str, Any]):
-    """A dict that stays as it is. It can be pickled, and hashed where its values can."""
+    """An immutable dict. It can be pickled, and hashed if its values can."""
 
     def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError("an experiment stays as it is; model_copy(update={...}) makes another")
+        raise TypeError("an experiment is immutable; model_copy(update={...}) makes another")
 
     __setitem__ = __delitem__ = __ior__ = _refuse
     clear = pop = popitem = setdefault = update = _refuse
@@ -53,33 +54,37 @@ class FrozenDict(dict[str, Any]):
 
 
 def frozen(value: Any) -> Any:
-    """The same with dicts and lists that stay as they are; numbers and arrays of NumPy become
-    Python's, and paths text."""
+    """Return an immutable copy; NumPy's numbers and arrays become Python's, and paths text."""
     if isinstance(value, Mapping):
         return FrozenDict({key: frozen(each) for key, each in value.items()})
     if isinstance(value, (np.ndarray, np.generic)):
         return frozen(value.tolist())
     if isinstance(value, (list, tuple)):
         return tuple(map(frozen, value))
-    if isinstance(value, set):
-        return frozenset(map(frozen, value))
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def _or_map(schema: dict[str, Any]) -> None:
-    """A number of lanes may be left to the map."""
-    number = {"type": schema.pop("type"), "minimum": 1, "maximum": schema.pop("maximum")}
-    schema["anyOf"] = [number, {"const": "map"}]
-
-
-def _or_one(schema: dict[str, Any]) -> None:
-    """A list of one may be written without the brackets."""
-    several = {key: schema.pop(key) for key in ("type", "items")}
-    schema["anyOf"] = [several["items"], several]
+def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
+    first, stop = value
+    if stop is not None and first >= stop:
+        raise ValueError(f"[{first}, {stop}] is an empty range")
+    return value
 
 
 #: A number greater than 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+#: A number of lanes, or `map`.
+_LaneNumber = Annotated[int, Field(ge=1, le=MAX_LANES)] | Literal["map"]
+
+#: A list, which may be written without brackets if it has one item.
+_OneOrSeveral = Annotated[
+    tuple[str, ...],
+    BeforeValidator(
+        lambda value: (value,) if isinstance(value, str) else value,
+        json_schema_input_type=str | Annotated[tuple[str, ...], Field(min_length=1)],
+    ),
+]
 
 #: A section with free keys, such as parameters.
 _Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
@@ -91,7 +96,7 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """The same with other values for some keys, which are not checked."""
+        """Return a copy with other values for some keys, which are not checked."""
         return super().model_copy(update=frozen(update or {}), deep=deep)
 
 
@@ -171,7 +176,7 @@ class Recording(Section):
         description="topic of a bag; by default the topic of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
     )
-    frames: tuple[int, int] | None = Field(
+    frames: Annotated[tuple[int, int], AfterValidator(_check_range)] | None = Field(
         default=None,
         description="first frame id and the one after the last",
         examples=[[238, 10190]],
@@ -218,8 +223,6 @@ class Recording(Section):
     def _one_source(self) -> Recording:
         if (self.path is None) == (self.simulate is None):
             raise ValueError("needs either path or simulate")
-        if self.frames is not None and self.frames[0] >= self.frames[1]:
-            raise ValueError(f"frames {list(self.frames)} is an empty range")
         return self
 
 
@@ -248,18 +251,19 @@ class FitSettings(Section):
     folds: int = Field(
         default=5, ge=2, description="number of blocks of the drive, held out in turn"
     )
-    untrusted_frames: tuple[tuple[int, int | None], ...] = Field(
+    untrusted_frames: tuple[
+        Annotated[tuple[int, int | None], AfterValidator(_check_range)], ...
+    ] = Field(
         default=(),
         description="ranges of frame ids (first, the one after the last or null) whose labels are"
         " not fitted to",
         examples=[[[0, 100], [9577, None]]],
     )
-    objective: tuple[str, ...] = Field(
+    objective: _OneOrSeveral = Field(
         default=("accuracy",),
         min_length=1,
         description="tune: the score to optimise, or several",
         examples=["accuracy", ["accuracy", "log_loss"]],
-        json_schema_extra=_or_one,
     )
     sampler: str | None = Field(
         default=None,
@@ -285,19 +289,6 @@ class FitSettings(Section):
         le=1e9,
         description="learn: weight of the starting tables, in frames per row",
     )
-
-    @field_validator("objective", mode="before")
-    @classmethod
-    def _one_or_several(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else value
-
-    @field_validator("untrusted_frames")
-    @classmethod
-    def _not_empty(cls, value: tuple[tuple[int, int | None], ...]) -> Any:
-        for first, stop in value:
-            if stop is not None and first >= stop:
-                raise ValueError(f"[{first}, {stop}] is an empty range")
-        return value
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -334,7 +325,6 @@ class Experiment(Section):
         description="number of lanes of the road, or `map` to take it from the road table: the"
         " recording is cut into drives whenever the number changes",
         examples=[4],
-        json_schema_extra=_or_map,
     )
     evidence: str = Field(
         default="counting",
@@ -393,7 +383,7 @@ class Experiment(Section):
         default=FitSettings(), description="settings of `tune`, `learn` and held-out runs"
     )
 
-    @field_validator("n_lanes", mode="before")
+    @field_validator("n_lanes", mode="before", json_schema_input_type=_LaneNumber)
     @classmethod
     def _number_or_map(cls, value: Any, info: ValidationInfo) -> Any:
         has_road = info.data.get("road") is not None
@@ -457,11 +447,6 @@ class Experiment(Section):
     def source(self) -> str:
         """The YAML file, for messages."""
         return self._source
-
-    @property
-    def model_parameters(self) -> dict[str, Any]:
-        """The values of the parameters of graph and evidence rule."""
-        return {name: value for name, value in self.parameters.items() if name != DETECTOR}
 
 
 def make_experiment(content: Mapping[str, Any], source: str) -> Experiment:

@@ -184,13 +184,14 @@ def parse_message(
     frame_id = after if message.frame_id is None and time_s is not None else message.frame_id
     if frame_id is None:
         raise InputError(f"{where}: frame_id: is missing, as is time_s")
-    log = LineLog.of_frame(
-        frame_id,
+    log = LineLog.from_rows(
+        np.array([frame_id]),
         frame_rate,
+        np.zeros(len(lines), dtype=np.int64),
         # None becomes NaN.
         np.array([line.offset_m for line in lines], dtype=np.float64),
-        [line.is_valid for line in lines],
-        [line.is_continuous for line in lines],
+        np.array([line.is_valid for line in lines]),
+        np.array([line.is_continuous for line in lines]),
         np.array([line.lri for line in lines], dtype=np.float64),
         source=where,
     )

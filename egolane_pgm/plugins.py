@@ -1,13 +1,14 @@
 """Find and import plugins: graphs, evidence rules, readers and detectors.
 
 A plugin is a module that defines the names of its folder's contract (`build`, `evidence`, ...): one
-of this package or of another installed one, by name, or a user's file. A graph may also be a file
-that pgmpy reads, or Python with a pgmpy network at its top level, which `build` then returns.
+of this package, by name, or a user's file. A graph may also be a file that pgmpy reads, or Python
+with a pgmpy network at its top level, which `build` then returns.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib
 import os
@@ -15,7 +16,6 @@ import re
 import sys
 import traceback
 from collections.abc import Iterator, Mapping
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 
@@ -32,12 +32,6 @@ CONTRACTS = {
 
 _PACKAGE = Path(__file__).parent
 
-#: The folders of the package's plugins of each kind.
-_PLACES = {
-    **{folder: [_PACKAGE / folder] for folder in CONTRACTS},
-    "detectors": [_PACKAGE / "vision/detectors", _PACKAGE / "classic"],
-}
-
 #: The prefix of the module names of users' files.
 _OWN = "_egolane_plugin_"
 
@@ -46,67 +40,53 @@ OWN_FILES = (".py", ".yaml", ".yml", ".bif", ".xmlbif", ".xml")
 
 
 def plugin_names(folder: str) -> list[str]:
-    """List the plugins of a kind (a key of CONTRACTS), of this and other installed packages.
+    """List the plugins of a kind (a key of CONTRACTS)."""
+    return sorted(_modules(folder))
+
+
+@functools.cache
+def _modules(folder: str) -> dict[str, str]:
+    """Return the module of each plugin of this package.
 
     A module is a plugin if it defines the first name of the contract, a folder if its `__all__` has
     that name. Files are searched as text, because importing them all is slow.
     """
-    names = {entry.name for entry in _entry_points(folder)}
-    for place in _PLACES[folder]:
-        names |= {file.stem for file in place.glob("*.py") if _module_of(folder, file.stem)}
-        inside = {file.parent.name for file in place.glob("*/*.py")}
-        names |= {name for name in inside if _module_of(folder, name)}
-    return sorted(names)
-
-
-def _entry_points(folder: str) -> list[EntryPoint]:
-    """The plugins of a kind in other installed packages."""
-    return list(entry_points(group=f"egolane_pgm.{folder}"))
-
-
-def _module_of(folder: str, name: str) -> str | None:
-    """Return the module of a plugin of this package, or None."""
-    first = CONTRACTS[folder][0]
-    for place in _PLACES[folder] if name.isidentifier() else ():
-        file, package = place / f"{name}.py", place / name / "__init__.py"
-        is_file = file.is_file() and _defines(file.read_text(encoding="utf-8"), first)
-        if is_file or (package.is_file() and f'"{first}"' in package.read_text("utf-8")):
-            inside = place.relative_to(_PACKAGE)
-            return ".".join(("egolane_pgm", *inside.parts, name))
-    return None
+    first, found = CONTRACTS[folder][0], {}
+    for place in ("vision/detectors", "classic") if folder == "detectors" else (folder,):
+        for file in (*_PACKAGE.glob(f"{place}/*.py"), *_PACKAGE.glob(f"{place}/*/__init__.py")):
+            is_folder = file.name == "__init__.py"
+            text = file.read_text(encoding="utf-8")
+            if f'"{first}"' in text if is_folder else _defines(text, first):
+                name = file.parent.name if is_folder else file.stem
+                found[name] = ".".join(("egolane_pgm", *place.split("/"), name))
+    return found
 
 
 def _defines(text: str, name: str) -> bool:
     return re.search(rf"^(def )?{name}\b", text, re.MULTILINE) is not None
 
 
-def find_plugin(name: str, kinds: Mapping[str, str], base: Path) -> tuple[str, str]:
+def find_plugin(name: str, kinds: Mapping[str, str]) -> tuple[str, str]:
     """Return the kind of a plugin, and its name without the kind.
 
-    - name: as for `load_plugin`, optionally with its kind: `graph:./mine.py`.
+    - name: as for `load_plugin`, optionally with its kind: `evidence:./mine.py`. Without it a file
+      that meets several contracts is of the first kind.
     - kinds: the folder of each kind.
 
-    Raises InputError for an unknown name, and for one of several kinds.
+    Raises InputError for an unknown name.
     """
     kind, _, rest = name.partition(":")
     if rest and kind in kinds:
         return kind, rest
-    file = base / name
-    if name.endswith(".py") and file.is_file():
-        text = file.read_text(encoding="utf-8", errors="replace")
+    if name.endswith(".py") and Path(name).is_file():
+        text = Path(name).read_text(encoding="utf-8", errors="replace")
         found = [kind for kind in kinds if _defines(text, CONTRACTS[kinds[kind]][0])]
-        found = found or ["graph"]
-    elif name.endswith(OWN_FILES):
-        found = ["graph"]
     else:
-        found = [kind for kind in kinds if name in plugin_names(kinds[kind])]
-    if not found:
-        known = [known for folder in kinds.values() for known in plugin_names(folder)]
-        raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
-    if len(found) > 1:
-        several = " or ".join(f"{kind}:{name}" for kind in found)
-        raise InputError(f"{name} is of several kinds; write {several}")
-    return found[0], name
+        found = [kind for kind in kinds if name in _modules(kinds[kind])]
+    if found or name.endswith(OWN_FILES):
+        return (found or ["graph"])[0], name
+    known = [known for folder in kinds.values() for known in _modules(folder)]
+    raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
 
 
 def load_plugin(folder: str, name: str, where: str) -> ModuleType:
@@ -121,56 +101,36 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
     """
     # `resolve` raises for a link to itself.
     file = Path(os.path.realpath(name))
-    if name.endswith(OWN_FILES if folder == "graphs" else ".py") and not file.is_file():
+    is_file = name.endswith(OWN_FILES if folder == "graphs" else ".py")
+    if is_file and not file.is_file():
         raise InputError(f"{where}: no file {file}")
     if name.endswith(".py"):
         module = _load_file(file, where)
         if folder == "graphs" and not hasattr(module, "build"):
             _build_from_network(module, f"{where}: {name}")
-    elif name.endswith(OWN_FILES) and folder == "graphs":
+    elif is_file:
         # Graphs are above this module in the layers.
-        is_yaml = name.endswith((".yaml", ".yml"))
-        reader = importlib.import_module(
-            f"egolane_pgm.graphs.{'yaml_graph' if is_yaml else 'from_pgmpy'}"
-        )
-        module = reader.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
-    elif (own := _module_of(folder, name)) is not None:
-        module = importlib.import_module(own)
-    elif offered := [entry for entry in _entry_points(folder) if entry.name == name]:
-        try:
-            module = offered[0].load()
-        except Exception as error:
-            problem = f"{offered[0].value} cannot be imported: {_one_line(error)}"
-            raise InputError(f"{where}: {problem}") from error
+        reader = "yaml_graph" if name.endswith((".yaml", ".yml")) else "from_pgmpy"
+        graphs = importlib.import_module(f"egolane_pgm.graphs.{reader}")
+        module = graphs.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
+    elif name in (known := _modules(folder)):
+        module = importlib.import_module(known[name])
     else:
-        raise InputError(f"{where}: unknown name '{name}'{suggestion(name, plugin_names(folder))}")
+        raise InputError(f"{where}: unknown name '{name}'{suggestion(name, known)}")
     for needed in CONTRACTS[folder]:
         if not hasattr(module, needed):
             raise InputError(f"{where}: {name} does not define {needed}")
     specs = getattr(module, "PARAMETERS", ())
-    if not isinstance(specs, (tuple, list)):
+    if not isinstance(specs, (tuple, list)) or not all(isinstance(s, Parameter) for s in specs):
         raise InputError(f"{where}: {name}: PARAMETERS is not a tuple of Parameter")
-    for spec in specs:
-        if not isinstance(spec, Parameter):
-            raise InputError(f"{where}: {name}: PARAMETERS has {spec!r}, not a Parameter")
     return module
 
 
-def plugin_place(module: ModuleType) -> str:
-    """Return the name with which `load_plugin` finds a plugin: its name, or a file's path."""
-    if module.__name__.startswith(_OWN):
-        return str(module.__file__)
-    if not module.__name__.startswith("egolane_pgm."):
-        offered = [entry for folder in CONTRACTS for entry in _entry_points(folder)]
-        return next(entry.name for entry in offered if entry.module == module.__name__)
-    return module.__name__.rpartition(".")[2]
-
-
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
-    """Return the parameters of an evidence rule and a graph; a common one is shared."""
-    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
-    for p in getattr(graph, "PARAMETERS", ()):
-        if p.name in specs and specs[p.name].kind != p.kind:
+    """Return the parameters of an evidence rule and a graph; both may declare the same one."""
+    specs: dict[str, Parameter] = {}
+    for p in (*getattr(rule, "PARAMETERS", ()), *getattr(graph, "PARAMETERS", ())):
+        if specs.setdefault(p.name, p).kind != p.kind:
             raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
         specs[p.name] = p
     return list(specs.values())
@@ -199,29 +159,17 @@ def _load_file(path: Path, where: str) -> ModuleType:
     # One module per path and content, so that two experiments may each have a my_graph.py.
     digest = hashlib.sha256(str(path).encode() + source).hexdigest()[:16]
     name = f"{_OWN}{path.stem}_{digest}"
-    if name in sys.modules:
-        return sys.modules[name]
-    module = ModuleType(name)
-    module.__file__ = str(path)
-    sys.modules[name] = module
-    try:
-        # An import would write __pycache__, and miss a change within the same second.
-        exec(compile(source, path, "exec"), vars(module))
-    except Exception as error:
-        del sys.modules[name]
-        at = f" (line {line})" if (line := _line_in(str(path), error)) else ""
-        raise InputError(f"{where}: {path} cannot be imported: {_one_line(error)}{at}") from error
-    return module
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())
-
-
-def _line_in(file: str, error: Exception) -> int | None:
-    """Return the line of the file that raised an error."""
-    lines = [f.lineno for f in traceback.extract_tb(error.__traceback__) if f.filename == file]
-    return lines[-1] if lines else None
+    if name not in sys.modules:
+        module = sys.modules[name] = ModuleType(name)
+        module.__file__ = str(path)
+        try:
+            with plugin_errors(module, where):
+                # An import would write __pycache__, and miss a change within the same second.
+                exec(compile(source, path, "exec"), vars(module))
+        except InputError:
+            del sys.modules[name]
+            raise
+    return sys.modules[name]
 
 
 @contextlib.contextmanager
@@ -235,6 +183,7 @@ def plugin_errors(module: ModuleType, where: str) -> Iterator[None]:
     except Exception as error:
         if isinstance(error, InputError) or module.__name__.startswith("egolane_pgm."):
             raise
-        line = _line_in(str(module.__file__), error)
-        at = f"{module.__file__}, line {line}" if line else f"{module.__file__}"
-        raise InputError(f"{where}: {at}: {_one_line(error)}") from error
+        frames = traceback.extract_tb(error.__traceback__)
+        lines = [f", line {f.lineno}" for f in frames if f.filename == module.__file__]
+        at = f"{module.__file__}{lines[-1] if lines else ''}"
+        raise InputError(f"{where}: {at}: {type(error).__name__}: {error}") from error

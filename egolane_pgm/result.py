@@ -12,12 +12,11 @@ import json
 import os
 import shutil
 import time
-import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
-from importlib import import_module, metadata
+from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +25,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
-from egolane_pgm.inference.events import SURE, lane_events, lane_segments
+from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.inference.unrolling import Unrolled, unrolled
 from egolane_pgm.loading import IN_MEMORY, load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
@@ -45,14 +44,7 @@ from egolane_pgm.tools.files import (
     write_yaml,
 )
 from egolane_pgm.tools.provenance import git_state, versions
-from egolane_pgm.types import (
-    Beliefs,
-    Evidence,
-    FloatArray,
-    InputError,
-    LineLog,
-    lane_truth,
-)
+from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, LineLog, lane_truth
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -160,14 +152,6 @@ class Result:
         return found
 
     @cached_property
-    def beliefs(self) -> Beliefs:
-        """The posterior of each hidden node, for functions that take `Beliefs`."""
-        f, values = self.frames, self.run["values"]
-        marginals = {name: self.node(name) for name in values}
-        flags = f["log_evidence"].to_numpy(), f["is_impossible"].to_numpy()
-        return Beliefs(f.index.to_numpy(), marginals, *flags, values)
-
-    @cached_property
     def truth(self) -> pd.DataFrame | None:
         """The annotated frames: true_lane and is_crossing; None without ground truth."""
         return truth_of(self.frames)
@@ -175,22 +159,13 @@ class Result:
     @cached_property
     def events(self) -> pd.DataFrame:
         """The lane changes of each drive; with ground truth, the delay of each (`delay_s`)."""
-        rate, lag = self.frame_rate, self.experiment.lag
         tables = []
         for name, frames in by_drive(self.frames):
-            events, truth = events_of(frames, rate, lag), truth_of(frames)
-            if truth is not None:
-                events = events.assign(delay_s=event_delays(events, truth, rate))
+            events = events_of(frames, self.frame_rate, self.experiment.lag)
+            if (truth := truth_of(frames)) is not None:
+                events = events.assign(delay_s=event_delays(events, truth, self.frame_rate))
             tables.append(events if name is None else events.assign(drive=name))
         return pd.concat(tables, ignore_index=True)
-
-    @cached_property
-    def segments(self) -> list[tuple[int, float, float]]:
-        """The lane over time of a single drive: lane (0 unknown), from second, to second."""
-        time_s = self.frames["time_s"].to_numpy()
-        return (
-            [] if "drive" in self.frames else lane_segments(self.node("Lane"), self.events, time_s)
-        )
 
     @cached_property
     def evidence(self) -> Evidence:
@@ -214,15 +189,6 @@ class Result:
         first, last = (ids[0] if first is None else first), (ids[-1] if last is None else last)
         return unrolled(self.model.compiled, self.evidence, first, last, frame_id=ids)
 
-    def value(self, key: str) -> Any:
-        """The value of a tag or of a key of the experiment, such as `parameters.sigma1`."""
-        if key.startswith(TAG):
-            return self.run["tags"].get(key.removeprefix(TAG))
-        found: Any = self.run["config"]
-        for part in key.split("."):
-            found = found.get(part) if isinstance(found, Mapping) else None
-        return found
-
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
 
@@ -234,7 +200,7 @@ class Result:
         return result_text(self, style, wide)
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the posterior over time as strips, the truth below.
+        """Draw the posterior over time as strips, and the truth.
 
         - first, last: frame ids, both included; all by default.
 
@@ -245,19 +211,10 @@ class Result:
 
         return inline_figure(lambda: result_strips(self, first, last))
 
-    def report(self, file: str | os.PathLike[str]) -> Path:
-        """Write the page of `egolane plot --out x.html`: one HTML file, with a timeline.
-
-        Raises InputError if it cannot be written.
-        """
-        # The page is a wing, so the core imports it by name.
-        page = import_module("egolane_pgm.page.document")
-        for line in page.write_page([self], Path(file)):
-            warnings.warn(line, UserWarning, stacklevel=2)
-        return Path(file)
-
-    def save(self, directory: str | os.PathLike[str]) -> Path:
+    def save(self, directory: str | os.PathLike[str], *, figures: bool = False) -> Path:
         """Write the result directory; an older result is replaced, other files stay.
+
+        - figures: also draw the posterior over time, figures/strips.png.
 
         Raises InputError if the directory holds something else or cannot be written.
         """
@@ -274,18 +231,22 @@ class Result:
         self.events.round(6).to_csv(place / "events.csv", index=False)
         write_json(place / "scores.json", self.scores)
         write_json(place / "run.json", self.run)
+        if figures:
+            from egolane_pgm.views.strips import draw_strips
+
+            draw_strips(self, place / "figures" / "strips.png")
         return place
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:
         """Write the lines and copy the user's own plugins; return the config that names them."""
-        # A loaded result has copies of its plugins, where its experiment names them.
-        named = {key: getattr(self.experiment, key) for key in ("evidence", "graph")}
-        config = {**self.run["config"], **named}
-        for key in named:
-            if str(config[key]).endswith(OWN_FILES):
-                copy = f"{key}_{Path(config[key]).name.removeprefix(f'{key}_')}"
-                if Path(config[key]) != place.absolute() / copy:
-                    shutil.copyfile(config[key], place / copy)
+        config = dict(self.run["config"])
+        for key in ("evidence", "graph"):
+            # A loaded result has copies of its plugins, which its experiment names.
+            plugin = getattr(self.experiment, key)
+            if plugin.endswith(OWN_FILES):
+                copy = f"{key}_{Path(plugin).name.removeprefix(f'{key}_')}"
+                if Path(plugin) != place.absolute() / copy:
+                    shutil.copyfile(plugin, place / copy)
                 config[key] = f"./{copy}"
         if self.lines:
             logs = {n: log.take(~log.is_missing).to_pandas() for n, log in self.lines.items()}
@@ -293,9 +254,8 @@ class Result:
             table = table if len(logs) > 1 else table.drop(columns="drive")
             table.to_parquet(place / "lines.parquet", index=False)
         if config["recording"].get("path") == IN_MEMORY:
-            recording = config["recording"] | {"path": "./lines.parquet"}
-            dropped = {"frames", "columns"}
-            config["recording"] = {k: v for k, v in recording.items() if k not in dropped}
+            kept = {k: v for k, v in config["recording"].items() if k not in ("frames", "columns")}
+            config["recording"] = {**kept, "path": "./lines.parquet"}
             if self.truth is not None and len(self.lines) == 1:
                 write_ground_truth(place / "ground_truth.txt", self.truth)
                 config["ground_truth"] = {"path": "./ground_truth.txt"}
@@ -364,12 +324,16 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
     return logs
 
 
-def stored(experiment: Experiment, directory: Path, tags: Mapping[str, str]) -> Result | None:
-    """The result in a directory, if it is complete, with the same experiment, data and tags."""
+def stored(
+    experiment: Experiment, directory: Path, tags: Mapping[str, str], n_blocks: int | None = None
+) -> Result | None:
+    """The complete result in a directory, if experiment, data, tags and blocks are the same."""
     try:
         run = json.loads((directory / "run.json").read_text())
-        is_same = run["identity"] == identity(experiment, list(map(digest, data_files(experiment))))
-        return load_result(directory) if is_same and run["tags"] == dict(tags) else None
+        found = run["identity"], run["tags"], run.get("blocks")
+        data = [digest(path) for path in data_files(experiment)]
+        is_same = found == (identity(experiment, data), dict(tags), n_blocks)
+        return load_result(directory) if is_same else None
     except (OSError, ValueError, KeyError):
         return None
 
@@ -411,13 +375,9 @@ def truth_of(frames: pd.DataFrame) -> pd.DataFrame | None:
     return lane_truth(ids, known["true_lane"], known["is_crossing"])
 
 
-def by_drive(frames: pd.DataFrame) -> Iterator[tuple[str | None, pd.DataFrame]]:
+def by_drive(frames: pd.DataFrame) -> list[tuple[Any, pd.DataFrame]]:
     """The frames of each drive by name; None for the name of the only one."""
-    if "drive" not in frames:
-        yield None, frames
-        return
-    for name, part in frames.groupby("drive", sort=False):
-        yield str(name), part
+    return list(frames.groupby("drive", sort=False)) if "drive" in frames else [(None, frames)]
 
 
 def events_of(frames: pd.DataFrame, frame_rate: float, lag: int | None) -> pd.DataFrame:
@@ -494,13 +454,12 @@ def make_result(
     - begin: `time.perf_counter()` at the start.
     - more: further keys of run.json.
     """
-    first = drives[0]
-    model = first.model
+    first, model = drives[0], drives[0].model
     rate = model.experiment.recording.frame_rate
-    e = with_rate(experiment, rate)
+    is_same_rate = rate == experiment.recording.frame_rate
+    e = experiment if is_same_rate else with_rate(experiment, rate)
     notes = list(dict.fromkeys(notes))
-    impossible = int(frames["is_impossible"].sum())
-    if impossible:
+    if impossible := int(frames["is_impossible"].sum()):
         notes.append(
             f"{first.log.source}: the evidence of {impossible} frame(s) has joint likelihood zero;"
             " they keep their prediction"
@@ -508,7 +467,6 @@ def make_result(
     data = [digest(path) for path in data_files(experiment)]
     widest = max(drives, key=lambda drive: drive.model.n_lanes).model
     reasons = why_not_causal(model)
-    scores = score(frames, rate, e.lag)
     run = {
         "name": e.name,
         "config": resolved(e, model.parameters),
@@ -531,4 +489,4 @@ def make_result(
     if begin is not None:
         run["seconds"] = round(time.perf_counter() - begin, 3)
     lines = dict(zip(drive_names(drives), (drive.log for drive in drives), strict=True))
-    return Result(e, frames, to_jsonable(run), to_jsonable(scores), lines)
+    return Result(e, frames, to_jsonable(run), to_jsonable(score(frames, rate, e.lag)), lines)

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,9 +44,6 @@ UNASSIGNED = 0
 #: The true lane of a frame that is not annotated.
 NOT_ANNOTATED = 0
 
-#: The largest number of letters of a message.
-LONGEST = 2000
-
 #: The prefix of a warning that needs no action.
 NOTE = "note: "
 
@@ -71,10 +68,9 @@ class InputError(ValueError):
 
 
 def in_one_line(problem: object) -> str:
-    """Format a problem as one printable line; a long one is shortened in the middle."""
+    """Format a problem as one printable line."""
     text = " ".join(line.strip() for line in str(problem).splitlines())
-    text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
-    return text if len(text) <= LONGEST else f"{text[: LONGEST - 205]} ... {text[-200:]}"
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 @contextlib.contextmanager
@@ -123,14 +119,9 @@ def merged_runs(marked: BoolArray, time_s: FloatArray, within_s: float) -> list[
     return found
 
 
-def clip_slices(clip: NDArray[np.str_] | None, n_frames: int) -> list[slice]:
-    """Return the frames of each clip.
-
-    - clip (T,): the name of each frame's clip, or None for one drive.
-    """
-    if clip is None:
-        return [slice(0, n_frames)]
-    starts = [0, *(np.flatnonzero(clip[1:] != clip[:-1]) + 1).tolist(), n_frames]
+def clip_slices(clip: NDArray[np.str_]) -> list[slice]:
+    """Return the frames of each clip; clip (T,) is the name of each frame's clip."""
+    starts = [0, *(np.flatnonzero(clip[1:] != clip[:-1]) + 1).tolist(), len(clip)]
     return [slice(a, b) for a, b in pairwise(starts)]
 
 
@@ -156,59 +147,48 @@ def _node(key: Observed, shape: tuple[int, ...]) -> str:
     return f"{key if isinstance(key, str) else ', '.join(key)} ({' x '.join(map(str, shape))})"
 
 
-def _as_array(node: Observed, values: Any) -> FloatArray:
-    try:
-        return np.array(values, dtype=np.float64, ndmin=1)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"evidence for {node}: is no array of numbers") from error
-
-
-def _check_lengths(rows: Mapping[Any, Any]) -> None:
-    if len({len(values) for values in rows.values()}) > 1:
-        lengths = ", ".join(f"{node} {len(values)}" for node, values in rows.items())
-        raise InputError(f"evidence: different numbers of frames: {lengths}")
-
-
-def _indices(node: str, given: Iterable[Any], names: Sequence[str]) -> IntArray:
-    """Return the index of a node's value in each frame (T,), -1 if missing."""
-    # pandas is imported only for such evidence.
-    import pandas as pd
-
-    if isinstance(given, str) or not np.iterable(given):
-        raise InputError(f"evidence for {node}: needs a value for each frame, e.g. [{given!r}]")
-    column = pd.Series(list(given), dtype=object)
-    # An index that is also the name of another value is ambiguous, and refused.
-    numbers = {k: k for k, name in enumerate(names) if str(k) == name or str(k) not in names}
-    index = column.map({name: k for k, name in enumerate(names)} | numbers)
-    unknown = index.isna() & column.notna()
-    if unknown.any():
-        t = int(unknown.argmax())
-        raise InputError(
-            f"evidence for {node}: row {t}: {column[t]!r} is neither the name of a"
-            f" value, as text, nor an index{suggestion(str(column[t]), names)}"
-        )
-    return np.asarray(index.fillna(-1), dtype=np.int64)
-
-
 def check_frame_ids(frame_id: IntArray, what: str) -> None:
     """Raise InputError, prefixed with `what`, for frame ids that do not strictly increase."""
     if frame_id.ndim != 1:
         raise InputError(f"{what}: frame_id has shape {frame_id.shape}, needs one id per frame")
-    if len(frame_id) < 2 or (frame_id[1:] > frame_id[:-1]).all():
-        return
-    step = np.diff(frame_id)
-    if (step == 0).any():
-        at = int(frame_id[np.argmax(step == 0)])
-        raise InputError(f"{what}: frame id {at} occurs more than once")
-    if (step < 0).any():
-        k = int(np.argmax(step < 0))
-        raise InputError(
-            f"{what}: frame ids decrease, {int(frame_id[k])} is followed by {int(frame_id[k + 1])}"
-        )
+    later = frame_id[1:] > frame_id[:-1]
+    if not later.all():
+        before, after = frame_id[int(later.argmin()) :][:2]
+        raise InputError(f"{what}: frame ids must increase, {before} is followed by {after}")
+
+
+class _Frames:
+    """A dataclass of arrays, and dicts of arrays, whose first axis is the frames."""
+
+    def take(self, frames: slice | IntArray | BoolArray) -> Self:
+        """Return some frames, in order."""
+        return self._each([self], lambda parts: parts[0][frames])
+
+    @classmethod
+    def concat(cls, parts: Sequence[Self]) -> Self:
+        """Concatenate containers with the same keys; lines are padded to one width."""
+        return parts[0] if len(parts) == 1 else parts[-1]._each(parts, _concat)
+
+    def _each(self, parts: Sequence[Self], change: Callable[[list[Any]], Any]) -> Self:
+        """Return a container whose arrays are made from those of the parts."""
+        changed: dict[str, Any] = {}
+        for name, value in vars(self).items():
+            of_parts = [getattr(part, name) for part in parts]
+            if isinstance(value, np.ndarray):
+                changed[name] = change(of_parts)
+            elif isinstance(value, Mapping) and name != "values":
+                changed[name] = {k: change([each[k] for each in of_parts]) for k in value}
+        return replace(self, **changed)  # type: ignore[type-var]
+
+
+def _concat(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    if parts[0].ndim != 2:
+        return np.concatenate(parts)
+    return pad_and_concat(parts, False if parts[0].dtype == bool else np.nan)
 
 
 @dataclass(frozen=True)
-class LineLog:
+class LineLog(_Frames):
     """The output of a line detector: T frames of at most L lines each, padded.
 
     - frame_id (T,): strictly increasing; gaps are allowed and kept.
@@ -270,29 +250,6 @@ class LineLog:
         return len(self.frame_id)
 
     @classmethod
-    def of_frame(
-        cls,
-        frame_id: int,
-        frame_rate: float,
-        offset_m: ArrayLike,
-        is_valid: ArrayLike,
-        is_continuous: ArrayLike,
-        lri: ArrayLike,
-        *,
-        source: str = "line log",
-    ) -> LineLog:
-        """Make a log of one frame with L lines.
-
-        - frame_rate: frames per second.
-        - offset_m, is_valid, is_continuous, lri (L,): the values of the log, as arrays or lists.
-
-        Raises InputError for a valid line without an offset.
-        """
-        ids, row_frame = np.array([frame_id], dtype=np.int64), np.zeros(np.size(offset_m), int)
-        values = map(np.asarray, (offset_m, is_valid, is_continuous, lri))
-        return cls.from_rows(ids, frame_rate, row_frame, *values, source=source)
-
-    @classmethod
     def from_rows(
         cls,
         frame_id: IntArray,
@@ -304,7 +261,6 @@ class LineLog:
         lri: FloatArray,
         *,
         row_line: IntArray | None = None,
-        is_missing: BoolArray | None = None,
         source: str = "line log",
     ) -> LineLog:
         """Make a log from N lines, frame by frame.
@@ -314,7 +270,6 @@ class LineLog:
         - row_frame (N,): the index of each line's frame, 0 to T - 1, never decreasing.
         - offset_m, is_valid, is_continuous, lri (N,): the values of the log.
         - row_line (N,): the column of each line in its frame, from 0; by default 0, 1, 2, ...
-        - is_missing (T,): by default all False.
 
         Raises InputError for frame ids that do not increase and for a valid line without an offset.
         """
@@ -334,14 +289,8 @@ class LineLog:
             padded(is_valid, bool, False),
             padded(is_continuous, bool, False),
             padded(lri, float, np.nan),
-            np.zeros(len(frame_id), dtype=bool) if is_missing is None else is_missing,
-            source,
+            source=source,
         )
-
-    def take(self, frames: slice | IntArray | BoolArray) -> LineLog:
-        """Return the log of some frames, in order."""
-        rows = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "source"}
-        return replace(self, **{k: v[frames] for k, v in rows.items() if v is not None})
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row per line, as `ego.run` takes it.
@@ -380,25 +329,9 @@ class LineLog:
             }
         )
 
-    @classmethod
-    def concat(cls, parts: Sequence[LineLog]) -> LineLog:
-        """Concatenate logs; the source is that of the last."""
-        clips = [part.clip for part in parts if part.clip is not None]
-        return cls(
-            np.concatenate([part.frame_id for part in parts]),
-            np.concatenate([part.time_s for part in parts]),
-            pad_and_concat([part.offset_m for part in parts], np.nan),
-            pad_and_concat([part.is_valid for part in parts], False),
-            pad_and_concat([part.is_continuous for part in parts], False),
-            pad_and_concat([part.lri for part in parts], np.nan),
-            np.concatenate([part.is_missing for part in parts]),
-            parts[-1].source,
-            np.concatenate(clips) if len(clips) == len(parts) else None,
-        )
-
 
 @dataclass(frozen=True)
-class Evidence:
+class Evidence(_Frames):
     """Soft evidence of T frames.
 
     - likelihoods: per observed node, or tuple of nodes observed jointly, an array or lists
@@ -421,16 +354,21 @@ class Evidence:
         return f"Evidence({len(self)} frames: {', '.join(nodes)})"
 
     def __post_init__(self) -> None:
-        if not all(isinstance(values, np.ndarray) for values in self.likelihoods.values()):
-            made = {node: _as_array(node, values) for node, values in self.likelihoods.items()}
-            object.__setattr__(self, "likelihoods", made)
-        for name, index in self.inputs.items():
-            if np.asarray(index).dtype.kind not in "iu" and len(index):
-                raise InputError(f"evidence for {name}: an input is given by indices, see hard")
-        if not all(isinstance(index, np.ndarray) for index in self.inputs.values()):
-            indices = {node: np.array(index, np.int64) for node, index in self.inputs.items()}
-            object.__setattr__(self, "inputs", indices)
-        _check_lengths({**self.likelihoods, **self.inputs})
+        for name, kind in (("likelihoods", np.float64), ("inputs", np.int64)):
+            arrays: dict[Any, NDArray[Any]] = {}
+            for node, values in getattr(self, name).items():
+                try:
+                    array = np.atleast_1d(values)
+                    casting: Any = "same_kind" if array.size else "unsafe"
+                    arrays[node] = array.astype(kind, casting=casting, copy=False)
+                except (TypeError, ValueError) as error:
+                    what = "numbers" if name == "likelihoods" else "indices, see hard"
+                    raise InputError(f"evidence for {node}: needs an array of {what}") from error
+            object.__setattr__(self, name, arrays)
+        given = [*self.likelihoods.items(), *self.inputs.items()]
+        if len({len(values) for _, values in given}) > 1:
+            lengths = ", ".join(f"{node} {len(values)}" for node, values in given)
+            raise InputError(f"evidence: different numbers of frames: {lengths}")
         for node, values in self.likelihoods.items():
             # NaN is neither.
             is_fine = (values >= 0) & (values < np.inf)
@@ -446,8 +384,8 @@ class Evidence:
     def hard(cls, rows: Mapping[str, Iterable[Any]] | pd.DataFrame, compiled: Compiled) -> Evidence:
         """Make evidence from observed values: likelihoods of one and zero.
 
-        - rows: a DataFrame with a column per node, or per node its value in each frame: a name (as
-          text) or an index; None, NaN or pd.NA if missing.
+        - rows: a DataFrame with a column per node, or per node its value in each frame, by name (a
+          number for a name of digits); None, NaN or pd.NA if missing.
 
         An observed node without a column is missing in all frames; an input node is needed in every
         frame. Soft evidence for another node can be added:
@@ -463,25 +401,39 @@ class Evidence:
         >>> seen.likelihoods["WOR"].tolist()
         [[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]]
         """
+        # pandas is imported only for such evidence.
+        import pandas as pd
+
+        try:
+            table = pd.DataFrame({node: np.asarray(rows[node], dtype=object) for node in rows})
+        except ValueError as error:
+            needed = "a list of values for each node, all of the same length"
+            raise InputError(f"evidence: needs {needed}") from error
         observed = [(key,) if isinstance(key, str) else key for key in compiled.observed]
         known = {*(node for nodes in observed for node in nodes), *compiled.inputs}
         given: dict[str, IntArray] = {}
-        for node, column in rows.items():
+        for node, column in table.items():
             if node not in known:
                 raise InputError(
                     f"evidence for {node}: the network has no such observed node or input"
                     f"{suggestion(str(node), known)}; `compile` is given those that are observed"
                 )
-            given[node] = _indices(node, column, compiled.values[node])
-        _check_lengths(given)
+            name, names = str(node), compiled.values[str(node)]
+            given[name] = pd.Index(names).get_indexer(column.convert_dtypes().astype("string"))
+            unknown = np.flatnonzero((given[name] < 0) & column.notna())
+            if len(unknown):
+                value = column[unknown[0]]
+                raise InputError(
+                    f"evidence for {node}: row {unknown[0]}: {value!r} is not the name of a"
+                    f" value{suggestion(str(value), names)}"
+                )
         for node in compiled.inputs:
             if node not in given or (given[node] < 0).any():
-                row = f"row {np.argmin(given[node])}" if node in given else "every row"
-                raise InputError(f"evidence for {node}: {row}: is missing, an input must be known")
-        missing = np.full(len(next(iter(given.values()), ())), -1)
+                raise InputError(f"evidence for {node}: is missing, an input must be known")
+        missing = np.full(len(table), -1)
         likelihoods: dict[Observed, FloatArray] = {}
         for key, nodes in zip(compiled.observed, observed, strict=True):
-            likelihood = np.ones(len(missing))
+            likelihood = np.ones(len(table))
             for node in nodes:
                 value = given.get(node, missing)[:, None]
                 shown = (value == np.arange(compiled.cardinality[node])) | (value < 0)
@@ -489,27 +441,9 @@ class Evidence:
             likelihoods[key] = likelihood
         return cls(likelihoods, {node: given[node] for node in compiled.inputs})
 
-    @classmethod
-    def concat(cls, parts: Sequence[Evidence]) -> Evidence:
-        """Concatenate evidence about the same nodes."""
-        if len(parts) == 1:
-            return parts[0]
-        first = parts[0]
-        return type(first)(
-            {k: np.concatenate([p.likelihoods[k] for p in parts]) for k in first.likelihoods},
-            {k: np.concatenate([p.inputs[k] for p in parts]) for k in first.inputs},
-        )
-
-    def take(self, frames: slice | IntArray | BoolArray) -> Evidence:
-        """Return the evidence of some frames, in order."""
-        return Evidence(
-            {node: values[frames] for node, values in self.likelihoods.items()},
-            {node: values[frames] for node, values in self.inputs.items()},
-        )
-
 
 @dataclass(frozen=True)
-class Beliefs:
+class Beliefs(_Frames):
     """The posterior of a filter after each frame.
 
     - frame_id (T,).
@@ -553,29 +487,6 @@ class Beliefs:
             raise InputError(f"the beliefs are about no node '{node}'{meant}")
         return self.marginals[node]
 
-    @classmethod
-    def concat(cls, parts: Sequence[Beliefs]) -> Beliefs:
-        """Concatenate beliefs about the same nodes."""
-        if len(parts) == 1:
-            return parts[0]
-        return cls(
-            np.concatenate([part.frame_id for part in parts]),
-            {k: np.concatenate([part.marginals[k] for part in parts]) for k in parts[0].marginals},
-            np.concatenate([part.log_evidence for part in parts]),
-            np.concatenate([part.is_impossible for part in parts]),
-            parts[0].values,
-        )
-
-    def take(self, frames: slice | IntArray | BoolArray) -> Beliefs:
-        """Return the beliefs of some frames, in order."""
-        return Beliefs(
-            self.frame_id[frames],
-            {node: values[frames] for node, values in self.marginals.items()},
-            self.log_evidence[frames],
-            self.is_impossible[frames],
-            self.values,
-        )
-
     @property
     def lane(self) -> FloatArray:
         """(T, n): the posterior over lanes. Raises InputError without a node Lane."""
@@ -595,12 +506,6 @@ class Beliefs:
             names = self.values.get(node, range(first, first + belief.shape[1]))
             columns |= {f"{node}={name}": belief[:, k] for k, name in enumerate(names)}
         return pd.DataFrame(columns, index=pd.Index(self.frame_id, name="frame_id"))
-
-    @property
-    def mean_log_evidence(self) -> float:
-        """The mean log evidence of the frames that are not impossible; NaN if all are."""
-        kept = ~self.is_impossible
-        return float(self.log_evidence[kept].mean()) if kept.any() else float("nan")
 
 
 #: The directions of lane changes in words.
@@ -631,13 +536,3 @@ def lane_truth(
     truth = pd.DataFrame(columns, index=pd.Index(ids, name="frame_id"))
     truth.attrs["source"] = source
     return truth
-
-
-def check_lanes(truth: pd.DataFrame, n_lanes: int) -> None:
-    """Raise InputError, naming file and frame, for a lane outside 1..n_lanes."""
-    bad = truth[(truth["true_lane"] < 1) | (truth["true_lane"] > n_lanes)]
-    if len(bad):
-        raise InputError(
-            f"{truth.attrs.get('source', 'ground truth')}: frame {bad.index[0]}: lane"
-            f" {bad['true_lane'].iloc[0]} is outside 1..{n_lanes}; is n_lanes right?"
-        )

@@ -10,12 +10,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.maps.lane_graph import LaneGraph
 from egolane_pgm.maps.locating import locate
 from egolane_pgm.maps.matching import lock_on_road
 from egolane_pgm.maps.osm import read_osm
-from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import IntArray
 from tests.kits.lane_maps import random_trip
 
@@ -57,7 +57,7 @@ def measure() -> Iterator[str]:
         yield f"| {name} | {sum(frames)} | {cells} | {' | '.join(map(str, kinds))} |"
 
 
-def _wrong(graph: LaneGraph, found: RoadTable, segment: IntArray) -> tuple[int, int, int]:
+def _wrong(graph: LaneGraph, found: pd.DataFrame, segment: IntArray) -> tuple[int, int, int]:
     """How many rows are wrong; how many of them have no join to the right segment near the place
     that was found; and how many of those are sure."""
     joins = set(zip(graph.before.tolist(), graph.after.tolist(), strict=True))

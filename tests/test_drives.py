@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from egolane_pgm.drives import Drive, drive_names, read_drives
+from egolane_pgm.drives import Drive, drive_names, make_drive, read_drives
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.maps.road_table import save
 from egolane_pgm.recordings.ground_truth import write_ground_truth
@@ -64,14 +64,6 @@ def test_a_simulated_drive_has_its_own_ground_truth() -> None:
     assert not one(simulated(), ground_truth="none").has_truth
 
 
-def test_a_range_of_frames_is_read_as_if_there_were_no_others(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    log = one(path, {"recording.frames": [30, 90]}).log
-    np.testing.assert_array_equal(log.frame_id, np.arange(30, 90))
-    with pytest.raises(InputError, match="no frame from 500 to before 900; the recording has"):
-        one(path, {"recording.frames": [500, 900]})
-
-
 # --- pictures ------------------------------------------------------------------------------------
 
 
@@ -94,22 +86,6 @@ def test_a_folder_of_pictures_gives_what_the_video_of_them_gives(place: Path) ->
     for other in (pattern, video):
         np.testing.assert_array_equal(folder.offset_m, other.offset_m)
         np.testing.assert_array_equal(folder.is_valid, other.is_valid)
-
-
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"path": "drive.avi", "detector": None}, "of a video a detector"),
-        ({"path": "nowhere"}, "nowhere: no such file"),
-        ({"path": "none"}, "none: has no pictures"),
-    ],
-)
-def test_pictures_that_cannot_be_used_are_named(
-    place: Path, keys: dict[str, Any], said: str
-) -> None:
-    (place / "none").mkdir()
-    with pytest.raises(InputError, match=said):
-        one(place / "run.yaml", {"recording": {**keys, "path": place / keys["path"]}})
 
 
 # --- ground truth --------------------------------------------------------------------------------
@@ -269,3 +245,11 @@ def test_what_a_road_needs_is_named(on_road: Path) -> None:
         run(on_road.parent / "lines.csv", experiment=on_road)
     with pytest.raises(InputError, match=r"recording\.path: pass the lines that are in memory"):
         read_drives(load_experiment("zero_label", lines=short_drive().log, n_lanes=3))
+
+
+@pytest.mark.parametrize("lane", [0, 4, -1])
+def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
+    [drive] = read_drives(load_experiment(simulated(), n_lanes=3))
+    truth = lane_truth([7, 8, 9], [1, lane, 3], [False] * 3, "gt.txt")
+    with pytest.raises(InputError, match=rf"^gt.txt: frame 8: lane {lane} is outside 1\.\.3; is"):
+        make_drive("x", drive.model, drive.log, truth)

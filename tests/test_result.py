@@ -76,10 +76,6 @@ def test_a_result_gives_posteriors_truth_and_answers_by_name() -> None:
     assert found.truth.index.tolist() == IDS[:-1]
     assert found.truth["true_lane"].tolist() == TRUTH[:-1]
     assert found.truth["is_crossing"].tolist() == [bool(c) for c in CROSSING[:-1]]
-    np.testing.assert_array_equal(found.beliefs.lane, MODEL)
-    assert [found.value(key) for key in ("graph", "parameters.sigma1", "tag.x", "no.key")] == [
-        *("sensor_failure", 0.3, None, None)
-    ]
 
 
 def test_the_columns_of_frames_are_those_that_are_documented() -> None:
@@ -101,7 +97,8 @@ def test_the_scores_of_a_drive_are_those_of_its_annotated_frames(result: Result)
     assert result.scores["frames_scored"] == (~truth["is_crossing"]).sum()
     sure = (result.node("Lane").max(axis=1) >= SURE).mean()
     assert result.scores["sure"] == pytest.approx(sure)
-    assert result.scores["mean_log_evidence"] == result.beliefs.mean_log_evidence
+    evidence = result.frames["log_evidence"][~result.frames["is_impossible"]]
+    assert result.scores["mean_log_evidence"] == pytest.approx(evidence.mean())
 
 
 def test_without_ground_truth_nothing_is_scored(drive: Path) -> None:
@@ -171,7 +168,7 @@ def test_posteriors_that_come_late_report_late(drive: Path) -> None:
 
 def test_a_result_gives_its_network_and_its_frames_with_their_evidence(saved: Path) -> None:
     found = run(simulated(filter="exact"))
-    assert found.network().nodes["WOR_ve", 1]
+    assert ("WOR_ve", 1) in found.network()
     some = found.network(evidence=True, first=200, last=202)
     with quiet():
         from pgmpy.inference import VariableElimination
@@ -195,7 +192,6 @@ def test_a_result_is_loaded_as_it_was_saved(result: Result, saved: Path) -> None
     assert_frame_equal(again.frames, result.frames)
     assert (again.run, again.scores) == (result.run, result.scores)
     assert_frame_equal(again.events, result.events)
-    assert again.segments == result.segments
     assert_same_lines(again.lines["drive"], result.lines["drive"])
     assert again.experiment.model_dump() == load_experiment(saved / "experiment.yaml").model_dump()
     assert again.directory == saved

@@ -10,11 +10,9 @@ import pytest
 
 from egolane_pgm.parameters import Parameter, resolve_parameters
 from egolane_pgm.types import (
-    Beliefs,
     Evidence,
     InputError,
     LineLog,
-    check_lanes,
     lane_truth,
 )
 
@@ -35,19 +33,12 @@ def a_log(n_frames: int = 3, n_lines: int = 2) -> LineLog:
 # --- line logs and truth -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("ids", "message"),
-    [
-        ([4, 5, 5], "drive.bag: frame id 5 occurs more than once"),
-        ([0, 0, 0], "drive.bag: frame id 0 occurs more than once"),
-        ([4, 7, 6], "drive.bag: frame ids decrease, 7 is followed by 6"),
-    ],
-)
-def test_frame_ids_that_do_not_increase_are_refused(ids: list[int], message: str) -> None:
-    with pytest.raises(InputError) as error:
+@pytest.mark.parametrize("ids", [[4, 5, 5], [4, 7, 6]])
+def test_frame_ids_that_do_not_increase_are_refused(ids: list[int]) -> None:
+    message = f"frame ids must increase, {ids[1]} is followed by {ids[2]}"
+    with pytest.raises(InputError, match=f"^drive.bag: {message}$"):
         replace(a_log(), frame_id=np.array(ids))
-    assert str(error.value) == message
-    with pytest.raises(InputError, match=message.split(": ")[1]):
+    with pytest.raises(InputError, match=message):
         lane_truth(ids, [1, 1, 1], [False] * 3)
 
 
@@ -92,38 +83,20 @@ def test_taking_frames_keeps_every_array_in_step() -> None:
 
 
 def test_lines_given_one_after_the_other_are_padded_frame_by_frame() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        counts = rng.integers(0, 4, size=rng.integers(0, 6))
-        n_lines = int(counts.sum())
-        offset, lri = rng.normal(size=n_lines), rng.integers(0, 10, n_lines).astype(float)
-        valid, continuous = rng.random((2, n_lines)) < 0.5
-        ids = np.cumsum(rng.integers(1, 4, len(counts)))
-        frame = np.repeat(np.arange(len(counts)), counts)
-        log = LineLog.from_rows(ids, 4.0, frame, offset, valid, continuous, lri, source="here")
-        widest = counts.max(initial=0)
-        assert log.offset_m.shape == (len(counts), widest)
-        assert log.time_s.tolist() == (ids / 4).tolist()
-        assert log.source == "here"
-        assert not log.is_missing.any()
-        at = 0
-        for t, count in enumerate(counts):
-            for name, values in (("offset_m", offset), ("lri", lri)):
-                row = getattr(log, name)[t]
-                assert row[:count].tolist() == values[at : at + count].tolist()
-                assert np.isnan(row[count:]).all()
-            for name, values in (("is_valid", valid), ("is_continuous", continuous)):
-                row = getattr(log, name)[t]
-                assert row.tolist() == [*values[at : at + count], *[False] * (widest - count)]
-            at += count
-
-
-@pytest.mark.parametrize("lane", [0, 4, -1])
-def test_a_lane_outside_the_road_is_refused_naming_file_and_frame(lane: int) -> None:
-    truth = lane_truth([7, 8, 9], [1, lane, 3], [False] * 3, "gt.txt")
-    with pytest.raises(InputError) as error:
-        check_lanes(truth, 3)
-    assert str(error.value) == f"gt.txt: frame 8: lane {lane} is outside 1..3; is n_lanes right?"
+    row, offset, lri = np.array([0, 0, 2]), np.array([-1.8, 1.7, 1.6]), np.array([9.0, 8.0, 7.0])
+    valid, ids = np.array([True, False, True]), np.array([5, 6, 8])
+    log = LineLog.from_rows(ids, 4.0, row, offset, valid, ~valid, lri, source="here")
+    nan = np.nan
+    np.testing.assert_array_equal(log.offset_m, [[-1.8, 1.7], [nan, nan], [1.6, nan]])
+    np.testing.assert_array_equal(log.lri, [[9, 8], [nan, nan], [7, nan]])
+    assert log.is_valid.tolist() == [[True, False], [False, False], [True, False]]
+    assert log.is_continuous.tolist() == [[False, True], [False, False], [False, False]]
+    assert (log.time_s.tolist(), log.source) == ([1.25, 1.5, 2.0], "here")
+    assert not log.is_missing.any()
+    assert LineLog.from_rows(ids[:0], 4.0, row[:0], *[offset[:0]] * 4).offset_m.shape == (0, 0)
+    both = LineLog.concat([a_log(1, 1), replace(log, frame_id=ids + 20)])
+    assert np.isnan(both.offset_m[0, 1])
+    assert both.frame_id.tolist() == [10, 25, 26, 28]
 
 
 # --- evidence and beliefs ------------------------------------------------------------------------
@@ -155,20 +128,6 @@ def test_evidence_may_be_zero_and_need_not_sum_to_one() -> None:
     assert last.inputs["I"].tolist() == [1]
 
 
-def test_the_mean_log_evidence_leaves_out_flagged_frames() -> None:
-    beliefs = Beliefs(
-        np.arange(3),
-        {"Lane": np.full((3, 2), 0.5)},
-        np.array([-1.0, 0.0, -3.0]),
-        np.array([False, True, False]),
-    )
-    assert beliefs.mean_log_evidence == -2
-    assert beliefs.lane is beliefs.marginals["Lane"]
-    assert len(beliefs) == 3
-    nothing = replace(beliefs, is_impossible=np.ones(3, dtype=bool))
-    assert math.isnan(nothing.mean_log_evidence)
-
-
 # --- parameters ----------------------------------------------------------------------------------
 
 SPECS = (
@@ -193,9 +152,9 @@ SPECS = (
         ("p3", [0.1, 0.2], "has 2 values for 3 lanes"),
         ("sigma1", 0, "0 must be greater than 0"),
         ("sigma1", math.inf, "inf is not a finite number"),
-        ("noise", -0.5, "-0.5 must not be negative"),
+        ("noise", -0.5, "-0.5 must be at least 0"),
         ("count", 1.5, "1.5 is not a whole number"),
-        ("count", -1, "-1 must not be negative"),
+        ("count", -1, "-1 must be at least 0"),
         ("normal", "densty", "'densty' is not one of density, integral (did you mean 'density'?)"),
     ],
 )

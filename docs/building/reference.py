@@ -35,12 +35,7 @@ from egolane_pgm.vision.camera import model as camera
 from egolane_pgm.vision.detectors.networks.description import Network
 
 #: The functions that compute scores, by module, in the order of the page.
-METRICS = (
-    "confusion",
-    "probabilistic",
-    "events",
-    "bootstrap",
-)
+METRICS = ("confusion", "events", "bootstrap")
 
 
 def pages() -> dict[str, str]:
@@ -245,24 +240,21 @@ def recordings_page() -> str:
         as_markdown(inspect.getdoc(ground_truth.read_ground_truth) or ""),
         "## Positions",
         as_markdown(about(positions)),
-        columns_of(positions.Positions, {k: v[1:] for k, v in positions.COLUMNS.items()}),
+        positions_table(),
         "## Road table",
         as_markdown(about(road_table)),
-        columns_of(road_table.RoadTable, {}),
+        meanings(road_table.COLUMNS),
     ]
     return "\n\n".join(parts)
 
 
-def columns_of(kind: type, other_names: Mapping[str, Sequence[str]]) -> str:
-    """The columns of a table that is read into a dataclass."""
-    said = listed(inspect.getdoc(kind) or "")
-    rows = []
-    for field in dataclasses.fields(kind):
-        if field.name != "source":
-            others = ", ".join(f"`{name}`" for name in other_names.get(field.name, ()))
-            rows.append([f"`{field.name}`", others, said[field.name]])
-    if not other_names:
-        return markdown(["column", "meaning"], [[row[0], row[2]] for row in rows])
+def positions_table() -> str:
+    """The columns of a table of positions."""
+    said = listed(inspect.getdoc(positions.Positions) or "")
+    rows = [
+        [f"`{name}`", ", ".join(f"`{other}`" for other in others), said[name]]
+        for name, (_, *others) in positions.COLUMNS.items()
+    ]
     return markdown(["column", "also called", "meaning"], rows)
 
 
@@ -283,15 +275,13 @@ def commands_page() -> str:
         context = click.Context(egolane, info_name="egolane")
         command = egolane.get_command(context, name)
         assert command is not None
-        parts += list(command_parts(command, context, name, 2))
+        parts += list(command_parts(command, context, name))
     return "\n\n".join(parts)
 
 
-def command_parts(
-    command: click.Command, parent: click.Context, name: str, level: int
-) -> Iterator[str]:
+def command_parts(command: click.Command, parent: click.Context, name: str) -> Iterator[str]:
     context = click.Context(command, info_name=name, parent=parent)
-    yield f"{'#' * level} {context.command_path}"
+    yield f"## {context.command_path}"
     yield f"```text\n{command.get_usage(context).removeprefix('Usage: ')}\n```"
     for text in (command.help, command.epilog):
         if text:
@@ -303,11 +293,6 @@ def command_parts(
             rows.append([f"`{record[0]}`", escaped(record[1])])
     if rows:
         yield markdown(["option", "meaning"], rows)
-    if isinstance(command, click.Group):
-        for each in command.list_commands(context):
-            below = command.get_command(context, each)
-            assert below is not None
-            yield from command_parts(below, context, each, level + 1)
 
 
 def help_text(text: str) -> str:

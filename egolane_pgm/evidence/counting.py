@@ -1,10 +1,11 @@
 """The paper's evidence rule (section "Tentative vector and reliability of the whole detection"), as
 its authors computed it. Each valid line votes for the lanes that it is compatible with, and a
 continuous line gives a bonus to the lane that it bounds. The sum of the reliability indices (LRI)
-of all valid lines gives the WOR.
+of all valid lines gives the WOR. A frame without a valid line has a uniform tentative vector and
+the lowest WOR.
 
 A detector without a continuous flag gives no bonus. Without LRI (NaN) every valid line counts as
-fully reliable, so that the WOR is the detected share of the n + 1 expected lines.
+fully reliable; the WOR then is the detected share of the n + 1 expected lines.
 """
 
 from __future__ import annotations
@@ -37,24 +38,12 @@ PARAMETERS = (
         search=None,
     ),
     Parameter(
-        "wor_noise",
-        "probability",
-        0.01,
-        "subtracted from WOR; what is then below 0 becomes this, and 1 becomes 1 less this",
-        search=None,
-    ),
-    Parameter(
         "max_lri", "positive", 10, "largest value of a line's reliability index", search=None
     ),
-    Parameter(
-        "no_valid_line",
-        "choice",
-        "uniform",
-        "a frame without a valid line: `uniform` has a uniform tentative and the lowest WOR (the"
-        " authors'), `ignore` says nothing about WOR either",
-        choices=("uniform", "ignore"),
-    ),
 )
+
+#: Subtracted from WOR. A value that is then below 0 becomes this, and from 1 on 1 less this.
+WOR_NOISE = 0.01
 
 
 def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
@@ -63,21 +52,16 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
 
     parameters: checked values of PARAMETERS.
     """
-    tentative = np.empty((len(log), n_lanes))
-    wor = np.empty((len(log), 2))
-    count_lines(
+    tentative, wor = count_lines(
         log.offset_m,
         log.is_valid,
         log.is_continuous,
         log.lri,
+        n_lanes,
         number(parameters, "lane_width_m"),
         number(parameters, "bonus_value"),
         number(parameters, "tentative_noise"),
-        number(parameters, "wor_noise"),
         number(parameters, "max_lri"),
-        parameters["no_valid_line"] == "ignore",
-        tentative,
-        wor,
     )
     return Evidence({"DetectorOutput": tentative, "WOR": wor})
 
@@ -88,27 +72,21 @@ def count_lines(
     is_valid: BoolArray,
     is_continuous: BoolArray,
     lri: FloatArray,
+    n_lanes: int,
     lane_width_m: float,
     bonus_value: float,
     tentative_noise: float,
-    wor_noise: float,
     max_lri: float,
-    ignore_frames_without_line: bool,
-    tentative: FloatArray,
-    wor: FloatArray,
-) -> None:
-    """Fills tentative (T, n) and wor (T, 2) from the lines, (T, L) each."""
-    n_lanes = tentative.shape[1]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the tentative vector (T, n) and WOR (T, 2) of the lines, (T, L) each."""
+    tentative = np.zeros((len(offset_m), n_lanes))
+    wor = np.empty((len(offset_m), 2))
     for t in range(offset_m.shape[0]):
         reliability = 0.0
-        has_line = False
         total = 0.0
-        for lane in range(n_lanes):
-            tentative[t, lane] = 0.0
         for line in range(offset_m.shape[1]):
             if not is_valid[t, line]:
                 continue
-            has_line = True
             # NaN differs from itself; a line without LRI counts as fully reliable.
             reliability += lri[t, line] if lri[t, line] == lri[t, line] else max_lri
             d = offset_m[t, line]
@@ -134,12 +112,11 @@ def count_lines(
         total += n_lanes * tentative_noise
         for lane in range(n_lanes):
             tentative[t, lane] = (tentative[t, lane] + tentative_noise) / total
-        s = reliability / (max_lri * (n_lanes + 1)) - wor_noise
+        s = reliability / (max_lri * (n_lanes + 1)) - WOR_NOISE
         if s < 0.0:
-            s = wor_noise
+            s = WOR_NOISE
         elif s >= 1.0:
-            s = 1.0 - wor_noise
-        if ignore_frames_without_line and not has_line:
-            s = 0.5
+            s = 1.0 - WOR_NOISE
         wor[t, 0] = s
         wor[t, 1] = 1.0 - s
+    return tentative, wor

@@ -14,8 +14,8 @@ from egolane_pgm.vision.detectors.pictures import open_pictures
 from egolane_pgm.vision.video import Scene, draw_frame, layout, with_detected_lines
 
 
-def write_video(file: Path, result: Result, frames: tuple[int, int] | None = None) -> int:
-    """Write a result as an .mp4; return the number of frames.
+def write_video(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
+    """Write a result as an .mp4.
 
     The detector runs again, from the first picture of the run, because a result has the offsets of
     the lines and not their shape. If it stops early, the frames before are kept.
@@ -35,11 +35,11 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
     camera = camera_of_pictures(camera, left)
     start = 0 if experiment.recording.frames is None else experiment.recording.frames[0]
     pictures = read_pictures(left, camera, right, (start, int(shown.index[-1]) + 1))
-    posterior, places, n_drawn = lanes_of(shown), layout(camera), 0
+    posterior, places = lanes_of(shown), layout(camera)
     time_s, answer = shown["time_s"].tolist(), shown["assigned_lane"].tolist()
     truth = shown["true_lane"].fillna(0).tolist()
     with (
-        bar(None, None, desc=detector.name, unit="frame", total=len(shown)) as progress,
+        bar(desc=detector.name, unit="frame", total=len(shown)) as progress,
         video_writer(file, result.frame_rate, places.size) as write,
     ):
         for picture, lines in with_detected_lines(pictures, detector, camera):
@@ -48,6 +48,4 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
             row = int(shown.index.get_loc(picture.frame_id))
             given = time_s[row], lines, posterior[row], answer[row], truth[row] or None
             write(draw_frame(places, picture.image, Scene(picture.frame_id, *given)))
-            n_drawn += 1
             progress.update()
-    return n_drawn

@@ -14,13 +14,13 @@ from egolane_pgm.graphs.cpds import (
     Table,
     builder,
     dynamics,
+    lane_normals,
     previous,
     prior,
     sticky,
     uniform,
     within,
 )
-from egolane_pgm.graphs.sensor_failure import f_table
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN
@@ -43,12 +43,13 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     p1, p2, p3, p4, p_biased, shift = (
         number(parameters, name) for name in ("p1", "p2", "p3", "p4", "p_biased", "shift")
     )
-    outputs = [f_table("sigma2", n_lanes, parameters, by) for by in (0.0, -shift, shift)]
+    sigma1, sigma2 = number(parameters, "sigma1"), number(parameters, "sigma2")
+    outputs = [lane_normals(sigma2, n_lanes, by) for by in (0.0, -shift, shift)]
     working = [p3, 1 - p3]
     return [
         *prior("Lane", uniform(n_lanes)),
         *prior("SensorState", uniform(4)),
-        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *dynamics("Lane", [previous("Lane")], lane_normals(sigma1, n_lanes)),
         *dynamics("SensorState", [previous("SensorState")], sticky(p1, p_biased, p_biased, p2)),
         *within(
             "DetectorOutput",

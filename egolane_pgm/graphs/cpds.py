@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from egolane_pgm.types import FloatArray, InputError, Observed
 
 if TYPE_CHECKING:
+    from pgmpy.factors.discrete import TabularCPD
     from pgmpy.models import DynamicBayesianNetwork
 
 SliceNode = tuple[str, int]
@@ -33,93 +34,32 @@ SliceNode = tuple[str, int]
 #: The end of the name of a virtual-evidence node.
 VE_SUFFIX = "_ve"
 
-#: The note at the virtual-evidence nodes of a declared network.
-PLACEHOLDER = (
-    "virtual evidence: this table is a placeholder; ego.unrolled or Result.network(evidence=True)"
-    " gives frames whose tables hold their evidence"
-)
 
+def lane_normals(sigma: float, n: int, shift: float = 0.0) -> FloatArray:
+    """Return the paper's F(N(mean, sigma^2)) for each of the lanes 1 to n plus `shift` as the mean:
+    (n, n), a row per mean.
 
-def discretised_normal(
-    mean: float | FloatArray,
-    sigma: float,
-    n: int,
-    normal: str = "density",
-    widths: Sequence[float] | None = None,
-) -> FloatArray:
-    """Return the paper's F(N(mean, sigma^2)): the normal as probabilities of the lanes 1 to n
-    (section "HMM with Transient Failure Model").
+    F is the density at the lane centres divided by its sum over the lanes, as the authors computed
+    it; the text of section "HMM with Transient Failure Model" describes the integral across each
+    lane.
 
-    - mean: one mean, or an array (...) of them, lanes
     - sigma: standard deviation, lanes
-    - normal: "density" takes the density at the lane centres, as the authors computed it;
-      "integral" takes the integral across each lane, as the text describes it
-    - widths: (n,) width of each lane in units of the nominal lane, all 1 by default
-
-    Returns (..., n); each row sums to one.
     """
-    edges, centres = lane_edges(n, widths)
-    mean = np.asarray(mean, dtype=np.float64)[..., None]
-    if normal == "density":
-        distance = np.abs(centres - mean)
-        with np.errstate(over="ignore", invalid="ignore"):
-            exponent = -0.5 * (distance / sigma) ** 2
-            mass = np.exp(exponent - exponent.max(axis=-1, keepdims=True))
-    else:
-        distance = np.maximum(0.0, np.maximum(edges[:-1] - mean, mean - edges[1:]))
-        # With a tiny sigma this overflows to infinity, which gives the right limit.
-        with np.errstate(over="ignore"):
-            z = (edges - mean) / sigma / math.sqrt(2.0)
-        # Lanes near the mean use differences of erf, lanes far from it those of the tail on their
-        # side, so that small masses keep their digits.
-        middle, right, left = np.diff(_erf(z)), -np.diff(_erfc(z)), np.diff(_erfc(-z))
-        mass = np.where(z[..., :-1] > 0.5, right, np.where(z[..., 1:] < -0.5, left, middle))
-    total = mass.sum(axis=-1, keepdims=True)
-    if not (total > 0).all():
-        # All lanes are infinitely many standard deviations away: use the nearest one.
-        nearest = distance == distance.min(axis=-1, keepdims=True)
-        mass = np.where(total > 0, mass, nearest)
-        total = mass.sum(axis=-1, keepdims=True)
-    return np.asarray(mass / total, dtype=np.float64)
-
-
-def _erf(z: FloatArray) -> FloatArray:
-    # Importing scipy.special takes longer than most runs spend in it.
-    return np.array([math.erf(x) for x in z.flat]).reshape(z.shape)
-
-
-def _erfc(z: FloatArray) -> FloatArray:
-    return np.array([math.erfc(x) for x in z.flat]).reshape(z.shape)
+    lanes = np.arange(1.0, n + 1)
+    distance = np.abs(lanes - (lanes[:, None] + shift))
+    nearest = distance.min(axis=1, keepdims=True)
+    # (distance^2 - nearest^2) / sigma^2, so that a tiny sigma leaves all on the nearest lanes.
+    with np.errstate(over="ignore"):
+        squares = ((distance - nearest) / sigma) * ((distance + nearest) / sigma)
+    mass = np.exp(-0.5 * squares)
+    return np.asarray(mass / mass.sum(axis=1, keepdims=True))
 
 
 def normal_cdf(x: FloatArray) -> FloatArray:
     """Return the cumulative distribution function of the standard normal, of the shape of x."""
-    return np.asarray(0.5 * _erfc(-x / math.sqrt(2.0)))
-
-
-def lane_edges(n: int, widths: Sequence[float] | None = None) -> tuple[FloatArray, FloatArray]:
-    """Return the edges (n + 1,) and centres (n,) of the lanes, in units of the nominal lane.
-
-    Lane 1 starts at 0.5, so that lanes of width 1 have their centres at 1 to n.
-    """
-    widths_array = np.ones(n) if widths is None else np.asarray(widths, dtype=np.float64)
-    edges = 0.5 + np.concatenate([[0.0], np.cumsum(widths_array)])
-    return edges, (edges[:-1] + edges[1:]) / 2
-
-
-def lane_normals(
-    sigma: float,
-    n: int,
-    normal: str = "density",
-    widths: Sequence[float] | None = None,
-    shift: float = 0.0,
-) -> FloatArray:
-    """Return F of a normal around each lane's centre plus `shift` lanes: (n, n), a row per lane.
-
-    The other parameters are those of `discretised_normal`.
-    """
-    _, centres = lane_edges(n, widths)
-    return discretised_normal(centres + shift, sigma, n, normal, widths)
+    # Importing scipy.special takes longer than most runs spend in it.
+    values = [0.5 * math.erfc(-each / math.sqrt(2.0)) for each in x.flat]
+    return np.array(values).reshape(x.shape)
 
 
 def binary(ok: float, bad: float) -> FloatArray:
@@ -156,22 +96,22 @@ class Table:
 
     def __post_init__(self) -> None:
         # Quick, because a search builds thousands of tables per second; NaN fails both comparisons.
-        if self.values.ndim == len(self.parents) + 1:
-            off = np.abs(self.values.sum(axis=-1) - 1).max()
-            if self.values.min() >= 0 and off <= 1e-9:
-                return
-        name = f"P({_spell(self.node)} | {', '.join(map(_spell, self.parents)) or 'nothing'})"
-        if self.values.ndim != len(self.parents) + 1:
-            raise InputError(
-                f"{name}: the table has {self.values.ndim} axes, needs {len(self.parents) + 1}:"
-                " one per parent and the node's own"
-            )
-        if not np.isfinite(self.values).all() or (self.values < 0).any():
-            raise InputError(f"{name}: the table has a negative or NaN entry")
-        raise InputError(f"{name}: the rows of the table must sum to one")
+        n_axes = len(self.parents) + 1
+        if self.values.ndim != n_axes:
+            has = f"the table has {self.values.ndim} axes, needs {n_axes}"
+            problem = f"{has}: one per parent and the node's own"
+        elif not self.values.min() >= 0:
+            problem = "the table has a negative or NaN entry"
+        elif not np.abs(self.values.sum(axis=-1) - 1).max() <= 1e-9:
+            problem = "the rows of the table must sum to one"
+        else:
+            return
+        given = ", ".join(map(spell, self.parents)) or "nothing"
+        raise InputError(f"P({spell(self.node)} | {given}): {problem}")
 
 
-def _spell(node: SliceNode) -> str:
+def spell(node: SliceNode) -> str:
+    """Return a node of a slice as messages name it."""
     return f"{node[0]} at t" if node[1] == 0 else f"{node[0]} at t+1"
 
 
@@ -205,21 +145,14 @@ def ve_name(observed: Observed) -> str:
 
 @contextlib.contextmanager
 def quiet() -> Iterator[None]:
-    """Silence pgmpy's warnings, log lines and progress bars."""
+    """Silence pgmpy's warnings and log lines."""
     logger = logging.getLogger("pgmpy")
     level = logger.level
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         logger.setLevel(logging.CRITICAL)
         try:
-            from pgmpy.global_vars import config
-
-            shown = config.get_show_progress()
-            config.set_show_progress(False)
-            try:
-                yield
-            finally:
-                config.set_show_progress(shown)
+            yield
         finally:
             logger.setLevel(level)
 
@@ -232,22 +165,20 @@ def declare(
     """Declare the tables as a pgmpy network with both slices in full.
 
     - observed: nodes, or tuples of nodes observed jointly. Each gets a binary child `<name>_ve` for
-      virtual evidence, whose table is a placeholder (1/2 everywhere) with a note, see
-      `network.nodes["WOR_ve", 0]`
+      virtual evidence, whose table is a placeholder (1/2 everywhere); `unrolled` gives frames whose
+      tables hold their evidence
     - values: the names of each node's values (pgmpy's state names), by default numbers from 0
 
     Raises InputError as `check_tables`.
     """
     tables = list(tables)
     check_tables(tables, observed)
-    n_given = len(tables)
     cardinality = {table.node: table.values.shape[-1] for table in tables}
     for target in observed:
         names = (target,) if isinstance(target, str) else target
         sizes = [cardinality[name, 0] for name in names]
         tables += within(ve_name(target), names, np.full((*sizes, 2), 0.5))
     with quiet():
-        from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DynamicBayesianNetwork
         from pgmpy.models.DynamicBayesianNetwork import DynamicNode
 
@@ -262,24 +193,28 @@ def declare(
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
                 super(DynamicBayesianNetwork, network).add_node(DynamicNode(*table.node))
-            # In pgmpy the node's values are rows and the parents' combinations columns.
-            columns = table.values.reshape(-1, table.values.shape[-1]).T
-            axes = zip((*table.parents, table.node), table.values.shape, strict=True)
-            network.add_cpds(
-                TabularCPD(
-                    table.node,
-                    len(columns),
-                    columns,
-                    evidence=list(table.parents),
-                    evidence_card=list(table.values.shape[:-1]),
-                    state_names={
-                        node: list((values or {}).get(node[0], range(size))) for node, size in axes
-                    },
-                )
-            )
-        for table in tables[n_given:]:
-            network.nodes[table.node]["note"] = PLACEHOLDER
+            network.add_cpds(tabular_cpd(table, values or {}))
         return network
+
+
+def tabular_cpd(
+    table: Table,
+    values: Mapping[str, Sequence[str]],
+    name_of: Callable[[SliceNode], Any] = lambda node: node,
+) -> TabularCPD:
+    """Return a table as pgmpy's CPD.
+
+    - values: the names of each node's values, by default numbers from 0
+    - name_of: returns the name of a node in pgmpy
+    """
+    from pgmpy.factors.discrete import TabularCPD
+
+    axes = zip((*table.parents, table.node), table.values.shape, strict=True)
+    names = {name_of(node): list(values.get(node[0], range(size))) for node, size in axes}
+    *parents, node = names
+    # In pgmpy the node's values are rows and the parents' combinations columns.
+    columns = table.values.reshape(-1, table.values.shape[-1]).T
+    return TabularCPD(node, len(columns), columns, parents, list(table.values.shape[:-1]), names)
 
 
 def builder(
@@ -302,7 +237,7 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
     for table in tables:
         name, n_values = table.node[0], table.values.shape[-1]
         if table.node in parents:
-            raise InputError(f"{_spell(table.node)}: there are two tables for it")
+            raise InputError(f"{spell(table.node)}: there are two tables for it")
         if size.setdefault(name, n_values) != n_values:
             raise InputError(
                 f"{name}: has {size[name]} values in the first frame and {n_values} later"
@@ -317,7 +252,7 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
         for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):
             if (parent, at) not in parents:
                 raise InputError(
-                    f"{_spell(table.node)} has the parent {_spell((parent, at))}, for which there"
+                    f"{spell(table.node)} has the parent {spell((parent, at))}, for which there"
                     " is no table"
                 )
             if at > s:
@@ -339,6 +274,6 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
         for name, at in sorted(parents[node]):
             if at == s and (name, 1 - s) not in parents.get(other, ()):
                 raise InputError(
-                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
-                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
+                    f"{spell(node)} depends on {spell((name, s))}, but {spell(other)} does not"
+                    f" depend on {spell((name, 1 - s))}: give both tables the same parent"
                 )

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from egolane_pgm.graphs.cpds import Table, quiet
+from egolane_pgm.graphs.cpds import Table, quiet, tabular_cpd
 from egolane_pgm.types import InputError
 
 if TYPE_CHECKING:
@@ -27,22 +27,14 @@ def flat_network(
     - between: what stands between a node's name and its frame
     """
     with quiet():
-        from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DiscreteBayesianNetwork
 
         network = DiscreteBayesianNetwork()
         for table in tables:
-            axes = zip((*table.parents, table.node), table.values.shape, strict=True)
-            names = {
-                f"{name}{between}{frame}": list(values.get(name, range(size)))
-                for (name, frame), size in axes
-            }
-            *parents, node = names
-            network.add_node(node)
-            network.add_edges_from([(parent, node) for parent in parents])
-            columns = table.values.reshape(-1, table.values.shape[-1]).T
-            shape = table.values.shape[:-1]
-            network.add_cpds(TabularCPD(node, len(columns), columns, parents, shape, names))
+            cpd = tabular_cpd(table, values, lambda node: f"{node[0]}{between}{node[1]}")
+            network.add_node(cpd.variable)
+            network.add_edges_from([(p, cpd.variable) for p in cpd.variables[1:]])
+            network.add_cpds(cpd)
         return network
 
 

@@ -1,4 +1,4 @@
-"""Reads a pgmpy network, or a file that pgmpy reads, into tables with named axes.
+"""Read a pgmpy network, or a file that pgmpy reads, into tables with named axes.
 
 Axes go by the names of the nodes, and where a CPD names the values of a node, by these names too;
 never by position. A network is one of
@@ -17,11 +17,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet, spell
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
@@ -65,21 +65,23 @@ def read_network(network: Any) -> Declared:
     cpds = list(map(_read_cpd, network.cpds))
     if not cpds:
         raise InputError("the network has no tables: give each node a TabularCPD with add_cpds")
-    cpds = _without_copies(cpds)
     # Names of values from a node's own CPD go before those from a child's.
     values: dict[str, tuple[Any, ...]] = {}
-    own = [(cpd.nodes[0], cpd.names[0]) for cpd in cpds]
-    of_parents = [pair for cpd in cpds for pair in zip(cpd.nodes, cpd.names, strict=True)]
-    for (name, _), given in own + of_parents:
-        if not _is_numbered(given):
-            values.setdefault(name, given)
+    for axes in (slice(0, 1), slice(1, None)):
+        for cpd in cpds:
+            for (name, _), names in zip(cpd.nodes[axes], cpd.names[axes], strict=True):
+                if not _is_numbered(names):
+                    values.setdefault(name, names)
     tables = _tables(cpds, values, parents)
     check_tables(tables.values())
     return Declared(tables, values)
 
 
 def node_names(network: Any) -> set[str]:
-    """The names of the nodes of a network of two slices. Raises InputError as `read_network`."""
+    """Return the names of the nodes of a network of two slices.
+
+    Raises InputError as `read_network`.
+    """
     _check_discrete(network)
     return {_of_slice(node)[0] for node in network}
 
@@ -87,9 +89,8 @@ def node_names(network: Any) -> set[str]:
 # --- networks -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Cpd:
-    """One of pgmpy's CPDs: an axis for each node, its own first, and the names of their values.
+class _Cpd(NamedTuple):
+    """A CPD of pgmpy: an axis of `values` and the names of its values for each node, its own first.
 
     - is_filled_in: whether pgmpy itself may have made it; its nodes are not the user's pairs then.
     """
@@ -101,18 +102,15 @@ class _Cpd:
 
 
 def _check_discrete(network: Any) -> None:
-    """Raise InputError for what is no discrete Bayesian network of pgmpy."""
+    """Raise InputError unless this is a discrete Bayesian network of pgmpy."""
     with quiet():
         from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
-    if isinstance(network, (DynamicBayesianNetwork, DiscreteBayesianNetwork)):
-        return
-    if hasattr(network, "get_cpds"):
+    if not isinstance(network, (DynamicBayesianNetwork, DiscreteBayesianNetwork)):
         raise InputError(
-            f"a {type(network).__name__} is not discrete: cut its continuous nodes into intervals,"
-            " so that each has a TabularCPD"
+            f"{type(network).__name__} is no discrete Bayesian network of pgmpy; cut continuous"
+            " nodes into intervals, so that each has a TabularCPD"
         )
-    raise InputError(f"{type(network).__name__} is no Bayesian network of pgmpy")
 
 
 def _read_cpd(cpd: Any) -> _Cpd:
@@ -130,7 +128,7 @@ def _read_cpd(cpd: Any) -> _Cpd:
 
 
 def _of_slice(node: Any) -> SliceNode:
-    """The name and the slice of a node of two slices."""
+    """Return the name and the slice of a node of two slices."""
     match = re.fullmatch(r"(.+)_([01])", node) if isinstance(node, str) else None
     if match is not None:
         return match[1], int(match[2])
@@ -139,28 +137,6 @@ def _of_slice(node: Any) -> SliceNode:
     if is_pair and node[1] in (0, 1):
         return str(node[0]), int(node[1])
     raise InputError(f"{node}: is of neither slice; name the nodes {node}_0 and {node}_1")
-
-
-def _without_copies(cpds: Sequence[_Cpd]) -> list[_Cpd]:
-    """Return the CPDs without those that `initialize_initial_state` copied from the other slice.
-
-    It copies the numbers of P(D | B, A), but names the axes in the order of the edges, which may be
-    P(D | A, B). `_tables` fills these in by name.
-    """
-    given = {cpd.nodes[0]: cpd for cpd in cpds if not cpd.is_filled_in}
-    kept = []
-    for cpd in cpds:
-        name, s = cpd.nodes[0]
-        other = given.get((name, 1 - s))
-        is_copy = (
-            cpd.is_filled_in
-            and other is not None
-            and {(n, 1 - q) for n, q in other.nodes} == set(cpd.nodes)
-            and np.array_equal(other.values.ravel(), cpd.values.ravel())
-        )
-        if not is_copy:
-            kept.append(cpd)
-    return kept
 
 
 # --- tables -------------------------------------------------------------------------------------
@@ -172,7 +148,7 @@ def _is_numbered(names: Sequence[Any]) -> bool:
 
 
 def _table(cpd: _Cpd, values: Mapping[str, tuple[Any, ...]]) -> Table:
-    """The CPD's numbers with every axis in the order of the node's values."""
+    """Return the CPD's numbers with every axis in the order of the node's values."""
     array = cpd.values
     for axis, ((name, _), given) in enumerate(zip(cpd.nodes, cpd.names, strict=True)):
         is_numbered = _is_numbered(given)
@@ -188,8 +164,7 @@ def _table(cpd: _Cpd, values: Mapping[str, tuple[Any, ...]]) -> Table:
         array = array.take([here.index(v) for v in ours], axis=axis)
     array = np.moveaxis(array, 0, -1)
     total = array.sum(axis=-1, keepdims=True)
-    off = np.abs(total - 1).max()
-    if 1e-9 < off <= ROUNDED:
+    if 1e-9 < np.abs(total - 1).max() <= ROUNDED:
         array = array / total
     return Table(cpd.nodes[0], cpd.nodes[1:], array)
 
@@ -199,15 +174,20 @@ def _tables(
     values: Mapping[str, tuple[Any, ...]],
     parents: Mapping[SliceNode, Sequence[SliceNode]],
 ) -> dict[SliceNode, Table]:
+    """Return the table of every node in both slices."""
     tables: dict[SliceNode, Table] = {}
+    written = {cpd.nodes[0]: cpd for cpd in cpds if not cpd.is_filled_in}
     for cpd in cpds:
         node, given = cpd.nodes[0], cpd.nodes[1:]
-        if node in tables:
-            raise InputError(f"{node[0]}: two tables for slice {node[1]}")
+        other = written.get((node[0], 1 - node[1]))
+        if cpd.is_filled_in and other and {(n, 1 - s) for n, s in other.nodes} == {*cpd.nodes}:
+            # A copy by `initialize_initial_state`, which copies the numbers of P(D | B, A), but
+            # names the axes in the order of the edges, which may be P(D | A, B).
+            continue
         if node not in parents or set(given) != set(parents[node]):
             raise InputError(
-                f"{node[0]} in slice {node[1]}: its table is given {_names(given)}, its edges come"
-                f" from {_names(parents.get(node, ()))}"
+                f"{spell(node)}: its table is given {_names(given)}, its edges come from"
+                f" {_names(parents.get(node, ()))}"
             )
         tables[node] = _table(cpd, values)
     for (name, s), edges in parents.items():
@@ -219,17 +199,15 @@ def _tables(
         shifted = tuple((p, 1 - q) for p, q in table.parents)
         if set(shifted) != set(edges):
             raise InputError(
-                f"{name}: no table for slice {s}, where its edges come from {_names(edges)}; that"
-                f" of slice {1 - s} is given {_names(table.parents)}"
+                f"{spell((name, s))}: has no table, and its edges come from {_names(edges)}; the"
+                f" table of the other slice is given {_names(table.parents)}"
             )
         tables[name, s] = Table((name, s), shifted, table.values)
     return tables
 
 
 def _names(nodes: Iterable[SliceNode]) -> str:
-    return (
-        ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
-    )
+    return ", ".join(sorted(map(spell, nodes))) or "nothing"
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -256,11 +234,8 @@ def read_file(path: Path) -> Any:
             # pgmpy's readers raise any error for a file that is no network.
             why = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{path}: is no {kind} file that pgmpy can read ({why})") from error
-        without = [str(n) for n in network if network.get_cpds(n) is None]
     if not len(network):
         raise InputError(f"{path}: has no variable; is it a {kind} file?")
-    if without:
-        raise InputError(f"{path}: no probabilities of {', '.join(without)}; is it truncated?")
     return network
 
 

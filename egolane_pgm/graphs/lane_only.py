@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs.sensor_failure import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
-from egolane_pgm.parameters import Parameters
+from egolane_pgm.graphs.cpds import (
+    Table,
+    builder,
+    dynamics,
+    lane_normals,
+    previous,
+    prior,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.sensor_failure import SIGMA1, SIGMA2
+from egolane_pgm.parameters import Parameters, number
 
 HIDDEN = ("Lane",)
 OBSERVED = ("DetectorOutput",)
 UNUSED = ("WOR",)
-PARAMETERS = (SIGMA1, SIGMA2, NORMAL, LANE_WIDTHS)
+PARAMETERS = (SIGMA1, SIGMA2)
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """Table `tab:cptlane`, and the OK rows of Table `tab:cptdetlane`."""
+    sigma1, sigma2 = number(parameters, "sigma1"), number(parameters, "sigma2")
     return [
         *prior("Lane", uniform(n_lanes)),
-        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
-        *within("DetectorOutput", ["Lane"], f_table("sigma2", n_lanes, parameters)),
+        *dynamics("Lane", [previous("Lane")], lane_normals(sigma1, n_lanes)),
+        *within("DetectorOutput", ["Lane"], lane_normals(sigma2, n_lanes)),
     ]
 
 

@@ -9,9 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform
-from egolane_pgm.graphs.sensor_failure import f_table
-from egolane_pgm.parameters import Parameter, Parameters
+from egolane_pgm.graphs.cpds import Table, builder, dynamics, lane_normals, previous, prior, uniform
+from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN
 OBSERVED = sensor_failure.OBSERVED
@@ -22,8 +21,8 @@ PARAMETERS = (
         "sigma1_bad",
         "sigma",
         0.6,
-        "standard deviation of the lane dynamics into a frame in which the sensor is BAD, lanes"
-        " (`sigma1`: in which it is OK)",
+        "standard deviation of the lane dynamics into a frame with a BAD sensor, lanes (`sigma1`:"
+        " with an OK one)",
     ),
 )
 
@@ -31,7 +30,7 @@ PARAMETERS = (
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """As `sensor_failure`, with one Table `tab:cptlane` for each sensor state."""
     others = [t for t in sensor_failure.tables(n_lanes, parameters) if t.node[0] != "Lane"]
-    moves = [f_table(sigma, n_lanes, parameters) for sigma in ("sigma1", "sigma1_bad")]
+    moves = [lane_normals(number(parameters, p), n_lanes) for p in ("sigma1", "sigma1_bad")]
     return [
         *others,
         *prior("Lane", uniform(2, n_lanes), ["SensorState"]),

@@ -19,8 +19,7 @@ from egolane_pgm.graphs.cpds import (
     uniform,
     within,
 )
-from egolane_pgm.parameters import Parameter, Parameters, number, per_lane
-from egolane_pgm.types import FloatArray
+from egolane_pgm.parameters import Parameter, Parameters, number
 
 SIGMA1 = Parameter(
     "sigma1", "sigma", 0.4, "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`"
@@ -43,37 +42,11 @@ P4 = Parameter("p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `t
 WOR_LEVELS = Parameter(
     "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2, highest=100
 )
-NORMAL = Parameter(
-    "normal",
-    "choice",
-    "density",
-    "how F makes a table of a normal: `density` at the lane centres (the authors'), `integral`"
-    " across each lane (the text)",
-    choices=("density", "integral"),
-)
-LANE_WIDTHS = Parameter(
-    "lane_widths",
-    "positive",
-    1.0,
-    "width of each lane in units of the nominal lane (one number, or one per lane)",
-    search=None,
-    per_lane=True,
-)
 
 HIDDEN = ("Lane", "SensorState")
 OBSERVED = ("DetectorOutput", "WOR")
 VALUES = {"SensorState": ("OK", "BAD"), "WOR": ("OK", "BAD")}
-PARAMETERS = (SIGMA1, SIGMA2, P1, P2, P3, P4, NORMAL, LANE_WIDTHS)
-
-
-def f_table(sigma: str, n_lanes: int, parameters: Parameters, shift: float = 0.0) -> FloatArray:
-    """F(N(lane + shift, sigma^2)) for each lane: (n, n), a row per lane.
-
-    - sigma: name of the parameter that holds the standard deviation
-    - shift: nominal lanes, positive to the right
-    """
-    normal, widths = str(parameters["normal"]), per_lane(parameters, "lane_widths", n_lanes)
-    return lane_normals(number(parameters, sigma), n_lanes, normal, widths, shift)
+PARAMETERS = (SIGMA1, SIGMA2, P1, P2, P3, P4)
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
@@ -88,14 +61,14 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
 def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
     """Tables `tab:cptlane`, `tab:cptsensor` and `tab:cptdetlane`."""
     p1, p2 = number(parameters, "p1"), number(parameters, "p2")
-    detector_ok = f_table("sigma2", n_lanes, parameters)
-    detector_bad = uniform(n_lanes, n_lanes)
+    sigma1, sigma2 = number(parameters, "sigma1"), number(parameters, "sigma2")
+    outputs = [lane_normals(sigma2, n_lanes), uniform(n_lanes, n_lanes)]
     return [
         *prior("Lane", uniform(n_lanes)),
         *prior("SensorState", uniform(2)),
-        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *dynamics("Lane", [previous("Lane")], lane_normals(sigma1, n_lanes)),
         *dynamics("SensorState", [previous("SensorState")], binary(p1, p2)),
-        *within("DetectorOutput", ["SensorState", "Lane"], np.stack([detector_ok, detector_bad])),
+        *within("DetectorOutput", ["SensorState", "Lane"], np.stack(outputs)),
     ]
 
 

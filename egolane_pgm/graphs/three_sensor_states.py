@@ -14,13 +14,13 @@ from egolane_pgm.graphs.cpds import (
     Table,
     builder,
     dynamics,
+    lane_normals,
     previous,
     prior,
     sticky,
     uniform,
     within,
 )
-from egolane_pgm.graphs.sensor_failure import f_table
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN
@@ -44,17 +44,20 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     p1, p2, p3, p4, p_worn, p3_worn = (
         number(parameters, name) for name in ("p1", "p2", "p3", "p4", "p_worn", "p3_worn")
     )
-    outputs = [
-        f_table("sigma2", n_lanes, parameters),
-        f_table("sigma2_worn", n_lanes, parameters),
-        uniform(n_lanes, n_lanes),
-    ]
+    moves, ok, worn = (
+        lane_normals(number(parameters, name), n_lanes)
+        for name in ("sigma1", "sigma2", "sigma2_worn")
+    )
     return [
         *prior("Lane", uniform(n_lanes)),
         *prior("SensorState", uniform(3)),
-        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *dynamics("Lane", [previous("Lane")], moves),
         *dynamics("SensorState", [previous("SensorState")], sticky(p1, p_worn, p2)),
-        *within("DetectorOutput", ["SensorState", "Lane"], np.stack(outputs)),
+        *within(
+            "DetectorOutput",
+            ["SensorState", "Lane"],
+            np.stack([ok, worn, uniform(n_lanes, n_lanes)]),
+        ),
         *within("WOR", ["SensorState"], [[p3, 1 - p3], [p3_worn, 1 - p3_worn], [1 - p4, p4]]),
     ]
 

@@ -8,8 +8,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, uniform, within
-from egolane_pgm.graphs.sensor_failure import LANE_WIDTHS, NORMAL, SIGMA1, SIGMA2, f_table
+from egolane_pgm.graphs.cpds import (
+    Table,
+    builder,
+    dynamics,
+    lane_normals,
+    previous,
+    prior,
+    uniform,
+    within,
+)
+from egolane_pgm.graphs.sensor_failure import SIGMA1, SIGMA2
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = ("Lane",)
@@ -19,18 +28,16 @@ PARAMETERS = (
     SIGMA1,
     SIGMA2,
     Parameter("p_wor", "probability", 0.5, "P(WOR OK) in any frame"),
-    NORMAL,
-    LANE_WIDTHS,
 )
 
 
 def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     """Tables `tab:cptlane` and `tab:cptdetlane`; WOR selects the rows of the latter."""
-    p_wor = number(parameters, "p_wor")
-    outputs = [f_table("sigma2", n_lanes, parameters), uniform(n_lanes, n_lanes)]
+    sigma1, sigma2, p_wor = (number(parameters, name) for name in ("sigma1", "sigma2", "p_wor"))
+    outputs = [lane_normals(sigma2, n_lanes), uniform(n_lanes, n_lanes)]
     return [
         *prior("Lane", uniform(n_lanes)),
-        *dynamics("Lane", [previous("Lane")], f_table("sigma1", n_lanes, parameters)),
+        *dynamics("Lane", [previous("Lane")], lane_normals(sigma1, n_lanes)),
         *within("WOR", [], [p_wor, 1 - p_wor]),
         *within("DetectorOutput", ["WOR", "Lane"], np.stack(outputs)),
     ]

@@ -54,13 +54,6 @@ def _values(given: Any) -> Any:
     raise ValueError("needs a number of values, or a list of their names")
 
 
-def _observed(given: Any) -> Any:
-    return tuple(map(str, given)) if isinstance(given, list) else str(given)
-
-
-_Observed = Annotated[Any, BeforeValidator(_observed)]
-
-
 class _Rows(Section):
     of: tuple[str, ...] = ()
     values: list[Any]
@@ -81,9 +74,9 @@ class _Graph(Section):
     description: str | None = None
     nodes: dict[str, Annotated[Any, BeforeValidator(_values)]]
     hidden: tuple[str, ...]
-    observed: tuple[_Observed, ...]
+    observed: tuple[str | tuple[str, ...], ...]
     inputs: tuple[str, ...] = ()
-    unused: tuple[_Observed, ...] = ()
+    unused: tuple[str | tuple[str, ...], ...] = ()
     tables: dict[str, dict[str, Any]]
     #: The recording of a fit, see `model.recording_key`.
     learned_from: str | None = None
@@ -157,15 +150,16 @@ def _tables(graph: _Graph) -> list[Table]:
 
 
 def _numbers(rows: list[Any], shape: tuple[int, ...], where: str) -> FloatArray:
+    needs = " x ".join(map(str, shape))
     try:
-        values = np.array(rows)
-    except ValueError:
-        # Rows of different lengths.
-        values = np.array(None)
-    if values.dtype.kind not in "iuf" or values.shape != shape:
-        has = " x ".join(map(str, values.shape)) if values.dtype.kind in "iuf" else "others"
-        raise InputError(f"{where}: needs {' x '.join(map(str, shape))} numbers, has {has}")
-    return values.astype(np.float64)
+        values = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError):
+        # Text, or rows of different lengths.
+        raise InputError(f"{where}: needs {needs} numbers, has others") from None
+    if values.shape != shape:
+        has = " x ".join(map(str, values.shape))
+        raise InputError(f"{where}: needs {needs} numbers, has {has}")
+    return values
 
 
 def _check_nodes(listed: Iterable[str], known: Iterable[str], where: str) -> None:

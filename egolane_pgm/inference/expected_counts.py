@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -45,16 +44,12 @@ def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
 
     Functions and tables that an input selects are left out.
     """
+    nodes = [(n, 1) if n in compiled.one_table else (n, s) for n, s in compiled.places]
     return {
         node: compiled.tables[node]
-        for node in map(partial(_counted, compiled), compiled.places)
+        for node in nodes
         if not any(parent in compiled.inputs for parent, _ in compiled.tables[node].parents)
     }
-
-
-def _counted(compiled: Compiled, node: SliceNode) -> SliceNode:
-    """The table that a use of this node's table counts for."""
-    return (node[0], 1) if compiled.has_one_table(node[0]) else node
 
 
 def expected_counts(
@@ -103,8 +98,8 @@ def expected_counts(
     array_of |= {g: _seen(group, block, smoothed) for g, (group, block) in enumerate(blocks)}
     tables = counted_tables(compiled)
     counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
-    for used, place in compiled.places.items():
-        counted = _counted(compiled, used)
+    for (name, s), place in compiled.places.items():
+        counted = (name, 1) if name in compiled.one_table else (name, s)
         if counted in counts:
             array = array_of[place.target]
             indices = tuple(np.broadcast_to(index, array.shape) for index in place.indices)

@@ -16,16 +16,14 @@ decades smaller than another one of its frame is zero, and so is a frame's likel
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.kernels.banded import MIN_STATES, Band, find_band, forward_banded
-from egolane_pgm.inference.kernels.filter import forward_kernel, likelihood_kernel, multiply_chosen
+from egolane_pgm.inference.kernels.filter import forward_kernel, multiply_likelihood
 from egolane_pgm.types import (
     Beliefs,
     BoolArray,
@@ -39,10 +37,9 @@ from egolane_pgm.types import (
 
 METHODS = ("assumed_density", "exact")
 
-#: Kernels are compiled for the sizes of networks with at most this many joint states, ...
+#: The recursion is compiled for the sizes of a network with at most this many joint states, if a
+#: recording has at least this many frames.
 MAX_FIXED_STATES = 16
-#: ... of groups with at most this many columns, and for recordings of at least this many frames.
-MAX_FIXED_COLUMNS = 24
 MIN_FIXED_FRAMES = 1000
 
 #: The filter works on chunks of about this many numbers, which fit the processor's cache.
@@ -103,7 +100,8 @@ def step(
         beliefs, log_evidence, is_impossible = forward(
             compiled, likelihood, index[piece], begins[piece], joint, is_factored, out=likelihood
         )
-        marginals = marginals_of(compiled, beliefs)
+        rows = beliefs @ compiled.indicator
+        marginals = {name: rows[:, columns] for name, columns in compiled.parts.items()}
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))
     return joint, Beliefs.concat(done)
 
@@ -119,72 +117,6 @@ def harden(evidence: Evidence) -> Evidence:
     return Evidence(hard, evidence.inputs)
 
 
-@dataclass(frozen=True)
-class Layout:
-    """The arrays of a network that the kernels take, besides its tables and the evidence.
-
-    parts: the columns of each hidden node in `indicator`, nodes of the joint state first.
-    indicator (S, M): joint beliefs (T, S) times this are the concatenated marginals (T, M).
-    column (N, S): the value of each node in each joint state; the values of all N nodes are
-        numbered consecutively. columns: the same as a tuple.
-    emissions: the emission table of each group, transposed, (K, S).
-    only: for each group the only possible column of each joint state (S,), or None if a state has
-        several.
-    shapes: the cardinalities of each observed key.
-    band: the transition, if it is banded.
-    """
-
-    parts: Mapping[str, slice]
-    indicator: FloatArray
-    column: IntArray
-    columns: tuple[tuple[int, ...], ...]
-    emissions: tuple[FloatArray, ...]
-    only: tuple[IntArray | None, ...]
-    shapes: Mapping[Observed, tuple[int, ...]]
-    band: Band | None
-
-
-@lru_cache(maxsize=16)
-def layout(compiled: Compiled) -> Layout:
-    """Return the layout of a network, cached for online filters."""
-    size = compiled.cardinality
-    in_state = [name for name in compiled.state_nodes if name in compiled.hidden]
-    parts, indicator, start = {}, [], 0
-    for name in (*in_state, *(name for name in compiled.hidden if name not in in_state)):
-        parts[name] = slice(start, start + size[name])
-        start += size[name]
-        indicator.append(compiled.node_value[name][:, None] == np.arange(size[name]))
-    column = np.empty((len(compiled.state_nodes), compiled.n_states), dtype=np.int64)
-    start = 0
-    for k, name in enumerate(compiled.state_nodes):
-        column[k] = start + compiled.node_value[name]
-        start += size[name]
-    emissions, only, shapes = [], [], {}
-    for group in compiled.groups:
-        emissions.append(np.ascontiguousarray(group.emission.T))
-        is_certain = ((group.emission == 0.0) | (group.emission == 1.0)).all()
-        only.append(group.emission.argmax(axis=1) if is_certain else None)
-        for key, axes in zip(group.observed, group.axes, strict=True):
-            shapes[key] = tuple(group.sizes[k] for k in axes)
-    return Layout(
-        parts,
-        np.concatenate(indicator, axis=1, dtype=np.float64),
-        column,
-        tuple(map(tuple, column.tolist())),
-        tuple(emissions),
-        tuple(only),
-        shapes,
-        find_band(compiled) if compiled.n_states >= MIN_STATES else None,
-    )
-
-
-def marginals_of(compiled: Compiled, joint: FloatArray) -> dict[str, FloatArray]:
-    """Return the marginals of every hidden node, (T, cardinality) each, of joint beliefs (T, S)."""
-    arrays = layout(compiled)
-    marginals = joint @ arrays.indicator
-    return {name: marginals[:, part] for name, part in arrays.parts.items()}
-
-
 def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
     """Return the joint value of the input nodes in each frame, (T,); 0 without inputs.
 
@@ -195,9 +127,9 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
             f"evidence: needs an Evidence, not a {type(evidence).__name__}: Evidence(...) of"
             " likelihoods, or Evidence.hard(...) of observed values"
         )
-    shapes, joint = layout(compiled).shapes, np.zeros(len(evidence), dtype=np.int64)
+    joint = np.zeros(len(evidence), dtype=np.int64)
     for what, needed, given in (
-        ("observed", shapes, evidence.likelihoods),
+        ("observed", compiled.observed, evidence.likelihoods),
         ("input", compiled.inputs, evidence.inputs),
     ):
         for key in needed:
@@ -207,8 +139,9 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
             if key not in needed:
                 raise InputError(f"evidence for {key}: the graph has no such {what} node")
     for key, values in evidence.likelihoods.items():
-        if values.shape[1:] != shapes[key]:
-            needs = (len(evidence), *shapes[key])
+        names = (key,) if isinstance(key, str) else key
+        needs = (len(evidence), *(compiled.cardinality[name] for name in names))
+        if values.shape != needs:
             raise InputError(f"evidence for {key}: shape {values.shape}, the graph needs {needs}")
     for name in compiled.inputs:
         index, size = evidence.inputs[name], compiled.cardinality[name]
@@ -221,19 +154,11 @@ def joint_input(compiled: Compiled, evidence: Evidence) -> IntArray:
 def evidence_blocks(
     compiled: Compiled, evidence: Evidence, frames: slice = slice(None)
 ) -> list[FloatArray]:
-    """Return the evidence of each group of observed nodes in some frames, (T, K): the product over
-    the group's keys, for all values of its nodes. `joint_input` has checked the evidence."""
+    """Return the evidence of each group in some frames, (T, K). `joint_input` has checked it."""
     blocks = []
     for group in compiled.groups:
-        block = evidence.likelihoods[group.observed[0]][frames]
-        if len(group.observed) > 1:
-            block = np.ones((len(block), *group.sizes))
-            for key, axes in zip(group.observed, group.axes, strict=True):
-                # The evidence's axes in the order of the group's, then 1 along the others.
-                shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
-                values = evidence.likelihoods[key][frames].transpose(0, *(1 + np.argsort(axes)))
-                block *= values.reshape(-1, *shape)
-        rows = block.reshape(len(block), math.prod(group.sizes))
+        values = evidence.likelihoods[group.observed][frames]
+        rows = values.reshape(len(values), math.prod(values.shape[1:]))
         blocks.append(np.ascontiguousarray(rows, dtype=np.float64))
     return blocks
 
@@ -243,17 +168,12 @@ def state_likelihood(
 ) -> FloatArray:
     """Return P(evidence of the frame | joint state), (T, S), of some frames."""
     blocks = evidence_blocks(compiled, evidence, frames)
-    arrays, n_frames, n_states = layout(compiled), len(blocks[0]), compiled.n_states
-    likelihood = np.ones((n_frames, n_states))
-    is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
-    for block, emission, only in zip(blocks, arrays.emissions, arrays.only, strict=True):
-        if only is not None:
-            multiply_chosen(block, only, likelihood)
+    likelihood = np.ones((len(blocks[0]), compiled.n_states))
+    for block, group in zip(blocks, compiled.groups, strict=True):
+        if group.only is not None:
+            likelihood *= block[:, group.only]
         else:
-            sizes = (n_states, len(emission))
-            is_small = is_fixed and len(emission) <= MAX_FIXED_COLUMNS
-            run = likelihood_kernel(*sizes) if is_small else likelihood_kernel()
-            run(block, emission, likelihood)
+            multiply_likelihood(block, np.ascontiguousarray(group.emission.T), likelihood)
     return likelihood
 
 
@@ -281,21 +201,22 @@ def forward(
     previous ones (T,), and whether the frame's evidence was impossible and ignored (T,).
     """
     n_frames, n_states = likelihood.shape
-    arrays = layout(compiled)
     if joint is None:
         joint = np.zeros(n_states)
     beliefs = np.empty((n_frames, n_states)) if out is None else out
     total, is_impossible = np.empty(n_frames), np.empty(n_frames, dtype=bool)
     run: Any
     transition: Band | FloatArray
+    band = find_band(compiled) if n_states >= MIN_STATES else None
     # The banded recursion takes the product of at most two marginals.
-    if arrays.band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
-        run, transition = forward_banded, arrays.band
+    if band is not None and (not is_factored or len(compiled.state_nodes) <= 2):
+        run, transition = forward_banded, band
     else:
         is_fixed = n_frames >= MIN_FIXED_FRAMES and n_states <= MAX_FIXED_STATES
-        run, transition = forward_kernel(arrays.columns if is_fixed else ()), compiled.transition
+        columns = tuple(map(tuple, compiled.column.tolist())) if is_fixed else ()
+        run, transition = forward_kernel(columns), compiled.transition
     run(
-        joint, begins, is_factored, compiled.prior, transition, index, likelihood, arrays.column,
+        joint, begins, is_factored, compiled.prior, transition, index, likelihood, compiled.column,
         beliefs, total, is_impossible,
     )  # fmt: skip
     return beliefs, np.log(np.where(is_impossible, 1.0, total)), is_impossible

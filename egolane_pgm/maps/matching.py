@@ -13,10 +13,11 @@ until several outliers agree with each other.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.maps.lane_graph import LaneGraph, Near, near
 from egolane_pgm.maps.positions import Positions
@@ -52,40 +53,38 @@ _HEADING_WRONG = 0.05
 _OUTLIERS_AGREE = 5
 
 
-@dataclass(frozen=True)
-class Matched:
-    """The road of a car at T positions.
-
-    - segment (T,): row of the lane graph; OFF off the map, and for outliers.
-    - along_m (T,): metres from the segment's start; NaN off the map.
-    - offset_m (T,): metres to the right of the way's line; NaN off the map.
-    - sure (T,): probability of the segment, or of being off the map; 0 for outliers.
-    - is_outlier (T,): marks ignored positions.
-    """
-
-    segment: IntArray
-    along_m: FloatArray
-    offset_m: FloatArray
-    sure: FloatArray
-    is_outlier: BoolArray
+def _no_match(positions: Positions) -> dict[str, Any]:
+    """The columns of `match` for positions off the map, to be filled in."""
+    n = len(positions)
+    return {
+        "t_s": positions.t_s,
+        "segment": np.full(n, OFF),
+        "along_m": np.full(n, np.nan),
+        "offset_m": np.full(n, np.nan),
+        "sure": np.zeros(n),
+        "is_outlier": np.zeros(n, dtype=np.bool_),
+    }
 
 
-def no_match(n: int, is_outlier: BoolArray) -> Matched:
-    """n positions off the map, to be filled in."""
-    blank = np.full(n, np.nan)
-    return Matched(np.full(n, OFF), blank, blank.copy(), np.zeros(n), is_outlier)
-
-
-def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Matched:
+def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> pd.DataFrame:
     """The road at each of T positions.
 
     - online: the most probable segment of the filter, which uses positions up to each one only. By
       default the most probable path of the whole drive (Viterbi), with smoothed probabilities.
+
+    Returns T rows:
+
+    - t_s: seconds.
+    - segment: row of the lane graph; OFF off the map, and for outliers.
+    - along_m: metres from the segment's start; NaN off the map.
+    - offset_m: metres to the right of the way's line; NaN off the map.
+    - sure: probability of the segment, or of being off the map; 0 for outliers.
+    - is_outlier: marks ignored positions.
     """
     place = graph.plane.metres(positions.latitude, positions.longitude)
-    outlier = np.empty(len(positions), dtype=np.bool_)
-    _find_outliers(positions.t_s, place, outlier)
-    used = np.flatnonzero(~outlier)
+    matched = _no_match(positions)
+    _find_outliers(positions.t_s, place, matched["is_outlier"])
+    used = np.flatnonzero(~matched["is_outlier"])
     found = near(graph, place[used], RADIUS_M)
     emission = _emissions(positions, place, used, found)
     # The states at each time are the near segments and, last, off the map.
@@ -107,12 +106,10 @@ def match(graph: LaneGraph, positions: Positions, *, online: bool = False) -> Ma
         best_path(first, emission, block, transition, choice)
     on = choice < np.diff(found.start)
     row = found.start[:-1] + choice
-    matched = no_match(len(positions), outlier)
-    matched.sure[used] = belief[first[:-1] + choice]
-    matched.segment[used[on]] = found.segment[row[on]]
-    matched.along_m[used[on]] = found.along_m[row[on]]
-    matched.offset_m[used[on]] = found.offset_m[row[on]]
-    return matched
+    matched["sure"][used] = belief[first[:-1] + choice]
+    for name in ("segment", "along_m", "offset_m"):
+        matched[name][used[on]] = getattr(found, name)[row[on]]
+    return pd.DataFrame(matched)
 
 
 # --- the model's terms -----------------------------------------------------------------------
@@ -335,7 +332,7 @@ _LOCK_RADII_M = (20.0, 100.0, 200.0)
 _LOCK_SIGMA_M, _LOCK_SIGMA_RAD = 1.0, 0.15
 
 
-def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
+def lock_on_road(graph: LaneGraph, positions: Positions) -> pd.DataFrame:
     """The nearest road of each position, independently, as in the paper (`ira_open_street_map`).
 
     Segments within 20 m, else 100 m, else 200 m are scored by distance and, if known, heading,
@@ -343,8 +340,8 @@ def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
     """
     place = graph.plane.metres(positions.latitude, positions.longitude)
     heading, _ = headings(positions, place, np.arange(len(place)))
-    matched = no_match(len(positions), np.zeros(len(positions), dtype=np.bool_))
-    matched.sure[:] = 1.0
+    matched = _no_match(positions)
+    matched["sure"][:] = 1.0
     left = np.arange(len(positions))
     for radius in _LOCK_RADII_M:
         found = near(graph, place[left], radius)
@@ -356,9 +353,8 @@ def lock_on_road(graph: LaneGraph, positions: Positions) -> Matched:
             rows = slice(found.start[k], found.start[k + 1])
             share = np.exp(score[rows] - score[rows].max())
             best, t = int(found.start[k] + score[rows].argmax()), left[k]
-            matched.segment[t] = found.segment[best]
-            matched.along_m[t] = found.along_m[best]
-            matched.offset_m[t] = found.offset_m[best]
-            matched.sure[t] = 1 / share.sum()
+            matched["sure"][t] = 1 / share.sum()
+            for name in ("segment", "along_m", "offset_m"):
+                matched[name][t] = getattr(found, name)[best]
         left = left[count == 0]
-    return matched
+    return pd.DataFrame(matched)

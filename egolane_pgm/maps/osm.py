@@ -30,22 +30,18 @@ def read_osm(path: str | Path) -> LaneGraph:
     Warns of invalid tags, whose lanes are unknown, and of nodes without coordinates, which are left
     out. Raises InputError for a file that is no map or has no such road.
     """
-    return join_ways(read_ways(path))
-
-
-def read_ways(path: str | Path) -> LaneGraph:
-    """As `read_osm`, with a segment for each way, or several if another way shares a point."""
     ways, point = _read(path)
     lanes = ways["tags"].map(read_lanes)
     wrong = lanes[lanes.map(lambda each: len(each[1]) > 0)]
     if len(wrong):
         example = f"way {ways['way'][wrong.index[0]]}: {'; '.join(wrong.iloc[0][1])}"
         _warn(f"{path}: ignored wrong tags of {len(wrong)} way(s), first of {example}")
-    return with_joins(_segments(ways, point, np.array([each for each, _ in lanes])))
+    segments = _segments(ways, point, np.array([each for each, _ in lanes]))
+    return join_ways(with_joins(segments))
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, UserWarning, stacklevel=4)
+    warnings.warn(text, UserWarning, stacklevel=3)
 
 
 # --- the file ----------------------------------------------------------------------------------

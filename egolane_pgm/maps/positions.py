@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
+from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: Accepted names of a table's columns. The first of each is our own.
 COLUMNS = {
@@ -77,40 +78,35 @@ class Positions:
         Raises InputError for a time that is missing or goes back, a latitude beyond 90 degrees, a
         longitude beyond 180, a standard deviation that is not positive, and if no row is left.
         """
+        given = {
+            "t_s": t_s, "latitude": latitude, "longitude": longitude,
+            "speed_mps": speed_mps, "heading_deg": heading_deg, "sigma_m": sigma_m,
+        }  # fmt: skip
         unknown = np.full(len(t_s), np.nan)
-        columns = [
-            np.asarray(unknown if values is None else values, dtype=np.float64)
-            for values in (t_s, latitude, longitude, speed_mps, heading_deg, sigma_m)
-        ]
-        time, north, east, _, _, sigma = columns
-        checks = (
-            (~np.isfinite(time), "has no time"),
-            (np.abs(north) > 90, "has a latitude beyond 90 degrees"),
-            (np.abs(east) > 180, "has a longitude beyond 180 degrees"),
-            (sigma <= 0, "has a sigma_m that is not greater than 0"),
-            (np.diff(time, prepend=time[:1]) < 0, "is earlier than the one before; sort by time"),
-        )
-        for bad, problem in checks:
+        rows = pd.DataFrame({k: unknown if v is None else v for k, v in given.items()}, dtype=float)
+        for bad, problem in (
+            (~np.isfinite(rows.t_s), "has no time"),
+            (rows.latitude.abs() > 90, "has a latitude beyond 90 degrees"),
+            (rows.longitude.abs() > 180, "has a longitude beyond 180 degrees"),
+            (rows.sigma_m <= 0, "has a sigma_m that is not greater than 0"),
+            (rows.t_s.diff() < 0, "is earlier than the one before; sort by time"),
+        ):
             if bad.any():
-                raise InputError(f"{source}: position {int(np.argmax(bad)) + 1} {problem}")
-        has_fix = np.isfinite(north) & np.isfinite(east) & ~((north == 0) & (east == 0))
-        _warn(source, ~has_fix, "without a fix")
-        first = np.concatenate([[True], np.diff(time[has_fix]) > 0])[: has_fix.sum()]
-        _warn(source, ~first, "with the time of the one before")
-        kept = np.flatnonzero(has_fix)[first]
-        if not len(kept):
+                raise InputError(f"{source}: position {int(bad.argmax()) + 1} {problem}")
+        place = rows[["latitude", "longitude"]]
+        has_fix = np.isfinite(place).all(axis=1) & (place != 0).any(axis=1)
+        fixes = rows[has_fix]
+        kept = fixes.drop_duplicates("t_s")
+        for n_left, before, what in (
+            (len(fixes), rows, "without a fix"),
+            (len(kept), fixes, "with the time of the one before"),
+        ):
+            if n_left < len(before):
+                left_out = f"left out {len(before) - n_left} of {len(before)} positions {what}"
+                warnings.warn(f"{source}: {left_out}", UserWarning, stacklevel=3)
+        if kept.empty:
             raise InputError(f"{source}: has no position")
-        time, north, east, speed, heading, sigma = (values[kept] for values in columns)
-        return cls(time, north, east, speed, heading, sigma, source)
-
-
-def _warn(source: str, marked: BoolArray, what: str) -> None:
-    if marked.any():
-        warnings.warn(
-            f"{source}: left out {int(marked.sum())} of {len(marked)} positions {what}",
-            UserWarning,
-            stacklevel=4,
-        )
+        return cls(**{name: kept[name].to_numpy() for name in kept}, source=source)
 
 
 def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None) -> Positions:
@@ -124,24 +120,16 @@ def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None
     and as `Positions.make`.
     """
     path, columns = Path(path), dict(columns or {})
-    kind = path.suffix.lower()
+    kind = ".bag" if path.is_dir() else path.suffix.lower()
+    if kind not in _FORMATS:
+        raise InputError(f"{path}: unknown extension '{kind}' of positions ({', '.join(_FORMATS)})")
     if not path.exists():
         raise InputError(f"{path}: no such file")
-    if kind in (".csv", ".parquet"):
-        return _read_table(path, columns)
-    if kind in (".bag", ".mcap", ".db3") or path.is_dir():
-        topic = columns.pop("topic", None)
-        known = "topic"
-    elif kind == ".gpx":
-        known = "none"
-    else:
-        raise InputError(
-            f"{path}: unknown extension '{path.suffix}' of positions"
-            " (.csv, .parquet, .gpx, .bag, .mcap, .db3)"
-        )
-    if columns:
-        raise InputError(f"{path}: unknown column '{next(iter(columns))}' (known: {known})")
-    return _read_gpx(path) if kind == ".gpx" else _read_bag(path, topic)
+    read, known = _FORMATS[kind]
+    for ours in columns:
+        if ours not in known:
+            raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, known)}")
+    return read(path, columns)
 
 
 def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
@@ -150,26 +138,19 @@ def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
     from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)
-    there = table.column_names
-    for ours, theirs in columns.items():
-        if ours not in COLUMNS:
-            raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, COLUMNS)}")
-        if theirs not in there:
-            raise InputError(f"{path}: no column '{theirs}'{suggestion(theirs, there)}")
     values: dict[str, Any] = {}
     for ours, usual in COLUMNS.items():
-        theirs = columns.get(ours) or next((name for name in usual if name in there), "")
-        if theirs:
+        theirs = columns.get(ours) or next((name for name in usual if name in table), "")
+        if theirs in table:
             read = to_seconds if ours == "t_s" else to_numbers
             values[ours] = read(path, ours, table[theirs], theirs)
-        elif ours in ("t_s", "latitude", "longitude"):
-            raise InputError(
-                f"{path}: no column {ours}; the table has {', '.join(there) or 'none'}"
-            )
+        elif theirs or ours in ("t_s", "latitude", "longitude"):
+            there = ", ".join(table)
+            raise InputError(f"{path}: no column {theirs or ours}; the table has {there or 'none'}")
     return Positions.make(**values, source=str(path))
 
 
-def _read_gpx(path: Path) -> Positions:
+def _read_gpx(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the points of all tracks, in their order."""
     with needed(f"{path}", "maps"):
         import gpxpy
@@ -193,13 +174,13 @@ def _read_gpx(path: Path) -> Positions:
     )  # fmt: skip
 
 
-def _read_bag(path: Path, topic: str | None) -> Positions:
+def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the fixes on a topic, by default the only one that has some."""
     # rosbags is imported for bags only.
     from egolane_pgm.recordings.topics import fields_of, topics_of
 
-    there = topics_of(path)
-    names = [name for name, (kind, _) in there.items() if kind.split("/")[-1] == _FIX]
+    topic = columns.get("topic")
+    names = [name for name, (kind, _) in topics_of(path).items() if kind.endswith(f"/{_FIX}")]
     chosen = [name for name in names if topic in (None, name)]
     if len(chosen) != 1:
         what = f"{len(chosen)} topics of type {_FIX}" + (f" named {topic}" if topic else "")
@@ -217,3 +198,11 @@ def _read_bag(path: Path, topic: str | None) -> Positions:
     return Positions.make(
         np.asarray(fix["time_s"]), latitude, longitude, sigma_m=sigma, source=str(path)
     )
+
+
+#: Extension of a file of positions: its reader, and the keys of `columns` that it takes.
+_FORMATS = {
+    **dict.fromkeys((".csv", ".parquet"), (_read_table, (*COLUMNS,))),
+    ".gpx": (_read_gpx, ()),
+    **dict.fromkeys((".bag", ".mcap", ".db3"), (_read_bag, ("topic",))),
+}

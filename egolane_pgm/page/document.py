@@ -6,7 +6,7 @@ The file needs no network and no other file, and shows names of files without th
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import pandas as pd
 import yaml
 
 from egolane_pgm.inference.events import SURE
-from egolane_pgm.page.segments import worst_segments
+from egolane_pgm.page.segments import lane_changes, worst_segments
 from egolane_pgm.result import Result
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import write_text
@@ -30,10 +30,7 @@ with needed("a page of results", "page"):
     from bokeh.models import Range1d
     from bokeh.resources import INLINE
 
-    from egolane_pgm.page.timeline import Track
-
-#: The most rows of a list.
-MAX_ROWS = 300
+    from egolane_pgm.page.timeline import panels
 
 #: A jump shows so much before and after the place, seconds.
 MARGIN_S = 5.0
@@ -42,76 +39,51 @@ MARGIN_S = 5.0
 _HIDDEN = ["begin_s", "end_s", "to_lane", "direction"]
 
 
-def write_page(results: Sequence[Result], file: Path) -> list[str]:
+def write_page(results: Sequence[Result], file: Path) -> None:
     """Write the page of results, which share one time axis.
 
-    Returns a line for each part that is missing. Raises InputError for a result without frames or
-    with several drives, and if the file cannot be written.
+    Raises InputError for a result with several drives, and if the file cannot be written.
     """
     for result in results:
-        if not len(result):
-            raise InputError(f"{result.directory or result.name}: has no frames to show")
         if "drive" in result.frames:
             raise InputError(
                 f"{result.directory or result.name}: has several drives; run one of them for a page"
             )
     is_one = len(results) == 1
-    names = [r.name if is_one else f"{k}: {r.name}" for k, r in enumerate(results, start=1)]
-    time = Range1d(name="time", bounds="auto", min_interval=0.5)
-    given = list(zip(names, results, strict=True))
-    tracks = {name: Track(r, "" if is_one else name, time) for name, r in given}
-    time.start = min(track.start for track in tracks.values())
-    time.end = max(track.end for track in tracks.values())
-    lacking = [line for name, track in tracks.items() for line in _lacking(name, track)]
-    notes = [f"{name}: {note}" for name, result in given for note in result.notes]
-    scored = {
-        who if is_one else f"{name}, {who}": scores
-        for name, result in given
-        for who, scores in scores_by_side(result).items()
-    }
+    given = {r.name if is_one else f"{k}: {r.name}": r for k, r in enumerate(results, start=1)}
+    changes = {name: lane_changes(result) for name, result in given.items()}
+    times = pd.concat(result.frames["time_s"] for result in results)
+    time = Range1d(times.min(), times.max(), name="time", bounds="auto", min_interval=0.5)
+    shown: dict[Any, Any] = {}  # Panels that several results share are shown once.
+    scored, events = {}, []
+    for name, result in given.items():
+        for key, panel in panels(result, changes[name], "" if is_one else name, time):
+            shown.setdefault(key, panel)
+        for who, scores in scores_by_side(result).items():
+            scored[who if is_one else f"{name}, {who}"] = scores
+        if "within" in result.scores["events"]:
+            events.append("\n".join([name, *event_lines(result.scores["events"])]))
+    last = list(shown.values())[-1]
+    last.xaxis.visible, last.height = True, last.height + 45
+    bar = {"toolbar_location": "above", "toolbar_options": {"logo": None}}
+    grid = gridplot([[panel] for panel in shown.values()], sizing_mode="stretch_width", **bar)
+    grid.name = "timeline"
+    notes = [f"{name}: {note}" for name, result in given.items() for note in result.notes]
+    notes += [f"{name}: has no lines" for name, result in given.items() if not result.lines]
     words = {
         "results": [result_title(result) for result in results],
-        "notes": [without_folders(note) for note in (*notes, *lacking)],
+        "notes": [without_folders(note) for note in notes],
         "sure": SURE,
-        "worst": _jump_list({name: worst_segments(t.frames) for name, t in tracks.items()}),
-        "changes": _jump_list({name: track.changes for name, track in tracks.items()}),
+        "worst": _jump_list({name: worst_segments(r.frames) for name, r in given.items()}),
+        "changes": _jump_list(changes),
         "scores": score_table(scored) if scored else None,
         "confusions": [confusion_table(s["confusion"], who) for who, s in scored.items()],
-        "events": [
-            "\n".join([name, *event_lines(result.scores["events"])])
-            for name, result in given
-            if "within" in result.scores["events"]
-        ],
-        "experiments": [(name, without_folders(_experiment(result))) for name, result in given],
+        "events": events,
+        "experiments": [(name, without_folders(_experiment(r))) for name, r in given.items()],
     }
     template = resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8")
     look = {"template": template, "template_variables": words}
-    page = file_html(_timeline(tracks.values()), INLINE, ", ".join(names), **look)
-    write_text(file, page)
-    return lacking
-
-
-def _timeline(tracks: Any) -> Any:
-    """All panels, one below the other; those that several results share, once."""
-    panels: dict[Any, Any] = {}
-    for track in tracks:
-        for key, panel in track.panels():
-            panels.setdefault(key, panel)
-    last = list(panels.values())[-1]
-    last.xaxis.visible, last.height = True, last.height + 45
-    look = {"toolbar_location": "above", "toolbar_options": {"logo": None}}
-    grid = gridplot([[p] for p in panels.values()], sizing_mode="stretch_width", **look)
-    grid.name = "timeline"
-    return grid
-
-
-def _lacking(name: str, track: Track) -> Iterator[str]:
-    """Describe what the timeline does not show."""
-    if not track.result.lines:
-        yield f"{name}: has no lines; the page shows none"
-    n = track.step_s * track.result.frame_rate
-    if n > 1.5:
-        yield f"{name}: is too long to show each frame; a step is the mean of {n:.1f} frames"
+    write_text(file, file_html(grid, INLINE, ", ".join(given), **look))
 
 
 def _jump_list(lists: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
@@ -120,9 +92,11 @@ def _jump_list(lists: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     if table.empty:
         return {"header": [], "rows": []}
     order, ascending = ("frames", False) if "frames" in table else ("begin_s", True)
-    table = table.sort_values(order, ascending=ascending, kind="stable").head(MAX_ROWS)
+    table = table.sort_values(order, ascending=ascending, kind="stable")
     hidden = [*_HIDDEN, "result"] if len(lists) == 1 else _HIDDEN
     shown = table.drop(columns=hidden, errors="ignore")
+    times = zip(table["begin_s"], table["end_s"], strict=True)
+    shown.insert(0, "time (s)", [f"{begin:.1f} to {end:.1f}" for begin, end in times])
     places = zip(table["begin_s"] - MARGIN_S, table["end_s"] + MARGIN_S, strict=True)
     cells = [[cell(value) for value in row] for row in shown.to_numpy(object)]
     return {"header": list(shown), "rows": list(zip(places, cells, strict=True))}

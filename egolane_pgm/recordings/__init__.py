@@ -26,9 +26,6 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
 #: Extensions of the files in a folder that is a bag.
 _IN_BAGS = (".mcap", ".db3", ".zstd")
 
-#: Formats whose lines are in pixels, which need a camera.
-IN_PIXELS = ("tusimple",)
-
 
 def read_lines(
     path: str | Path,
@@ -55,7 +52,7 @@ def read_lines(
     >>> import tempfile
     >>> import egolane_pgm as ego
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = ego.simulate("a4", frames=30, out=folder)
+    ...     ego.simulate("a4", frames=30).log.to_pandas().to_csv(f"{folder}/lines.csv")
     ...     lines = ego.read_lines(f"{folder}/lines.csv")
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])
@@ -64,23 +61,21 @@ def read_lines(
     with problems_in(str(path)):
         read = reader_of(name)
     allowed = set(read.__kwdefaults__)
-    given = {**options, "frame_rate": frame_rate, "columns": columns}
     # A camera is ignored by formats in metres.
-    given |= {"camera": camera} if "camera" in allowed else {}
-    given = {key: value for key, value in given.items() if value is not None}
-    for option in given:
-        if option not in allowed:
-            raise InputError(
-                f"{path}: format {name} has no option '{option}'{suggestion(str(option), allowed)}"
-            )
+    options |= {"camera": camera} if "camera" in allowed else {}
+    options |= {"frame_rate": frame_rate, "columns": columns}
+    given = {key: value for key, value in options.items() if value is not None}
+    for option in given.keys() - allowed:
+        raise InputError(
+            f"{path}: format {name} has no option '{option}'{suggestion(option, allowed)}"
+        )
     if columns is not None:
         from egolane_pgm.experiment import CheckedColumns, validated
         from egolane_pgm.recordings.columns import column_keys
 
         given["columns"] = validated(CheckedColumns, column_keys(columns), f"{path}: columns")
-    rate = given.get("frame_rate", 10.0)
-    if not (isinstance(rate, (int, float, np.number)) and 0 < rate < np.inf):
-        raise InputError(f"{path}: frame_rate: {rate!r} is not a number greater than 0")
+    if frame_rate is not None and not 0 < frame_rate < np.inf:
+        raise InputError(f"{path}: frame_rate: {frame_rate!r} is not a number greater than 0")
     log: LineLog = read(path, **given)
     return log
 
@@ -100,8 +95,10 @@ def reader_of(name: str) -> Any:
 
 
 def format_of(path: str | Path) -> str:
-    """The format of a recording by its extension, or by the files in a folder. Raises InputError
-    for an unknown one."""
+    """The format of a recording by its extension, or by the files in a folder.
+
+    Raises InputError for an unknown one.
+    """
     path = Path(path)
     for name, (extensions, _, _) in FORMATS.items():
         if (path.suffix.lower() or path.name) in extensions:

@@ -77,14 +77,13 @@ def fetch() -> list[str]:
     for file in list_files():
         if file.status == "present":
             continue
-        known = {file.name: f"sha256:{file.sha256}"}
-        store = pooch.create(file.path.parent, f"{BASE_URL}/", registry=known, retry_if_failed=1)
+        url, known = f"{BASE_URL}/{file.name}", f"sha256:{file.sha256}"
         try:
-            store.fetch(file.name, downloader=loader)
+            pooch.retrieve(url, known, file.name, file.path.parent, downloader=loader)
         except (requests.ConnectionError, requests.Timeout):
             raise InputError(f"{BASE_URL}: no connection; is the network up?") from None
         except (OSError, ValueError) as error:
             is_io = isinstance(error, OSError)
             why = " ".join(str(error).split())[:160] if is_io else "wrong checksum"
-            problems.append(f"{BASE_URL}/{file.name}: not downloaded to {file.path}: {why}")
+            problems.append(f"{url}: not downloaded to {file.path}: {why}")
     return problems

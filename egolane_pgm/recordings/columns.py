@@ -10,14 +10,12 @@ import contextlib
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow as pa
-from numpy.typing import NDArray
 
 from egolane_pgm.experiment import Columns
 from egolane_pgm.tools.yaml import parse_yaml
@@ -81,7 +79,7 @@ def column_keys(given: ColumnsGiven) -> dict[str, Any]:
 
 
 def lines_of_columns(
-    data: Mapping[str, Any],
+    data: pd.DataFrame,
     columns: Columns | None,
     path: Path,
     frame_rate: float = FRAME_RATE,
@@ -91,8 +89,8 @@ def lines_of_columns(
 ) -> LineLog:
     """The lines of a table, T frames of at most L lines.
 
-    - data: columns of pyarrow or pandas, or lists, by name, N values each.
-    - columns: their names, units and signs; None for our own.
+    - data: N rows.
+    - columns: names, units and signs of the columns; None for our own.
     - path: the file, for messages.
     - frame_rate: frames per second of a table without times.
     - first: first frame id, if frames are numbered by their times.
@@ -101,37 +99,32 @@ def lines_of_columns(
     Raises InputError for an unknown column, a wrong cell (with its row), frames that decrease, a
     line that occurs twice in a frame, and a valid line without a finite offset.
     """
-    n_rows = len(next(iter(data.values()), ()))
-    if not n_rows:
+    if data.empty:
         raise InputError(f"{path}: the table has no rows")
-    table = _Table(data, columns or Columns(), path, np.arange(n_rows) if row is None else row)
-    frames = _frames_of(table, first)
-    frame_id = frames["frame_id"].astype(np.int64)
-    step = np.diff(frame_id, prepend=frame_id[0] - 1)
-    table.refuse(step < 0, "its frame comes after a later one; sort the table by frame_id")
-    starts = step > 0
-    if "time_s" in frames:
-        is_later = np.diff(frames["time_s"], prepend=-np.inf) > 0
+    names: Any = {ours: ours for ours in COLUMNS if ours in data} | dict(columns or {})
+    table = _Table(data, names, path, np.arange(len(data)) if row is None else row)
+    for ours in COLUMNS:
+        theirs = names.get(ours)
+        for name in theirs if isinstance(theirs, tuple) else (theirs,):
+            if name is not None and name not in data:
+                meant = near_word(name, data) or f"; there are {', '.join(data)}"
+                raise InputError(f"{path}: columns: {ours}: there is no column {name!r}{meant}")
+    frame_id, time_s = _frames_of(table, first)
+    starts = np.diff(frame_id, prepend=frame_id[0] - 1) != 0
+    if time_s is not None:
+        is_later = np.diff(time_s, prepend=-np.inf) > 0
         cure = "; `columns: {time_s: null}` uses frame id over frame rate"
         table.refuse(starts & ~is_later, f"time_s is not later than in the frame before{cure}")
     at = np.cumsum(starts) - 1
-    lines = _lines_of(table, at)
-    log = LineLog.from_rows(
-        frame_id[starts],
-        frame_rate,
-        at[lines["row"]],
-        lines["offset_m"],
-        lines["is_valid"] == 1,
-        lines["is_continuous"] == 1,
-        lines["lri"],
-        row_line=lines["line"].astype(np.int64) - 1,
-        source=str(path),
-    )
-    if "time_s" in frames:
-        log = replace(log, time_s=frames["time_s"][starts])
-    if row is None and table.columns.get("offset_m") is None:
-        known = {*(COLUMNS if table.name_of("offset_m") else ("frame_id", "time_s"))} - table.used
-        unused = [name + near_word(name, known) for name in data if name not in table.used]
+    lines = _columns_of_lines(table)
+    row_frame, of_line = _lines_of(table, lines, at)
+    log = LineLog.from_rows(frame_id[starts], frame_rate, row_frame, **of_line, source=str(path))
+    if time_s is not None:
+        log = replace(log, time_s=time_s[starts])
+    if row is None and (columns or {}).get("offset_m") is None:
+        used = {names.get("frame_id"), names.get("time_s"), *(n for k in lines for n in k.values())}
+        known = {*(COLUMNS if "offset_m" in names else ("frame_id", "time_s"))} - used
+        unused = [name + near_word(name, known) for name in data if name not in used]
         if any(unused):
             ignored = f"{path}: ignored column(s) {', '.join(filter(None, unused))}"
             warnings.warn(ignored, UserWarning, stacklevel=4)
@@ -140,35 +133,20 @@ def lines_of_columns(
 
 @dataclass(frozen=True)
 class _Table:
-    """A table whose columns are found by our names.
+    """A table of N rows.
 
-    - row (N,): row of the file, or message, of each value.
-    - used: names of the columns that were read.
+    - names: columns of the table by our names, units and signs.
+    - row (N,): row of the file, or message, of each row.
     """
 
-    data: Mapping[str, Any]
-    columns: Columns
+    data: pd.DataFrame
+    names: Mapping[str, Any]
     path: Path
     row: IntArray
-    used: set[str] = field(default_factory=set)
-
-    def name_of(self, ours: str) -> Any:
-        """The name of a column in the table, several names, or None."""
-        return self.columns.get(ours, ours if ours in self.data else None)
-
-    def column(self, ours: str, theirs: str) -> Any:
-        """A column. Raises InputError for an unknown name."""
-        if theirs not in self.data:
-            raise InputError(
-                f"{self.path}: columns: {ours}: there is no column"
-                f" '{theirs}'{near_word(theirs, self.data)}; there are {', '.join(self.data)}"
-            )
-        self.used.add(theirs)
-        return self.data[theirs]
 
     def numbers(self, ours: str, theirs: str) -> FloatArray:
         """A column as numbers, (N,)."""
-        return to_numbers(self.path, ours, self.column(ours, theirs), theirs, self.row)
+        return to_numbers(self.path, ours, self.data[theirs], theirs, self.row)
 
     def refuse(self, bad: BoolArray, problem: str, at: IntArray | None = None) -> None:
         """Raise InputError for the first bad row. at: the rows of `bad`, by default all."""
@@ -183,7 +161,7 @@ class _Table:
 
 def _columns_of_lines(table: _Table) -> list[dict[str, str]]:
     """For each line of a row, the names of its columns by ours."""
-    theirs = {name: table.name_of(name) for name in ("offset_m", *OF_LINE, "line")}
+    theirs = {ours: table.names.get(ours) for ours in ("offset_m", *OF_LINE, "line")}
     offset = theirs["offset_m"]
     if isinstance(offset, str):
         return [{ours: name for ours, name in theirs.items() if name is not None}]
@@ -205,95 +183,88 @@ def _columns_of_lines(table: _Table) -> list[dict[str, str]]:
     return found
 
 
-def _lines_of(table: _Table, at: IntArray) -> dict[str, NDArray[Any]]:
-    """The columns of all lines by our names, and the `row` of each line.
+def _lines_of(
+    table: _Table, lines: list[dict[str, str]], at: IntArray
+) -> tuple[IntArray, dict[str, Any]]:
+    """The frame of each line, and the other arguments of `LineLog.from_rows`.
 
+    - lines: the columns of each line of a row.
     - at (N,): the frame of each row, from 0.
     """
-    found: list[dict[str, NDArray[Any]]] = []
-    rows = np.arange(len(at))
-    is_long = isinstance(table.name_of("offset_m"), str)
-    for number, names in enumerate(_columns_of_lines(table), start=1):
-        cells = {ours: table.numbers(ours, theirs) for ours, theirs in names.items()}
-        offset = cells["offset_m"] / _PER_METRE[table.columns.get("unit", "m")]
-        is_empty = np.isnan(offset)
-        cells = {
-            "is_valid": np.where(is_empty, 0.0, 1.0),
-            "is_continuous": np.zeros(len(rows)),
-            "lri": np.full(len(rows), np.nan),
-            **cells,
-            "offset_m": -offset if table.columns.get("left_positive", False) else offset,
-        }
-        if not is_long:
-            # A valid line without an offset is kept, and refused later.
-            is_there = ~is_empty | (cells["is_valid"] == 1)
-            cells["line"] = np.full(len(rows), float(number))
-        elif "line" in cells:
-            is_there = ~np.isnan(cells["line"])
-            table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
-            # Lines may be numbered from 0.
-            cells["line"] = cells["line"] + (np.nanmin(cells["line"], initial=1) == 0)
-        else:
-            # A single row without an offset is a frame without lines.
-            is_there = ~is_empty | (np.bincount(at)[at] > 1)
-            cells["line"] = (rows - np.searchsorted(at, at) + 1).astype(np.float64)
-        for name in ("is_valid", "is_continuous"):
-            table.refuse(np.isnan(cells[name]) & is_there & ~is_empty, f"{name} is empty")
-        found.append({name: each[is_there] for name, each in {**cells, "row": rows}.items()})
-    lines = {name: np.concatenate([each[name] for each in found]) for name in found[0]}
-    is_odd = (lines["line"] < 1) | (lines["line"] > MAX_LINES)
-    table.refuse(is_odd, f"line is not in 1..{MAX_LINES}", lines["row"])
-    first = np.unique(at[lines["row"]] * MAX_LINES + lines["line"], return_index=True)[1]
-    is_first = np.isin(np.arange(len(is_odd)), first)
-    table.refuse(~is_first, "its frame has this line twice", lines["row"])
-    return lines
+    blank = np.full(len(at), np.nan)
+
+    def cells(ours: str) -> FloatArray:
+        return np.concatenate([
+            table.numbers(ours, names[ours]) if ours in names else blank for names in lines
+        ])  # fmt: skip
+
+    row = np.tile(np.arange(len(at)), len(lines))
+    offset = cells("offset_m") / _PER_METRE[table.names.get("unit", "m")]
+    is_empty = np.isnan(offset)
+    found: dict[str, Any] = {
+        "offset_m": -offset if table.names.get("left_positive", False) else offset,
+        "lri": cells("lri"),
+    }
+    for name, default in (("is_valid", ~is_empty), ("is_continuous", False)):
+        flag = cells(name)
+        has_column = np.repeat([name in names for names in lines], len(at))
+        table.refuse(np.isnan(flag) & has_column & ~is_empty, f"{name} is empty", row)
+        found[name] = np.where(has_column, flag == 1, default)
+    if "line" in lines[0]:
+        line: Any = cells("line")
+        is_there = ~np.isnan(line)
+        table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
+        # Lines may be numbered from 0.
+        line += np.nanmin(line, initial=1) == 0
+    elif isinstance(table.names.get("offset_m"), str):
+        line = row - np.searchsorted(at, at) + 1.0
+        # A single row without an offset is a frame without lines.
+        is_there = ~is_empty | (np.bincount(at)[at] > 1)
+    else:
+        line = np.repeat(np.arange(len(lines)) + 1.0, len(at))
+        # A valid line without an offset is kept, and refused later.
+        is_there = ~is_empty | found["is_valid"]
+    row, line = row[is_there], line[is_there]
+    table.refuse((line < 1) | (line > MAX_LINES), f"line is not in 1..{MAX_LINES}", row)
+    is_twice = pd.Series(at[row] * MAX_LINES + line).duplicated().to_numpy()
+    cure = "; `columns: {frame_id: null}` numbers frames by their times"
+    table.refuse(is_twice, f"its frame has this line twice{cure}", row)
+    kept = {name: values[is_there] for name, values in found.items()}
+    return at[row], {**kept, "row_line": line.astype(np.int64) - 1}
 
 
-def _frames_of(table: _Table, first: int) -> dict[str, FloatArray]:
+def _frames_of(table: _Table, first: int) -> tuple[IntArray, FloatArray | None]:
     """The frame id of each row (N,), and its time if there is such a column.
 
     - first: first frame id, if frames are numbered by their times.
     """
-    ids, time = table.name_of("frame_id"), table.name_of("time_s")
-    cells: dict[str, FloatArray] = {}
+    path, ids, time = table.path, table.names.get("frame_id"), table.names.get("time_s")
+    time_s = None
+    frame_id: FloatArray
     if time is not None:
-        column, unit = table.column("time_s", time), table.columns.get("time_unit", "s")
-        cells["time_s"] = to_seconds(table.path, "time_s", column, time, table.row, unit)
+        unit = table.names.get("time_unit", "s")
+        time_s = to_seconds(path, "time_s", table.data[time], time, table.row, unit)
+        table.refuse(np.isnan(time_s), "time_s is empty")
     if ids is not None:
-        cells["frame_id"] = table.numbers("frame_id", ids)
-    elif time is not None:
+        frame_id = table.numbers("frame_id", ids)
+        table.refuse(np.isnan(frame_id), "frame_id is empty")
+    elif time_s is not None:
         # One frame per median time step; a longer step is the nearest whole multiple.
-        step = np.diff(cells["time_s"], prepend=-np.inf)
-        table.refuse(~(step >= 0), "time is empty or goes back; sort by time")
-        step = step[1:]
+        step = np.diff(time_s, prepend=time_s[0])
+        table.refuse(step < 0, "time_s goes back; sort by time")
         usual = np.median(step[step > 0]) if (step > 0).any() else 1.0
         n_frames = np.where(step > 0, np.maximum(1, np.rint(step / usual)), 0)
-        cells["frame_id"] = first + np.concatenate([[0.0], np.cumsum(n_frames)])
+        frame_id = first + np.cumsum(n_frames)
     else:
         raise InputError(
-            f"{table.path}: no column frame_id{near_word('frame_id', table.data)}, nor time_s; the"
+            f"{path}: no column frame_id{near_word('frame_id', table.data)}, nor time_s; the"
             f" table has {', '.join(table.data)}; name yours with `columns: {{frame_id: NAME}}` or"
             " `{time_s: NAME, time_unit: s}`"
         )
-    for name, values in cells.items():
-        table.refuse(np.isnan(values), f"{name} is empty")
-    return cells
+    return frame_id.astype(np.int64), time_s
 
 
 # --- cells ---------------------------------------------------------------------------------------
-
-
-def arrow_column(column: Any) -> Any:
-    """A column as an array of pyarrow. Raises `pyarrow.ArrowException` for mixed types."""
-    if not isinstance(column, (pa.Array, pa.ChunkedArray)):
-        column = pa.array(column, from_pandas=True)
-    if isinstance(column, pa.ChunkedArray):
-        column = column.combine_chunks()
-    return column.dictionary_decode() if pa.types.is_dictionary(column.type) else column
-
-
-def _is_text(column: Any) -> bool:
-    return bool(pa.types.is_string(column.type) or pa.types.is_large_string(column.type))
 
 
 def to_seconds(
@@ -308,16 +279,16 @@ def to_seconds(
 
     Parameters and errors: see `to_numbers`.
     """
-    values, per = arrow_column(column), _PER_SECOND[unit]
-    if _is_text(values):
+    values, per = pd.Series(column), _PER_SECOND[unit]
+    if pd.api.types.infer_dtype(values) == "string":
         # Other texts are refused as numbers.
         with contextlib.suppress(ValueError):
-            values = pa.array(pd.to_datetime(values.to_pandas(), utc=True, format="ISO8601"))
-    if pa.types.is_timestamp(values.type):
-        values, per = values.cast(pa.timestamp("ns", values.type.tz)).cast(pa.int64()), 10**9
-    if pa.types.is_integer(values.type) and not values.null_count:
+            values = pd.to_datetime(values, utc=True, format="ISO8601")
+    if pd.api.types.is_datetime64_any_dtype(values) and not values.hasnans:
+        values, per = values.dt.as_unit("ns").astype(np.int64), 10**9
+    if pd.api.types.is_integer_dtype(values):
         # Nanoseconds since 1970 have more digits than a float.
-        ticks = values.to_numpy(zero_copy_only=False)
+        ticks = values.to_numpy()
         time_s: FloatArray = ticks // per + ticks % per / per
     else:
         time_s = to_numbers(path, name, values, theirs, rows) / per
@@ -336,39 +307,39 @@ def to_numbers(
     """The cells of a column as numbers, (N,); NaN if empty. Text is parsed.
 
     - name: our name of the column, which decides what is allowed.
-    - column: of pyarrow or pandas, or a list.
+    - column: of pandas, or an array.
     - theirs: the name in the table, if it is another one.
     - rows (N,): the row of the file of each cell, for messages.
 
-    Raises InputError for a cell that is not a number, not whole, or not a flag.
+    Raises InputError, with its row, for a cell that is not a number, not whole, or not a flag.
     """
-    theirs = name if theirs in ("", name) else f"{theirs} ({name})"
+    cells = pd.Series(column)
     is_flag = name in _FLAGS
-    needed = "a whole number" if name in _WHOLE else "a number"
-    needed = "true, false, 1 or 0" if is_flag else needed
-    try:
-        column = arrow_column(column)
-        if _is_text(column):
-            text = column.to_pandas().str.strip().str.lower().replace("", None)
+    if pd.api.types.is_bool_dtype(cells) and not is_flag:
+        bad, values = np.ones(len(cells), dtype=bool), np.full(len(cells), np.nan)
+    else:
+        try:
+            values = cells.to_numpy(np.float64, na_value=np.nan)
+            bad = np.zeros(len(cells), dtype=bool)
+        except (TypeError, ValueError):
+            text = cells.map(str).str.strip().str.lower()
             text = text.replace({"true": "1", "false": "0"}) if is_flag else text
-            values = np.asarray(pd.to_numeric(text, errors="coerce"), dtype=np.float64)
-            bad = np.isnan(values) & text.notna().to_numpy() & (text != "nan").to_numpy()
-        elif pa.types.is_boolean(column.type) and not is_flag:
-            raise pa.ArrowInvalid
-        else:
-            numbers = column.cast(pa.float64(), safe=False).fill_null(np.nan)
-            values, bad = np.asarray(numbers), np.zeros(len(column), dtype=bool)
-    except (pa.ArrowException, OverflowError):
-        kind = getattr(column, "type", "mixed")
-        raise InputError(f"{path}: column {theirs} has type {kind}, not {needed}") from None
+            values = pd.to_numeric(text, errors="coerce").to_numpy(np.float64, na_value=np.nan)
+            is_empty = cells.isna() | text.isin(["", "nan"])
+            bad = np.isnan(values) & ~is_empty.to_numpy(dtype=bool)
+    needed = "a number"
     if is_flag:
+        needed = "true, false, 1 or 0"
         bad = bad | ~(np.isnan(values) | np.isin(values, (0, 1)))
     elif name in _WHOLE:
+        needed = "a whole number"
         # pandas writes whole numbers as 12.0 if other cells of the column are empty.
         is_whole = (np.floor(values) == values) & (np.abs(values) < 2.0**53)
         bad = bad | ~(np.isnan(values) | is_whole)
     if bad.any():
         k = int(np.argmax(bad))
         row = 1 + int(k if rows is None else rows[k])
-        raise InputError(f"{path}: row {row}: {theirs} is {column[k].as_py()!r:.40}, not {needed}")
+        theirs = name if theirs in ("", name) else f"{theirs} ({name})"
+        cell = cells.tolist()[k]
+        raise InputError(f"{path}: row {row}: {theirs} is {cell!r:.40}, not {needed}")
     return values

@@ -7,14 +7,13 @@ reading a drive; the decoder here is some ten times as fast.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-import pyarrow as pa
-from numpy.typing import NDArray
+import pandas as pd
 from rosbags.interfaces import Nodetype
 
-from egolane_pgm.types import BoolArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, IntArray
 
 #: Types of fields that have another name in NumPy.
 _DTYPES = {
@@ -26,25 +25,20 @@ _DTYPES = {
 #: The parts of a time stamp in ROS 1, in ROS 2 and in Foxglove's schemas.
 _SECONDS, _NANOSECONDS = ("sec", "secs", "seconds"), ("nanosec", "nsec", "nsecs", "nanos")
 
-#: Columns by the path of their field, such as `header.seq`: N values each.
+#: The fields of N messages by their paths, such as `header.seq`: N values each. A field that is a
+#: list of messages is a DataFrame with a row per entry; its index is the number of the message.
 Fields = dict[str, Any]
 
 
-class Items(NamedTuple):
-    """A list of messages inside each of N messages.
-
-    - counts (N,): lengths of the lists.
-    - fields: columns of all entries, in the order of the messages.
-    """
-
-    counts: IntArray
-    fields: Fields
-
-
-def stamp_parts(value: Mapping[str, Any]) -> tuple[Any, Any] | None:
-    """Seconds and nanoseconds of a time stamp, None for anything else."""
-    parts = [[value[name] for name in names if name in value] for names in (_SECONDS, _NANOSECONDS)]
-    return (parts[0][0], parts[1][0]) if all(parts) else None
+def stamp_of(value: Any) -> Any:
+    """The seconds of a time stamp, a dict with its parts; None for anything else."""
+    if not isinstance(value, Mapping):
+        return None
+    seconds, nanoseconds = (
+        next((value[name] for name in names if name in value), None)
+        for names in (_SECONDS, _NANOSECONDS)
+    )
+    return None if seconds is None or nanoseconds is None else seconds + nanoseconds / 1e9
 
 
 # --- ROS 1 and ROS 2 -----------------------------------------------------------------------------
@@ -72,7 +66,6 @@ class Decoder:
     def decode(self, kind: str) -> Fields:
         """Decode the fields of all messages. Raises ValueError for bytes of another type."""
         every = np.arange(len(self.end))
-        self._check(self.start > self.end, every, "is cut off")
         if self.is_cdr:
             self._check(self.array[self.start - 3] != 1, every, "is not little-endian")
         found = self._message(kind, every)
@@ -81,7 +74,10 @@ class Decoder:
         return found
 
     def _message(self, kind: str, of: IntArray) -> Fields:
-        """Read a message of some type at the current position of the messages `of` (N,)."""
+        """Read a message of some type at the current position of the messages `of` (N,).
+
+        Texts, and lists inside the entries of a list, are left out.
+        """
         found: Fields = {}
         for name, (node, detail) in self.fielddefs[kind][1]:
             if node == Nodetype.BASE:
@@ -89,54 +85,45 @@ class Decoder:
             elif node == Nodetype.ARRAY:
                 found[name] = self._list(detail[0], np.full(len(of), detail[1]), of)
             elif node == Nodetype.SEQUENCE:
-                counts = self._values("uint32", of).astype(np.int64)
-                found[name] = self._list(detail[0], counts, of)
+                found[name] = self._list(detail[0], self._values("uint32", of).astype(int), of)
             else:
                 inner = self._message(detail, of)
-                if (parts := stamp_parts(inner)) is not None:
-                    found[name] = parts[0] + parts[1] / 1e9
-                else:
-                    found |= {f"{name}.{each}": values for each, values in inner.items()}
-        return found
+                stamp = stamp_of(inner)
+                fields = {f"{name}.{each}": values for each, values in inner.items()}
+                found |= fields if stamp is None else {name: stamp}
+        return {name: values for name, values in found.items() if values is not None}
 
     def _list(self, item: tuple[Any, Any], counts: IntArray, of: IntArray) -> Any:
-        """Read a list of counts (N,) entries: Items of messages, or an array of anything else."""
-        self._check(counts > (self.end - self.at)[of], of, "is cut off")
+        """Read a list of counts (N,) entries: an array of numbers, or a DataFrame of messages."""
         node, detail = item
-        if node == Nodetype.BASE and detail[0] != "string":
+        is_text = node == Nodetype.BASE and detail[0] == "string"
+        if node == Nodetype.BASE and not is_text:
             dtype = _dtype(detail[0])
             begin = self._skip(counts * dtype.itemsize, of, dtype.itemsize)
             each = zip(counts.tolist(), begin.tolist(), strict=True)
-            return _objects(np.frombuffer(self.bytes, dtype, n, at) for n, at in each)
+            arrays = (np.frombuffer(self.bytes, dtype, n, at) for n, at in each)
+            return np.fromiter(arrays, dtype=object)
         # Read the first entry of all lists, then the second. One round without any entry gives the
         # names of the fields if all lists are empty.
-        row = [np.flatnonzero(counts > k) for k in range(max(1, counts.max()))]
-        is_text = node == Nodetype.BASE
-        parts = [
-            {"": self._values("string", of[some])} if is_text else self._message(detail, of[some])
-            for some in row
-        ]
-        order = np.argsort(np.concatenate(row), kind="stable")
-        # Lists inside the entries of a list are left out.
-        names = [name for name, values in parts[0].items() if not isinstance(values, Items)]
-        fields = {name: np.concatenate([part[name] for part in parts])[order] for name in names}
+        rows, parts = [], []
+        for k in range(counts.max(initial=1)):
+            rows.append(np.flatnonzero(counts > k))
+            some = of[rows[-1]]
+            parts.append(self._values("string", some) if is_text else self._message(detail, some))
         if is_text:
-            return _objects(map(list, np.split(fields[""], np.cumsum(counts)[:-1])))
-        return Items(counts, fields)
+            return None
+        names = [name for name, values in parts[0].items() if not isinstance(values, pd.DataFrame)]
+        fields = {name: np.concatenate([part[name] for part in parts]) for name in names}
+        return pd.DataFrame(fields, index=np.concatenate(rows)).sort_index(kind="stable")
 
-    def _values(self, kind: str, of: IntArray) -> NDArray[Any]:
-        """Read a number or a text from each message, (N,)."""
+    def _values(self, kind: str, of: IntArray) -> Any:
+        """Read a number from each message, (N,), 0 or 1 for a flag. Skip texts; return None."""
         if kind == "string":
-            length = self._values("uint32", of).astype(np.int64)
-            begin = self._skip(length, of)
-            # CDR ends texts with a zero.
-            each = zip(begin.tolist(), (begin + length - self.is_cdr).tolist(), strict=True)
-            return _objects(self.bytes[at:end].decode() for at, end in each)
+            self._skip(self._values("uint32", of).astype(int), of)
+            return None
         dtype = _dtype(kind)
         begin = self._skip(np.full(len(of), dtype.itemsize), of, dtype.itemsize)
-        values = self.array[begin[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
-        found: NDArray[Any] = values.astype(bool if kind == "bool" else dtype)
-        return found
+        return self.array[begin[:, None] + np.arange(dtype.itemsize)].view(dtype)[:, 0]
 
     def _skip(self, size: IntArray, of: IntArray, align: int = 1) -> IntArray:
         """Advance by some bytes, (N,), to the end of a value; return its begin."""
@@ -156,38 +143,31 @@ def _dtype(kind: str) -> np.dtype[Any]:
     return np.dtype(_DTYPES.get(kind, kind)).newbyteorder("<")
 
 
-def _objects(values: Iterable[Any]) -> NDArray[Any]:
-    return np.fromiter(values, dtype=object)
-
-
 # --- JSON ----------------------------------------------------------------------------------------
 
 
-def fields_of_dicts(messages: Sequence[Mapping[str, Any]], where: str) -> Fields:
-    """The fields of messages that are dicts. Raises InputError for fields of mixed types."""
-    try:
-        return _fields_in(pa.array(messages))
-    except pa.ArrowException as error:
-        raise InputError(f"{where}: a field has values of several types ({error})") from None
-
-
-def _fields_in(values: pa.StructArray) -> Fields:
-    inner = dict(zip([field.name for field in values.type], values.flatten(), strict=True))
-    if (parts := stamp_parts(inner)) is not None:
-        seconds, nanoseconds = (np.asarray(part.cast(pa.int64())) for part in parts)
-        return {"": seconds + nanoseconds / 1e9}
+def fields_of_dicts(messages: Iterable[Mapping[str, Any]]) -> Fields:
+    """The fields of messages that are dicts."""
     found: Fields = {}
-    for name, each in inner.items():
-        kind = each.type.value_type if pa.types.is_list(each.type) else None
-        if pa.types.is_struct(each.type):
-            fields = _fields_in(each)
-            found |= {f"{name}.{key}" if key else name: values for key, values in fields.items()}
-        elif kind is not None and (pa.types.is_struct(kind) or pa.types.is_null(kind)):
-            counts = np.asarray(each.value_lengths().fill_null(0)).astype(np.int64)
-            # A list that is empty in every message has no field names.
-            found[name] = Items(
-                counts, {} if pa.types.is_null(kind) else _fields_in(each.flatten())
-            )
+    for name, cells in pd.DataFrame([_flat(message) for message in messages]).items():
+        is_list = cells.map(lambda cell: isinstance(cell, list))
+        entries = cells[is_list].explode().dropna()
+        is_dict = entries.map(lambda entry: isinstance(entry, Mapping))
+        if is_list.any() and is_dict.all():
+            found[str(name)] = pd.DataFrame([_flat(each) for each in entries], index=entries.index)
         else:
-            found[name] = each
+            found[str(name)] = cells
+    return found
+
+
+def _flat(message: Mapping[str, Any]) -> dict[str, Any]:
+    """The fields of a message by their paths."""
+    found: dict[str, Any] = {}
+    for name, value in message.items():
+        if (stamp := stamp_of(value)) is not None:
+            found[name] = stamp
+        elif isinstance(value, Mapping):
+            found |= {f"{name}.{key}": each for key, each in _flat(value).items()}
+        else:
+            found[name] = value
     return found

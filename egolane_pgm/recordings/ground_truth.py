@@ -6,6 +6,7 @@ In memory it is a DataFrame, see `types.lane_truth`.
 from __future__ import annotations
 
 import re
+from bisect import insort
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -30,34 +31,24 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     - extra_rows: further rows (frame, lane, crossing). The paper counts frame 0 of the Spanish
       recording, which its file lacks.
 
-    Raises InputError, naming the line, for a malformed row, frames that do not increase, a file
-    without rows, and an extra row whose frame is in the file.
+    Raises InputError, naming the line, for a malformed row, for a file without rows, and for frames
+    that do not increase.
     """
-    path = Path(path)
     rows: list[tuple[int, ...]] = []
-    for number, line in enumerate(read_text(path).splitlines(), start=1):
-        match = _ROW.fullmatch(line)
-        if not line.strip() or (match is None and number == 1 and not re.search(r"\d", line)):
-            continue
-        if match is None:
+    for number, line in enumerate(read_text(Path(path)).splitlines(), start=1):
+        if match := _ROW.fullmatch(line):
+            rows.append(tuple(map(int, match.groups())))
+        elif line.strip() and (number > 1 or re.search(r"\d", line)):
             raise InputError(
                 f"{path}: line {number}: {line.strip()[:60]!r} is not"
                 " 'frame;lane;crossing' (whole numbers, crossing 0 or 1)"
             )
-        rows.append(tuple(map(int, match.groups())))
-        if len(rows) > 1 and rows[-1][0] <= rows[-2][0]:
-            frame, last = rows[-1][0], rows[-2][0]
-            how = "occurs twice" if frame == last else f"comes after frame {last}"
-            raise InputError(f"{path}: line {number}: frame {frame} {how}; frames must increase")
     if not rows:
         raise InputError(f"{path}: has no row 'frame;lane;crossing'")
-    table = np.array(rows)
     for extra in extra_rows:
-        at = np.searchsorted(table[:, 0], extra[0])
-        if extra[0] in table[at : at + 1, 0]:
-            raise InputError(f"{path}: extra row {list(extra)}: the file has frame {extra[0]}")
-        table = np.insert(table, at, extra, axis=0)
-    return lane_truth(table[:, 0], table[:, 1], table[:, 2] == 1, str(path))
+        insort(rows, tuple(extra))
+    frame_id, lane, crossing = np.array(rows).T
+    return lane_truth(frame_id, lane, crossing == 1, str(path))
 
 
 def truth_of(given: pd.DataFrame) -> pd.DataFrame:

@@ -27,15 +27,15 @@ def opened(path: Path) -> Iterator[McapReader]:
 
 def topics_of(reader: McapReader) -> Topics:
     """The topics of a file, with type and encoding of their messages."""
-    found: Topics = {}
     summary = reader.get_summary()
     if summary is None or summary.statistics is None:
         raise ValueError("no summary at its end")
+    found: Topics = {}
     for key, count in summary.statistics.channel_message_counts.items():
         channel = summary.channels[key]
         schema = summary.schemas.get(channel.schema_id)
         kind = f"{schema.name if schema else 'no schema'}, {channel.message_encoding}"
-        found[channel.topic] = (kind, found.get(channel.topic, (kind, 0))[1] + count)
+        found[channel.topic] = (kind, count)
     return found
 
 
@@ -44,14 +44,14 @@ def messages(reader: McapReader, topic: str) -> Iterator[Message]:
     for _, channel, message in reader.iter_messages([topic]):
         if channel.message_encoding != "json":
             raise InputError(
-                f"{topic}: messages encoded as {channel.message_encoding or 'nothing known'}"
-                " cannot be read, only ROS 2 and JSON"
+                f"{topic}: the encoding '{channel.message_encoding}' cannot be read, only ROS 2"
+                " and JSON"
             )
         value = json.loads(message.data)
         yield time_of(value, message.log_time), value
 
 
 def fields_of(reader: McapReader, topic: str) -> Fields:
-    """The fields of all messages on a topic, and their times; empty without messages."""
-    found = [{"time_s": time_s, **value} for time_s, value in messages(reader, topic)]
-    return fields_of_dicts(found, topic) if found else {}
+    """The fields of all messages on a topic, and their times."""
+    found = messages(reader, topic)
+    return fields_of_dicts({"time_s": time_s, **value} for time_s, value in found)

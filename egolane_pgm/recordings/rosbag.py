@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from egolane_pgm.recordings.decoding import Decoder, Fields, stamp_parts
+from egolane_pgm.recordings.decoding import Decoder, Fields, stamp_of
 from egolane_pgm.types import InputError
 
 #: The topics of a file: message type and number of messages.
@@ -60,17 +60,13 @@ def messages(bag: AnyReader, topic: str) -> Iterator[Message]:
 
 def fields_of(bag: AnyReader, topic: str) -> Fields:
     """The fields of all messages on a topic, and their times `time_s` (N,) unless there is a field
-    of that name; empty without messages."""
+    of that name."""
     chosen = _connections(bag, topic)
     found = list(bag.messages(chosen))
-    if not found:
-        return {}
     types, kind = bag.typestore.fielddefs, chosen[0].msgtype
     fields = Decoder(types, [raw for _, _, raw in found], bag.is2).decode(kind)
-    stamp = fields.get("header.stamp")
-    if stamp is None:
-        is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
-        stamp = fields["timestamp"] if is_stamp else np.zeros(len(found))
+    is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
+    stamp = fields.get("header.stamp", fields["timestamp"] if is_stamp else np.zeros(len(found)))
     logged_s = _seconds(np.array([ns for _, ns, _ in found]))
     return {"time_s": np.where(stamp != 0, stamp, logged_s), **fields}
 
@@ -96,9 +92,7 @@ def time_of(value: Mapping[str, Any], logged_ns: int) -> float:
     """
     header = value.get("header")
     stamp = header.get("stamp") if isinstance(header, dict) else value.get("timestamp")
-    parts = stamp_parts(stamp) if isinstance(stamp, dict) else None
-    stamp_s = 0.0 if parts is None else int(parts[0]) + int(parts[1]) / 1e9
-    return stamp_s or float(_seconds(logged_ns))
+    return float(stamp_of(stamp) or _seconds(logged_ns))
 
 
 def _seconds(ns: Any) -> Any:

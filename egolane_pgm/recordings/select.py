@@ -44,18 +44,16 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
 
     Raises InputError for gaps so large that the ids cannot be frame numbers.
     """
-    if policy == "skip" or len(log) == 0:
+    n_missing = int(np.ptp(log.frame_id)) + 1 - len(log) if len(log) else 0
+    if policy == "skip" or n_missing == 0:
         return log
     first, last = int(log.frame_id[0]), int(log.frame_id[-1])
-    n_missing = last - first + 1 - len(log)
-    if n_missing == 0:
-        return log
     if n_missing > MAX_FILLED:
         raise InputError(
             f"{log.source}: missing_frames: {policy} would add {n_missing} frames between"
             f" {first} and {last}; are these ids frame numbers?"
         )
-    frame_id = np.arange(first, last + 1, dtype=np.int64)
+    frame_id = np.arange(first, last + 1)
     before = np.searchsorted(log.frame_id, frame_id, side="right") - 1
     is_new = log.frame_id[before] != frame_id
     new_s = frame_id / frame_rate
@@ -68,8 +66,8 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
         frame_id=frame_id,
         time_s=np.where(is_new, new_s, log.time_s[before]),
         offset_m=np.where(empty, np.nan, log.offset_m[before]),
-        is_valid=np.where(empty, False, log.is_valid[before]),
-        is_continuous=np.where(empty, False, log.is_continuous[before]),
+        is_valid=~empty & log.is_valid[before],
+        is_continuous=~empty & log.is_continuous[before],
         lri=np.where(empty, np.nan, log.lri[before]),
         is_missing=np.where(is_new, policy == "predict", log.is_missing[before]),
     )
@@ -94,8 +92,7 @@ def fill_after(last: LineLog | None, log: LineLog, policy: str, frame_rate: floa
 
 
 def rate_of(frame_id: IntArray, time_s: FloatArray) -> float | None:
-    """Frames per second of T frames, to four digits; None for a single frame, and if time stands
-    still."""
+    """Frames per second of T frames, to four digits; None if unknown."""
     if len(frame_id) < 2:
         return None
     step = float(np.median(np.diff(time_s) / np.diff(frame_id)))

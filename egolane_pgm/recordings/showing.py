@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.columns import to_numbers
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.table import TABLES, read_columns
 from egolane_pgm.recordings.topics import fields_of, table_of, topics_of
-from egolane_pgm.types import FloatArray, InputError
+from egolane_pgm.types import InputError
 
 
 def show_recording(path: Path) -> str:
     """Describe a table or a bag. Raises InputError for a file that cannot be read."""
     if path.suffix.lower() in TABLES:
         table = read_columns(path)
-        columns = dict(zip(table.column_names, table.columns, strict=True))
-        return "\n".join([f"{path}: {table.num_rows} rows", *_spans(columns), *_command(path)])
+        return "\n".join([f"{path}: {len(table)} rows", *_spans(table), *_command(path)])
     text = []
     for topic, (kind, count) in topics_of(path).items():
         text.append(f"{topic} ({kind}): {count} messages")
@@ -33,14 +33,16 @@ def show_recording(path: Path) -> str:
         except InputError as error:
             text.append(f"  {error}")
             continue
-        text[-1] += f"; {_pace(np.asarray(fields['time_s']))}"
-        text += [*_spans(table_of(fields)[0]), *_command(path, topic=topic)]
+        time_s = np.asarray(fields["time_s"])
+        rate = rate_of(np.arange(len(time_s)), time_s)
+        text[-1] += f"; {_pace(rate, (np.diff(time_s) * (rate or 0) > 1.5).sum())}"
+        text += [*_spans(table_of(fields)), *_command(path, topic=topic)]
     return "\n".join(text or [f"{path}: has no topics"])
 
 
-def _spans(columns: Mapping[str, Any]) -> Iterator[str]:
+def _spans(table: pd.DataFrame) -> Iterator[str]:
     """A line per column: smallest and largest number, or the first cells."""
-    for name, column in columns.items():
+    for name, column in table.items():
         try:
             values = to_numbers(Path(), "lri", column)
             known = values[~np.isnan(values)]
@@ -50,15 +52,8 @@ def _spans(columns: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name:<24} {span}"
 
 
-def _pace(time_s: FloatArray) -> str:
-    """The rate of times, and their gaps."""
-    step = np.diff(time_s)
-    if not (step > 0).any():
-        return "no rate (time stands still)"
-    usual = float(np.median(step[step > 0]))
-    gap = step > 1.5 * usual
-    longest = f" (the longest {step.max():.3g} s)" if gap.any() else ""
-    return f"{1 / usual:.4g} per second, gaps: {gap.sum()}{longest}"
+def _pace(rate: float | None, n_gaps: int) -> str:
+    return f"{f'{rate:.4g} per second' if rate else 'time stands still'}, gaps: {n_gaps}"
 
 
 def _command(path: Path, **options: Any) -> list[str]:
@@ -71,9 +66,9 @@ def _command(path: Path, **options: Any) -> list[str]:
     given = "".join(
         f" --set recording.{name}={shlex.quote(value)}" for name, value in options.items()
     )
-    n_gaps = (np.diff(log.frame_id) > 1).sum()
+    pace = _pace(rate_of(log.frame_id, log.time_s), (np.diff(log.frame_id) > 1).sum())
     return [
-        f"  {len(log)} frames, {rate_of(log.frame_id, log.time_s)} per second, gaps: {n_gaps}",
+        f"  {len(log)} frames, {pace}",
         "  to run it (N: number of lanes of the road):",
         f"  egolane run {shlex.quote(str(path))} --n-lanes N{given}",
     ]

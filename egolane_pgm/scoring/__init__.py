@@ -1,4 +1,4 @@
-"""Scores of a posterior over lanes: one file per family; `score_all` computes them all.
+"""Scores of a posterior over lanes; `score_all` computes them all.
 
 Scores read beliefs and ground truth, never the filter. Crossing frames are left out except in the
 log-loss.
@@ -6,25 +6,22 @@ log-loss.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.scoring.confusion import (
     assigned_lane,
-    frames_off,
+    brier,
+    expected_calibration_error,
+    log_loss_per_frame,
     scores_from_confusion,
 )
 from egolane_pgm.scoring.events import stability_scores
-from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss_per_frame
 from egolane_pgm.tools.files import to_jsonable
-
-if TYPE_CHECKING:
-    import pandas as pd
-
-__all__ = ["assigned_lane", "frames_off", "score_all", "scores_from_confusion"]
 
 
 def score_all(

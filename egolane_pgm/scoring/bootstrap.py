@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from egolane_pgm.scoring.confusion import confusion_cell, scores_from_confusion
-from egolane_pgm.scoring.probabilistic import log_loss_per_frame
+from egolane_pgm.scoring.confusion import confusion_cell, log_loss_per_frame, scores_from_confusion
 from egolane_pgm.types import FloatArray, InputError, IntArray
 
 BLOCK_FRAMES = 300
@@ -22,7 +22,7 @@ RESAMPLES = 2000
 LEVEL = 0.95
 
 #: Sums (R, ...) of per-frame counts -> the statistic of each resample (R,).
-Statistic = Callable[[NDArray[np.generic]], FloatArray]
+Statistic = Callable[[NDArray[Any]], FloatArray]
 
 
 @dataclass(frozen=True)
@@ -74,18 +74,11 @@ def resampled_sums(
     return np.asarray(sums.reshape(len(starts), *values.shape[1:]))
 
 
-def ratio(sums: NDArray[np.generic]) -> FloatArray:
-    """First over second of (..., 2), NaN if the second is 0."""
-    array = np.asarray(sums, dtype=np.float64)
-    below = array[..., 1]
-    return np.asarray(array[..., 0] / np.where(below == 0, np.nan, below))
-
-
-#: The scores that have an interval in every result.
+#: The scores that have an interval in every result. A log-loss without frames is NaN.
 INTERVAL_STATISTICS: Mapping[str, Statistic] = {
     "accuracy": lambda sums: np.asarray(scores_from_confusion(sums)["accuracy"]),
     "f1": lambda sums: np.asarray(scores_from_confusion(sums)["f1"]),
-    "log_loss": ratio,
+    "log_loss": lambda sums: sums[..., 0] / np.where(sums[..., 1] == 0, np.nan, sums[..., 1]),
 }
 
 
@@ -97,7 +90,6 @@ def bootstrap_interval(
     block: int = BLOCK_FRAMES,
     resamples: int = RESAMPLES,
     seeds: Sequence[int] | None = None,
-    level: float = LEVEL,
 ) -> Interval:
     """A statistic with its circular-block-bootstrap percentile interval.
 
@@ -112,9 +104,8 @@ def bootstrap_interval(
       together. By default 0, 1, 2, ...
 
     Resamples with an undefined statistic (NaN) are left out; without any other the bounds are NaN.
-    They are None if a recording is shorter than two blocks: its resamples would
-    be nearly the same, and the interval far too short. Raises InputError if the two sides have
-    different numbers of frames.
+    They are None if a recording is shorter than two blocks: its resamples would be nearly the same.
+    Raises InputError if the two sides have different numbers of frames.
     """
     is_short = any(len(mine) < 2 * block for mine in counts)
     estimates, of_resamples = [], []
@@ -138,7 +129,7 @@ def bootstrap_interval(
     values = values[~np.isnan(values)]
     if not values.size:
         return Interval(estimate, math.nan, math.nan)
-    low, high = np.quantile(values, [(1 - level) / 2, (1 + level) / 2])
+    low, high = np.quantile(values, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
     return Interval(estimate, float(low), float(high))
 
 

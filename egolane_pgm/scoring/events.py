@@ -42,15 +42,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray, runs_of
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: The new lane counts as found once it is held for this many frames.
 HELD_FRAMES = 5
@@ -69,8 +67,6 @@ def lane_changes(truth: pd.DataFrame) -> pd.DataFrame:
     the new lane after the crossing), `until` (end of the search for the new lane, exclusive),
     `from_lane`, `to_lane`. Rows are counted from 0.
     """
-    import pandas as pd
-
     actual = truth["true_lane"].to_numpy()
     scored = np.flatnonzero(~truth["is_crossing"].to_numpy())
     before, after = scored[:-1], scored[1:]
@@ -212,8 +208,8 @@ def event_delays(events: pd.DataFrame, truth: pd.DataFrame, frame_rate: float) -
     ends = truth.index.to_numpy()[lane_changes(truth)["end"]]
     delay = np.full(len(events), np.nan)
     is_right = matched >= 0
-    at = events["detected_frame_id"].to_numpy()[is_right]
-    delay[is_right] = (at - ends[matched[is_right]]) / frame_rate
+    at = events["detected_frame_id"].to_numpy()
+    delay[is_right] = (at[is_right] - ends[matched[is_right]]) / frame_rate
     return delay
 
 
@@ -312,11 +308,8 @@ def _leads(begin: IntArray, end: IntArray, truth: pd.DataFrame) -> FloatArray:
 
     - begin, end: the first and the last rows of the warnings, in order.
     """
-    changes, ids, actual = (
-        lane_changes(truth),
-        truth.index.to_numpy(),
-        truth["true_lane"].to_numpy(),
-    )
+    changes, ids = lane_changes(truth), truth.index.to_numpy()
+    actual = truth["true_lane"].to_numpy()
     lead = np.full(len(changes), np.nan)
     for c, change in enumerate(changes.itertuples()):
         start, stop = change.start, change.end

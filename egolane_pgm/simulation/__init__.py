@@ -3,28 +3,7 @@
 
 from __future__ import annotations
 
-from egolane_pgm.simulation.detector import (
-    PRESETS,
-    DetectorModel,
-    Preset,
-    SimulatedDrive,
-    detect_lines,
-    sensor_failures,
-    simulate,
-    simulated_road,
-)
-from egolane_pgm.simulation.world import Road, World, simulate_road
+from egolane_pgm.simulation.detector import PRESETS, SimulatedDrive, simulate, simulated_road
+from egolane_pgm.simulation.world import Road
 
-__all__ = [
-    "PRESETS",
-    "DetectorModel",
-    "Preset",
-    "Road",
-    "SimulatedDrive",
-    "World",
-    "detect_lines",
-    "sensor_failures",
-    "simulate",
-    "simulate_road",
-    "simulated_road",
-]
+__all__ = ["PRESETS", "Road", "SimulatedDrive", "simulate", "simulated_road"]

@@ -16,7 +16,7 @@ from egolane_pgm.studies import fits
 from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.space import Point, SearchSpace, distributions
 from egolane_pgm.studies.study import check_labels
-from egolane_pgm.types import InputError, not_one_of, suggestion
+from egolane_pgm.types import InputError, suggestion
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -27,6 +27,7 @@ class Objective:
     - drives: the recording and the model.
     - search_space: its dimensions and fixed parameters.
     - start: the experiment's values; they may lie out of bounds.
+    - score: the scores of a point of the search space.
 
     >>> import egolane_pgm as ego
     >>> accuracy = ego.objective("quickstart", overrides={"recording.frames": [0, 300]})
@@ -41,16 +42,11 @@ class Objective:
     score: Callable[[Point], Sequence[float]]
 
     def __repr__(self) -> str:
-        return f"Objective({self.name} of {self.drives[0].name!r}: {', '.join(self.space)})"
-
-    @property
-    def space(self) -> dict[str, list[Any]]:
-        """Per parameter [low, high], both included, or the names of a choice."""
-        return {d.key: d.ends for d in self.search_space.dimensions}
+        return f"Objective({self.name} of {self.drives[0].name!r}: {', '.join(self.distributions)})"
 
     @property
     def distributions(self) -> dict[str, BaseDistribution]:
-        """`space` for Optuna's `study.ask`."""
+        """The range of each parameter, for Optuna's `study.ask`."""
         return distributions(self.search_space)
 
     @property
@@ -69,13 +65,9 @@ class Objective:
             if name not in known:
                 raise InputError(f"{name}: is not searched{suggestion(name, known)}")
             value = given.item() if isinstance(given, np.generic) else given
-            ends = known[name].ends
             if value not in known[name]:
-                if isinstance(ends[0], str):
-                    raise InputError(f"{name}: {not_one_of(value, ends)}")
-                kind = "a whole number" if isinstance(ends[0], int) else "a number"
-                raise InputError(f"{name}: {value!r} is not {kind} from {ends[0]:g} to {ends[1]:g}")
-            point[name] = type(ends[0])(value)
+                raise InputError(f"{name}: {value!r} is not in {known[name].distribution}")
+            point[name] = type(known[name].ends[0])(value)
         return float(self.score(point)[0])
 
 
@@ -83,23 +75,21 @@ def objective(
     experiment: ExperimentLike,
     *,
     overrides: Overrides = (),
-    score: str | None = None,
     frames: tuple[int | None, int | None] = (None, None),
     lines: Any = None,
     ground_truth: Any = None,
 ) -> Objective:
     """Prepare an experiment to score many sets of its parameters as `tune` does.
 
-    - experiment, overrides: as `load_experiment` takes them. Its `fit.parameters` are searched.
-    - score: its name; by default the first of the experiment's `fit.objective`, accuracy.
+    - experiment, overrides: as `load_experiment` takes them. Its `fit.parameters` are searched; the
+      score is the first of `fit.objective`, accuracy by default.
     - frames: first frame id that counts and the one after the last; None for no end. The filter
       sees every frame.
     - lines, ground_truth: data in memory, for `recording.path: in memory`.
 
-    Returns a function of a dict of parameters, with `space`, `distributions` and `direction`. The
-    score is in-sample: the best of many trials does worse on other drives. To hold out, search with
-    the `frames` of one part and score the best parameters on another; `tune` does so for each
-    block.
+    Returns a function of a dict of parameters, with `distributions` and `direction`. The score is
+    in-sample: the best of many trials does worse on other drives. To hold out, search with the
+    `frames` of one part and score the best parameters on another; `tune` does so for each block.
 
     Raises InputError for an experiment without ground truth, and without a frame to score.
 
@@ -107,8 +97,8 @@ def objective(
     >>> import egolane_pgm as ego
     >>> halves = (0, 800), (800, None)
     >>> fitted, held_out = (ego.objective("quickstart", frames=half) for half in halves)
-    >>> fitted.space["sigma1"]
-    [3e-06, 3.0]
+    >>> fitted.distributions["sigma1"]
+    FloatDistribution(high=3.0, log=False, low=3e-06, step=None)
     >>> study = optuna.create_study(direction=fitted.direction)
     >>> for _ in range(5):
     ...     trial = study.ask(fitted.distributions)
@@ -118,7 +108,7 @@ def objective(
     """
     chosen = load_experiment(experiment, overrides)
     tuning = chosen.fit
-    name = check_objective(score or tuning.objective[0], "score" if score else "fit.objective")
+    name = check_objective(tuning.objective[0], f"{chosen.source}: fit.objective")
     drives = read_drives(chosen, lines, ground_truth)
     check_labels(drives, "tune")
     first, stop = frames

@@ -99,7 +99,7 @@ def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Comp
     first = [
         Table((name, 0), tuple((parent, 0) for parent, _ in table.parents), table.values)
         for (name, s), table in learned.items()
-        if s == 1 and compiled.has_one_table(name)
+        if s == 1 and name in compiled.one_table
     ]
     return with_tables(compiled, [*first, *learned.values()])
 

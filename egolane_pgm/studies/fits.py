@@ -12,6 +12,7 @@ import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,13 +38,7 @@ from egolane_pgm.studies.objective import (
     split,
     with_detector,
 )
-from egolane_pgm.studies.search import (
-    best_trial,
-    new_study,
-    quiet,
-    search,
-    settings_of,
-)
+from egolane_pgm.studies.search import best_trial, new_study, quiet, search, settings_of
 from egolane_pgm.studies.space import (
     Point,
     SearchSpace,
@@ -81,6 +76,20 @@ def fit_nothing(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | 
     return Fitted()
 
 
+def fit_by_name(
+    method: str,
+    *,
+    trials: int | None = None,
+    storage: str | None = None,
+    starts: Sequence[Mapping[str, Value]] = (),
+    pooled: bool = False,
+) -> Fit:
+    """The fit of a method (`fit.method`): none, learn or tune; see `fit_tune` for the options."""
+    tune = partial(fit_tune, trials=trials, storage=storage, starts=starts, pooled=pooled)
+    fits: dict[str, Fit] = {"none": fit_nothing, "learn": fit_learn, "tune": tune}
+    return fits[method]
+
+
 def apply_fit(model: Model, fitted: Fitted) -> Model:
     """Put fitted parameters and tables into a model."""
     tables = {name: value for name, value in fitted.items() if name.startswith(TABLES)}
@@ -110,9 +119,8 @@ def _resolve(model: Model, given: Mapping[str, Any]) -> dict[str, Value]:
 
 def fit_learn(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
     """Learn parameters of the evidence rule from labels, or else tables of the graph by EM."""
-    if learns_rule(drives[0].model):
-        return fit_rule(drives, train)
-    return fit_tables(drives, train)
+    learn = fit_rule if learns_rule(drives[0].model) else fit_tables
+    return learn(drives, train)
 
 
 def learns_rule(model: Model) -> bool:
@@ -120,19 +128,11 @@ def learns_rule(model: Model) -> bool:
     return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
 
 
-def check_learnable(model: Model) -> None:
-    """Raise InputError, naming the YAML key, for a model without anything to learn."""
-    if not learns_rule(model):
-        learnable_nodes(model)
-
-
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """Learn the parameters of an evidence rule; it starts from their defaults."""
-    model = drives[0].model
+    """Learn the parameters of an evidence rule from their defaults, by its function `fit`."""
+    model, parts = drives[0].model, []
     rule = model.rule
-    given = {name: v for name, v in model.parameters.items() if name not in rule.LEARNED}
-    start = _resolve(model, given)
-    parts = []
+    start = _resolve(model, {k: v for k, v in model.parameters.items() if k not in rule.LEARNED})
     for drive, frames in zip(drives, train, strict=True):
         rows = drive.rows[frames]
         rows = rows[~drive.is_crossing[rows]]
@@ -140,15 +140,7 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         lane[rows] = drive.true_lane[rows]
         parts.append((drive.log, lane, lane > 0))
     with plugin_errors(rule, "evidence"):
-        if len(parts) == 1:
-            found: Mapping[str, Value] = rule.fit(*parts[0], model.n_lanes, start)
-        elif hasattr(rule, "fit_pooled"):
-            found = rule.fit_pooled(parts, model.n_lanes, start)
-        else:
-            raise InputError(
-                f"{model.experiment.source}: the evidence rule {model.experiment.evidence} learns"
-                " from one recording, it has no fit_pooled"
-            )
+        found: Mapping[str, Value] = rule.fit(parts, model.n_lanes, start)
     if unknown := set(found).difference(rule.LEARNED):
         raise InputError(f"{rule.__file__}: fit() returned {unknown.pop()}, not one of LEARNED")
     return Fitted(found)
@@ -167,7 +159,10 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
-    notes = seen_before(model)
+    notes = []
+    if kept := kept_though_tuned(model):
+        where = f"{source}: tuned_on {model.experiment.tuned_on}"
+        notes.append(f"{where}: {', '.join(kept)} kept, so held-out scores may be in-sample")
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
     evidence, lanes, begins = zip(*training, strict=True)
@@ -188,21 +183,19 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
         strength=options.strength,
         iterations=ITERATIONS,
     )
-    impossible = int(fitted.is_impossible.sum())
+    impossible, graph = int(fitted.is_impossible.sum()), f"graph {model.experiment.graph}"
     if impossible == len(fitted.is_impossible):
         raise InputError(
-            f"{source}: graph {model.experiment.graph} allows no frame of the {impossible} to learn"
-            " from; do the evidence rule and the graph fit together?"
+            f"{source}: {graph} allows no frame of the {impossible} to learn from; do the evidence"
+            " rule and the graph fit together?"
         )
     if impossible:
         notes.append(
-            f"{source}: graph {model.experiment.graph} does not allow {impossible} frame(s) to"
-            " learn from; they are left out"
+            f"{source}: {graph} does not allow {impossible} frame(s) to learn from; they are left"
+            " out"
         )
     if len(fitted.log_posterior) > ITERATIONS:
-        notes.append(
-            f"{source}: learning stopped after {ITERATIONS} iterations, before it converged"
-        )
+        notes.append(f"{source}: learning did not converge in {ITERATIONS} iterations")
     for note in notes:
         warnings.warn(note, UserWarning, stacklevel=2)
     tables = _by_name(start, fitted.tables).items()
@@ -233,7 +226,10 @@ def training_of(
 
 
 def learnable_nodes(model: Model) -> set[str]:
-    """The nodes whose tables are neither certain nor selected by an input."""
+    """The nodes whose tables are neither certain nor selected by an input.
+
+    Raises InputError, naming the YAML key, if there are none.
+    """
     source = model.experiment.source
     names = {
         name
@@ -264,31 +260,20 @@ def _defaults(model: Model) -> dict[str, Value]:
     return {spec.name: spec.default for spec in specs if spec.is_searched}
 
 
-def seen_before(model: Model) -> list[str]:
-    """Warnings for parameters that may have been tuned on the training frames."""
+def kept_though_tuned(model: Model) -> list[str]:
+    """Parameters that learning keeps though they may have been tuned on the training frames."""
     e = model.experiment
     if e.tuned_on not in ("same_frames", "unknown"):
         return []
-    where, reset = f"{e.source}: tuned_on {e.tuned_on}", _defaults(model)
-    changed = [name for name, value in reset.items() if model.parameters[name] != value]
-    kept = [
-        spec.name
-        for spec in getattr(model.rule, "PARAMETERS", ())
-        if spec.is_searched and model.parameters[spec.name] != spec.default
-    ]
-    if e.tuned_on == "same_frames" and not reset:
-        kept.append(f"graph {e.graph}")
-    notes = []
-    if changed:
-        notes.append(f"{where}: learning starts from the defaults of {', '.join(changed)}")
-    if kept:
-        notes.append(f"{where}: {', '.join(kept)} kept, so held-out scores may be in-sample")
-    return notes
+    specs = getattr(model.rule, "PARAMETERS", ())
+    kept = [s.name for s in specs if s.is_searched and model.parameters[s.name] != s.default]
+    is_tuned_graph = e.tuned_on == "same_frames" and not _defaults(model)
+    return [*kept, *[f"graph {e.graph}"] * is_tuned_graph]
 
 
 def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
     return {
-        f"{TABLES}{name}{'' if compiled.has_one_table(name) else _SLICES[s]}": table
+        f"{TABLES}{name}{'' if name in compiled.one_table else _SLICES[s]}": table
         for (name, s), table in tables.items()
     }
 
@@ -301,20 +286,22 @@ def fit_tune(
     train: Sequence[IntArray],
     fold: int | None,
     *,
-    tuning: FitSettings,
+    trials: int | None = None,
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
 ) -> Fitted:
     """Search the best parameters on the training frames, in an Optuna study.
 
-    - tuning: objective, sampler, number of trials, seed, bounds.
+    - trials: their number if the experiment does not give it (`fit.trials`).
     - storage: a URL as Optuna takes it, or a journal file; None for a study in memory. Each fold
       has its own study in it; an interrupted study is resumed.
     - starts: parameter sets that the study on everything tries first. The study of a fold starts
       from scratch: known values may have been tuned on the frames that are held out.
     - pooled: whether all frames count alike; otherwise all drives do.
     """
+    tuning = drives[0].experiment.fit
+    tuning = tuning.model_copy(update={"trials": tuning.trials or trials})
     space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]

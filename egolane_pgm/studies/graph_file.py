@@ -14,9 +14,9 @@ from typing import Any
 
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.cpds import Table
-from egolane_pgm.inference.compile import default_values
+from egolane_pgm.inference.compile import LANES
 from egolane_pgm.model import Model, compile_graph, matching_evidence_rule
-from egolane_pgm.plugins import OWN_FILES, load_plugin, plugin_place
+from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import InputError, problems_in
 
@@ -35,7 +35,7 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         return os.path.abspath(name) if name.endswith(OWN_FILES) else name
     if isinstance(graph, ModuleType):
         if graph.__name__.startswith("egolane_pgm.graphs."):
-            return plugin_place(graph)
+            return graph.__name__.rpartition(".")[2]
         if not str(getattr(graph, "__file__", "")).endswith(OWN_FILES):
             raise InputError(f"graph: the module {graph.__name__} has no file; write it to one")
         return os.path.abspath(str(graph.__file__))
@@ -73,21 +73,21 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
     compiled = model.compiled
     by_node = compiled.tables
     names = list(dict.fromkeys(name for name, _ in by_node))
+    nodes: dict[str, int | list[str]] = {}
+    for name in names:
+        values, first = compiled.values[name], int(name in LANES)
+        are_default = values == tuple(map(str, range(first, first + len(values))))
+        nodes[name] = len(values) if are_default else list(values)
     content: dict[str, Any] = {
         "description": description,
-        "nodes": {
-            name: list(values)
-            if (values := compiled.values[name]) != default_values(name, len(values))
-            else len(values)
-            for name in names
-        },
+        "nodes": nodes,
         "hidden": list(compiled.hidden),
         "observed": [list(key) if isinstance(key, tuple) else key for key in compiled.observed],
         "inputs": list(compiled.inputs),
         "unused": [list(k) if isinstance(k, tuple) else k for k in sorted(model.unused, key=str)],
         "tables": {
             name: _rows(by_node[name, 1])
-            if compiled.has_one_table(name)
+            if name in compiled.one_table
             else {"first": _rows(by_node[name, 0]), "next": _rows(by_node[name, 1])}
             for name in names
             if name not in compiled.inputs

@@ -16,12 +16,14 @@ from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring.confusion import (
     SCORES,
     assigned_lane,
+    brier,
     confusion,
+    expected_calibration_error,
+    log_loss_per_frame,
     on_widest,
     scores_from_confusion,
 )
 from egolane_pgm.scoring.events import stability_scores
-from egolane_pgm.scoring.probabilistic import brier, expected_calibration_error, log_loss_per_frame
 from egolane_pgm.types import (
     BoolArray,
     Evidence,
@@ -142,8 +144,7 @@ def scores_of(
     - pooled: whether all frames count alike instead: confusion matrices are added, other scores
       are weighted by frames.
     """
-    values = np.zeros((len(drives), len(objectives)))
-    weights = np.ones_like(values)
+    values, weights = np.zeros((2, len(drives), len(objectives)))
     matrices: list[IntArray] = []
     for k, (drive, posterior, used) in enumerate(zip(drives, posteriors, is_used, strict=True)):
         rows = drive.rows
@@ -152,15 +153,13 @@ def scores_of(
         matrices.append(confusion(assigned, lane, crossing | ~used, posterior.shape[1]))
         of_matrix = scores_from_confusion(matrices[k])
         for j, name in enumerate(objectives):
-            if name in SCORES:
-                values[k, j] = of_matrix[name]
+            is_of_matrix = name in SCORES
+            value = of_matrix[name] if is_of_matrix else belief_score(drive, posterior, used, name)
+            if np.isnan(value):
                 continue
-            value = belief_score(drive, posterior, used, name)
             # The log-loss counts crossing frames as well.
             counted = used if name == "log_loss" else used & ~crossing
-            weights[k, j] = np.count_nonzero(counted) if pooled else 1
-            if np.isnan(value):
-                value = weights[k, j] = 0.0
+            weights[k, j] = np.count_nonzero(counted) if pooled and not is_of_matrix else 1
             values[k, j] = value
     total = weights.sum(axis=0)
     found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
@@ -184,10 +183,9 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     if name == "log_loss":
         losses = log_loss_per_frame(belief, lane)[is_used]
         return float(losses.mean()) if losses.size else float("nan")
-    if name == "brier":
-        return brier(belief, lane, is_left_out)
-    if name == "expected_calibration_error":
-        return expected_calibration_error(belief, lane, is_left_out)
+    if name in ("brier", "expected_calibration_error"):
+        score = brier if name == "brier" else expected_calibration_error
+        return score(belief, lane, is_left_out)
     truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     assigned = assigned_lane(belief, drive.experiment.min_confidence)
     rate = drive.experiment.recording.frame_rate

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import optuna
@@ -142,21 +142,6 @@ def select(now: Generation, tried: FloatArray, scores: FloatArray, seed: int) ->
     return propose(seed, number, units, values, memory, archive, slot, stagnant)
 
 
-class _State(NamedTuple):
-    """The progress of a study.
-
-    - space: name and distribution of each of the D dimensions, in the order of the unit cube.
-    - places: per trial its place in the order of proposals; a repeated trial has the place of the
-      first one with its values.
-    - n_places: number of places.
-    """
-
-    space: Mapping[str, BaseDistribution]
-    places: list[int]
-    n_places: int
-    generation: Generation
-
-
 class Shade(optuna.samplers.BaseSampler):
     """A sampler for any `optuna.create_study` with one objective.
 
@@ -166,8 +151,7 @@ class Shade(optuna.samplers.BaseSampler):
 
     Trial k is member `k % MEMBERS` of generation `k // MEMBERS`. A generation is selected from its
     complete trials when the next one begins; with several workers, running trials count as not
-    scored. A failed trial that Optuna's retry callback repeats keeps its place. Raises ValueError
-    for a study with several objectives.
+    scored. Raises ValueError for a study with several objectives.
     """
 
     def __init__(
@@ -176,7 +160,7 @@ class Shade(optuna.samplers.BaseSampler):
         self._seed = seed
         self._given = search_space
         self._shared_space = IntersectionSearchSpace()
-        self._state: _State | None = None
+        self._state: tuple[Mapping[str, BaseDistribution], Generation] | None = None
 
     def infer_relative_search_space(
         self, study: Study, trial: FrozenTrial
@@ -193,14 +177,14 @@ class Shade(optuna.samplers.BaseSampler):
             return {}
         # The state is replaced as a whole: several threads may run one study.
         state = self._state
-        if state is None or dict(state.space) != search_space:
-            state = _State(search_space, [], 0, first_generation(len(search_space), self._seed))
-        state = self._updated(state, study, trial.number)
-        self._state = state
-        member = state.places[trial.number] - state.generation.number * MEMBERS
-        if member < 0:  # A trial of an earlier generation is repeated: its values are fixed.
+        if state is None or state[0] != search_space:
+            state = search_space, first_generation(len(search_space), self._seed)
+        generation = self._generation(*state, study, trial.number)
+        self._state = search_space, generation
+        member = trial.number - generation.number * MEMBERS
+        if member < 0:  # Another thread has begun the next generation.
             return {}
-        units = state.generation.children[member].tolist()
+        units = generation.children[member].tolist()
         return {
             name: from_unit(d, u) for (name, d), u in zip(search_space.items(), units, strict=True)
         }
@@ -215,29 +199,26 @@ class Shade(optuna.samplers.BaseSampler):
         rng = np.random.default_rng([self._seed, trial.number, *param_name.encode()])
         return from_unit(param_distribution, rng.random())
 
-    def _updated(self, state: _State, study: Study, number: int) -> _State:
-        """The state at the generation of a trial."""
-        trials = study.get_trials(deepcopy=False)
-        places, n_places = list(state.places), state.n_places
-        for trial in trials[len(places) :]:
-            # The number of the first trial with these values, set by Optuna's retry callback.
-            first = trial.system_attrs.get("failed_trial")
-            places.append(n_places if first is None else places[first])
-            n_places += first is None
-        generation = state.generation
+    def _generation(
+        self,
+        space: Mapping[str, BaseDistribution],
+        generation: Generation,
+        study: Study,
+        number: int,
+    ) -> Generation:
+        """The generation of a trial."""
         sign = 1.0 if study.direction == StudyDirection.MAXIMIZE else -1.0
-        while places[number] >= (generation.number + 1) * MEMBERS:
+        while number >= (begin := generation.number * MEMBERS) + MEMBERS:
             tried, scores = generation.children.copy(), np.full(MEMBERS, np.nan)
-            begin = generation.number * MEMBERS
-            for place, trial in zip(places, trials, strict=True):
-                member = place - begin
-                if not 0 <= member < MEMBERS or not set(state.space) <= set(trial.params):
+            trials = study.get_trials(deepcopy=False)[begin : begin + MEMBERS]
+            for member, trial in enumerate(trials):
+                if not set(space) <= set(trial.params):
                     continue
-                tried[member] = [to_unit(d, trial.params[n]) for n, d in state.space.items()]
+                tried[member] = [to_unit(d, trial.params[n]) for n, d in space.items()]
                 if trial.values is not None:
                     scores[member] = sign * trial.values[0]
             generation = select(generation, tried, scores, self._seed)
-        return _State(state.space, places, n_places, generation)
+        return generation
 
 
 def from_unit(distribution: BaseDistribution, unit: float) -> Any:

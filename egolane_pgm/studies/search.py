@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 import optuna
 from optuna import samplers
-from optuna.distributions import CategoricalDistribution, FloatDistribution, IntDistribution
 from optuna.exceptions import ExperimentalWarning
-from optuna.study import MaxTrialsCallback, StudyDirection
-from optuna.trial import FrozenTrial, Trial, TrialState
+from optuna.study import StudyDirection
+from optuna.trial import FrozenTrial, TrialState
 
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.scoring.confusion import is_maximised
@@ -112,27 +111,12 @@ def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
 
 def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
     """Run a study until its number of trials, by all workers, is complete."""
-    total, trials = settings.trials or TRIALS, study.get_trials(deepcopy=False)
-    if sum(trial.state == TrialState.COMPLETE for trial in trials) >= total:
-        return
-    study.sampler = make_sampler(settings, space, len(trials))
+    total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
+    study.sampler = make_sampler(settings, space, len(study.get_trials(deepcopy=False)))
     with quiet():
-        study.optimize(
-            lambda trial: score(suggest(space, trial)),
-            callbacks=[MaxTrialsCallback(total)],
-        )
-
-
-def suggest(space: SearchSpace, trial: Trial) -> dict[str, Any]:
-    """Let the sampler choose the point of a trial."""
-    for key, d in distributions(space).items():
-        if isinstance(d, CategoricalDistribution):
-            trial.suggest_categorical(key, d.choices)
-        elif isinstance(d, IntDistribution):
-            trial.suggest_int(key, d.low, d.high)
-        elif isinstance(d, FloatDistribution):
-            trial.suggest_float(key, d.low, d.high, log=d.log)
-    return trial.params
+        while len(study.get_trials(deepcopy=False, states=complete)) < total:
+            trial = study.ask(distributions(space))
+            study.tell(trial, score(trial.params))
 
 
 def best_trial(study: optuna.Study) -> FrozenTrial:

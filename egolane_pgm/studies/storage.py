@@ -3,20 +3,13 @@
 from __future__ import annotations
 
 import json
-import os
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from optuna.exceptions import StorageInternalError
-from optuna.storages import (
-    BaseStorage,
-    JournalStorage,
-    RDBStorage,
-    RetryHeartbeatStaleTrialCallback,
-)
+from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import IntegrityError, SQLAlchemyError
@@ -26,9 +19,6 @@ from egolane_pgm.types import InputError
 
 #: The journal in the directory of a study.
 JOURNAL_NAME = "study.journal"
-
-#: Seconds between heartbeats of a worker on a database, and until its trial is run again.
-HEARTBEAT_S, GRACE_S = 15, 60
 
 
 def open_storage(storage: str) -> BaseStorage:
@@ -41,10 +31,10 @@ def open_storage(storage: str) -> BaseStorage:
             make_directory(Path(storage).parent)
             return JournalStorage(_Journal(Path(storage)))
         try:
-            return _database(storage)
+            return RDBStorage(storage)
         except IntegrityError:
             # Another worker has just created the tables.
-            return _database(storage)
+            return RDBStorage(storage)
     except InputError:
         raise
     except ImportError as error:
@@ -67,34 +57,14 @@ class _Journal(JournalFileBackend):
         # A lock older than five seconds was left by a process that was killed.
         self.path, self.lock = path, JournalFileOpenLock(str(path), grace_period=5)
         super().__init__(str(path), self.lock)
-        with self._locked():
-            content = path.read_bytes()
-            if not content.endswith(b"\n"):
-                # The half line of such a process: the next line would follow it.
-                os.truncate(path, content.rfind(b"\n") + 1)
 
     def append_logs(self, logs: list[dict[str, Any]]) -> None:
-        with self._locked(), self.path.open("ab") as file:
-            file.writelines(json.dumps(log).encode() + b"\n" for log in logs)
-
-    @contextmanager
-    def _locked(self) -> Iterator[None]:
         self.lock.acquire()
         try:
-            yield
+            with self.path.open("ab") as file:
+                file.writelines(json.dumps(log).encode() + b"\n" for log in logs)
         finally:
             self.lock.release()
-
-
-def _database(url: str) -> RDBStorage:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return RDBStorage(
-            url,
-            heartbeat_interval=HEARTBEAT_S,
-            grace_period=GRACE_S,
-            heartbeat_stale_trial_callback=RetryHeartbeatStaleTrialCallback(),
-        )
 
 
 @contextmanager
@@ -110,17 +80,14 @@ def storage_errors(storage: str | None) -> Iterator[None]:
         raise
     except Exception as error:
         # Optuna may raise another error while it handles the first one.
-        chain: list[BaseException] = [error]
-        while chain[-1].__context__ is not None:
-            chain.append(chain[-1].__context__)
-        for each in chain:
+        each: BaseException | None = error
+        while each is not None:
             if not isinstance(each, Exception):
                 raise type(each)(*each.args) from None
-        for each in chain:
             if isinstance(each, (OSError, SQLAlchemyError, StorageInternalError)):
-                kept = "complete trials are kept, repeat the command to go on"
-                place = named(storage or "study")
-                raise InputError(f"{place}: {_reason(each)}; {kept}") from error
+                why = f"{_reason(each)}; complete trials are kept, repeat the command to go on"
+                raise InputError(f"{named(storage or 'study')}: {why}") from error
+            each = each.__context__
         raise
 
 

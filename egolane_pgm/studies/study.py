@@ -19,7 +19,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
-from egolane_pgm.experiment import DETECTOR, Experiment, FitSettings, resolved
+from egolane_pgm.experiment import DETECTOR, Experiment, resolved
 from egolane_pgm.model import Model, recording_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
@@ -28,10 +28,9 @@ from egolane_pgm.studies.fits import (
     Fit,
     Fitted,
     apply_fit,
-    check_learnable,
-    fit_learn,
+    fit_by_name,
     fit_nothing,
-    fit_tune,
+    learnable_nodes,
     learns_rule,
     search_space,
 )
@@ -39,7 +38,7 @@ from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import describe
-from egolane_pgm.studies.storage import JOURNAL_NAME, named
+from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
@@ -81,8 +80,12 @@ def block_folds(drives: Sequence[Drive], n_blocks: int = N_BLOCKS) -> list[Fold]
     fewest = min(map(len, drives))
     if not 2 <= n_blocks <= fewest:
         raise InputError(f"folds: {n_blocks} is not between 2 and the {fewest} frames of a drive")
-    lengths = [[len(b) for b in np.array_split(np.arange(len(d)), n_blocks)] for d in drives]
-    return _folds(drives, [np.repeat(np.arange(n_blocks), each) for each in lengths])
+    return _folds(drives, [_block_of(len(drive), n_blocks) for drive in drives])
+
+
+def _block_of(n: int, n_blocks: int) -> IntArray:
+    """(n,): the block of each of n frames or drives, as `np.array_split` cuts them."""
+    return np.repeat(np.arange(n_blocks), [len(b) for b in np.array_split(np.arange(n), n_blocks)])
 
 
 def group_folds(drives: Sequence[Drive], groups: Sequence[Any]) -> list[Fold]:
@@ -113,9 +116,8 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
     groups: list[Any]
     if tag is None:
         unique = list(dict.fromkeys(keys))
-        parts = np.array_split(np.arange(len(unique)), min(n_parts, len(unique)))
-        part_of = {unique[k]: p for p, part in enumerate(parts) for k in part}
-        groups = [part_of[key] for key in keys]
+        part = _block_of(len(unique), min(n_parts, len(unique)))
+        groups = [part[unique.index(key)] for key in keys]
         which = "folds: all rows are of one drive"
     else:
         known = {name for drive in drives for name in drive.tags}
@@ -162,13 +164,12 @@ def fit_folds(
     *,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> list[Fitted]:
     """The fit of each numbered fold; see `fit_fold`."""
     work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
     fitted = []
-    for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
+    for fold, notes in bar(found, total=len(folds), unit="fit"):
         fitted.append(fold)
         for note in notes:
             warnings.warn(note, UserWarning, stacklevel=2)
@@ -379,22 +380,14 @@ def run_held_out(
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
-    progress: bool | None = False,
 ) -> Result:
     """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
-    trials = experiment.fit.trials or TRIALS_PER_FOLD
-    tuning = experiment.fit.model_copy(update={"trials": trials})
-    fits: dict[str, Fit] = {
-        "none": fit_nothing,
-        "learn": fit_learn,
-        "tune": partial(fit_tune, tuning=tuning),
-    }
-    folds = block_folds(drives, n_blocks)
+    folds, fit = block_folds(drives, n_blocks), fit_by_name(method, trials=TRIALS_PER_FOLD)
     with noting() as found:
-        fitted = fit_folds(drives, fits[method], list(enumerate(folds)), progress=progress)
+        fitted = fit_folds(drives, fit, list(enumerate(folds)))
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -405,7 +398,6 @@ def run_study(
     *,
     name: str | None = None,
     experiments: Sequence[Experiment] | None = None,
-    tuning: FitSettings | None = None,
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
     directory: Path | None = None,
@@ -413,7 +405,6 @@ def run_study(
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> Study:
     """Fit to everything, and hold out each fold in turn.
 
@@ -421,7 +412,6 @@ def run_study(
     - folds: empty for no held-out scores.
     - name: of the study; by default the first experiment's.
     - experiments: by default the experiments of the drives.
-    - tuning: the settings of a search.
     - starts: parameter sets that the final search tries first; by default the current ones.
     - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
     - directory: the study is saved here.
@@ -429,40 +419,26 @@ def run_study(
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
-    tuning = tuning or first.experiment.fit
-    fit: Fit = fit_learn
     settings: dict[str, Any] = {}
     if directory is not None:
         if is_result(directory):
             raise InputError(f"{directory}: is a result directory; name another one")
         check_place(directory / STUDY_FILE)
-    if method == "learn":
-        check_learnable(first.model)
-    else:
+        storage = storage or str(directory / JOURNAL_NAME)
+    if method == "tune":
+        tuning = settings_of(first.experiment.fit, None, first.experiment.source)
         space = search_space([drive.model for drive in drives], tuning)
-        found = settings_of(tuning, None, first.experiment.source)
-        settings = {
-            "objectives": list(found.objective),
-            **{key: getattr(found, key) for key in ("sampler", "trials", "seed")},
-            **describe(space),
-        }
-        current = [drive.model.parameters for drive in drives] if starts is None else starts
-        if directory is not None:
-            storage = storage or str(directory / JOURNAL_NAME)
-        fit = partial(fit_tune, tuning=tuning, storage=storage, starts=list(current), pooled=pooled)
+        settings = {"objectives": list(tuning.objective)}
+        settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
+    elif not learns_rule(first.model):
+        learnable_nodes(first.model)
+    starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
+    fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]
     with noting() as of_fits:
-        try:
-            whole, *fitted = fit_folds(
-                drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-            )
-        except KeyboardInterrupt:
-            if method != "tune" or storage is None:
-                raise
-            kept = f"complete trials are kept in {named(storage)}; repeat the command to go on"
-            raise KeyboardInterrupt(kept) from None
+        whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
     notes = [*notes, *of_fits]

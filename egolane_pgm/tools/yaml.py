@@ -31,8 +31,7 @@ _PLAIN = {
 def parse_yaml(text: str, source: str) -> Any:
     """Parse YAML. Raises InputError, starting with `source`, for bad YAML and repeated keys."""
     try:
-        loader = _Loader(text)
-        content = loader.get_single_data()
+        return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = f"line {mark.line + 1}: " if mark is not None else ""
@@ -40,9 +39,6 @@ def parse_yaml(text: str, source: str) -> Any:
         raise InputError(f"{source}: is not YAML: {at}{error.problem}{hint}") from error
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
-    if loader.twice:
-        raise InputError(f"{source}: {loader.twice[0]}")
-    return content
 
 
 def dump_yaml(content: Mapping[str, Any]) -> str:
@@ -59,24 +55,19 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Takes keys as text and notes repeated ones."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.twice: list[str] = []
+    """Takes keys as text and refuses repeated ones."""
 
     def compose_mapping_node(self, anchor: Any) -> Any:
         node = super().compose_mapping_node(anchor)
-        seen: dict[str, int] = {}
+        lines: dict[str, int] = {}
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.tag == f"{_TAG}merge":
                 continue
-            key.tag = f"{_TAG}str"
-            line = key.start_mark.line + 1
-            if key.value in seen:
-                first = seen[key.value]
-                self.twice.append(f"line {line}: key '{key.value}' was given in line {first}")
-            seen.setdefault(key.value, line)
+            key.tag, mark = f"{_TAG}str", key.start_mark
+            if key.value in lines:
+                problem = f"key '{key.value}' was given in line {lines[key.value]}"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+            lines[key.value] = mark.line + 1
         return node
 
 

@@ -55,7 +55,7 @@ def schema(kind: str = "experiment") -> dict[str, Any]:
         ("graph", plugin_names("graphs"), OWN_FILES),
         ("evidence", plugin_names("evidence"), (".py",)),
         ("simulate", [*PRESETS], ()),
-        ("format", [*FORMATS, *plugin_names("recordings")], (".py",)),
+        ("format", [*FORMATS], (".py",)),
         ("detector", plugin_names("detectors"), (".py",)),
     ):
         for section in (found, found.get("$defs", {}).get("Recording", {})):

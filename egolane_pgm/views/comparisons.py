@@ -77,9 +77,12 @@ def comparison_figure(found: pd.DataFrame) -> Figure:
     ax.set_yticks(y, names)
     ax.tick_params(axis="y", length=0)
     ax.set_xscale("logit")
-    ends = [np.nanmin([value, low]) - 0.03, _ACCURACIES[np.searchsorted(_ACCURACIES[:-1], highest)]]
-    ax.set_xlim(*np.clip(ends, 0.01, _ACCURACIES[-1]))
-    ax.set_xticks(_ACCURACIES, [f"{v:g}" for v in _ACCURACIES])
+    # From an interval below the data to the first tick above it.
+    low_end = max(np.nanmin([value, low]) - 0.03, 0.01)
+    ticks = [v for v in _ACCURACIES if low_end <= v]
+    ticks = ticks[: int(np.searchsorted(ticks[:-1], highest)) + 1]
+    ax.set_xticks(ticks, [f"{v:g}" for v in ticks])
+    ax.set_xlim(low_end, ticks[-1])
     ax.xaxis.set_minor_locator(NullLocator())
     if is_hollow.any():
         ax.plot([], [], "o", color=INK, mfc="w", ls="", label="hollow: in-sample")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from types import ModuleType
 from typing import Any
 
@@ -15,7 +15,7 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.plugins import plugin_errors
 from egolane_pgm.views.network import structure_of
-from egolane_pgm.views.tables import page, table, wrapped
+from egolane_pgm.views.tables import Table, page, table, wrapped
 
 #: Longer tables are in the JSON only.
 MAX_PRINTED = 1000
@@ -36,7 +36,7 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
     tables: list[dict[str, Any]] = []
     for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
         frames = ["first frame", "later frames"]
-        for s, when in enumerate(["every frame"] if compiled.has_one_table(name) else frames):
+        for s, when in enumerate(["every frame"] if name in compiled.one_table else frames):
             each = compiled.tables[name, s]
             parents = [parent + _BEFORE * (t != s) for parent, t in each.parents]
             axes, shape = [*parents, name], list(each.values.shape)
@@ -103,83 +103,76 @@ def _of_module(module: ModuleType) -> dict[str, Any]:
 
 def description_text(found: Mapping[str, Any]) -> str:
     """A description as text that fits the terminal."""
-    lines = [f"{found['kind']} {found['name']}"]
-    lines += [found["file"]] if found["file"] != found["name"] else []
-    if found["about"]:
-        lines += ["", wrapped(" ".join(found["about"].split("\n\n")[0].split()))]
+    head = f"{found['kind']} {found['name']}"
+    head += f"\n{found['file']}" * (found["file"] != found["name"])
+    parts: list[str | Table] = [head]
+    parts.append(" ".join(found["about"].split("\n\n")[0].split()))
     if found["kind"] == "graph":
-        lines += _graph_lines(found)
+        parts += _graph_parts(found)
     elif found["kind"] == "evidence rule":
-        lines += _rule_lines(found)
+        parts.append(_rule_text(found))
     else:
-        lines += ["", "cameras: two, as a stereo pair" if found["stereo"] else "cameras: one"]
-    lines += ["", "parameters" if found["parameters"] else "parameters: none"]
+        parts.append("cameras: two, as a stereo pair" if found["stereo"] else "cameras: one")
+    lines = ["parameters" if found["parameters"] else "parameters: none"]
     for each in found["parameters"]:
         searched = f"searched {_short(each['range'])}" if each["range"] else "not searched"
-        facts = (
-            f"{each['kind']}{' (or one per lane)' * each['per_lane']},"
-            f" default {_short(each['default'])}, {searched}"
-        )
-        text = each["meaning"]
-        if each["choices"]:
-            number = "a number or " * (each["kind"] != "choice")
-            text = f"{number}{' or '.join(each['choices'])}: {text}"
-        lines += [wrapped(f"  {each['name']}  {facts}", 4), wrapped(f"      {text}")]
-    return "\n".join(lines)
+        kind = each["kind"] + " (or one per lane)" * each["per_lane"]
+        facts = f"{kind}, default {_short(each['default'])}, {searched}"
+        words = " or ".join(each["choices"])
+        if words and each["kind"] != "choice":
+            words = f"a number or {words}"
+        lines.append(wrapped(f"  {each['name']}  {facts}", 4))
+        lines.append(f"      {words}{': ' * bool(words)}{each['meaning']}")
+    return page([*parts, "\n".join(lines)])
 
 
-def _graph_lines(found: Mapping[str, Any]) -> list[str]:
-    lines = ["", f"nodes ({found['n_lanes']} lanes, {found['joint_states']} joint states)"]
-    nodes = {node["name"]: node for node in found["nodes"]}
-    width = max(map(len, nodes))
-    for name, node in nodes.items():
-        values, role = node["values"], node["role"]
-        text = ", ".join(values)
-        if len(values) > 6 and values[0].isdecimal():
-            text = f"{values[0]} to {values[-1]}"
-        if role == "virtual evidence":
-            of = [parent for parent, child in found["edges"]["within"] if child == name]
-            text = f"the likelihood of {', '.join(of)}"
-        lines.append(wrapped(f"  {name:{width}}  {role:16}  {text}", width + 20))
-    lines += ["", "tables (the edges of the graph; the axes are the parents and the node itself)"]
+def _graph_parts(found: Mapping[str, Any]) -> list[str | Table]:
+    """Tables of the nodes and of the probability tables, and their numbers."""
+    names = {node["name"]: node["values"] for node in found["nodes"]}
+    nodes = pd.DataFrame(found["nodes"]).set_index("name").rename_axis("node")
+    nodes["values"] = [
+        f"{v[0]} to {v[-1]}" if len(v) > 6 and v[0].isdecimal() else ", ".join(v)
+        for v in nodes["values"]
+    ]
+    is_evidence = nodes["role"] == "virtual evidence"
+    rows: list[list[str]] = []
+    numbers: list[str | Table] = []
     for each in found["tables"]:
         *given, node = each["axes"]
-        frames = "" if each["frames"] == "every frame" else f"  ({each['frames']})"
-        shape = " x ".join(map(str, each["shape"]))
-        text = f"  P({node}{' | ' if given else ''}{', '.join(given)})"
-        lines.append(wrapped(f"{text:58} {shape}{frames}", 2))
+        rows.append([node, ", ".join(given), " x ".join(map(str, each["shape"]))])
         if "values" in each:
-            names = [nodes[axis.removesuffix(_BEFORE)]["values"] for axis in each["axes"]]
-            lines.append(_numbers_text(each, names))
-    lines[-1] = lines[-1].rstrip()
-    return lines
+            *parents, own = (names[axis.removesuffix(_BEFORE)] for axis in each["axes"])
+            labels = [", ".join(combination) for combination in itertools.product(*parents)]
+            index = pd.Index(labels, name=", ".join(given) or " ")
+            frame = pd.DataFrame(np.reshape(each["values"], (len(labels), -1)), index, list(own))
+            is_long = frame.size > MAX_PRINTED
+            name = f"P({node}{' given ' * bool(given)}{', '.join(given)})"
+            numbers.append(f"{name}{': in the JSON only' * is_long}")
+            numbers += [] if is_long else [table(frame, dict.fromkeys(frame, ".4g"))]
+    tables = pd.DataFrame(rows, columns=["table of", "given", "size"]).set_index("table of")
+    return [
+        f"{found['n_lanes']} lanes, {found['joint_states']} joint states",
+        table(nodes[~is_evidence]),
+        f"virtual evidence: {', '.join(nodes.index[is_evidence])}",
+        table(tables),
+        *numbers,
+    ]
 
 
-def _numbers_text(found: Mapping[str, Any], names: Sequence[Sequence[str]]) -> str:
-    """A table of probabilities: a row for each combination of the parents' values."""
-    values = found["values"]
-    if values.size > MAX_PRINTED:
-        return f"    {values.size} numbers, in the JSON only"
-    rows = [", ".join(combination) for combination in itertools.product(*names[:-1])]
-    parents = pd.Index(rows, name=", ".join(found["axes"][:-1]) or " ")
-    frame = pd.DataFrame(np.reshape(values, (len(rows), -1)), parents, list(names[-1]))
-    return f"\n{page([table(frame, dict.fromkeys(frame, '.4g'))])}\n"
-
-
-def _rule_lines(found: Mapping[str, Any]) -> list[str]:
+def _rule_text(found: Mapping[str, Any]) -> str:
     keys = [
         key if isinstance(key, str) else " and ".join(key) + ", jointly" for key in found["gives"]
     ]
-    lines = ["", "gives, for each frame"]
+    lines = ["gives, for each frame"]
     lines += [f"  the likelihood of {key}" for key in keys] or ["  unknown (no PROVIDES)"]
     lines += [f"  the value of the input {name}" for name in found["inputs"]]
     if found["detector_only"]:
         lines.append(f"  {found['detector_only']} is also the answer of the detector alone")
     if found["looks_ahead"]:
-        lines.append(wrapped(f"  it is not causal: {found['looks_ahead']}", 2))
+        lines.append(f"  it is not causal: {found['looks_ahead']}")
     if found["can_learn"]:
         lines.append("  it learns from a recording (`egolane learn`)")
-    return lines
+    return "\n".join(lines)
 
 
 def _short(value: Any) -> str:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from egolane_pgm.inference.events import CONFIDENT, SURE
+from egolane_pgm.inference.events import CONFIDENT, SURE, lane_segments
 from egolane_pgm.result import TAG, Result, by_drive, lanes_of
 from egolane_pgm.views.answers import is_known
 from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
@@ -66,13 +66,12 @@ def result_title(result: Result) -> str:
 
 def result_html(result: Result) -> str:
     """The title and a table of the scores, for a notebook."""
-    parts = [f"<p>{html.escape(result_title(result))}</p>"]
-    scores = scores_by_side(result)
-    if scores:
-        found = score_table(scores)
-        parts.append(pd.DataFrame(found.rows, columns=found.header).to_html(index=False))
-    notes = [f"<p>{html.escape(note)}</p>" for note in result.notes]
-    return f"<div>{''.join([*parts, *notes])}</div>"
+    lines = [f"<p>{html.escape(line)}</p>" for line in (result_title(result), *result.notes)]
+    if scores_by_side(result):
+        found = score_table(scores_by_side(result))
+        scores = pd.DataFrame(found.rows, columns=found.header)
+        lines.insert(1, scores.to_html(index=False))
+    return f"<div>{''.join(lines)}</div>"
 
 
 def result_text(result: Result, style: str = "markdown", wide: bool = False) -> str:
@@ -87,7 +86,12 @@ def result_text(result: Result, style: str = "markdown", wide: bool = False) -> 
     most = None if wide else LISTED
     parts: list[str | Table] = ["\n".join(_head(result, sides))]
     if wide and sides:
-        parts += _score_parts(result, sides)
+        parts.append(score_table(sides))
+        every = result.scores.get("model_all_frames")
+        if every:
+            parts.append(f"the same with the frames of untrusted labels: {every['frames_scored']}")
+            parts.append(score_table({"model": every}))
+        parts += [confusion_table(each["confusion"], who) for who, each in sides.items()]
     if several:
         parts += drive_parts(result, most)
     if len(events) and (wide or not several):
@@ -123,9 +127,10 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     elif "drive" in result.frames:
         lines = [f"{run['name']}: no ground truth, no scores"]
     else:
-        last = result.node("Lane")[-1]
+        lane, time_s = result.node("Lane"), result.frames["time_s"].to_numpy()
+        last = lane[-1]
         lines = [
-            f"{run['name']}: {segments_text(result.segments)}",
+            f"{run['name']}: {segments_text(lane_segments(lane, result.events, time_s))}",
             f"most probable at the end: lane {last.argmax() + 1} ({last.max():.2f});"
             " no ground truth, no scores",
         ]
@@ -149,33 +154,22 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _score_parts(result: Result, sides: dict[str, Any]) -> list[str | Table]:
-    """All scores and the confusion matrices."""
-    parts: list[str | Table] = [score_table(sides)]
-    if "model_all_frames" in result.scores:
-        every = result.scores["model_all_frames"]
-        parts.append(f"the same with the frames of untrusted labels: {every['frames_scored']}")
-        parts.append(score_table({"model": every}))
-    return parts + [confusion_table(each["confusion"], who) for who, each in sides.items()]
-
-
 def drive_parts(result: Result, most: int | None = LISTED) -> list[str | Table]:
     """A table with a row per drive: its scores, or its lane at the end.
 
     - most: number of rows; None for all.
     """
-    is_scored = "model" in result.scores
     rows = []
     for name, frames in by_drive(result.frames):
         row: dict[str, Any] = {"drive": name, "frames": len(frames)}
         if "n_lanes" in frames:
             row["lanes"] = int(frames["n_lanes"].iloc[0])
-        if is_scored:
+        if "model" in result.scores:
             known = frames[is_known(frames)]
             row["scored"] = len(known)
             for who, column in (("detector", "detector_lane"), ("accuracy", "assigned_lane")):
                 if column in frames:
-                    row[who] = (known[column] == known["true_lane"]).mean() if len(known) else None
+                    row[who] = known[column].eq(known["true_lane"]).astype(float).mean()
         else:
             last = lanes_of(frames)[-1]
             row["lane at the end"] = str(last.argmax() + 1) if last.max() >= CONFIDENT else "-"

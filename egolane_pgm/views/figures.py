@@ -13,12 +13,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
-from egolane_pgm.scoring.probabilistic import (
+from egolane_pgm.scoring.confusion import (
     N_BINS,
     calibration_curve,
+    confusion,
     coverage_curve,
     expected_calibration_error,
+    scores_from_confusion,
 )
 from egolane_pgm.types import FloatArray, IntArray
 from egolane_pgm.views.answers import answers, scored
@@ -78,47 +79,31 @@ def confusion_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     """
     matrices = confusions(frames)
     n = matrices["Model"].shape[1]
-    size = 1.8 + len(matrices) * max(0.8 * n + 0.2, 2.2), 1.4 + 0.48 * (n + 1)
+    size = 1.3 + len(matrices) * max(0.8 * n + 0.2, 2.2), 1.4 + 0.48 * (n + 1)
     figure = new_figure(*size, _titled(frames, title))
     axes = figure.subplots(1, len(matrices), squeeze=False, sharey=True)[0]
-    ramp = PROBABILITY_RAMP.with_extremes(bad="#efefef")
     for ax, (name, counts) in zip(axes, matrices.items(), strict=True):
         total = counts.sum(axis=0)
-        share = counts / np.where(total == 0, np.nan, total)
-        image = ax.imshow(100 * share, cmap=ramp, vmin=0, vmax=100, aspect="auto")
+        share = np.nan_to_num(counts / np.maximum(total, 1))
+        ax.imshow(share, PROBABILITY_RAMP, vmin=0, vmax=1, aspect="auto")
         for (row, column), count in np.ndenumerate(counts):
-            is_used = total[column] > 0
-            colour = text_colour(ramp(share[row, column])) if is_used else INK
+            colour = text_colour(PROBABILITY_RAMP(share[row, column]))
             place: dict[str, Any] = {"ha": "center", "va": "center", "color": colour}
-            text = f"{percent(float(share[row, column]))} %" if is_used else "-"
+            text = f"{percent(share[row, column])} %" if total[column] else "-"
             ax.text(column, row - 0.13, text, **place)
             ax.text(column, row + 0.23, f"{int(count):,}", fontsize=7, **place)
         ax.vlines(np.arange(1, n) - 0.5, -0.5, n + 0.5, FAINT, lw=0.5)
         ax.hlines(np.arange(1, n) - 0.5, -0.5, n - 0.5, FAINT, lw=0.5)
         ax.hlines(n - 0.5, -0.5, n - 0.5, INK, lw=1)
-        ax.set_title(
-            f"{name}: {percent(float(scores_from_confusion(counts)['accuracy']))} % correct"
-        )
+        accuracy = scores_from_confusion(counts)["accuracy"]
+        ax.set_title(f"{name}: {percent(float(accuracy))} % correct")
         ax.set_xticks(range(n), [f"lane {k + 1}\n{int(t):,}" for k, t in enumerate(total)])
         ax.set_yticks(range(n + 1), [*(f"lane {k + 1}" for k in range(n)), "Unassigned"])
-        ax.set_xlabel("true lane, number of frames")
+        ax.set_xlabel("true lane, number of frames (100 %)")
         ax.tick_params(length=0)
         ax.grid(False)
     axes[0].set_ylabel("predicted (lane 1: leftmost)")
-    bar = figure.colorbar(image, ax=axes, aspect=30, pad=0.01)
-    bar.set_label("% of the true lane's frames")
     return figure
-
-
-def reliabilities(frames: pd.DataFrame) -> dict[str, tuple[dict[str, FloatArray], float]]:
-    """The calibration curves of the answers, and their expected calibration errors."""
-    return _measured(
-        frames,
-        lambda belief, _, *truth: (
-            calibration_curve(belief, *truth),
-            expected_calibration_error(belief, *truth),
-        ),
-    )
 
 
 def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
@@ -126,28 +111,24 @@ def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
 
     The legend has the expected calibration error (ECE).
     """
-    found = reliabilities(frames)
+    curves = _measured(frames, lambda belief, _, *truth: calibration_curve(belief, *truth))
+    errors = _measured(frames, lambda belief, _, *truth: expected_calibration_error(belief, *truth))
     figure = new_figure(5, 5.4, _titled(frames, title))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.plot([0, 1], [0, 1], color=FAINT, lw=1.2, label="perfect calibration")
-    edges, width = np.arange(N_BINS) / N_BINS, 0.84 / N_BINS / len(found)
-    lowest, has_few = 1.0, False
-    for k, (name, (curve, error)) in enumerate(found.items()):
+    edges, width, lowest = np.arange(N_BINS) / N_BINS, 0.84 / N_BINS / len(curves), 1.0
+    for k, (name, curve) in enumerate(curves.items()):
         colour, marker, dashes = ANSWER_STYLE[name]
-        count = curve["count"]
-        enough = count >= FEW_FRAMES
-        few = ~enough & (count > 0)
-        has_few |= bool(few.any())
-        look: Any = {"color": colour, "marker": marker, "ms": 5}
-        for mask, face, line in ((enough, colour, dashes), (few, "w", "")):
-            x, y = curve["confidence"][mask], curve["accuracy"][mask]
-            upper.plot(x, y, ls=line, mfc=face, lw=1.3, **look)
-        upper.plot([], [], ls=dashes, label=f"{name}, ECE {error:.3f}", **look)
+        x, y, count = curve["confidence"], curve["accuracy"], curve["count"]
+        few = (count < FEW_FRAMES) & (count > 0)
+        look: Any = {"color": colour, "marker": marker, "ms": 5, "lw": 1.3}
+        label = f"{name}, ECE {errors[name]:.3f}"
+        upper.plot(x[count >= FEW_FRAMES], y[count >= FEW_FRAMES], ls=dashes, label=label, **look)
+        label = f"{name}, fewer than {FEW_FRAMES} frames"
+        upper.plot(x[few], y[few], ls="", mfc="w", label=label if few.any() else None, **look)
         left = edges + k * width + 0.08 / N_BINS
         lower.bar(left, count, width, align="edge", color=colour)
         lowest = min(lowest, float(edges[count > 0].min()))
-    if has_few:
-        upper.plot([], [], "o", mfc="w", mec=INK, ms=5, label=f"fewer than {FEW_FRAMES} frames")
     upper.set(xlim=(lowest - 0.01, 1.01), ylim=(-0.03, 1.03))
     upper.set_ylabel("share correct (Unassigned is wrong)")
     lower.set(yscale="log", ylabel="frames", xlabel="largest probability over the lanes")
@@ -157,38 +138,29 @@ def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     return figure
 
 
-def coverage_curves(frames: pd.DataFrame) -> dict[str, dict[str, FloatArray]]:
-    """The coverage curves of the answers."""
-    return _measured(frames, lambda belief, _, *truth: coverage_curve(belief, *truth))
-
-
 def coverage_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     """Draw the share of correct answers over the share of frames with an answer.
 
     Some values of `min_confidence`, the least probability of an answer, are marked.
     """
-    curves = coverage_curves(frames)
+    curves = _measured(frames, lambda belief, _, *truth: coverage_curve(belief, *truth))
     figure = new_figure(5, 4, _titled(frames, title))
     ax = figure.subplots()
-    lowest = 1.0
     for name, curve in curves.items():
         colour, marker, dashes = ANSWER_STYLE[name]
-        coverage, accuracy = curve["coverage"], curve["accuracy"]
-        shown = coverage >= LEAST_COVERAGE
-        ax.plot(
-            coverage[shown], accuracy[shown], ls=dashes, color=colour, lw=1.5, label=name
-        )  # fmt: skip
-        lowest = min(lowest, float(accuracy[shown].min(initial=1.0)))
-        for below in MARKED:
-            k = np.count_nonzero(curve["threshold"] >= below) - 1
-            if k < 0 or coverage[k] < LEAST_COVERAGE:
-                continue
-            at = float(coverage[k]), float(accuracy[k])
-            ax.plot(*at, marker=marker, ms=5.5, color=colour, zorder=3)
-            ax.annotate(f"{below:g}", at, (4, 5), textcoords="offset points", fontsize=8)
-    margin = 0.08 * (1 - lowest) + 0.002
-    ax.set(xlim=(-0.015, 1.06), ylim=(max(0.0, lowest - margin), 1 + margin))
-    ax.set_xlabel("coverage: share of frames with an answer")
+        found = pd.DataFrame(curve)
+        found = found[found["coverage"] >= LEAST_COVERAGE]
+        # The last point with at least this confidence.
+        at = {below: int((found["threshold"] >= below).sum()) - 1 for below in MARKED}
+        at = {below: k for below, k in at.items() if k >= 0}
+        look: Any = {"ls": dashes, "color": colour, "marker": marker, "ms": 5.5, "lw": 1.5}
+        coverage, accuracy = found["coverage"], found["accuracy"]
+        ax.plot(coverage, accuracy, markevery=[*at.values()], label=name, **look)
+        for below, k in at.items():
+            place = coverage.iloc[k], accuracy.iloc[k]
+            ax.annotate(f"{below:g}", place, (4, 5), textcoords="offset points", fontsize=8)
+    ax.margins(y=0.1)
+    ax.set(xlim=(-0.015, 1.06), xlabel="coverage: share of frames with an answer")
     ax.set_ylabel("share of answers that are correct")
     figure.legend(loc="outside lower center", ncols=2, title="marked: min_confidence")
     return figure
@@ -202,20 +174,6 @@ def dispersion(matrix: IntArray) -> dict[str, int]:
     return {**dict(zip(names, off.tolist(), strict=True)), "unassigned": int(matrix[-1].sum())}
 
 
-def dispersions(results: Sequence[tuple[str, pd.DataFrame]]) -> pd.DataFrame:
-    """The counts of several results: a row per result and answer.
-
-    - results: titles and frames.
-    """
-    rows = {}
-    for k, (title, frames) in enumerate(results):
-        for name, matrix in confusions(frames).items():
-            note = f"{matrix.shape[1]} lanes, {int(matrix.sum()):,} frames"
-            rows[k, f"{title}\n{note}", name] = dispersion(matrix)
-    table = pd.DataFrame.from_dict(rows, orient="index").fillna(0)
-    return table[[*(c for c in table if c != "unassigned"), "unassigned"]]
-
-
 def dispersion_figure(results: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
     """Draw stacked bars of the share of correct answers, answers off by 1, 2, ... and unassigned.
 
@@ -223,33 +181,33 @@ def dispersion_figure(results: Sequence[tuple[str, pd.DataFrame]]) -> Figure:
 
     - results: titles and frames.
     """
-    counts = dispersions(results)
-    share = counts.div(counts.sum(axis=1), axis=0)
-    n_off = share.shape[1] - 2
-    errors = [ERROR_RAMP(k / max(n_off - 1, 1)) for k in range(n_off)]
-    colours = [MODEL_COLOUR, *errors, UNASSIGNED_COLOUR]
-    group = share.index.get_level_values(0).to_numpy()
-    y = np.arange(len(share)) + 0.7 * group
-    figure = new_figure(9, 0.9 + 0.235 * (y[-1] + 1), "Error dispersion")
+    rows: dict[Any, dict[str, int]] = {}
+    y: list[float] = []
+    for k, (title, frames) in enumerate(results):
+        for name, matrix in confusions(frames).items():
+            note = (
+                f"{matrix.shape[1]} lanes, {int(matrix.sum()):,} frames" if name == "Model" else ""
+            )
+            rows[k, f"{title}: {name}\n{note}".rstrip()] = dispersion(matrix)
+            y.append(len(y) + 0.5 * k)
+    counts = pd.DataFrame.from_dict(rows, orient="index").fillna(0)
+    names = [*(c for c in counts if c != "unassigned"), "unassigned"]
+    share = counts[names].div(counts.sum(axis=1), axis=0)
+    errors = ERROR_RAMP(np.linspace(0, 1, len(names) - 2))
+    figure = new_figure(9, 0.9 + 0.27 * (y[-1] + 1), "Error dispersion")
     ax = figure.subplots()
     left = np.zeros(len(share))
-    for name, colour in zip(share, colours, strict=True):
+    for name, colour in zip(names, [MODEL_COLOUR, *errors, UNASSIGNED_COLOUR], strict=True):
         values = share[name].to_numpy()
-        ax.barh(y, values, 0.88, left, color=colour, ec="w", lw=0.5, label=name)
-        for at, begin, value in zip(y, left, values, strict=True):
-            if value >= LABELLED:
-                x, ink = begin + value / 2, text_colour(colour)
-                ax.text(x, at, percent(value), ha="center", va="center", fontsize=7.5, color=ink)
+        bars = ax.barh(y, values, 0.88, left, color=colour, ec="w", lw=0.5, label=name)
+        labels = [percent(value) if value >= LABELLED else "" for value in values]
+        ax.bar_label(bars, labels, label_type="center", fontsize=7.5, color=text_colour(colour))
         left += values
-    ax.set_yticks(y, share.index.get_level_values(2))
-    place: dict[str, Any] = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "center"}
-    for k, title in dict(share.index.droplevel(2)).items():
-        at = y[group == k].mean()
-        ax.annotate(title, (0, at), (-58, 0), textcoords="offset points", fontsize=7.5, **place)
+    ax.set_yticks(y, share.index.get_level_values(1))
     ax.set(xlim=(0, 1), ylim=(y[-1] + 0.6, -0.6), xlabel="share of scored frames (%)")
     ax.set_xticks(np.linspace(0, 1, 6), [f"{v}" for v in range(0, 101, 20)])
     ax.tick_params(axis="y", length=0)
     ax.spines[["top", "right", "left"]].set_visible(False)
     ax.grid(False)
-    ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(colours), handlelength=1.2)
+    ax.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=len(names), handlelength=1.2)
     return figure

@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Ellipse, FancyArrowPatch, FancyBboxPatch, Rectangle
+from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangle
 
 from egolane_pgm.graphs.cpds import SliceNode, ve_name
 from egolane_pgm.graphs.flat import bif
@@ -26,7 +26,7 @@ from egolane_pgm.views.style import FORMATS, INK, inline_figure, new_figure, wri
 ENDINGS = (*FORMATS, ".bif")
 
 Edge = tuple[SliceNode, SliceNode]
-Shape = Ellipse | Rectangle
+Shape = Circle | Rectangle
 
 #: Fill of each kind of node. Kinds differ in lightness and shape too, so colour is not needed.
 _FILL = {
@@ -37,6 +37,9 @@ _FILL = {
     "virtual evidence": "#4d5a66",
 }
 _TEMPORAL = "#b3541e"
+
+#: The bends that are tried for an edge, the straight line first.
+_BENDS = (0.0, 0.12, -0.12, 0.22, -0.22, 0.32, -0.32, 0.45, -0.45)
 
 # Radii of nodes; distances between rows, around a slice and between slices; inches of a unit.
 _RADIUS, _SMALL, _STEP, _MARGIN, _GAP, _INCH = 0.52, 0.17, 1.5, 0.75, 1.3, 0.8
@@ -67,7 +70,8 @@ class Structure:
 def structure_of(compiled: Compiled) -> Structure:
     """The structure of a compiled network, with its virtual-evidence nodes."""
     kind = {name: "observed" for name, _ in compiled.tables}
-    kind |= dict.fromkeys(compiled.hidden, "hidden") | dict.fromkeys(compiled.functions, "function")
+    for name in compiled.hidden:
+        kind[name] = "hidden" if name in compiled.state_nodes else "function"
     kind |= dict.fromkeys(compiled.inputs, "input")
     edges = [(parent, node) for node, table in compiled.tables.items() for parent in table.parents]
     for key in compiled.observed:
@@ -145,17 +149,14 @@ def network_figure(structure: Structure) -> Figure:
     for edge in structure.edges:
         _draw_edge(ax, edge, nodes)
     entries: dict[str, Any] = {}
-    for kind, fill in _FILL.items():
-        if kind in structure.kind.values():
-            sizes = {"function": (10, 7), "virtual evidence": (5,)}.get(kind, (10,))
-            label = "function of its parents" if kind == "function" else kind
-            look: Any = {"ls": "", "marker": "os"[kind == "input"], "mfc": fill, "mec": INK}
-            entries[label] = tuple(Line2D([], [], ms=size, **look) for size in sizes)
+    for kind in [each for each in _FILL if each in structure.kind.values()]:
+        sizes = {"function": (10, 7), "virtual evidence": (5,)}.get(kind, (10,))
+        look: Any = {"ls": "", "marker": "os"[kind == "input"], "mfc": _FILL[kind], "mec": INK}
+        entries[kind] = tuple(Line2D([], [], ms=size, **look) for size in sizes)
     entries["within a frame"] = Line2D([], [], color=INK, lw=1.1)
     if structure.across:
         entries["to the next frame"] = Line2D([], [], color=_TEMPORAL, lw=1.9)
-    columns = min(3, max(2, int(figure.get_figwidth() / 1.8)))
-    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=columns)
+    figure.legend(list(entries.values()), list(entries), loc="outside lower center", ncols=3)
     return figure
 
 
@@ -192,9 +193,9 @@ def _places(structure: Structure) -> dict[str, tuple[float, float]]:
 def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
     radius = _SMALL if kind == "virtual evidence" else _RADIUS
     look: dict[str, Any] = {"fc": _FILL[kind], "ec": INK, "lw": 1.2, "zorder": 3}
-    half = 0.85 * radius
     node: Shape = Circle((x, y), radius, **look)
     if kind == "input":
+        half = 0.85 * radius
         node = Rectangle((x - half, y - half), 2 * half, 2 * half, **look)
     ax.add_patch(node)
     if kind == "function":
@@ -203,8 +204,7 @@ def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
         label = name.replace("+", "\n+ ")
         ax.text(x, y + radius + 0.08, label, fontsize=7, ha="center", va="top")
         return node
-    # One word per line, split at capitals and underscores.
-    words = re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name) or [name]
+    words = re.sub("(?<=[a-z])(?=[A-Z])", "_", name).split("_")
     size = min(9.5, 78 / max(map(len, words)), 34 / len(words))
     ax.text(x, y, "\n".join(words), fontsize=size, ha="center", va="center", zorder=4)
     return node
@@ -212,27 +212,27 @@ def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
 
 def _draw_edge(ax: Axes, edge: Edge, nodes: Mapping[SliceNode, Shape]) -> None:
     """Draw an edge with the smallest bend that keeps it clear of all other nodes."""
-    start, end = (nodes[node] for node in edge)
-    a, b = np.array([start.get_center(), end.get_center()])
-    others = [node for node in nodes.values() if node not in (start, end)]
-    centres = np.array([node.get_center() for node in others]).reshape(-1, 2)
-    radii = np.array([node.get_width() / 2 for node in others])
+    start, end = edge
+    a, b, *others = np.array(
+        [nodes[n].get_center() for n in (*edge, *(n for n in nodes if n not in edge))]
+    )
     s = np.linspace(0, 1, 51)[:, None]
 
     def room(bend: float) -> float:
         control = (a + b) / 2 + bend * (b - a)[::-1] * (1, -1)
         curve = (1 - s) ** 2 * a + 2 * s * (1 - s) * control + s**2 * b
-        distance = np.linalg.norm(curve[:, None] - centres, axis=2) - radii
-        return min(0.1, float(distance.min(initial=np.inf)))
+        distances = [float(np.linalg.norm(curve - other, axis=1).min()) for other in others]
+        return min([_RADIUS + 0.1, *distances])
 
-    bend = max((0.0, 0.12, -0.12, 0.22, -0.22, 0.32, -0.32, 0.45, -0.45), key=room)
-    is_temporal = edge[0][1] != edge[1][1]
+    is_temporal = start[1] != end[1]
     arrow = FancyArrowPatch(
-        a.tolist(), b.tolist(), patchA=start, patchB=end, shrinkA=0, shrinkB=1, zorder=2,
-        connectionstyle=f"arc3,rad={-bend}",  # The y axis points down, which mirrors the arc.
+        a.tolist(), b.tolist(), patchA=nodes[start], patchB=nodes[end], shrinkA=0, shrinkB=1,
+        # The y axis points down, which mirrors the arc.
+        connectionstyle=f"arc3,rad={-max(_BENDS, key=room)}",
         arrowstyle="-|>,head_length=5,head_width=2.8",
         color=_TEMPORAL if is_temporal else INK,
         linewidth=1.9 if is_temporal else 1.1,
+        zorder=2,
     )  # fmt: skip
-    arrow.set_gid(f"edge {edge[0][0]} {edge[0][1]} {edge[1][0]} {edge[1][1]}")
+    arrow.set_gid(f"edge {start[0]} {start[1]} {end[0]} {end[1]}")
     ax.add_patch(arrow)

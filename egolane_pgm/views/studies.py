@@ -17,7 +17,6 @@ from egolane_pgm.types import InputError
 from egolane_pgm.views.display import drive_parts
 from egolane_pgm.views.style import (
     DETECTOR_COLOUR,
-    INK,
     MODEL_COLOUR,
     new_figure,
     write_figures,
@@ -30,19 +29,10 @@ if TYPE_CHECKING:
 #: Importances of fewer trials would be mostly chance.
 FEWEST = 20
 
-#: Trials with a score this close to the best are shaded in a profile.
-TOLERANCE = 0.005
-
-_DOTS, _SHADE = "#8aa9c0", "#d5e6f3"
+_DOTS = "#8aa9c0"
 
 
 # --- text ----------------------------------------------------------------------------------------
-
-
-def _scores(study: Study) -> dict[str, Mapping[str, Any]]:
-    """The scores in-sample and, if there are any, held out."""
-    results = {"in-sample": study.in_sample, "held out": study.held_out}
-    return {name: result.scores for name, result in results.items() if result is not None}
 
 
 def study_title(study: Study) -> str:
@@ -50,10 +40,11 @@ def study_title(study: Study) -> str:
     more = len(study.experiments) - 1
     parts = [f"{study.name!r}{f' and {more} more' if more else ''}: {study.method}"]
     parts += [f"{study.n_trials} trials"] if study.n_trials else []
+    results = {"in-sample": study.in_sample, "held out": study.held_out}
     accuracy = [
-        f"{found['model']['accuracy']:.3f} {name}"
-        for name, found in _scores(study).items()
-        if "model" in found
+        f"{result.scores['model']['accuracy']:.3f} {name}"
+        for name, result in results.items()
+        if result is not None and "model" in result.scores
     ]
     parts.append(f"accuracy {', '.join(accuracy)}" if accuracy else "no ground truth")
     return ", ".join(parts)
@@ -62,16 +53,15 @@ def study_title(study: Study) -> str:
 def study_text(study: Study, style: str, wide: bool) -> str:
     """The output of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
     parts: list[str | Table] = [study_title(study)]
-    found, folds, held_out = _scores(study), [], study.held_out
+    scores, folds, held_out = {"in-sample": study.in_sample.scores}, [], study.held_out
     if held_out is not None:
-        folds = held_out.run["fitted"]
+        scores["held out"], folds = held_out.scores, held_out.run["fitted"]
         parts.append(f"held out: {len(folds)} folds, each scored with a fit to the others")
-    scores = {name: each["model"] for name, each in found.items() if "model" in each}
-    if scores:
-        parts.append(score_table(scores))
+    if "model" in study.in_sample.scores:
+        parts.append(score_table({name: each["model"] for name, each in scores.items()}))
     if held_out is not None and "drive" in held_out.frames:
         parts += drive_parts(held_out)
-    evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in found.items()]
+    evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in scores.items()]
     parts.append(f"mean log evidence per frame: {', '.join(evidence)}")
     values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
     if values:
@@ -184,15 +174,14 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
 
 
 def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
-    """Draw the score over each parameter, the range of the best trials, and the folds' best.
+    """Draw the score over each parameter, and the best values of all frames and of the folds.
 
-    With enough trials the most important parameter is the first, and titles have the importances.
+    With enough trials, parameters are in order of importance.
     """
     score, sign = _score(document)
     importance = importances(trials, document["settings"])
     names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
-    gain = sign * trials["score"]
-    best, good = trials.loc[gain.idxmax()], trials[gain >= gain.max() - TOLERANCE]
+    best = trials.loc[(sign * trials["score"]).idxmax()]
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
     figure = new_figure(max(2.2 * columns + 0.6, 5), 0.8 + 1.8 * rows, title)
@@ -203,22 +192,22 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     for ax, name in zip(axes.flat, names, strict=False):
         values = trials[name]
         if values.dtype.kind in "if":
-            label = f"within {TOLERANCE:g} of the best ({len(good)} trials)"
-            ax.axvspan(good[name].min(), good[name].max(), color=_SHADE, lw=0, label=label)
-            ax.xaxis.set_major_locator(MaxNLocator(4, integer=values.dtype.kind == "i"))
+            is_whole = values.dtype.kind == "i"
+            ax.xaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10], integer=is_whole))
         ax.plot(values, trials["score"], ".", ms=3, color=_DOTS, label="trial")
         ax.plot([best[name]], [best["score"]], "o", color=MODEL_COLOUR, ms=6, label="best")
         folds = [fold[name] for fold in document["folds"] or () if name in fold]
         if folds:
-            ax.plot(folds, [low] * len(folds), "|", color=INK, ms=12, label="best of a fold")
-        share = f": {importance.get(name, 0):.0%}" if importance else ""
-        ax.set_title(f"{name}{share}")
-        ax.set_ylim(low, high)
-    axes[0, 0].set_ylabel(score.replace("_", " "))
-    note = "in titles: importance for reaching the best tenth of the trials (PED-ANOVA)"
-    look: Any = {"loc": "outside lower left", "ncols": 4, "alignment": "left"}
+            look: Any = {"color": DETECTOR_COLOUR, "ms": 12, "mew": 1.5, "zorder": 3}
+            ax.plot(folds, [low] * len(folds), "|", label="best of a fold (no score)", **look)
+        share = f" ({100 * importance.get(name, 0):.0f} %)" if importance else ""
+        ax.set(xlabel=f"{name}{share}", ylim=(low, high))
+    for ax in axes[:, 0]:
+        ax.set_ylabel(score.replace("_", " "))
+    note = "in brackets: importance for reaching the best tenth of the trials (PED-ANOVA)"
     entries = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*entries, title=note if importance else None, **look)
+    place: Any = {"loc": "outside lower left", "ncols": 4, "alignment": "left"}
+    figure.legend(*entries, title=note if importance else None, **place)
     return figure
 
 

@@ -37,14 +37,10 @@ SCORES = {
 
 
 class Table(NamedTuple):
-    """A table of text, and its numbers for CSV.
-
-    - labels: number of columns at the left that name the rows.
-    """
+    """A table of text, and its numbers for CSV."""
 
     header: Sequence[str]
     rows: Sequence[Sequence[str]]
-    labels: int = 1
     frame: pd.DataFrame = pd.DataFrame()
 
 
@@ -64,19 +60,18 @@ def table(frame: pd.DataFrame, digits: Mapping[Any, int | str] | None = None) ->
     | A   | 0.850 [0.800, 0.900] |
     | B   | 0.880 [0.800, 0.900] |
     """
-    forms, n_labels = digits or {}, frame.index.nlevels
+    forms = digits or {}
     ends = {f"{name}_{end}" for name in frame for end in ("low", "high")}
     shown = [name for name in frame if name not in ends]
     rows = []
     for label, row in zip(frame.index, frame.to_dict("records"), strict=True):
-        labels = [str(each) for each in (label if n_labels > 1 else [label])]
-        cells = []
+        cells = [str(each) for each in (label if frame.index.nlevels > 1 else [label])]
         for name in shown:
             bounds = [row[f"{name}_{end}"] for end in ("low", "high") if f"{name}_low" in row]
             cells.append(with_interval(row[name], bounds, forms.get(label, forms.get(name, 3))))
-        rows.append([*labels, *cells])
+        rows.append(cells)
     header = [*map(str, frame.index.names), *(str(name).replace("_", " ") for name in shown)]
-    return Table(header, rows, n_labels, frame)
+    return Table(header, rows, frame)
 
 
 def cell(value: Any, form: int | str = 3) -> str:
@@ -144,49 +139,35 @@ def wrapped(text: str, hanging: int = 0) -> str:
     lines = []
     for line in text.splitlines():
         indent = " " * (len(line) - len(line.lstrip()))
-        wrapper = textwrap.TextWrapper(
-            line_width(),
-            initial_indent=indent,
-            subsequent_indent=indent + " " * hanging,
-            break_long_words=False,
-            break_on_hyphens=False,
-        )
-        lines.append(wrapper.fill(line.strip()))
+        look: Any = {"break_long_words": False, "break_on_hyphens": False}
+        look |= {"initial_indent": indent, "subsequent_indent": indent + " " * hanging}
+        lines.append(textwrap.fill(line.strip(), line_width(), **look))
     return "\n".join(lines)
 
 
-def _fitted(table: Table, wide: bool) -> str:
+def _fitted(found: Table, wide: bool) -> str:
     """A Markdown table; unless `wide`, columns that do not fit the terminal are named below it."""
-    columns = _columns(table.header, table.rows)
-    used = 1 + np.cumsum([3 + max(map(len, column)) for column in columns])
-    n = max(int((used <= terminal_width()).sum()), table.labels + 1)
-    if wide or n >= len(columns):
-        return _lines(columns)
-    missing = ", ".join(column[0] for column in columns[n:])
-    return f"{_lines(columns[:n])}\n\n{wrapped(f'Not shown at this width: {missing}.')}"
+    text = markdown(found.header, found.rows)
+    borders = [place.end() for place in re.finditer(r"\|", text.splitlines()[1])]
+    n = max(2, sum(border <= terminal_width() for border in borders) - 1)
+    if wide or n >= len(found.header):
+        return text
+    missing = ", ".join(found.header[n:])
+    text = markdown(found.header[:n], [row[:n] for row in found.rows])
+    return f"{text}\n\n{wrapped(f'Not shown at this width: {missing}.')}"
 
 
 def markdown(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table, aligned for reading as plain text; the first column is aligned left."""
-    return _lines(_columns(header, rows))
-
-
-def _columns(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[list[str]]:
-    """The columns of a table, the header first; an underscore inside a word needs no escape."""
-    return [
-        [re.sub(r"[\\|<`]|(?<!\w)_|_(?!\w)", r"\\\g<0>", " ".join(str(c).split())) for c in column]
-        for column in zip(header, *rows, strict=True)
-    ]
-
-
-def _lines(columns: Sequence[Sequence[str]]) -> str:
-    """A Markdown table of escaped columns."""
     padded = []
-    for k, column in enumerate(columns):
-        width = max(1, *map(len, column))
+    for k, column in enumerate(zip(header, *rows, strict=True)):
+        cells = [" ".join(str(each).split()) for each in column]
+        # An underscore inside a word needs no escape.
+        cells = [re.sub(r"[\\|<`]|(?<!\w)_|_(?!\w)", r"\\\g<0>", each) for each in cells]
+        width = max(1, *map(len, cells))
         rule = "-" * width if k == 0 else "-" * (width - 1) + ":"
-        cells = (column[0], rule, *column[1:])
-        padded.append([c.rjust(width) if k else c.ljust(width) for c in cells])
+        cells.insert(1, rule)
+        padded.append([each.rjust(width) if k else each.ljust(width) for each in cells])
     return "\n".join(f"| {' | '.join(row)} |" for row in zip(*padded, strict=True))
 
 
@@ -215,19 +196,16 @@ def score_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     - scores: of the model or the detector, as in scores.json, by the name of the column.
     """
     columns: dict[str, dict[str, Any]] = {}
-    has_intervals = False
     for name, found in scores.items():
-        values = {label: found[key] for key, label in SCORES.items()}
-        values["delay, median (frames)"] = found["delay"]["median_frames"]
-        values["lane changes missed"] = found["delay"]["share_missed"]
-        columns[name] = values
+        columns[name] = {label: found[key] for key, label in SCORES.items()}
+        columns[name]["delay, median (frames)"] = found["delay"]["median_frames"]
+        columns[name]["lane changes missed"] = found["delay"]["share_missed"]
         bounds = {SCORES[key]: ends for key, ends in found["intervals"].items() if ends}
-        has_intervals |= bool(bounds)
-        for k, end in enumerate(("low", "high")):
+        for k, end in enumerate(("low", "high") if bounds else ()):
             columns[f"{name}_{end}"] = {label: ends[k] for label, ends in bounds.items()}
-    title = "score [95 % interval]" if has_intervals else "score"
+    title = "score [95 % interval]" if len(columns) > len(scores) else "score"
     frame = pd.DataFrame(columns, dtype=float).rename_axis(title)
-    frame = frame.loc[[*next(iter(columns.values()))]].dropna(axis="columns", how="all")
+    frame = frame.loc[[*next(iter(columns.values()))]]
     return table(frame, {"delay, median (frames)": 1})
 
 

@@ -20,8 +20,12 @@ import pandas as pd
 import egolane_pgm as ego
 from egolane_pgm.inference.events import SURE
 from egolane_pgm.scoring.bootstrap import RESAMPLES
-from egolane_pgm.scoring.confusion import assigned_lane, confusion, scores_from_confusion
-from egolane_pgm.scoring.probabilistic import log_loss_per_frame
+from egolane_pgm.scoring.confusion import (
+    assigned_lane,
+    confusion,
+    log_loss_per_frame,
+    scores_from_confusion,
+)
 from egolane_pgm.tools.files import temporary_folder, write_text
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import FloatArray, InputError

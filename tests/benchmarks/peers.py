@@ -19,7 +19,7 @@ Filter = Callable[[], FloatArray]
 
 def blocks_of(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
     """The evidence (T, K) of each observed node, or tuple of them."""
-    values = [evidence.likelihoods[group.observed[0]] for group in compiled.groups]
+    values = [evidence.likelihoods[group.observed] for group in compiled.groups]
     return [np.ascontiguousarray(v.reshape(len(v), -1)) for v in values]
 
 

@@ -244,12 +244,12 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "one CPD missing": (lambda: dynamic(without(*FIRST, *LATER)), "Seen: has no table (a Tab"),
     "prior missing": (
         lambda: dynamic(without(("Lane", 0))),
-        "Lane: no table for slice 0, where its edges come from nothing; that of slice 1 is given"
-        " Lane[t]",
+        "Lane at t: has no table, and its edges come from nothing; the table of the other slice is"
+        " given Lane at t",
     ),
     "another parent": (
         lambda: changed(halves(("WOR", 1), ("Lane", 1))),
-        "WOR in slice 1: its table is given Lane[t+1], its edges come from Sensor[t+1]",
+        "WOR at t+1: its table is given Lane at t+1, its edges come from Sensor at t+1",
     ),
     "too many rows": (
         lambda: changed(halves(("WOR", 1), ("Sensor", 1), sizes=(3,))),
@@ -268,9 +268,9 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     ),
     "continuous network": (
         lambda: LinearGaussianBayesianNetwork([("Lane_0", "Lane_1")]),
-        "a LinearGaussianBayesianNetwork is not discrete: cut its continuous nodes into",
+        "LinearGaussianBayesianNetwork is no discrete Bayesian network of pgmpy; cut continuous",
     ),
-    "no network": (lambda: {"Lane": 3}, "dict is no Bayesian network of pgmpy"),
+    "no network": (lambda: {"Lane": 3}, "dict is no discrete Bayesian network of pgmpy"),
     "one slice only": (one_slice, "Lane: is of neither slice; name the nodes Lane_0 and Lane_1"),
 }
 

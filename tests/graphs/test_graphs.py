@@ -18,7 +18,6 @@ from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
-    assert_same_beliefs,
     brute_force,
     compiled_graph,
     draw_evidence,
@@ -165,29 +164,6 @@ def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.n
     bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
     gap, coasted = np.divmod(index - bins, n)
     return np.where(index < bins, bins - 1 - index, bins + gap * n + n - 1 - coasted)
-
-
-@pytest.mark.parametrize("n_lanes", [1, 2, 3, 4])
-def test_wor_on_lane_with_equal_numbers_for_all_lanes_is_sensor_failure(n_lanes: int) -> None:
-    rng = np.random.default_rng(n_lanes)
-    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
-    plain = compiled_graph(graph("sensor_failure"), n_lanes, parameters)
-    per_lane = {
-        **parameters,
-        "p3": (parameters["p3"],) * n_lanes,
-        "p4": (parameters["p4"],) * n_lanes,
-    }
-    one = compiled_graph(graph("wor_on_lane"), n_lanes, resolve("wor_on_lane", parameters, n_lanes))
-    many = compiled_graph(graph("wor_on_lane"), n_lanes, resolve("wor_on_lane", per_lane, n_lanes))
-    evidence = draw_evidence(plain, 30, rng)
-    for method in METHODS:
-        right = filter_beliefs(plain, evidence, method)
-        assert_same_beliefs(filter_beliefs(one, evidence, method), right, 1e-12)
-        assert_same_beliefs(filter_beliefs(many, evidence, method), right, 1e-12)
-
-
-def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
-    return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
 
 
 def test_the_papers_tables_are_the_papers_rows() -> None:

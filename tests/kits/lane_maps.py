@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.maps.lane_graph import LaneGraph, Plane
 from egolane_pgm.maps.positions import Positions
-from egolane_pgm.maps.road_table import RoadTable
 from egolane_pgm.types import FloatArray, IntArray
 
 #: Where the drawn roads are.
@@ -117,7 +117,7 @@ def road_rows(
     *,
     off: Sequence[int] = (),
     unknown_way: Mapping[int, int] | None = None,
-) -> RoadTable:
+) -> pd.DataFrame:
     """A road table with a row a second.
 
     - off: rows that are off the map.
@@ -128,13 +128,6 @@ def road_rows(
     segment[list(off)] = -1
     for row, number in (unknown_way or {}).items():
         way[row] = number
-    nothing, seconds = np.zeros(n), first_s + np.arange(n)
-    return RoadTable(
-        t_s=seconds,
-        segment=segment,
-        along_m=nothing,
-        offset_m=nothing,
-        sure=np.ones(n),
-        n_lanes=np.array(n_lanes),
-        unknown_way=way,
-    )
+    table = pd.DataFrame({"t_s": first_s + np.arange(n), "segment": segment, "unknown_way": way})
+    table.attrs["source"] = "road table"
+    return table.assign(along_m=0.0, offset_m=0.0, sure=1.0, n_lanes=n_lanes)

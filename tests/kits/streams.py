@@ -36,9 +36,10 @@ def over_and_over(log: LineLog, n_frames: int, frame_rate: float) -> Iterator[Li
     for number in range(n_frames):
         lap, t = divmod(number, len(log))
         here = is_line[t]
-        yield LineLog.of_frame(
-            int(log.frame_id[t]) + lap * length,
+        yield LineLog.from_rows(
+            log.frame_id[[t]] + lap * length,
             frame_rate,
+            np.zeros(here.sum(), dtype=int),
             log.offset_m[t, here],
             log.is_valid[t, here],
             log.is_continuous[t, here],

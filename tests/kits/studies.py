@@ -23,15 +23,19 @@ from tests.kits.drives import simulated
 EXPERIMENTS = experiments_folder()
 QUICKSTART = EXPERIMENTS / "quickstart.yaml"
 
-#: Blocks of the simulated drive without any of which every lane is left.
-BLOCKS = 7
-
 
 @functools.cache
 def drive_of(experiment: Experiment) -> Drive:
     """The one drive of an experiment; its labels and lines are read once."""
     [drive] = open_input(experiment).drives()
     return drive
+
+
+def fitting(drive: Drive, **fit: Any) -> Drive:
+    """The drive with other settings in its section `fit`."""
+    own = drive.experiment.fit.model_dump(exclude_unset=True)
+    experiment = drive.experiment.model_copy(update={"fit": FitSettings(**{**own, **fit})})
+    return replace(drive, model=replace(drive.model, experiment=experiment))
 
 
 def two_drives(**keys: Any) -> list[Drive]:

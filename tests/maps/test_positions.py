@@ -119,7 +119,7 @@ def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str
         ("b.csv", {"topic": "/fix"}, "unknown column 'topic'"),
         ("b.bag", {"latitude": "x"}, r"unknown column 'latitude' \(known: topic"),
         ("b.csv", {"latitud": "lat"}, r"unknown column 'latitud' \(did you mean"),
-        ("b.csv", {"latitude": "lta"}, "no column 'lta'"),
+        ("b.csv", {"latitude": "lta"}, "no column lta; the table has t, lat, lon"),
     ],
 )
 def test_other_files_and_options_are_refused(

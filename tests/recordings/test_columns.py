@@ -87,7 +87,7 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
     words = ("--n-lanes", 3, "--columns", FOREIGN, "--no-figures", "--out", tmp_path / "out")
     done("run", tmp_path / "a.csv", *words)
     result = ego.load_result(tmp_path / "out")
-    assert result.value("recording.columns") == column_keys(FOREIGN)
+    assert result.experiment.recording.columns == column_keys(FOREIGN)
     assert np.mean(result.frames["assigned_lane"][20:] == 2) > 0.9
     again = ego.run(tmp_path / "out" / "experiment.yaml")
     np.testing.assert_array_equal(again.node("Lane"), result.node("Lane"))
@@ -126,7 +126,7 @@ def test_what_does_not_fit_names_the_key_and_the_cure(tmp_path: Path, keys: str,
             "in s; set `columns: {time_unit: ns}`",
         ),
         ("frame,offset_m\n1,2\n", "no column frame_id (did you mean 'frame'?)"),
-        ("time_s,offset_m\n2,1\n1,1\n", "row 2: time is empty or goes back; sort by time"),
+        ("time_s,offset_m\n2,1\n1,1\n", "row 2: time_s goes back; sort by time"),
     ],
 )
 def test_a_table_without_frames_is_refused_with_a_cure(

@@ -14,7 +14,6 @@ import pytest
 from egolane_pgm.experiment import Columns
 from egolane_pgm.maps.positions import read_positions
 from egolane_pgm.recordings import files_of, format_of, read_lines
-from egolane_pgm.recordings.topics import TOPICS, read_topic
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog
 from tests.kits.bags import (
@@ -27,9 +26,6 @@ from tests.kits.bags import (
     write_fixes2,
 )
 from tests.kits.rosbag_writer import write_lines
-
-#: Of recordings that leave way_id empty.
-SEQ = Columns(frame_id="header.seq")
 
 LINES: list[list[Line]] = [
     [(True, False, 7, -1.75), (False, True, -1, 3e32)],
@@ -58,12 +54,6 @@ def test_a_bag_is_read_into_padded_arrays(tmp_path: Path) -> None:
     assert log.source == str(bag)
 
 
-def test_header_seq_can_be_the_frame_id(tmp_path: Path) -> None:
-    raw = [plain_message(0, lines, seq=k + 20) for k, lines in enumerate(LINES)]
-    log = read_topic(write_bag(tmp_path / "a.bag", raw), columns=SEQ)
-    np.testing.assert_array_equal(log.frame_id, [20, 21, 22])
-
-
 def refused(path: Path, **options: object) -> str:
     with pytest.raises(InputError) as info:
         read_lines(path, **options)
@@ -77,7 +67,7 @@ GOOD_MESSAGE = plain_message(0, LINES[0])
 
 
 def of_ids(*ids: int) -> Callable[[Path], object]:
-    return lambda path: write_bag(path, [plain_message(k, []) for k in ids])
+    return lambda path: write_bag(path, [plain_message(k, LINES[0]) for k in ids])
 
 
 def of_type(body: str, line: str = PLAIN_LINE) -> Callable[[Path], object]:
@@ -117,7 +107,7 @@ def killed(path: Path) -> None:
         (
             of_ids(0, 0, 0),
             {},
-            "way_id stays the same from message to message; `columns: {frame_id: null}`",
+            "row 2: its frame has this line twice; `columns: {frame_id: null}` numbers frames by",
         ),
         (of_ids(0), {"topik": "/x"}, "no option 'topik' (did you mean 'topic'?)"),
     ],
@@ -159,12 +149,6 @@ def assert_same(one: LineLog, other: LineLog) -> None:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
-def test_an_mcap_file_gives_back_the_lines_and_the_times_that_were_written(
-    log: LineLog, mcap: Path
-) -> None:
-    assert_same(read_lines(mcap), log)
-
-
 @pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
 def test_a_ros2_bag_is_read_as_folder_and_as_file(
     log: LineLog, tmp_path: Path, storage: str
@@ -204,6 +188,13 @@ def test_stamps_that_do_not_increase_are_refused_or_left_out(log: LineLog, tmp_p
     np.testing.assert_array_equal(found.time_s, log.frame_id / 10)
 
 
+def test_a_bag_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_path: Path) -> None:
+    bag = write_bag2(tmp_path / "bag", log, msgtype="my_msgs/msg/Lanes")
+    with sqlite3.connect(files_of(bag)[0]) as base:
+        base.execute("DELETE FROM message_definitions")
+    assert "has no definition of my_msgs/msg/Lanes; convert it to MCAP" in refused(bag)
+
+
 def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     log: LineLog, tmp_path: Path
 ) -> None:
@@ -212,47 +203,6 @@ def test_messages_are_numbered_by_their_times_where_they_have_no_frame_id(
     np.testing.assert_array_equal(found, np.arange(60))
     said = refused(bag, columns=Columns(frame_id="header.seq"))
     assert "columns: frame_id: there is no column 'header.seq' (did you mean 'header" in said
-
-
-def test_a_bag_without_the_definition_of_its_type_is_refused(log: LineLog, tmp_path: Path) -> None:
-    bag = write_bag2(tmp_path / "bag", log, msgtype="my_msgs/msg/Lanes")
-    forget_definitions(bag)
-    assert "has no definition of my_msgs/msg/Lanes; convert it to MCAP" in refused(bag)
-
-
-def forget_definitions(bag: Path) -> None:
-    with sqlite3.connect(files_of(bag)[0]) as base:
-        base.execute("DELETE FROM message_definitions")
-
-
-def test_a_topic_that_is_not_there_is_refused_with_those_that_are(
-    log: LineLog, mcap: Path, tmp_path: Path
-) -> None:
-    bag = write_bag2(tmp_path / "bag", log, topic="/my/lines")
-    for path in (bag, files_of(bag)[0]):
-        said = "no topic /my/line (did you mean '/my/lines'?); the file has /my/lines (road_layout"
-        assert said in refused(path, topic="/my/line")
-        assert len(read_topic(path, topic="/my/lines")) == len(log)
-    assert f"no topic /x; the file has {TOPICS[0]} (" in refused(mcap, topic="/x")
-
-
-def without_metadata(path: Path, log: LineLog) -> None:
-    (write_bag2(path, log) / "metadata.yaml").unlink()
-
-
-@pytest.mark.parametrize(
-    ("name", "make", "said"),
-    [
-        ("a.mcap", lambda path, _: path.write_text("frame_id\n"), "File magic is invalid"),
-        ("a.db3", lambda path, _: path.touch(), "Cannot open database"),
-        ("bag", without_metadata, "Expected metadata file"),
-    ],
-)
-def test_what_is_no_ros2_bag_is_refused(
-    log: LineLog, tmp_path: Path, name: str, make: Callable[[Path, LineLog], object], said: str
-) -> None:
-    make(tmp_path / name, log)
-    assert said in refused(tmp_path / name)
 
 
 def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(mcap: Path, tmp_path: Path) -> None:
@@ -266,10 +216,7 @@ def test_positions_of_a_ros2_bag_are_read_as_those_of_ros1(mcap: Path, tmp_path:
     with pytest.raises(InputError, match="0 topics of type NavSatFix"):
         read_positions(mcap)
     said = refused(bag, topic="/gps/fix")
-    assert (
-        "no column offset_m; the table has time_s, header.stamp, header.frame_id, status.status"
-        in said
-    )
+    assert "no column offset_m; the table has time_s, header.stamp, status.status" in said
 
 
 def test_a_time_stamp_of_foxglove_is_the_time(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from egolane_pgm.evidence.counting import WOR_NOISE
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import Evidence, LineLog
 
@@ -12,7 +13,7 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     """DetectorOutput (T, n) and WOR (T, 2) of T frames."""
     lane_width_m = float(parameters["lane_width_m"])
     bonus_value = float(parameters["bonus_value"])
-    wor_noise, max_lri = float(parameters["wor_noise"]), float(parameters["max_lri"])
+    max_lri = float(parameters["max_lri"])
     d = np.where(log.is_valid, log.offset_m, 0.0)
     distance = np.abs(d)
     is_far = log.is_valid & (distance > lane_width_m)
@@ -31,8 +32,6 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     counts += float(parameters["tentative_noise"])
     tentative = counts / counts.sum(axis=1, keepdims=True)
     known = np.where(np.isnan(log.lri), max_lri, log.lri)
-    s = np.where(log.is_valid, known, 0.0).sum(axis=1) / (max_lri * (n_lanes + 1)) - wor_noise
-    s = np.where(s < 0, wor_noise, np.where(s >= 1, 1 - wor_noise, s))
-    if parameters["no_valid_line"] == "ignore":
-        s[~log.is_valid.any(axis=1)] = 0.5
+    s = np.where(log.is_valid, known, 0.0).sum(axis=1) / (max_lri * (n_lanes + 1)) - WOR_NOISE
+    s = np.where(s < 0, WOR_NOISE, np.where(s >= 1, 1 - WOR_NOISE, s))
     return Evidence({"DetectorOutput": tentative, "WOR": np.stack([s, 1 - s], axis=1)})

@@ -74,17 +74,9 @@ def state_likelihood(compiled: Compiled, evidence: Evidence) -> tuple[FloatArray
 
 
 def log_blocks(compiled: Compiled, evidence: Evidence) -> list[FloatArray]:
-    """The logarithm of the evidence of each group of observed nodes, (T, K)."""
-    blocks = []
-    for group in compiled.groups:
-        block = np.zeros((len(evidence), *group.sizes))
-        for key, axes in zip(group.observed, group.axes, strict=True):
-            logs = logarithms(evidence.likelihoods[key])
-            # The key's axes in the order of the group's, then 1 where it says nothing.
-            shape = [size if k in axes else 1 for k, size in enumerate(group.sizes)]
-            block += logs.transpose(0, *(1 + np.argsort(axes))).reshape(-1, *shape)
-        blocks.append(block.reshape(len(evidence), math.prod(group.sizes)))
-    return blocks
+    """The logarithm of the evidence of each group, (T, K)."""
+    logs = [logarithms(evidence.likelihoods[group.observed]) for group in compiled.groups]
+    return [log.reshape(len(log), math.prod(log.shape[1:])) for log in logs]
 
 
 def logarithms(values: FloatArray) -> FloatArray:
@@ -273,7 +265,7 @@ def expected_counts(
         used = np.zeros(table.values.shape)
         np.add.at(used, tuple(np.broadcast_to(i, array.shape) for i in place.indices), array)
         # A table that holds in the first frame and later is counted once.
-        counted = (node[0], 1) if compiled.has_one_table(node[0]) else node
+        counted = (node[0], 1) if node[0] in compiled.one_table else node
         counts[counted] = counts.get(counted, 0.0) + used
     kept = ~is_impossible
     return Expected(counts, float((log_evidence + log_scale)[kept].sum()), is_impossible)

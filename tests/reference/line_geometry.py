@@ -9,7 +9,10 @@ from unittest.mock import patch
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import flag_semantics, kernels, rule, scale
+from egolane_pgm.evidence.line_geometry import fitting, kernels, lane_width, reading, rule, scale
+from egolane_pgm.evidence.line_geometry.kernels import DOUBLE, FRAME_S, INERTIA, LastFrame
+from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M, LineModel
+from egolane_pgm.evidence.line_geometry.scale import WidthBelief
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog, pad_and_concat
 
@@ -33,111 +36,88 @@ def plain() -> Iterator[None]:
     ours = {f.__name__: f for f in twins}
     with (
         patch.multiple(kernels, **ours),
-        patch.object(flag_semantics, "classify", classify),
-        patch.object(scale, "follow_width", follow_width),
+        patch.multiple(scale, line_classes=line_classes, follow=follow),
+        patch.object(reading, "line_classes", line_classes),
+        patch.object(lane_width, "line_classes", line_classes),
     ):
         yield
 
 
-def classify(
-    offset_m: FloatArray,
-    is_valid: BoolArray,
-    is_continuous: BoolArray,
-    lri: FloatArray,
-    strong_lri: float,
-    least_lri: float,
-    placeholder_m: float,
-    kind: IntArray,
-    is_strong: BoolArray,
-) -> None:
-    """Write kind (T, L) and is_strong (T, L)."""
-    is_line = np.isfinite(offset_m) & (np.abs(offset_m) > placeholder_m)
+def line_classes(
+    offset_m: FloatArray, is_valid: BoolArray, is_continuous: BoolArray, lri: FloatArray
+) -> tuple[IntArray, BoolArray]:
+    """Return the class and whether the place is reliable, (T, L) each."""
+    is_line = np.isfinite(offset_m) & (np.abs(offset_m) > scale.PLACEHOLDER_M)
     known = np.where(np.isnan(lri), np.inf, lri)
-    is_strong[:] = is_line & is_valid & (known >= strong_lri)
-    classes = [is_valid & is_continuous, is_strong, is_valid, known >= least_lri]
-    kind[:] = np.select([is_line & each for each in classes], [0, 1, 2, 3], -1)
+    is_strong = is_line & is_valid & (known >= scale.STRONG_LRI)
+    classes = [is_valid & is_continuous, is_strong, is_valid, known >= scale.LEAST_LRI]
+    return np.select([is_line & each for each in classes], [0, 1, 2, 3], -1), is_strong
 
 
-def follow_width(
-    offset_m: FloatArray,
-    is_strong: BoolArray,
-    steady: FloatArray,
-    wandering: FloatArray,
-    pairs: FloatArray,
-    counts: FloatArray,
-    prior: FloatArray,
-    log_likelihood: FloatArray,
-    is_two_lanes: FloatArray,
-    first: int,
-    spread: FloatArray,
-    rates: FloatArray,
-    least_double: float,
-    enough_pairs: float,
-    least_pairs: float,
-    log_narrowest: float,
-    step: float,
-    width_m: FloatArray,
-) -> None:
-    """Write width_m (T, K), and the belief after the last frame."""
-    moves, moves_wandering, another, returns, may_wander, changes = rates[:6]
-    kept, alike, alike_wandering = rates[6:]
+def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
+    """Return the widths (T, K); the belief becomes that after the last frame."""
+    steady, wandering, pairs, counts, prior = belief
+    width_m = np.empty((len(offset_m), scale.N_QUANTILES))
     n, n_quantiles = len(prior), width_m.shape[1]
     quantiles = (np.arange(n_quantiles) + 0.5) / n_quantiles
 
     def read(table: FloatArray, gap: float) -> FloatArray:
         """What the table says of each width for this gap; 0 beyond the table."""
-        index = round((np.log(gap) - log_narrowest) / step) - first - np.arange(n)
+        index = (
+            round((np.log(gap) - scale._LOG_NARROWEST) / scale._STEP) - scale._FIRST - np.arange(n)
+        )
         inside = (index >= 0) & (index < len(table))
         return np.where(inside, table[np.clip(index, 0, len(table) - 1)], 0.0)
 
     for offsets, strong, widths in zip(offset_m, is_strong, width_m, strict=True):
-        steady[1:-1] += moves * np.diff(steady, 2)
-        steady[:] = (1 - another) * steady + another * prior
-        is_seen = (counts[1] < enough_pairs) | (pairs >= least_pairs * counts[1])
+        steady[1:-1] += scale.STEADY_MOVES * np.diff(steady, 2)
+        steady[:] = (1 - scale.ANOTHER_SCALE) * steady + scale.ANOTHER_SCALE * prior
+        is_seen = (counts[1] < scale.ENOUGH_PAIRS) | (pairs >= scale.LEAST_PAIRS * counts[1])
         steady[~is_seen] *= 1e-60
         now = steady / steady.sum()
-        around = np.convolve(np.where(now > 1e-6, now, 0), spread, mode="same")
-        wandering += moves_wandering * np.diff(np.pad(wandering, 1, mode="edge"), 2)
-        wandering[:] = (1 - returns) * wandering + returns * around
+        around = np.convolve(np.where(now > 1e-6, now, 0), scale._SPREAD, mode="same")
+        wandering += scale.WANDERING_MOVES * np.diff(np.pad(wandering, 1, mode="edge"), 2)
+        wandering[:] = (1 - scale.RETURNS) * wandering + scale.RETURNS * around
         wandering[~is_seen] *= 1e-60
         wandering /= wandering.sum()
-        counts[0] = (1 - changes) * counts[0] + changes * may_wander
+        counts[0] = (1 - scale.CHANGES) * counts[0] + scale.CHANGES * scale.MAY_WANDER
         below = np.cumsum(counts[0] * wandering + (1 - counts[0]) * now)
-        widths[:] = np.exp(log_narrowest + step * np.searchsorted(below, quantiles))
+        widths[:] = np.exp(scale._LOG_NARROWEST + scale._STEP * np.searchsorted(below, quantiles))
 
         lines = np.sort(offsets[strong])
         if len(lines) < 2:
             continue
         single = [lines[0]]
         for line in lines[1:]:
-            if line - single[-1] > least_double * np.diff(lines).max():
+            if line - single[-1] > scale.DOUBLE * np.diff(lines).max():
                 single.append(line)
         neighbours, others = np.diff(single), np.subtract(single[2:], single[:-2])
-        pairs *= kept
-        pairs += sum((read(is_two_lanes, gap) for gap in others), np.zeros(n))
-        counts[1] = kept * counts[1] + len(others)
-        relative = log_likelihood - log_likelihood[0]
+        pairs *= scale.KEPT_PAIRS
+        pairs += sum((read(scale._IS_TWO_LANES, gap) for gap in others), np.zeros(n))
+        counts[1] = scale.KEPT_PAIRS * counts[1] + len(others)
+        relative = scale._LOG_LIKELIHOOD - scale._LOG_LIKELIHOOD[0]
         says = sum((read(relative, gap) for gap in (*neighbours, *others)), np.zeros(n))
-        quick = np.exp(says / alike_wandering)
+        quick = np.exp(says / scale.ALIKE_WANDERING)
         of_steady, of_wandering = now @ quick, wandering @ quick
         counts[0] *= of_wandering / (counts[0] * of_wandering + (1 - counts[0]) * of_steady)
         if len(neighbours):
-            steady *= np.exp(says / alike)
+            steady *= np.exp(says / scale.ALIKE)
             steady /= steady.sum()
         wandering *= quick
         wandering /= wandering.sum()
+    return width_m
 
 
 def weigh_frames(
-    time_s: FloatArray, is_missing: BoolArray, usual_s: float, last_s: float, weights: FloatArray
-) -> float:
-    """Write weights (T,)."""
+    time_s: FloatArray, is_missing: BoolArray, last_s: float
+) -> tuple[FloatArray, float]:
+    """Return the weights (T,), and the time of the last real frame."""
     real_s = np.maximum.accumulate([last_s, *np.where(is_missing, -np.inf, time_s)])
     with np.errstate(invalid="ignore"):
         passed = time_s - real_s[:-1]
         is_known = np.isfinite(passed) & (passed > 0)
-        weights[:] = np.where(is_known, np.round(passed / usual_s, 6), 1.0)
-    return float(real_s[-1])
+        weights = np.where(is_known, np.round(passed / FRAME_S, 6), 1.0)
+    return weights, float(real_s[-1])
 
 
 def follow_lines(
@@ -150,38 +130,29 @@ def follow_lines(
     width_m: FloatArray,
     farthest: float,
     reach: float,
-    last_offset_m: FloatArray,
-    last_kind: IntArray,
-    last_lri: FloatArray,
-    last_is_held: BoolArray,
-    last_id: int,
-    last_state: int,
-    is_held: BoolArray,
-    displacement: FloatArray,
-    steps: IntArray,
-) -> None:
-    """Write is_held (T, L), displacement (T,), NaN where unknown, and steps (T,); and kind (T, L)
-    -1 where a line is too far away."""
-    displacement[:] = np.nan
-    is_held[:] = False
+    last: LastFrame,
+) -> tuple[BoolArray, FloatArray, IntArray]:
+    """Return is_held (T, L), displacement (T,), NaN if unknown, and steps (T,); and write -1 to
+    kind (T, L) of lines too far away."""
+    displacement = np.full(len(offset_m), np.nan)
+    is_held = np.zeros(offset_m.shape, dtype=bool)
     kind[~(np.abs(offset_m) < farthest * width_m[:, None])] = -1
-    if len(offset_m) == 0:
-        return
-    steps[:] = np.diff(frame_id, prepend=last_id if last_state >= 0 else frame_id[0] - 1)
-    is_real = np.concatenate([[last_state == 1], ~is_missing])
+    first_id = last.frame_id if last.state >= 0 else frame_id[:1] - 1
+    steps = np.diff(frame_id, prepend=first_id)
+    is_real = np.concatenate([[last.state == 1], ~is_missing])
     follows = is_real[1:] & is_real[:-1] & (steps == 1)
-    if offset_m.shape[1] == 0:
-        return
+    if offset_m.size == 0:
+        return is_held, displacement, steps
     # The lines of the frame before each, (T, K); frames may have different numbers of lines.
-    before_m = pad_and_concat([last_offset_m[None], offset_m[:-1]], np.nan)
-    before_kind = pad_and_concat([last_kind[None], kind[:-1]], -1)
-    before_lri = pad_and_concat([last_lri[None], lri[:-1]], np.nan)
+    before_m = pad_and_concat([last.offset_m[None], offset_m[:-1]], np.nan)
+    before_kind = pad_and_concat([last.kind[None], kind[:-1]], -1)
+    before_lri = pad_and_concat([last.lri[None], lri[:-1]], np.nan)
     if before_m.shape[1] == 0:
-        return
+        return is_held, displacement, steps
     same = offset_m[:, :, None] == before_m[:, None, :]
     falls = lri[:, :, None] < before_lri[:, None, :]
     is_held[:] = (same & (falls | repeats_are_held)).any(axis=2) & follows[:, None]
-    before_held = pad_and_concat([last_is_held[None], is_held[:-1]], False)
+    before_held = pad_and_concat([last.is_held[None], is_held[:-1]], False)
     with np.errstate(invalid="ignore"):
         distance = np.abs(offset_m[:, :, None] - before_m[:, None, :])
     now = (kind >= 0) & ~is_held & follows[:, None]
@@ -197,46 +168,39 @@ def follow_lines(
         moves = np.where(is_match, moves, np.nan)
         found = is_match.any(axis=1) & np.isnan(displacement)
         displacement[found] = np.nanmedian(moves[found], axis=1) / width_m[found]
+    return is_held, displacement, steps
 
 
 def coast(
-    displacement: FloatArray,
-    steps: IntArray,
-    farthest: float,
-    inertia: float,
-    kept: float,
-    velocity: FloatArray,
-) -> None:
-    """Write velocity (T + 1,), whose first value is given."""
+    displacement: FloatArray, steps: IntArray, farthest: float, kept: float, first: float
+) -> FloatArray:
+    """Return the velocity (T + 1,)."""
     is_known = (np.abs(displacement) < farthest) & (steps == 1)
     # Each value is a share of the one before and a part of its own.
-    share = np.where(is_known, 1 - 1 / inertia, kept**steps)
-    part = np.where(is_known, displacement / inertia, 0.0)
+    share = np.where(is_known, 1 - 1 / INERTIA, kept**steps)
+    part = np.where(is_known, displacement / INERTIA, 0.0)
+    velocity = [first]
     for t in range(len(steps)):
-        velocity[t + 1] = share[t] * velocity[t] + part[t]
+        velocity.append(share[t] * velocity[t] + part[t])
+    return np.array(velocity)
 
 
 def find_doubles(
-    offset_m: FloatArray,
-    kind: IntArray,
-    width_m: FloatArray,
-    near: float,
-    is_double: BoolArray,
-    lines: IntArray,
-) -> None:
-    """Write is_double (T, L), and lines (T + 1, 2), whose first row is given."""
+    offset_m: FloatArray, kind: IntArray, width_m: FloatArray, before: IntArray
+) -> tuple[BoolArray, IntArray]:
+    """Return is_double (T, L), and the numbers of lines and doubles (T + 1, 2)."""
     counts = kind >= 0
     offset = np.where(counts, offset_m, np.inf)
     with np.errstate(invalid="ignore"):
-        is_near = np.abs(offset[:, :, None] - offset[:, None, :]) < near * width_m[:, None, None]
+        is_near = np.abs(offset[:, :, None] - offset[:, None, :]) < DOUBLE * width_m[:, None, None]
     # Class, then distance, then place in the list; lexsort has its first key last.
     place = np.broadcast_to(np.arange(kind.shape[1]), kind.shape)
     rank = np.argsort(np.lexsort((place, np.abs(offset), kind), axis=1), axis=1)
     is_better = rank[:, None, :] < rank[:, :, None]
     both = counts[:, :, None] & counts[:, None, :]
-    is_double[:] = (is_near & is_better & both).any(axis=2)
+    is_double = (is_near & is_better & both).any(axis=2)
     of_frame = np.stack([counts.sum(axis=1), is_double.sum(axis=1)], axis=1)
-    lines[1:] = lines[0] + of_frame.cumsum(axis=0)
+    return is_double, before + np.concatenate([[[0, 0]], of_frame.cumsum(axis=0)])
 
 
 def weigh_positions(
@@ -303,3 +267,14 @@ def weigh_positions(
         place = np.exp(log_mean_p[t] - log_mean_p[t].max())
         visibility *= ((np.exp(known[t]) * place).sum(axis=2) / place.sum()) ** alphas[t]
         visibility /= visibility.sum()
+
+
+def log_prior(model: LineModel, first: LineModel) -> float:
+    """Return the logarithm of the prior density of a fit, up to a constant."""
+    metres = 2 * REACH_M * len(model.rates)
+    away = (model.shoulders - first.shoulders) * LANE_M / first.sigmas_m[-2:]
+    value = (first.rates * np.log(model.rates)).sum() - model.rates.sum()
+    value += (first.class_shares * np.log(model.class_shares)).sum()
+    value += metres * ((first.clutter * np.log(model.clutter)).sum() - model.clutter.sum())
+    value -= np.log(model.sigmas_m).sum() + 0.5 * ((first.sigmas_m / model.sigmas_m) ** 2).sum()
+    return fitting.STRENGTH * float(value - 0.5 * (away**2).sum())

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from egolane_pgm.inference.events import lane_events
 from egolane_pgm.scoring import score_all
+from egolane_pgm.scoring.confusion import SMALLEST_PROBABILITY
 from egolane_pgm.scoring.events import (
     Reported,
     answer_delays,
@@ -23,7 +24,6 @@ from egolane_pgm.scoring.events import (
     score_events,
     stability_scores,
 )
-from egolane_pgm.scoring.probabilistic import SMALLEST_PROBABILITY
 from egolane_pgm.types import Beliefs, lane_truth
 
 Drive = tuple[np.ndarray, pd.DataFrame]

@@ -12,16 +12,14 @@ from hypothesis import strategies as st
 from egolane_pgm.evidence import counting
 from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.simulation import (
-    PRESETS,
+from egolane_pgm.simulation import PRESETS, simulate
+from egolane_pgm.simulation.detector import (
     DetectorModel,
-    World,
     detect_lines,
+    line_reliability,
     sensor_failures,
-    simulate,
-    simulate_road,
 )
-from egolane_pgm.simulation.detector import line_reliability
+from egolane_pgm.simulation.world import World, simulate_road
 from egolane_pgm.types import InputError
 
 #: Sees every line, always, without error.
@@ -131,27 +129,17 @@ def test_valid_lines_lie_on_the_lattice_of_road_lines_within_the_noise(preset: s
 
 
 @settings(max_examples=60, deadline=None)
-@given(
-    seed=st.integers(0, 10_000),
-    rate=st.floats(0, 1),
-    lri_max=st.integers(1, 12),
-    lri_reset=st.floats(0, 1),
-)
-def test_lri_and_validity_equal_counting_frame_by_frame(
-    seed: int, rate: float, lri_max: int, lri_reset: float
-) -> None:
+@given(seed=st.integers(0, 10_000), rate=st.floats(0, 1))
+def test_lri_and_validity_equal_counting_frame_by_frame(seed: int, rate: float) -> None:
     detected = np.random.default_rng(seed).random((60, 3)) < rate
-    lri, is_valid = line_reliability(detected, lri_max, lri_reset)
+    lri, is_valid = line_reliability(detected)
     for k in range(3):
-        past = [detected[0, k]] * lri_max
+        past = [detected[0, k]] * 10
         valid = False
         for t in range(60):
             past = [*past[1:], detected[t, k]]
             count = sum(past)
-            if count == lri_max:
-                valid = True
-            elif count < lri_reset * lri_max or count == 0:
-                valid = False
+            valid = count == 10 or (valid and count > 0)
             assert lri[t, k] == count
             assert is_valid[t, k] == valid
 
@@ -184,10 +172,10 @@ def test_a_failure_takes_lines_away_and_puts_lines_in_wrong_places() -> None:
         np.testing.assert_allclose(one, one[0, 0])
     assert len({round(float(one[0, 0]), 6) for one in shift}) == 3
 
-    ghosts = replace(PERFECT, bad_missed=1, bad_clutter=1, clutter_lines=2)
+    ghosts = replace(PERFECT, bad_missed=1, bad_clutter=1)
     log = detect_lines(road, failing, ghosts, 0)
     assert (log.is_valid[late].sum(axis=1) == 2).all()
-    assert np.abs(log.offset_m[late][log.is_valid[late]]).max() <= ghosts.clutter_range_m
+    assert np.abs(log.offset_m[late][log.is_valid[late]]).max() <= 10
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from egolane_pgm.studies.fits import (
     apply_fit,
     fit_learn,
     fit_tables,
-    seen_before,
+    kept_though_tuned,
     start_of_learning,
     training_of,
 )
@@ -151,10 +151,8 @@ def test_tables_that_may_have_been_tuned_on_the_frames_are_not_started_from() ->
     start = start_of_learning(same.model).compiled.tables["Lane", 1].values
     np.testing.assert_array_equal(start, lane_normals(sigma1, 4))
     assert start_of_learning(not_tuned.model).compiled.tables["Lane", 1].values[0, 0] > 0.999
-    assert seen_before(not_tuned.model) == []
-    reset, kept = seen_before(same.model)
-    assert "tuned_on same_frames: learning starts from the defaults of sigma1" in reset
-    assert "bonus_value kept, so held-out scores may be in-sample" in kept
+    assert kept_though_tuned(not_tuned.model) == []
+    assert kept_though_tuned(same.model) == ["bonus_value"]
 
 
 def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path: Path) -> None:

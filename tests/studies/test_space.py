@@ -21,7 +21,8 @@ from egolane_pgm.studies.space import (
 from egolane_pgm.types import InputError
 from tests.kits.studies import points_at
 
-SPECS = declared_parameters(counting, sensor_failure)
+CHOICE = Parameter("noise", "choice", "even", "", search=None, choices=("even", "ignore"))
+SPECS = (*declared_parameters(counting, sensor_failure), CHOICE)
 CURRENT = resolve_parameters(SPECS, {}, 3)
 
 
@@ -131,8 +132,8 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
         ({"p1": [0.1, 0.2, 0.3]}, "p1: .* must be \\[low, high\\]"),
         ({"p1": ["a", "b"]}, "p1: 'a' is not a number"),
         ({"bonus_value": [0.5, 3]}, "bonus_value: .* whole numbers"),
-        ({"normal": ["density"]}, "normal: .* leaves nothing to search"),
-        ({"normal": ["density", "densty"]}, "did you mean 'density'"),
+        ({"noise": ["ignore"]}, "noise: .* leaves nothing to search"),
+        ({"noise": ["ignore", "ignor"]}, "did you mean 'ignore'"),
         (dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"), 0.5), "to"),
     ],
 )
@@ -150,6 +151,6 @@ def test_a_point_outside_of_the_bounds_is_none() -> None:
     assert to_point(space(), parameters) is not None
     assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
     assert to_point(space(), {**CURRENT, "bonus_value": 2.5}) is None
-    names = space(no_valid_line=["uniform", "ignore"])
-    assert to_point(names, {**CURRENT, "no_valid_line": "ignore"}) is not None
-    assert to_point(names, {**CURRENT, "no_valid_line": "neither"}) is None
+    names = space(noise=["even", "ignore"])
+    assert to_point(names, {**CURRENT, "noise": "ignore"}) is not None
+    assert to_point(names, {**CURRENT, "noise": "neither"}) is None

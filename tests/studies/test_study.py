@@ -17,7 +17,6 @@ import yaml
 from pandas.testing import assert_frame_equal
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import with_parameters
 from egolane_pgm.result import Result, is_result, load_result
@@ -33,7 +32,7 @@ from egolane_pgm.studies.study import (
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
 from tests.kits.drives import contents, geometry, run, simulated, write_drive, write_experiment
-from tests.kits.studies import drive_of, scrambled, two_drives, with_labels
+from tests.kits.studies import drive_of, fitting, scrambled, two_drives, with_labels
 
 pytestmark = needs_compiler
 
@@ -53,8 +52,8 @@ def _some_blocks_lack_a_lane() -> Iterator[None]:
 
 
 def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any) -> Study:
-    tuning = FitSettings(trials=trials, **options.pop("tuning", {}))
-    return run_study(drives, "tune", list(folds), tuning=tuning, **options)
+    keys = {"trials": trials, **options.pop("fit", {})}
+    return run_study([fitting(each, **keys) for each in drives], "tune", list(folds), **options)
 
 
 # --- held out ------------------------------------------------------------------------------------
@@ -114,7 +113,7 @@ def test_a_whole_drive_is_held_out_without_being_seen(method: str) -> None:
     poisoned = [drives[0], scrambled(drives[1], np.arange(len(drives[1])))]
     found = []
     for given in (drives, poisoned):
-        study = run_study(given, method, folds, tuning=FitSettings(trials=8))
+        study = run_study([fitting(each, trials=8) for each in given], method, folds)
         assert study.held_out is not None
         found.append(study)
     one, other = (study.held_out for study in found)
@@ -148,16 +147,6 @@ def test_one_of_several_drives_may_have_untrusted_labels() -> None:
     for frames in (study.in_sample.frames, study.held_out.frames):
         assert frames["is_trusted"].dtype == bool
         assert int((~frames["is_trusted"]).sum()) == int((~odd.is_trusted).sum())
-
-
-def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 600, fit={"method": "learn"})
-    found = run_input(open_input(path), n_blocks=3)
-    again = load_result(found.save(tmp_path / "out"))
-    assert_frame_equal(again.frames, found.frames)
-    assert (again.run, again.scores) == (found.run, found.scores)
-    # Its experiment can be run and learned from again; the fit is that of the run.
-    assert run(again).scores["model"] == run(path).scores["model"]
 
 
 @pytest.mark.parametrize(
@@ -208,7 +197,7 @@ def test_a_study_has_in_sample_and_held_out_scores_and_is_saved(tmp_path: Path) 
     again = run(out / "best.yaml")
     np.testing.assert_array_equal(again.node("Lane"), study.in_sample.node("Lane"))
     optuna.load_study(study_name="a", storage=_journal(out))
-    assert study.experiments == [drive.experiment]
+    assert study.experiments == [fitting(drive, trials=20).experiment]
 
 
 def _journal(out: Path) -> Any:
@@ -235,14 +224,14 @@ def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:
     tuned([drive], directory=out)
     before = contents(out)
     all_other = with_labels(drive, np.arange(5), 1)
-    for given, tuning, said in (
+    for given, fit, said in (
         (drive, {"seed": 5}, "with another seed"),
         (drive, {"objective": "f1"}, "objective"),
         (drive, {"parameters": {"sigma1": [0.1, 0.2]}}, "space"),
         (scrambled(all_other, np.arange(500)), {}, "data"),
     ):
         with pytest.raises(InputError, match="the storage holds another study of this") as caught:
-            tuned([given], tuning=tuning, directory=out)
+            tuned([given], fit=fit, directory=out)
         assert said in str(caught.value)
     # Optuna's journal has a line for each time that it is opened.
     assert tuned([drive], directory=out).trials["accuracy"].size == 6
@@ -278,8 +267,7 @@ def test_each_trial_detects_with_its_own_parameters(tmp_path: Path) -> None:
         fit={"objective": "log_loss", "parameters": bounds},
     )
     drive = drive_of(load_experiment(path))
-    tuning = {"objective": "log_loss", "parameters": bounds}
-    study = tuned([drive], trials=3, tuning=tuning)
+    study = tuned([drive], trials=3)
     names = ["least_rise", "least_score"]
     assert study.trials["log_loss"].nunique() > 1
     for _, row in study.trials.iterrows():
@@ -292,4 +280,4 @@ def test_each_trial_detects_with_its_own_parameters(tmp_path: Path) -> None:
     assert set(study.fitted) == set(bounds)
     lines = drive_of(simulated())
     with pytest.raises(InputError, match=r"fit\.parameters: detector: the recording has none"):
-        tuned([lines], tuning={"parameters": bounds})
+        tuned([lines], fit={"parameters": bounds})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -36,6 +37,10 @@ def cluster(_: Path) -> None:
     list(parallel(abs, [1], cluster="local:2"))
 
 
+def page(place: Path) -> None:
+    import_module("egolane_pgm.page.document").write_page([a_result()], place)
+
+
 def position(_: Path) -> None:
     Plane(45.0, 9.0).metres([45.0], [9.0])
 
@@ -43,7 +48,7 @@ def position(_: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "file", "call", "words"),
     [
-        ("bokeh", "a.html", a_result().report, "a page of results needs bokeh|page"),
+        ("bokeh", "a.html", page, "a page of results needs bokeh|page"),
         ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
         ("osmium", "a.osm", read_osm, "{} needs osmium|maps"),
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),

@@ -94,10 +94,13 @@ def test_a_file_that_is_no_yaml_is_one_line(tmp_path: Path, content: bytes, said
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        ("n_lanes: 3\na: 1\nn_lanes: 4\n", "line 3: key 'n_lanes' was given in line 1"),
+        (
+            "n_lanes: 3\na: 1\nn_lanes: 4\n",
+            "is not YAML: line 3: key 'n_lanes' was given in line 1",
+        ),
         (
             "a:\n  x: 1\n  'x': 2\nb:\n- {y: 1}\n- y: 1\n  y: 2\nb: 3\n",
-            "line 3: key 'x' was given in line 2",
+            "is not YAML: line 3: key 'x' was given in line 2",
         ),
         (
             "a: 1\n\tb: 2\n",

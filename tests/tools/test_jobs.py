@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,12 +22,6 @@ def ten_times(k: int) -> int:
 
 def first_is_slow(k: int) -> int:
     time.sleep(0.5 if k == 0 else 0)
-    return k
-
-
-def leave_a_file(folder: Path, k: int) -> int:
-    (folder / str(k)).touch()
-    time.sleep(0.2)
     return k
 
 
@@ -68,17 +61,6 @@ def test_answers_come_in_order(way: dict[str, Any]) -> None:
 def test_an_error_of_the_work_is_raised(way: dict[str, Any]) -> None:
     with pytest.raises(InputError, match="three"):
         list(parallel(refuse_three, range(6), **way))
-
-
-def test_nothing_is_begun_after_the_work_is_left(tmp_path: Path) -> None:
-    answers = parallel(partial(leave_a_file, tmp_path), range(60), jobs=2)
-    assert next(answers) == 0
-    answers.close()
-    time.sleep(1)
-    begun = len(list(tmp_path.iterdir()))
-    assert begun < 30
-    time.sleep(1)
-    assert len(list(tmp_path.iterdir())) == begun
 
 
 def test_a_process_that_dies_is_one_line() -> None:

@@ -37,7 +37,7 @@ def run(*words: str) -> Result:
     return CliRunner().invoke(egolane, ["locate", *words])
 
 
-NAMED = ("--column", "t_s=when", "--column", "latitude=lat_gps")
+NAMED = ("--columns", "t_s=when,latitude=lat_gps")
 
 
 @pytest.mark.parametrize("more", [(), ("--online",)])

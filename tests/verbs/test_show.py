@@ -62,16 +62,6 @@ def test_whatever_is_listed_or_one_writes_is_shown(name: str, kind: str) -> None
     assert "\nparameters" in shown
 
 
-def test_an_experiment_is_shown_with_what_it_includes(drive: Path, tmp_path: Path) -> None:
-    shown = done("show", "run01_italy_ml").stdout
-    assert shown.startswith("experiment run01_italy_ml\n")
-    assert "ground_truth:" in shown
-    keys = json.loads(done("show", drive, "--json", "-").stdout)["keys"]
-    assert keys["recording"]["path"].endswith("lines.csv")
-    shown = done("show", experiments_folder() / "tuning" / "all_italy.yaml").stdout
-    assert shown.startswith("tuning file all_italy\n")
-
-
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
     target = tmp_path / "graph.json"
     assert "OK, 4" not in done("show", "sensor_failure", "--n-lanes", 4).stdout
@@ -90,7 +80,6 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("zzz", "(known: aly, autoregressive, "),
         ("evidence:sensor_failure", "evidence: unknown name"),
         ("none.py", "graph: no file "),
-        ("{0}/both.py", "both.py is of several kinds; write graph:{0}/both.py or evidence:{0}"),
         ("detector:{0}/both.py", "does not define"),
         ("lane_only --n-lanes 51", "'--n-lanes': 51 is not in the range"),
         ("lane_only --json {0}/both.py/x.json", "cannot be written"),

@@ -50,7 +50,7 @@ def test_a_graph_is_described_by_nodes_edges_tables_and_parameters() -> None:
         "shape": [3, 3],
     }
     assert found["tables"][-1]["frames"] == "every frame"
-    sigma1, *_, normal, _ = found["parameters"]
+    sigma1, *_ = found["parameters"]
     assert sigma1 == {
         "name": "sigma1",
         "kind": "sigma",
@@ -60,7 +60,6 @@ def test_a_graph_is_described_by_nodes_edges_tables_and_parameters() -> None:
         "range": (0.0, 3.0),
         "meaning": "standard deviation of the lane dynamics, lanes; Table `tab:cptlane`",
     }
-    assert (normal["choices"], normal["range"]) == (["density", "integral"], None)
 
 
 def test_an_input_is_given_and_has_no_table() -> None:
@@ -69,7 +68,7 @@ def test_an_input_is_given_and_has_no_table() -> None:
     assert (roles["LineMotion"], roles["Lane"]) == ("input", "function")
     assert "LineMotion" not in [table["node"] for table in found["tables"]]
     text = " ".join(description_text(found).split())
-    assert "the likelihood of RoadPosition, SensorState" in text
+    assert "virtual evidence: RoadPosition+SensorState_ve" in text
 
 
 def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
@@ -84,7 +83,7 @@ def test_numbers_are_the_tables_in_json_and_in_the_text() -> None:
 
 def test_a_long_table_is_not_printed() -> None:
     text = description_text(described("position_in_lane", numbers=True, n_lanes=4))
-    assert "numbers, in the JSON only" in text
+    assert "P(RoadPosition given LineMotion): in the JSON only" in text
 
 
 @pytest.mark.parametrize("name", graph_names())

@@ -13,7 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.scoring.confusion import scores_from_confusion
+from egolane_pgm.result import lanes_of
+from egolane_pgm.scoring.confusion import calibration_curve, scores_from_confusion
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
@@ -22,8 +23,6 @@ from egolane_pgm.views.figures import (
     coverage_figure,
     dispersion,
     dispersion_figure,
-    dispersions,
-    reliabilities,
     reliability_figure,
 )
 from egolane_pgm.views.strips import result_strips
@@ -38,6 +37,7 @@ from tests.kits.tiny_result import (
     TRUTH,
     a_result,
     frames_of,
+    legend_labels,
     long_drive,
     without_detector,
     without_truth,
@@ -52,14 +52,13 @@ def test_dispersion_counts_correct_off_by_k_and_unassigned() -> None:
 
 def test_bars_are_the_shares_of_annotated_frames_that_are_not_crossing() -> None:
     results = [("tiny", each.frames) for each in (a_result(), without_detector())]
-    counts = dispersions(results)
-    # Scored are 100, 101, 105, 106, truth 1, 1, 2, 2: the detector says -, 3, 2, 1; the model
-    # says 1, 1, 2, 3.
-    assert counts.to_numpy().tolist() == [[1, 1, 1, 1], [3, 1, 0, 0], [3, 1, 0, 0]]
     [ax] = dispersion_figure(results).axes
-    for name, container in zip(counts, ax.containers, strict=True):
-        assert [bar.get_width() for bar in container] == (counts[name] / 4).tolist()
-    assert [t.get_text() for t in ax.get_yticklabels()] == ["Detector", "Model", "Model"]
+    # Scored are 100, 101, 105, 106, truth 1, 1, 2, 2; detector -, 3, 2, 1; model 1, 1, 2, 3.
+    counts = [[1, 1, 1, 1], [3, 1, 0, 0], [3, 1, 0, 0]]
+    widths = [[4 * bar.get_width() for bar in container] for container in ax.containers]
+    assert np.transpose(widths).tolist() == counts
+    model = "tiny: Model\n3 lanes, 4 frames"
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["tiny: Detector", model, model]
 
 
 def test_heat_map_texts_are_the_counts_and_the_column_percentages() -> None:
@@ -82,19 +81,16 @@ def test_heat_map_texts_are_the_counts_and_the_column_percentages() -> None:
 def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
     frames = long_drive(60).frames
     upper, lower = reliability_figure(frames).axes
-    found = reliabilities(frames)
-    colours = {"Detector": DETECTOR_COLOUR, "Model": MODEL_COLOUR}
-    for (name, (curve, _)), bars in zip(found.items(), lower.containers, strict=True):
-        lines = [
-            x for x in upper.lines if x.get_color() == colours[name] and np.size(x.get_xdata())
-        ]
+    for colour, bars in zip((DETECTOR_COLOUR, MODEL_COLOUR), lower.containers, strict=True):
+        curve = calibration_curve(lanes_of(frames), [2] * 60, [False] * 60)
+        line = next(x for x in upper.lines if x.get_color() == colour)
         filled = curve["count"] > 0
-        np.testing.assert_array_equal(lines[0].get_xdata(), curve["confidence"][filled])
-        np.testing.assert_array_equal(lines[0].get_ydata(), curve["accuracy"][filled])
+        np.testing.assert_array_equal(line.get_xdata(), curve["confidence"][filled])
+        np.testing.assert_array_equal(line.get_ydata(), curve["accuracy"][filled])
         assert [bar.get_height() for bar in bars] == curve["count"].tolist()
-    # Maxima 0.9, 0.7, 0.8, 0.6 in bins of their own, the last one wrong.
-    error = reliabilities(a_result().frames)["Model"][1]
-    assert error == pytest.approx((0.1 + 0.3 + 0.2 + 0.6) / 4)
+    # Maxima 0.9, 0.7, 0.8, 0.6 in separate bins, the last one wrong.
+    labels = legend_labels(reliability_figure(a_result().frames).legends[0])
+    assert f"Model, ECE {(0.1 + 0.3 + 0.2 + 0.6) / 4:.3f}" in labels
 
 
 @pytest.mark.parametrize("draw", [confusion_figure, reliability_figure, coverage_figure])

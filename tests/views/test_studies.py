@@ -23,14 +23,13 @@ from tests.kits.drives import simulated
 
 @pytest.fixture(scope="module")
 def study(tmp_path_factory: pytest.TempPathFactory) -> Study:
-    experiment = simulated(recording={"simulate": "quickstart", "frames": [0, 400]})
-    drives = open_input(experiment).drives()
-    tuning = experiment.fit.model_copy(update={"trials": 24, "sampler": "random"})
+    recording, fit = {"simulate": "quickstart", "frames": [0, 400]}, {"sampler": "random"}
+    drives = open_input(simulated(recording=recording, fit={**fit, "trials": 24})).drives()
     folder = tmp_path_factory.mktemp("study")
-    return run_study(drives, "tune", block_folds(drives, 2), tuning=tuning, directory=folder)
+    return run_study(drives, "tune", block_folds(drives, 2), directory=folder)
 
 
-def test_a_study_has_scores_in_sample_beside_held_out_and_the_best_parameters(
+def test_a_study_has_scores_in_sample_and_held_out_and_the_best_parameters(
     study: Study,
 ) -> None:
     in_sample, held_out = (
@@ -59,7 +58,9 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     assert set(np.asarray(lines[-1].get_ydata())) == {study.held_out.scores["model"]["accuracy"]}
     panels = profile_figure(trials, document, "").axes
     found = importances(trials, document["settings"])
-    assert [ax.get_title() for ax in panels] == [f"{k}: {v:.0%}" for k, v in found.items()]
+    assert [ax.get_xlabel() for ax in panels] == [
+        f"{k} ({100 * v:.0f} %)" for k, v in found.items()
+    ]
 
 
 def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:

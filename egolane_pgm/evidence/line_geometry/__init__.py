@@ -9,7 +9,6 @@ from egolane_pgm.evidence.line_geometry.rule import (
     PROVIDES,
     evidence,
     fit,
-    fit_pooled,
     looks_ahead,
     online,
 )
@@ -22,7 +21,6 @@ __all__ = [
     "PROVIDES",
     "evidence",
     "fit",
-    "fit_pooled",
     "looks_ahead",
     "online",
 ]

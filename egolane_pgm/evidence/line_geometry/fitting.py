@@ -2,20 +2,19 @@
 
 Two variables are hidden: the place inside the lane, which is uniform over the cells in every frame,
 and the origin of each reported line, a line of the road or clutter. The fit maximises the posterior
-with priors around a first guess that count as `strength` frames. They are strong because
-neighbouring frames are correlated. Each iteration increases the log posterior.
+with priors around a first guess that count as `STRENGTH` frames. They are strong because
+neighbouring frames are correlated. Each iteration increases the log posterior. All metres are those
+of lanes of LANE_M.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 
 from egolane_pgm.evidence.line_geometry.kernels import expected_counts
-from egolane_pgm.evidence.line_geometry.model import REACH_M, LineModel, places
+from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M, LineModel, places
 from egolane_pgm.types import FloatArray, IntArray
 
 #: Frames of each lane that the first guess is worth.
@@ -31,8 +30,7 @@ ITERATIONS = 20
 _SHOULDER_RANGE = (0.4, 1.6)
 
 
-@dataclass(frozen=True)
-class Statistics:
+class Statistics(NamedTuple):
     """Expected counts under a model.
 
     - log_likelihood: of all frames
@@ -55,117 +53,66 @@ class Statistics:
 
 
 def fit_lines(
-    offset_m: FloatArray,
-    kind: IntArray,
-    lane: IntArray,
-    first: LineModel,
-    width_m: float,
-    cells: int,
-    *,
-    strength: float = STRENGTH,
-    iterations: int = ITERATIONS,
-) -> tuple[LineModel, FloatArray]:
-    """Fits a model; gives it with the log posterior (up to a constant) before each iteration.
+    offset_m: FloatArray, kind: IntArray, lane: IntArray, first: LineModel, cells: int
+) -> LineModel:
+    """Fit a model.
 
     - offset_m, kind: (T, L) lines of the frames to learn from, as in `reading.SeenLines`
     - lane: (T,) counted from 0; a lane without a frame keeps the first guess
     - first: the first guess
-    - width_m, cells: lane width, and cells per lane
-    - strength: frames of each lane that the first guess is worth
+    - cells: cells per lane
     """
     model = first
-    history = np.empty(iterations)
-    for k in range(iterations):
-        found = expect(offset_m, kind, lane, model, width_m, cells)
-        history[k] = found.log_likelihood + log_prior(model, first, strength, width_m)
-        model = maximise(found, model, first, strength, width_m)
-    return model, history
+    for _ in range(ITERATIONS):
+        model = maximise(expect(offset_m, kind, lane, model, cells), model, first)
+    return model
 
 
 def expect(
-    offset_m: FloatArray,
-    kind: IntArray,
-    lane: IntArray,
-    model: LineModel,
-    width_m: float,
-    cells: int,
+    offset_m: FloatArray, kind: IntArray, lane: IntArray, model: LineModel, cells: int
 ) -> Statistics:
-    """The E step: expected counts under a model."""
-    n, n_lines = model.rates.shape
-    frames = np.bincount(lane, minlength=n).astype(np.float64)
-    arrays: list[Any] = [np.zeros(s) for s in ((n, n_lines), (n_lines, 4), (3, n_lines), 4)]
-    log_likelihood = expected_counts(
+    """Return the expected counts under a model: the E step."""
+    frames = np.bincount(lane, minlength=len(model.rates)).astype(np.float64)
+    log_likelihood, lines, classes, (m0, m1, m2), clutter = expected_counts(
         offset_m,
         kind,
         lane,
-        places(model, width_m),
+        places(model, LANE_M),
         model.rates,
         model.class_shares,
-        model.sigma_m,
+        model.sigmas_m,
         model.clutter,
-        width_m,
+        LANE_M,
         cells,
-        *arrays,
     )
     log_likelihood -= float(frames @ model.expected)
-    lines, classes, (zeroth, first, second), clutter = arrays
-    return Statistics(log_likelihood, frames, lines, classes, zeroth, first, second, clutter)
+    return Statistics(log_likelihood, frames, lines, classes, m0, m1, m2, clutter)
 
 
-def maximise(
-    found: Statistics, model: LineModel, first: LineModel, strength: float, width_m: float
-) -> LineModel:
-    """The M step. The shoulders come first, then the sigmas about their new places; all other
-    parameters are separate."""
-    n = model.n_lanes
-    tau2 = first.sigma_m**2
+def maximise(found: Statistics, model: LineModel, first: LineModel) -> LineModel:
+    """Return the most probable model: the M step.
+
+    The shoulders come first, then the sigmas about their new places; all other parameters are
+    separate.
+    """
+    n = len(model.rates)
+    tau2 = first.sigmas_m**2
     # The direction away from the road: left for the left shoulder, right for the right one.
     outward = np.array([-1.0, 1.0])
-    weight = found.moment0[-2:] / model.sigma_m[-2:] ** 2
-    prior = strength / tau2[-2:]
-    pull = outward * found.moment1[-2:] / model.sigma_m[-2:] ** 2
-    pull += prior * (first.shoulders - model.shoulders) * width_m
-    total = weight + prior
-    move = np.divide(pull, total, out=np.zeros(2), where=total > 0)
-    shoulders = np.clip(model.shoulders + move / width_m, *_SHOULDER_RANGE)
+    weight = found.moment0[-2:] / model.sigmas_m[-2:] ** 2
+    prior = STRENGTH / tau2[-2:]
+    pull = outward * found.moment1[-2:] / model.sigmas_m[-2:] ** 2
+    pull += prior * (first.shoulders - model.shoulders) * LANE_M
+    move = pull / (weight + prior)
+    shoulders = np.clip(model.shoulders + move / LANE_M, *_SHOULDER_RANGE)
     shift = np.zeros(n + 3)
-    shift[-2:] = outward * (shoulders - model.shoulders) * width_m
+    shift[-2:] = outward * (shoulders - model.shoulders) * LANE_M
     squares = found.moment2 - 2 * shift * found.moment1 + shift**2 * found.moment0
-    total = found.moment0 + strength
-    variance = np.divide(squares + strength * tau2, total, out=tau2.copy(), where=total > 0)
-    sigma = np.clip(np.sqrt(variance), SMALLEST_SIGMA_M, LARGEST_SIGMA_M)
-    total = found.frames[:, None] + strength
-    rates = np.divide(
-        found.lines + strength * first.rates, total, out=first.rates.copy(), where=total > 0
-    )
-    total = found.classes.sum(axis=1, keepdims=True) + strength
-    shares = np.divide(
-        found.classes + strength * first.class_shares,
-        total,
-        out=first.class_shares.copy(),
-        where=total > 0,
-    )
-    metres = 2 * REACH_M * (found.frames.sum() + n * strength)
-    clutter = (found.clutter + 2 * REACH_M * n * strength * first.clutter) / metres
-    return LineModel(rates, shares, sigma, shoulders, clutter)
-
-
-def log_prior(model: LineModel, first: LineModel, strength: float, width_m: float) -> float:
-    """The logarithm of the prior density whose maximum is the first guess, up to a constant."""
-    if strength == 0:
-        return 0.0
-    metres = 2 * REACH_M * model.n_lanes
-    away = (model.shoulders - first.shoulders) * width_m / first.sigma_m[-2:]
-    terms = (
-        _times_log(first.rates, model.rates) - model.rates.sum(),
-        _times_log(first.class_shares, model.class_shares),
-        metres * (_times_log(first.clutter, model.clutter) - model.clutter.sum()),
-        -np.log(model.sigma_m).sum() - 0.5 * ((first.sigma_m / model.sigma_m) ** 2).sum(),
-        -0.5 * (away**2).sum(),
-    )
-    return strength * math.fsum(float(term) for term in terms)
-
-
-def _times_log(weight: FloatArray, value: FloatArray) -> float:
-    kept = weight > 0
-    return float((weight[kept] * np.log(value[kept])).sum())
+    variance = (squares + STRENGTH * tau2) / (found.moment0 + STRENGTH)
+    sigmas = np.clip(np.sqrt(variance), SMALLEST_SIGMA_M, LARGEST_SIGMA_M)
+    rates = (found.lines + STRENGTH * first.rates) / (found.frames[:, None] + STRENGTH)
+    total = found.classes.sum(axis=1, keepdims=True) + STRENGTH
+    shares = (found.classes + STRENGTH * first.class_shares) / total
+    metres = 2 * REACH_M * (found.frames.sum() + n * STRENGTH)
+    clutter = (found.clutter + 2 * REACH_M * n * STRENGTH * first.clutter) / metres
+    return LineModel(rates, shares, sigmas, shoulders, clutter)

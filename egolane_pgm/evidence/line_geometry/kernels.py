@@ -1,13 +1,47 @@
-"""The numba kernels of `line_geometry`."""
+"""The numba kernels of `line_geometry`.
+
+Constants of other files are arguments: numba's cache notices changes of this file alone.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
+
+#: Two lines nearer than this, in lane widths, are one border between lanes: a double line, the
+#: edges of one marking, or a line reported twice.
+DOUBLE = 0.1
+
+#: The time between frames of alpha and beta, seconds: the paper's recordings have
+#: ten frames per second.
+FRAME_S = 0.1
+
+#: The number of frames, about, over which the mean displacement of the lines is their velocity.
+INERTIA = 10.0
+
+
+class LastFrame(NamedTuple):
+    """The lines of a frame, kept to read the next one.
+
+    - offset_m, kind, lri, is_held: (L,) its lines
+    - frame_id, state: its frame id, and 1, or 0 if it fills a gap, or -1 if there was none
+    - velocity: of the lines, lane widths per frame
+    - lines: (2,) the numbers of lines up to it that count, and of doubles among them
+    """
+
+    offset_m: FloatArray
+    kind: IntArray
+    lri: FloatArray
+    is_held: BoolArray
+    frame_id: int
+    state: int
+    velocity: float
+    lines: IntArray
 
 
 @kernel()
@@ -21,40 +55,33 @@ def follow_lines(
     width_m: FloatArray,
     farthest: float,
     reach: float,
-    last_offset_m: FloatArray,
-    last_kind: IntArray,
-    last_lri: FloatArray,
-    last_is_held: BoolArray,
-    last_id: int,
-    last_state: int,
-    is_held: BoolArray,
-    displacement: FloatArray,
-    steps: IntArray,
-) -> None:
-    """Fills is_held (T, L), displacement (T,), NaN where it is unknown, and steps (T,): frames
-    since the frame before.
+    last: LastFrame,
+) -> tuple[BoolArray, FloatArray, IntArray]:
+    """Return is_held (T, L), displacement (T,), NaN if unknown, and steps (T,): frames since the
+    frame before.
 
     - kind: (T, L) the class of the line, -1 in padding; set to -1 for lines too far away
     - repeats_are_held: whether a line that repeats its offset is held for any LRI
     - width_m: (T,) of a lane; the distances below and the displacement are in lane widths
     - farthest: lines at this distance or farther do not count
     - reach: largest distance between matched lines
-    - last_...: as in `reading.LastFrame`, of the frame before the first
+    - last: the frame before the first
     """
     n_frames, n_lines = offset_m.shape
     moves = np.empty(n_lines)
+    is_held = np.zeros((n_frames, n_lines), dtype=np.bool_)
+    displacement = np.full(n_frames, np.nan)
+    steps = np.empty(n_frames, dtype=np.int64)
     for t in range(n_frames):
-        displacement[t] = np.nan
         farthest_m, reach_m = farthest * width_m[t], reach * width_m[t]
         for i in range(n_lines):
-            is_held[t, i] = False
             if not abs(offset_m[t, i]) < farthest_m:
                 kind[t, i] = -1
         if t == 0:
-            before_m, before_kind, before_lri = last_offset_m, last_kind, last_lri
-            before_held = last_is_held
-            steps[t] = frame_id[t] - last_id if last_state >= 0 else 1
-            follows = last_state == 1
+            before_m, before_kind, before_lri = last.offset_m, last.kind, last.lri
+            before_held = last.is_held
+            steps[t] = frame_id[t] - last.frame_id if last.state >= 0 else 1
+            follows = last.state == 1
         else:
             before_m, before_kind, before_lri = offset_m[t - 1], kind[t - 1], lri[t - 1]
             before_held = is_held[t - 1]
@@ -99,86 +126,86 @@ def follow_lines(
             if n_moves:
                 displacement[t] = np.median(moves[:n_moves]) / width_m[t]
                 break
+    return is_held, displacement, steps
 
 
 @kernel()
 def coast(
-    displacement: FloatArray,
-    steps: IntArray,
-    farthest: float,
-    inertia: float,
-    kept: float,
-    velocity: FloatArray,
-) -> None:
-    """Fill velocity (T + 1,), the lines' before each frame and after the last one: the
-    mean displacement of late, in which each frame counts 1 / inertia.
+    displacement: FloatArray, steps: IntArray, farthest: float, kept: float, first: float
+) -> FloatArray:
+    """Return the velocity of the lines (T + 1,), before each frame and after the last one: the
+    mean displacement of late, in which each frame counts 1 / INERTIA.
 
-    - displacement: (T,) since the frame before, NaN where it is unknown
+    - displacement: (T,) since the frame before, NaN if unknown
     - steps: (T,) frames since the frame before
     - farthest: a larger displacement counts as unknown
     - kept: the share of the velocity that is left after a frame without displacement
-    - velocity: its first value is that before the first frame
+    - first: the velocity before the first frame
     """
-    now = velocity[0]
+    velocity = np.empty(len(displacement) + 1)
+    velocity[0] = now = first
     for t in range(len(displacement)):
         if steps[t] == 1 and abs(displacement[t]) < farthest:
-            now += (displacement[t] - now) / inertia
+            now += (displacement[t] - now) / INERTIA
         else:
             now *= kept ** steps[t]
         velocity[t + 1] = now
+    return velocity
 
 
 @kernel()
 def weigh_frames(
-    time_s: FloatArray, is_missing: BoolArray, usual_s: float, last_s: float, weights: FloatArray
-) -> float:
-    """Fills weights (T,) with the time since the last frame that is not missing, over usual_s; 1
-    where it is unknown. Returns the time of the last such frame.
+    time_s: FloatArray, is_missing: BoolArray, last_s: float
+) -> tuple[FloatArray, float]:
+    """Return the weight of each frame's evidence, (T,), and the time of the last real frame.
+
+    The errors of a detector last for seconds, not for frames, so a frame counts by the time since
+    the last real one, over `FRAME_S`; 1 if unknown. Frames that fill gaps are not real.
 
     - time_s, is_missing: (T,)
-    - last_s: the time of the last such frame before the first, or -infinity
+    - last_s: the time of the last real frame before the first, or -infinity
     """
+    weights = np.empty(len(time_s))
     for t in range(len(weights)):
         passed = time_s[t] - last_s
         # Times are quotients; after rounding, ten frames per second weigh exactly 1.
         is_known = 0 < passed < math.inf
-        weights[t] = np.rint(passed / usual_s * 1e6) / 1e6 if is_known else 1.0
+        weights[t] = np.rint(passed / FRAME_S * 1e6) / 1e6 if is_known else 1.0
         if not is_missing[t] and time_s[t] > last_s:
             last_s = time_s[t]
-    return last_s
+    return weights, last_s
 
 
 @kernel()
 def find_doubles(
-    offset_m: FloatArray,
-    kind: IntArray,
-    width_m: FloatArray,
-    near: float,
-    is_double: BoolArray,
-    lines: IntArray,
-) -> None:
-    """Fills is_double (T, L): whether a better line is nearer than `near` lane widths. A line is
-    better if its class is; in the same class, if it is nearer to the vehicle, or else listed first.
+    offset_m: FloatArray, kind: IntArray, width_m: FloatArray, before: IntArray
+) -> tuple[BoolArray, IntArray]:
+    """Return whether a better line is nearer than `DOUBLE` lane widths, (T, L), and the numbers of
+    lines and of such doubles up to each frame, (T + 1, 2), from `before` (2,) on.
 
-    - lines: (T + 1, 2) the numbers of lines and of doubles so far; the first row is given
+    A line is better if its class is; in the same class, if it is nearer to the vehicle, or else
+    listed first.
     """
     n_frames, n_lines = offset_m.shape
+    is_double = np.zeros((n_frames, n_lines), dtype=np.bool_)
+    lines = np.empty((n_frames + 1, 2), dtype=np.int64)
+    lines[0] = before
     for t in range(n_frames):
         lines[t + 1] = lines[t]
         for i in range(n_lines):
-            is_double[t, i] = False
             if kind[t, i] < 0:
                 continue
             for j in range(n_lines):
                 if j == i or kind[t, j] < 0 or kind[t, j] > kind[t, i]:
                     continue
-                if not abs(offset_m[t, i] - offset_m[t, j]) < near * width_m[t]:
+                if not abs(offset_m[t, i] - offset_m[t, j]) < DOUBLE * width_m[t]:
                     continue
                 here, there = abs(offset_m[t, i]), abs(offset_m[t, j])
                 if kind[t, j] < kind[t, i] or there < here or (there == here and j < i):
                     is_double[t, i] = True
             lines[t + 1, 0] += 1
             lines[t + 1, 1] += is_double[t, i]
+    return is_double, lines
 
 
 @kernel()
@@ -314,7 +341,7 @@ def _learn(visibility: FloatArray, known: FloatArray, mean: FloatArray, alpha: f
     n_lanes, n_kinds = visibility.shape
     place = np.exp(mean - mean.max())
     place /= place.sum()
-    says = np.empty(visibility.shape)
+    support = np.empty(visibility.shape)
     for lane in range(n_lanes):
         for k in range(n_kinds):
             top = known[:, k, lane].max()
@@ -322,8 +349,8 @@ def _learn(visibility: FloatArray, known: FloatArray, mean: FloatArray, alpha: f
             for u in range(len(mean)):
                 total += place[u] * math.exp(known[u, k, lane] - top)
             # The best place may have no share that is a number.
-            says[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
-    visibility *= np.exp(says - says.max())
+            support[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
+    visibility *= np.exp(support - support.max())
     visibility /= visibility.sum()
 
 
@@ -355,19 +382,19 @@ def expected_counts(
     place_m: FloatArray,
     rates: FloatArray,
     class_shares: FloatArray,
-    sigma_m: FloatArray,
+    sigmas_m: FloatArray,
     clutter: FloatArray,
     width_m: float,
     cells: int,
-    lines: FloatArray,
-    classes: FloatArray,
-    moments: FloatArray,
-    of_clutter: FloatArray,
-) -> float:
-    """Adds expected counts to lines (n, K), classes (K, 4), moments (3, K) and of_clutter (4,), as
-    in `fitting.Statistics`. Returns the log likelihood without the expected numbers of lines."""
+) -> tuple[float, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return the log likelihood without the expected numbers of lines, and the expected counts
+    lines (n, K), classes (K, 4), moments (3, K) and of clutter (4,), as in `fitting.Statistics`."""
     n_frames, n_slots = offset_m.shape
     n_lines = rates.shape[1]
+    lines = np.zeros(rates.shape)
+    classes = np.zeros(class_shares.shape)
+    moments = np.zeros((3, n_lines))
+    of_clutter = np.zeros(len(clutter))
     log_place = np.empty(cells)
     share = np.empty((n_slots, cells, n_lines + 1))
     log_likelihood = 0.0
@@ -384,11 +411,11 @@ def expected_counts(
                 total = max(clutter[c], 1e-12)
                 share[i, u, n_lines] = total
                 for k in range(n_lines):
-                    away = (z - place_m[own, k]) / sigma_m[k]
+                    away = (z - place_m[own, k]) / sigmas_m[k]
                     density = 0.0
                     if abs(away) < _FAR:
                         density = math.exp(-0.5 * away * away) / (
-                            sigma_m[k] * math.sqrt(2 * math.pi)
+                            sigmas_m[k] * math.sqrt(2 * math.pi)
                         )
                     share[i, u, k] = rates[own, k] * class_shares[k, c] * density
                     total += share[i, u, k]
@@ -417,4 +444,4 @@ def expected_counts(
                     moments[1, k] += part * away
                     moments[2, k] += part * away * away
                 of_clutter[c] += weight * share[i, u, n_lines]
-    return log_likelihood
+    return log_likelihood, lines, classes, moments, of_clutter

@@ -4,7 +4,7 @@ From lane l, counted from 0, a detector reports lines as a Poisson process over 
 from the lane's centre. For lines of class c its intensity is
 
     lambda_lc(z) = sum_k rates[l, k] class_shares[k, c] N(z; place[l, k], s[l, k]^2) + clutter[c]
-    s[l, k]^2 = sigma_m[k]^2 + (sigma_per_m place[l, k])^2
+    s[l, k]^2 = sigmas_m[k]^2 + (sigma_per_m place[l, k])^2
 
 The n + 1 lines of the road, k = 0 to n, lie at (k - l - 1/2) lane widths. Two more lie off the
 road: `shoulders[0]` lane widths left of the leftmost line and `shoulders[1]` right of the rightmost
@@ -21,9 +21,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry.flag_semantics import N_CLASSES
 from egolane_pgm.parameters import Value, number
 from egolane_pgm.types import FloatArray
+
+#: The classes of lines: 0 valid and continuous; 1 valid with LRI >= STRONG_LRI of `scale`; 2 valid
+#: with a lower LRI; 3 not valid with LRI >= LEAST_LRI.
+N_CLASSES = 4
 
 #: The lane width to which lines are scaled; all metres here are relative to such lanes.
 LANE_M = 3.5
@@ -34,8 +37,9 @@ REACH_M = 16.0
 #: Step of the tables over z, metres.
 TABLE_STEP_M = 0.02
 
-#: Generic shares of classes 1 to 3 among lines that are not continuous, and false lines per metre
-#: of each of the four classes.
+#: Generic share of continuous reports of lines inside the road, shares of classes 1 to 3 among
+#: reports that are not continuous, and false lines per metre of each class.
+INNER_CONTINUOUS = 0.05
 PLAIN_SHARES = (0.88, 0.06, 0.06)
 CLUTTER_PER_M = 0.05 * np.array([0.05, 0.5, 0.2, 0.25])
 
@@ -57,7 +61,7 @@ class LineModel:
 
     - rates: (n, n + 3) expected number of reports of each line, from each lane
     - class_shares: (n + 3, 4) shares of the classes among them
-    - sigma_m: (n + 3,) standard deviation of a line about its place, metres
+    - sigmas_m: (n + 3,) standard deviation of a line about its place, metres
     - shoulders: (2,) distances of the shoulders from the road's outer lines, lane widths
     - clutter: (4,) false lines per metre, of each class
     - sigma_per_m: how much further a line is off its place with each metre between it and the car
@@ -65,15 +69,10 @@ class LineModel:
 
     rates: FloatArray
     class_shares: FloatArray
-    sigma_m: FloatArray
+    sigmas_m: FloatArray
     shoulders: FloatArray
     clutter: FloatArray
     sigma_per_m: float = 0.0
-
-    @property
-    def n_lanes(self) -> int:
-        """Number of lanes."""
-        return len(self.rates)
 
     @property
     def expected(self) -> FloatArray:
@@ -90,7 +89,6 @@ class Kind:
     - seen_far: lowest rate of a line of the road
     - shoulder_left, shoulder_right: rate of a line left and right of the road
     - edge_continuous: share of continuous reports of the road's outer lines
-    - inner_continuous: the same for all other lines
     """
 
     seen_near: float = 0.9
@@ -99,39 +97,20 @@ class Kind:
     shoulder_left: float = 0.08
     shoulder_right: float = 0.13
     edge_continuous: float = 0.25
-    inner_continuous: float = 0.05
 
 
-#: The kind if none is learned.
+#: The default kind.
 GENERIC = Kind()
 
-#: The parameters that a fit gives, and the fields of the model that they fill.
-FITTED = {
-    "rates": "rates",
-    "class_shares": "class_shares",
-    "sigmas_m": "sigma_m",
-    "shoulders": "shoulders",
-    "clutter": "clutter",
-}
+#: The parameters that a fit gives: fields of the model.
+FITTED = ("rates", "class_shares", "sigmas_m", "shoulders", "clutter")
 
 
 def line_model(n_lanes: int, parameters: Mapping[str, Value], kind: Kind = GENERIC) -> LineModel:
-    """The model that checked parameters describe, of a kind where they are `generic`."""
-    grows = 0.0 if number(parameters, "width_wanders") else LINE_SIGMA_PER_M
-    generic = generic_model(n_lanes, kind, grows)
-    fields = {}
-    for name, field in FITTED.items():
-        default: FloatArray = getattr(generic, field)
-        value = parameters[name]
-        fields[field] = (
-            default if isinstance(value, str) else np.array(value).reshape(default.shape)
-        )
-    is_generic = isinstance(parameters["sigmas_m"], str)
-    return LineModel(**fields, sigma_per_m=grows if is_generic else 0.0)
+    """Return the model of checked parameters; those that are `generic` get the constants of a kind.
 
-
-def generic_model(n_lanes: int, kind: Kind, sigma_per_m: float) -> LineModel:
-    """A model for any detector, in which near lines are reported more often than far ones."""
+    By these, near lines are reported more often than far ones.
+    """
     n_lines = n_lanes + 3
     rates = np.empty((n_lanes, n_lines))
     for lane in range(n_lanes):
@@ -141,17 +120,19 @@ def generic_model(n_lanes: int, kind: Kind, sigma_per_m: float) -> LineModel:
         )
     rates[:, -2:] = kind.shoulder_left, kind.shoulder_right
     shares = np.empty((n_lines, N_CLASSES))
-    shares[:, 0] = kind.inner_continuous
+    shares[:, 0] = INNER_CONTINUOUS
     shares[[0, n_lanes], 0] = kind.edge_continuous
     shares[:, 1:] = (1 - shares[:, :1]) * np.array(PLAIN_SHARES)
-    return LineModel(
-        rates,
-        shares,
-        np.full(n_lines, LINE_SIGMA_M),
-        np.full(2, SHOULDER_DISTANCE),
-        CLUTTER_PER_M.copy(),
-        sigma_per_m,
-    )
+    sigmas, shoulders = np.full(n_lines, LINE_SIGMA_M), np.full(2, SHOULDER_DISTANCE)
+    generic = zip(FITTED, (rates, shares, sigmas, shoulders, CLUTTER_PER_M), strict=True)
+    fields = {
+        name: default
+        if isinstance(parameters[name], str)
+        else np.array(parameters[name]).reshape(default.shape)
+        for name, default in generic
+    }
+    grows = isinstance(parameters["sigmas_m"], str) and not number(parameters, "width_wanders")
+    return LineModel(**fields, sigma_per_m=LINE_SIGMA_PER_M if grows else 0.0)
 
 
 def without_flags(model: LineModel) -> LineModel:
@@ -165,7 +146,7 @@ def without_flags(model: LineModel) -> LineModel:
 
 def places(model: LineModel, width_m: float) -> FloatArray:
     """The place of each line, (n, n + 3), metres to the right of the centre of each lane."""
-    n = model.n_lanes
+    n = len(model.rates)
     lane = np.arange(n)[:, None]
     road = (np.arange(n + 1) - lane - 0.5) * width_m
     left = -(lane + 0.5 + model.shoulders[0]) * width_m
@@ -180,7 +161,7 @@ def log_intensity(model: LineModel, width_m: float) -> FloatArray:
     n_steps = math.ceil(2 * last / TABLE_STEP_M) + 2
     z = -last + TABLE_STEP_M * np.arange(n_steps)
     place = places(model, width_m)[..., None]
-    sigma = np.hypot(model.sigma_m[:, None], model.sigma_per_m * place)
+    sigma = np.hypot(model.sigmas_m[:, None], model.sigma_per_m * place)
     with np.errstate(over="ignore"):
         exponent = -0.5 * ((z - place) / sigma) ** 2
     density = np.exp(exponent) / (sigma * math.sqrt(2 * math.pi))

@@ -37,18 +37,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import flag_semantics, kernels, reading
+from egolane_pgm.evidence.line_geometry import flag_semantics, kernels, reading, scale
 from egolane_pgm.evidence.line_geometry.fitting import fit_lines
-from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     FITTED,
     LANE_M,
-    REACH_M,
     TABLE_STEP_M,
     LineModel,
     line_model,
 )
-from egolane_pgm.evidence.line_geometry.scale import follow, new_belief
 from egolane_pgm.evidence.line_geometry.visibility import (
     KIND_CHANGES,
     LANE_CHANGES,
@@ -65,10 +62,6 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray, LineLog
 NODES = ("RoadPosition", "SensorState")
 PROVIDES = (NODES,)
 INPUTS = ("LineMotion",)
-
-#: The number of frames after which `online` warns of a camera that shows only the ego lane's lines.
-#: It then does so on all such drives of the benchmark's public part, and on no other.
-NOTED_AFTER = 600
 
 #: The parameters that `fit` learns.
 LEARNED = (*FITTED, "fallback_width_m")
@@ -94,27 +87,20 @@ def evidence(log: LineLog, n_lanes: int, parameters: Parameters) -> Evidence:
     Warns of the lane width found and of anything unusual about the lines.
     """
     recorded = log
-    log, detector = flag_semantics.translated_recording(log)
-    width = reading.recording_width(log, parameters)
-    reading.warn_of_offsets(log, width, width * REACH_M / LANE_M)
-    widths = np.full((len(log), 1), width)
-    kind, _ = line_classes(log)
-    held = detector.repeats_are_held
-    seen, last = reading.read_lines(log, kind, widths[:, 0], parameters, repeats_are_held=held)
-    reading.warn_of_doubles(last.lines, log.source)
+    log, seen, width = reading.read_recording(recorded, parameters)
     models = visibility_models(n_lanes, parameters)
     visibility = new_visibility(n_lanes, len(models))
     if parameters["lane_width_m"] == "causal":
         given = _online(models, visibility, parameters)(recorded)
     else:
         tables = visibility_tables(models, has_flags=bool(_has_flag(log).any()))
-        weights, _ = reading.frame_weights(log)
-        seen = reading.count_once(seen, last.lines)
-        widths = widths * (1 + number(parameters, "width_wanders") * np.array([-1, 0, 1]))
+        weights, _ = kernels.weigh_frames(log.time_s, log.is_missing, -math.inf)
+        wanders = 1 + number(parameters, "width_wanders") * np.array([-1, 0, 1])
+        widths = np.tile(width * wanders, (len(log), 1))
         given = _evidence(seen, widths, weights, log.is_missing, tables, visibility, parameters)
     n_frames = max(len(log), 1)
     far = far_frames(log.offset_m, np.full(len(log), width)) / n_frames
-    warn_of_own_lines(visibility, last.lines[0] / n_frames, far, log.source)
+    warn_of_own_lines(visibility, (seen.kind >= 0).sum() / n_frames, far, log.source)
     return given
 
 
@@ -123,8 +109,7 @@ def online(n_lanes: int, parameters: Parameters) -> Callable[[LineLog], Evidence
 
     All estimates use the frames so far, however they are grouped: the lane width (unless given),
     the visibility, the flag semantics and the share of double lines. The detector counts as one
-    with a continuous flag from the first continuous line on. The only warning concerns a camera
-    that shows only the ego lane's lines, after NOTED_AFTER frames that came one at a time.
+    with a continuous flag from the first continuous line on. Gives no warnings.
     """
     models = visibility_models(n_lanes, parameters)
     return _online(models, new_visibility(n_lanes, len(models)), parameters)
@@ -136,74 +121,57 @@ def _online(
     """As `online`; visibility: (n, K) the belief over kinds, which becomes that after each log."""
     tables = {has: visibility_tables(models, has_flags=has) for has in (True, False)}
     given = parameters["lane_width_m"]
-    width = new_belief(number(parameters, "fallback_width_m"))
-    detector = flag_semantics.PAPER
-    seen_before: list[flag_semantics.LineCounts] = []
+    width = scale.new_belief(number(parameters, "fallback_width_m"))
+    detector, counts = flag_semantics.PAPER, flag_semantics.NO_LINES
     recent: list[flag_semantics.Columns] = []
     has_flags = False
-    n_frames, n_far, last, last_s = 0, 0, reading.NO_FRAME, -math.inf
-    is_asked = False
+    n_frames, last, last_s = 0, reading.NO_FRAME, -math.inf
 
     def evidence_of_part(recorded: LineLog) -> Evidence:
         """Return the evidence of frames that share all estimates."""
-        nonlocal detector, has_flags, n_frames, n_far, last, last_s
+        nonlocal detector, counts, has_flags, n_frames, last, last_s
         if n_frames and n_frames % reading.UPDATE_EVERY == 0:
-            seen_before[:] = [
-                flag_semantics.added([*seen_before, flag_semantics.count_lines(recent)])
-            ]
+            counts = flag_semantics.added(counts, flag_semantics.count_lines(recent))
             recent.clear()
-            detector = flag_semantics.flag_semantics_of(seen_before[0], recorded.source)
+            detector = flag_semantics.flag_semantics_of(counts, recorded.source)
             has_flags &= detector.uses_continuous
         recent.append(flag_semantics.columns(recorded))
         log = flag_semantics.translated(recorded, detector)
         has_flags = has_flags or bool(_has_flag(log).any())
         n_frames += len(log)
-        kind, is_strong = line_classes(log)
+        kind, is_strong = scale.line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
         if isinstance(given, str):
-            widths = follow(width, log.offset_m, is_strong)
+            widths = scale.follow(width, log.offset_m, is_strong)
         else:
             widths = np.full((len(log), 1), given)
         middle = np.ascontiguousarray(widths[:, widths.shape[1] // 2])
-        n_far += far_frames(log.offset_m, middle)
-        held = detector.repeats_are_held
         seen, last = reading.read_lines(
-            log, kind, middle, parameters, repeats_are_held=held, last=last
+            log, kind, middle, parameters, detector.repeats_are_held, last
         )
-        seen = reading.count_once(seen, seen.lines)
-        weights, last_s = reading.frame_weights(recorded, last_s)
-        told = tables[has_flags]
-        return _evidence(seen, widths, weights, log.is_missing, told, visibility, parameters)
+        weights, last_s = kernels.weigh_frames(recorded.time_s, recorded.is_missing, last_s)
+        used = tables[has_flags]
+        return _evidence(seen, widths, weights, log.is_missing, used, visibility, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
-        nonlocal is_asked
-        if len(recorded) == 1:
-            if n_frames >= NOTED_AFTER and not is_asked:
-                is_asked = True
-                lines_per_frame, far = last.lines[0] / n_frames, n_far / n_frames
-                warn_of_own_lines(visibility, lines_per_frame, far, recorded.source)
+        if len(recorded) <= 1:
             return evidence_of_part(recorded)
-        updates = np.arange(-n_frames % reading.UPDATE_EVERY, len(recorded), reading.UPDATE_EVERY)
-        starts = np.unique([0, *updates])
-        is_continuous = np.asarray(_has_flag(recorded).any(axis=1))
-        # The first continuous line may change the estimates, so a part ends there.
-        firsts = [
-            a + int(np.argmax(is_continuous[a:b]))
-            for a, b in pairwise([*starts, len(recorded)])
-            if is_continuous[a:b].any()
-        ]
-        cuts = [*np.unique([*starts, *firsts]).tolist(), len(recorded)]
-        parts = [evidence_of_part(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
-        return Evidence(
-            {NODES: np.concatenate([part.likelihoods[NODES] for part in parts])},
-            {"LineMotion": np.concatenate([part.inputs["LineMotion"] for part in parts])},
+        # The estimates change every UPDATE_EVERY frames, and may at the first continuous line.
+        n, every = len(recorded), reading.UPDATE_EVERY
+        updates = sorted({0, *range(-n_frames % every, n, every)})
+        has_flag = _has_flag(recorded)
+        firsts = [a + int(has_flag[a:b].argmax()) for a, b in pairwise([*updates, n])]
+        cuts = [*sorted({*updates, *firsts}), n]
+        return Evidence.concat(
+            [evidence_of_part(recorded.take(slice(a, b))) for a, b in pairwise(cuts)]
         )
 
     return evidence_of
 
 
 def _has_flag(log: LineLog) -> BoolArray:
-    """Whether a line has an offset and is continuous, (T, L)."""
-    return np.asarray(log.is_continuous & flag_semantics.is_placed(log.offset_m))
+    """Return whether a line with an offset is continuous, (T,)."""
+    flags = log.is_continuous & flag_semantics.is_placed(log.offset_m)
+    return np.asarray(flags.any(axis=1))
 
 
 def _evidence(
@@ -242,35 +210,27 @@ def _evidence(
 
 
 def fit(
-    log: LineLog, lane: IntArray, is_used: BoolArray, n_lanes: int, parameters: Parameters
+    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
 ) -> dict[str, Value]:
     """Learn the parameters `LEARNED` from frames whose lane is known.
 
-    - lane: (T,) 1 to n; only used frames count
-    - is_used: (T,) the frames to learn from
+    - parts: per recording its lines, lane (T,) from 1 to n, and the frames to learn from (T,). The
+      first one gives the expected lane width.
     - parameters: the first guess, which is worth `fitting.STRENGTH` frames of each lane
 
     A lane without a frame keeps the first guess, with a warning.
     """
-    return fit_pooled([(log, lane, is_used)], n_lanes, parameters)
-
-
-def fit_pooled(
-    parts: Sequence[tuple[LineLog, IntArray, BoolArray]], n_lanes: int, parameters: Parameters
-) -> dict[str, Value]:
-    """As `fit`, from several recordings: log, lane and is_used of each. The first one gives the
-    expected lane width."""
     source = ", ".join(log.source for log, _, _ in parts)
     offsets, kinds, lanes = [], [], []
     first_width = 0.0
     for recorded, lane, is_used in parts:
-        log, detector = flag_semantics.translated_recording(recorded, say=False)
-        width = reading.one_width(log, parameters)
-        first_width = first_width or reading.as_metres(width, parameters)
-        kind, _ = line_classes(log)
-        held, widths = detector.repeats_are_held, np.full(len(log), width)
-        seen, last = reading.read_lines(log, kind, widths, parameters, repeats_are_held=held)
-        seen = reading.count_once(seen, last.lines)
+        with warnings.catch_warnings():
+            # The evidence of the recording warns of the same.
+            warnings.simplefilter("ignore")
+            log, seen, width = reading.read_recording(recorded, parameters)
+        is_metres = reading.NARROWEST_M <= width <= reading.WIDEST_M
+        fallback = number(parameters, "fallback_width_m")
+        first_width = first_width or (width if is_metres else fallback)
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (LANE_M / width))
         kinds.append(seen.kind[used])
@@ -280,21 +240,18 @@ def fit_pooled(
         if not (known == k).any():
             warnings.warn(
                 f"{source}: no frame to learn from has lane {k + 1}; it keeps its first guess",
-                UserWarning,
                 stacklevel=2,
             )
     if not len(known):
         return {}
-    model, _ = fit_lines(
+    model = fit_lines(
         pad_and_concat(offsets, 0.0),
         pad_and_concat(kinds, -1),
         known,
         line_model(n_lanes, parameters),
-        LANE_M,
         int(number(parameters, "cells")),
     )
     found: dict[str, Value] = {
-        name: tuple(np.asarray(getattr(model, field)).ravel().tolist())
-        for name, field in FITTED.items()
+        name: tuple(getattr(model, name).ravel().tolist()) for name in FITTED
     }
     return {**found, "fallback_width_m": first_width}

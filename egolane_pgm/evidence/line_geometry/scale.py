@@ -2,9 +2,9 @@
 
 The lateral scale of a detector is unknown and may drift, so the lane width is a nuisance variable,
 filtered together with the lane. Two filters over a logarithmic grid of widths take the gaps between
-neighbouring strong lines, which are whole numbers of lanes (`lane_width`): for the first the width
-hardly ever changes, for the second it wanders around the first one. Each predicts the gaps of the
-next frame, which gives the probability of each by Bayes' rule.
+neighbouring strong lines (`line_classes`), which are whole numbers of lanes (`lane_width`): for the
+first the width hardly ever changes, for the second it wanders around the first one. Each predicts
+the gaps of the next frame, which gives the probability of each by Bayes' rule.
 
 Neighbouring frames show the same lines, so a gap counts as a fraction of one. A new scale needs
 minutes of evidence, and so do stretches in which every other line is missing.
@@ -13,6 +13,8 @@ minutes of evidence, and so do stretches in which every other line is missing.
 Lines lie on a lattice whose step is the lane width, so each reliable one gives the offset as an
 angle: a car in the middle of a lane has lines half a step to either side. The offset is the mean of
 these angles over recent lines, without a belief over lanes.
+
+The kernels use constants of this file only: numba's cache notices changes of this file alone.
 """
 
 from __future__ import annotations
@@ -20,25 +22,53 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import lane_width
-from egolane_pgm.evidence.line_geometry.flag_semantics import (
-    FULL_LRI,
-    FlagSemantics,
-    line_classes,
-    translated,
-)
 from egolane_pgm.evidence.line_geometry.model import LANE_M
 from egolane_pgm.parameters import Parameters
 from egolane_pgm.tools.jit import kernel
-from egolane_pgm.types import BoolArray, FloatArray, LineLog
+from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
+
+#: The LRI of a well tracked line, on the paper's scale; of a strong line at least; and of a line
+#: that is not valid and yet counts, at least.
+FULL_LRI, STRONG_LRI, LEAST_LRI = 10.0, 6.0, 3.0
+
+#: An offset nearer to 0 than this is a placeholder of a detector that has not measured yet.
+PLACEHOLDER_M = 1e-6
+
+#: Gaps of more lanes than this count as off the lattice. If only every other line is seen, the
+#: second next one is four lanes away; with a smaller limit, twice the true width would explain gaps
+#: that the true width does not.
+MOST_LANES = 4
+
+#: Standard deviation of a gap, lane widths: lines lie within about .15 m of their place.
+GAP_SIGMA = 0.06
+
+#: A gap of less than this share of the frame's largest one is no lane, but a line reported twice.
+DOUBLE = 0.1
+
+#: The number of gaps that count as one, because neighbouring frames show the same lines: two
+#: seconds of frames are little more evidence than a single one. Fewer for the width that wanders,
+#: which has to follow quickly.
+ALIKE, ALIKE_WANDERING = 20.0, 10.0
+
+#: Two neighbouring lanes are seen at once if at least this share (the first) of the gaps between
+#: every other line is two lanes, to within this many lane widths (the second). This is checked only
+#: with enough gaps (the third) for about three independent ones, since a detector may report two
+#: lines only.
+LEAST_PAIRS, PAIR_WITHIN = 0.03, 0.15
+ENOUGH_PAIRS = 3 * ALIKE / LEAST_PAIRS
+
+#: Scale of the prior, a Cauchy distribution of the logarithm of the width around the expected one.
+#: A width a tenth away is half as probable; those far away keep a chance.
+EXPECTED_WITHIN = 0.1
 
 #: The grid: logarithmic steps from the narrowest to the widest width, in any unit.
 _STEP = 0.02
 _NARROWEST, _WIDEST = 0.1, 1e4
+_LOG_NARROWEST = math.log(_NARROWEST)
 _N_WIDTHS = math.ceil(math.log(_WIDEST / _NARROWEST) / _STEP)
 GRID = _NARROWEST * np.exp(_STEP * np.arange(_N_WIDTHS))
 
@@ -47,9 +77,6 @@ N_QUANTILES = 7
 
 #: The share of gaps that are no whole number of lanes.
 OFF_LATTICE = 0.6
-
-#: The number of gaps that count as one for the width that wanders. It has to follow quickly.
-ALIKE_WANDERING = 10.0
 
 #: The share of the belief in a width that moves to either neighbour in a frame, if the scale is
 #: steady and if it wanders.
@@ -69,44 +96,26 @@ MAY_WANDER, CHANGES = 0.05, 1e-4
 #: How much of the count of neighbouring lanes that are seen at once is kept from frame to frame.
 KEPT_PAIRS = 0.9998
 
-#: The numbers that `follow_width` takes in addition to arrays.
-RATES = np.array(
-    [
-        STEADY_MOVES,
-        WANDERING_MOVES,
-        ANOTHER_SCALE,
-        RETURNS,
-        MAY_WANDER,
-        CHANGES,
-        KEPT_PAIRS,
-        lane_width.ALIKE,
-        ALIKE_WANDERING,
-    ]
-)
-
-
 #: The logarithmic distances of a gap and a width, in steps, for which there is a likelihood.
 _FIRST = math.floor(math.log(0.02) / _STEP)
-_LAST = math.ceil(math.log(lane_width.MOST_LANES + 1.5) / _STEP)
+_LAST = math.ceil(math.log(MOST_LANES + 1.5) / _STEP)
 _GAP = np.exp(_STEP * np.arange(_FIRST, _LAST + 1))
 _LANES = np.maximum(1, np.round(_GAP))
-_NORMAL = np.exp(-0.5 * ((_GAP - _LANES) / lane_width.GAP_SIGMA) ** 2) / (
-    lane_width.GAP_SIGMA * math.sqrt(2 * math.pi)
-)
-_DENSITY = np.where(_LANES <= lane_width.MOST_LANES, _NORMAL, 0.0)
+_NORMAL = np.exp(-0.5 * ((_GAP - _LANES) / GAP_SIGMA) ** 2) / (GAP_SIGMA * math.sqrt(2 * math.pi))
+_DENSITY = np.where(_LANES <= MOST_LANES, _NORMAL, 0.0)
 
 #: For each of them the logarithm of the likelihood, relative to a gap anywhere; and 1 where the gap
 #: is two lanes.
 _LOG_LIKELIHOOD = np.log((1 - OFF_LATTICE) * _DENSITY + OFF_LATTICE)
-_IS_TWO_LANES = np.where(np.abs(_GAP - 2) < lane_width.PAIR_WITHIN, 1.0, 0.0)
+_IS_TWO_LANES = np.where(np.abs(_GAP - 2) < PAIR_WITHIN, 1.0, 0.0)
 
 #: A width that wanders, around the steady one, (2 h + 1,).
 _HALF = round(3 * WANDERS / _STEP)
 _AROUND = np.exp(-0.5 * (np.arange(-_HALF, _HALF + 1) * _STEP / WANDERS) ** 2)
 _SPREAD = _AROUND / _AROUND.sum()
 
-#: Lines farther away, in lane widths, do not count for the place: an error of the width moves them
-#: the more.
+#: Lines farther away, in lane widths, do not count for the place: an error of the width moves far
+#: lines more.
 REACH = 1.5
 
 #: The place is a mean over about this time, seconds. A car that changes lane in 5 s goes a tenth of
@@ -118,8 +127,7 @@ MEAN_S = 0.5
 DEFINITE = 0.1
 
 
-@dataclass(frozen=True)
-class WidthBelief:
+class WidthBelief(NamedTuple):
     """The belief over the lane width; the arrays change with every frame.
 
     - steady, wandering: (_N_WIDTHS,) probabilities of the widths, if the scale is steady and if it
@@ -137,94 +145,64 @@ class WidthBelief:
 
 
 def new_belief(expected_m: float) -> WidthBelief:
-    """The belief before the first frame. expected_m: the expected width."""
-    away = (np.log(GRID) - math.log(expected_m)) / lane_width.EXPECTED_WITHIN
+    """Return the belief before the first frame. expected_m: the expected width."""
+    away = (np.log(GRID) - math.log(expected_m)) / EXPECTED_WITHIN
     prior = 1 / (1 + away**2)
     prior /= prior.sum()
     counts = np.array([MAY_WANDER, 0.0])
     return WidthBelief(prior.copy(), prior.copy(), np.zeros(_N_WIDTHS), counts, prior)
 
 
-def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
-    """The lane width before each of T frames, (T, N_QUANTILES): equally probable values in rising
-    order, in the unit of the offsets. The belief becomes that after the last frame.
-
-    offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
-    """
-    widths = np.empty((len(offset_m), N_QUANTILES))
-    follow_width(
-        offset_m,
-        is_strong,
-        belief.steady,
-        belief.wandering,
-        belief.pairs,
-        belief.counts,
-        belief.prior,
-        _LOG_LIKELIHOOD,
-        _IS_TWO_LANES,
-        _FIRST,
-        _SPREAD,
-        RATES,
-        lane_width.DOUBLE,
-        lane_width.ENOUGH_PAIRS,
-        lane_width.LEAST_PAIRS,
-        math.log(_NARROWEST),
-        _STEP,
-        widths,
-    )
-    return widths
+@kernel()
+def line_classes(
+    offset_m: FloatArray, is_valid: BoolArray, is_continuous: BoolArray, lri: FloatArray
+) -> tuple[IntArray, BoolArray]:
+    """Return the class of each line (`model.N_CLASSES`), -1 in padding, and whether its place is
+    reliable; (T, L) each. An unknown LRI counts as the highest."""
+    n_frames, n_lines = offset_m.shape
+    kind = np.full((n_frames, n_lines), -1)
+    is_strong = np.zeros((n_frames, n_lines), dtype=np.bool_)
+    for t in range(n_frames):
+        for i in range(n_lines):
+            if not PLACEHOLDER_M < abs(offset_m[t, i]) < math.inf:
+                continue
+            is_reliable = not lri[t, i] < STRONG_LRI
+            if is_valid[t, i]:
+                is_strong[t, i] = is_reliable
+                kind[t, i] = 0 if is_continuous[t, i] else 1 if is_reliable else 2
+            elif not lri[t, i] < LEAST_LRI:
+                kind[t, i] = 3
+    return kind, is_strong
 
 
 @kernel()
-def follow_width(
-    offset_m: FloatArray,
-    is_strong: BoolArray,
-    steady: FloatArray,
-    wandering: FloatArray,
-    pairs: FloatArray,
-    counts: FloatArray,
-    prior: FloatArray,
-    log_likelihood: FloatArray,
-    is_two_lanes: FloatArray,
-    first: int,
-    spread: FloatArray,
-    rates: FloatArray,
-    least_double: float,
-    enough_pairs: float,
-    least_pairs: float,
-    log_narrowest: float,
-    step: float,
-    width_m: FloatArray,
-) -> None:
-    """Fills width_m (T, K) with quantiles of the lane width before each frame; the belief `steady`,
-    `wandering`, `pairs`, `counts` becomes that after the last one.
+def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> FloatArray:
+    """Return the lane width before each of T frames, (T, N_QUANTILES): equally probable values in
+    rising order, in the unit of the offsets. The belief becomes that after the last frame.
 
-    Belief and prior as in `WidthBelief`; the tables and rates are
-    constants of `scale`. least_double: a gap of less than this share of the frame's largest
-    one is a line reported twice.
+    offset_m, is_strong: (T, L) the lines, and whether their places are reliable.
     """
-    moves, moves_wandering, another, returns, may_wander, changes = rates[:6]
-    kept, alike, alike_wandering = rates[6:9]
+    steady, wandering, pairs, counts, prior = belief
     n_frames, n_lines = offset_m.shape
-    n_widths, n_table, n_quantiles = len(prior), len(log_likelihood), width_m.shape[1]
-    half = len(spread) // 2
+    n_widths, n_table = len(prior), len(_LOG_LIKELIHOOD)
+    width_m = np.empty((n_frames, N_QUANTILES))
     lines = np.empty(n_lines)
     moved = np.empty(n_widths)
     around = np.empty(n_widths)
-    says = np.empty(n_widths)
-    off_table = log_likelihood[0]
+    support = np.empty(n_widths)
+    off_table = _LOG_LIKELIHOOD[0]
     for t in range(n_frames):
         # Predict.
         moved[0], moved[-1] = steady[0], steady[-1]
         for j in range(1, n_widths - 1):
-            moved[j] = steady[j] + moves * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
+            moved[j] = steady[j] + STEADY_MOVES * (steady[j - 1] - 2 * steady[j] + steady[j + 1])
         for j in range(n_widths):
-            steady[j] = moved[j] + another * (prior[j] - moved[j])
+            steady[j] = moved[j] + ANOTHER_SCALE * (prior[j] - moved[j])
         # A width by which no two neighbouring lanes are ever seen at once is impossible. The factor
-        # is so small because other widths may have sunk to `another`.
+        # is so small because other widths may have sunk to ANOTHER_SCALE.
         total = 0.0
         for j in range(n_widths):
-            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
+            if counts[1] >= ENOUGH_PAIRS and pairs[j] < LEAST_PAIRS * counts[1]:
                 steady[j] *= 1e-60
             moved[j] = steady[j]
             total += moved[j]
@@ -232,29 +210,29 @@ def follow_width(
         for j in range(n_widths):
             moved[j] /= total
             if moved[j] > 1e-6:
-                for d in range(max(-half, -j), min(half, n_widths - 1 - j) + 1):
-                    around[j + d] += moved[j] * spread[d + half]
+                for d in range(max(-_HALF, -j), min(_HALF, n_widths - 1 - j) + 1):
+                    around[j + d] += moved[j] * _SPREAD[d + _HALF]
         left = wandering[0]
         total = 0.0
         for j in range(n_widths):
             here = wandering[j]
             right = wandering[j + 1] if j + 1 < n_widths else here
-            new = here + moves_wandering * (left - 2 * here + right)
-            wandering[j] = new + returns * (around[j] - new)
-            if counts[1] >= enough_pairs and pairs[j] < least_pairs * counts[1]:
+            new = here + WANDERING_MOVES * (left - 2 * here + right)
+            wandering[j] = new + RETURNS * (around[j] - new)
+            if counts[1] >= ENOUGH_PAIRS and pairs[j] < LEAST_PAIRS * counts[1]:
                 wandering[j] *= 1e-60
             total += wandering[j]
             left = here
         for j in range(n_widths):
             wandering[j] /= total
-        counts[0] += changes * (may_wander - counts[0])
+        counts[0] += CHANGES * (MAY_WANDER - counts[0])
         # The quantiles of the mixture.
         below = 0.0
         k = 0
         for j in range(n_widths):
             below += counts[0] * wandering[j] + (1 - counts[0]) * moved[j]
-            while k < n_quantiles and below * n_quantiles >= k + 0.5:
-                width_m[t, k] = math.exp(log_narrowest + step * j)
+            while k < N_QUANTILES and below * N_QUANTILES >= k + 0.5:
+                width_m[t, k] = math.exp(_LOG_NARROWEST + _STEP * j)
                 k += 1
         # The gaps of this frame.
         n = 0
@@ -270,13 +248,13 @@ def follow_width(
             largest = max(largest, lines[i + 1] - lines[i])
         single = 1
         for i in range(1, n):
-            if lines[i] - lines[single - 1] > least_double * largest:
+            if lines[i] - lines[single - 1] > DOUBLE * largest:
                 lines[single] = lines[i]
                 single += 1
         for j in range(n_widths):
-            pairs[j] *= kept
-            says[j] = 0.0
-        counts[1] *= kept
+            pairs[j] *= KEPT_PAIRS
+            support[j] = 0.0
+        counts[1] *= KEPT_PAIRS
         n_gaps = 0
         for apart in (1, 2):
             for i in range(single - apart):
@@ -286,26 +264,26 @@ def follow_width(
                 n_gaps += 1
                 if apart == 2:
                     counts[1] += 1
-                start = round((math.log(gap) - log_narrowest) / step) - first
+                start = round((math.log(gap) - _LOG_NARROWEST) / _STEP) - _FIRST
                 # Widths whose gap is off the table are alike.
                 for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
-                    says[j] += log_likelihood[start - j] - off_table
+                    support[j] += _LOG_LIKELIHOOD[start - j] - off_table
                     if apart == 2:
-                        pairs[j] += is_two_lanes[start - j]
+                        pairs[j] += _IS_TWO_LANES[start - j]
         if n_gaps == 0:
             continue
         most = 0.0
         for j in range(n_widths):
-            most = max(most, says[j])
+            most = max(most, support[j])
         of_steady = 0.0
         of_wandering = 0.0
         total = 0.0
         total_wandering = 0.0
         for j in range(n_widths):
             # Most neighbours have equal gaps, and exp takes longer than the rest.
-            if j == 0 or says[j] != says[j - 1]:
-                likelihood = math.exp((says[j] - most) / alike)
-                quick = math.exp((says[j] - most) / alike_wandering)
+            if j == 0 or support[j] != support[j - 1]:
+                likelihood = math.exp((support[j] - most) / ALIKE)
+                quick = math.exp((support[j] - most) / ALIKE_WANDERING)
             of_steady += moved[j] * quick
             of_wandering += wandering[j] * quick
             steady[j] *= likelihood
@@ -317,24 +295,26 @@ def follow_width(
             wandering[j] /= total_wandering
         of_wandering *= counts[0]
         counts[0] = of_wandering / (of_wandering + (1 - counts[0]) * of_steady)
+    return width_m
 
 
 def place_finder(parameters: Parameters) -> Callable[[LineLog], FloatArray]:
-    """A function that gives the place in T frames, (T,): lane widths right of the lane's middle,
-    -.5 to .5, NaN where it is not known. It knows the frames so far, however they are grouped.
+    """Return a function that gives the lateral offset in T frames, (T,): lane widths right of the
+    lane's middle, -.5 to .5, NaN if unknown. It uses the frames so far, however they are grouped.
 
     - parameters: of any rule; those that are numbers of `lane_width_m` (expected) and `max_lri`.
     """
     given = {name: value for name, value in parameters.items() if isinstance(value, int | float)}
-    detector = FlagSemantics(given.get("max_lri", FULL_LRI), uses_valid=True, uses_continuous=True)
+    max_lri = given.get("max_lri", FULL_LRI)
     width, mean, last_s = new_belief(given.get("lane_width_m", LANE_M)), 0j, -math.inf
 
-    def places_of(recorded: LineLog) -> FloatArray:
+    def places_of(log: LineLog) -> FloatArray:
         nonlocal mean, last_s
-        log = recorded if detector.full_lri == FULL_LRI else translated(recorded, detector)
-        _, is_strong = line_classes(log)
+        with np.errstate(over="ignore"):
+            lri = log.lri * FULL_LRI / max_lri
+        _, is_strong = line_classes(log.offset_m, log.is_valid, log.is_continuous, lri)
         widths = follow(width, log.offset_m, is_strong)
-        away = log.offset_m / widths[:, widths.shape[1] // 2, None]
+        away = log.offset_m / widths[:, N_QUANTILES // 2, None]
         near = is_strong & (np.abs(away) < REACH)
         seen = np.exp(-2j * math.pi * away, where=near, out=np.zeros(near.shape, dtype=complex))
         place = np.full(len(log), np.nan)

@@ -1,6 +1,6 @@
 """Kernels of the forward recursion and its likelihood.
 
-Each is compiled for networks of any size, and again for small networks with their sizes as
+The recursion is compiled for networks of any size, and again for small networks with their sizes as
 constants: unrolled loops over states are up to three times as fast.
 """
 
@@ -22,7 +22,7 @@ LEAST, MOST = 2.0**-1022, 2.0**1022
 def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """The forward recursion.
 
-    columns: `Layout.columns` of the network that it is compiled for; empty for any network.
+    columns: `Compiled.column` of the network that it is compiled for; empty for any network.
     """
     known = np.array(columns, dtype=np.int64, ndmin=2)
     n_states = known.shape[1]
@@ -46,16 +46,15 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     ) -> None:
         """Filter T frames (Rabiner 1989, section III.A, scaled frame by frame).
 
-        joint (S,): the belief after the frame before; overwritten by that after the last frame.
-        begins (T,): True where a sequence begins: the frame takes `prior` (U, S) and what was
-            before it does not matter.
-        is_factored: the product of the marginals of the state's nodes is carried on, not the joint
-            belief. column (N, S): the value of each node in each state, as in `Layout`.
-        transition (U, S, S), row is the state before; index (T,): which of the U holds in a frame.
+        joint (S,): the belief before the first frame; overwritten by the one after the last.
+        begins (T,): True in the first frame of a sequence, whose prediction is `prior` (U, S).
+        is_factored: propagate the product of the marginals of the state's nodes, not the joint
+            belief. column (N, S): as in `Compiled`.
+        transition (U, S, S): row is the previous state; index (T,): its entry in each frame.
         likelihood (T, S): of each frame's evidence given the joint state, any scale.
-        beliefs (T, S): written, the joint belief after each frame.
-        total (T,): written, the likelihood of each frame given those before.
-        is_impossible (T,): written, True where that is zero and the prediction was kept.
+        beliefs (T, S): output, the joint belief after each frame.
+        total (T,): output, the likelihood of each frame given the previous ones.
+        is_impossible (T,): output, True if it is zero, so that the prediction is kept.
         """
         n = n_states if n_states else joint.shape[0]
         n_nodes = n_known if n_states else column.shape[0]
@@ -125,34 +124,18 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     return forward
 
 
-@lru_cache(maxsize=64)
-def likelihood_kernel(n_states: int = 0, n_columns: int = 0) -> Any:
-    """The likelihood of one group's evidence, compiled for these sizes; 0 for any size."""
+@kernel(fastmath={"contract"}, error_model="numpy")
+def multiply_likelihood(block: FloatArray, emission: FloatArray, likelihood: FloatArray) -> None:
+    """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
 
-    @kernel(fastmath={"contract"}, error_model="numpy")
-    def multiply_likelihood(
-        block: FloatArray, emission: FloatArray, likelihood: FloatArray
-    ) -> None:
-        """Multiply `likelihood` (T, S) by P(evidence of the group | joint state).
-
-        block (T, K): the group's evidence. emission (K, S).
-        """
-        n = n_states if n_states else emission.shape[1]
-        m = n_columns if n_columns else emission.shape[0]
-        given, table, written = block.ravel(), emission.ravel(), likelihood.ravel()
-        for t in range(block.shape[0]):
-            for s in range(n):
-                term = 0.0
-                for k in range(m):
-                    term += given[t * m + k] * table[k * n + s]
-                written[t * n + s] *= term
-
-    return multiply_likelihood
-
-
-@kernel()
-def multiply_chosen(block: FloatArray, only: IntArray, likelihood: FloatArray) -> None:
-    """As `multiply_likelihood`, for states that show one column each: only (S,)."""
+    block (T, K): the group's evidence. emission (K, S).
+    """
+    term = np.empty(emission.shape[1])
     for t in range(block.shape[0]):
-        for s in range(only.shape[0]):
-            likelihood[t, s] *= block[t, only[s]]
+        term[:] = 0.0
+        for k in range(emission.shape[0]):
+            share = block[t, k]
+            for s in range(emission.shape[1]):
+                term[s] += share * emission[k, s]
+        for s in range(emission.shape[1]):
+            likelihood[t, s] *= term[s]

@@ -21,7 +21,7 @@ curvature times the height; it is the same for all lines, so that a bend does no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -572,22 +572,17 @@ class FoundLines:
     skipped: tuple[str, ...]
 
 
-def find_in_stills(
-    camera: Camera,
-    paths: Iterable[Path],
-    progress: Callable[[Iterable[Path]], Iterable[Path]] = iter,
-) -> FoundLines:
+def find_in_stills(camera: Camera, paths: Iterable[Path]) -> FoundLines:
     """Finds the lines in stills that one camera took of a road.
 
     - paths: the stills; `camera.ignore` are the parts that never show road
-    - progress: wraps the stills while they are read, e.g. tqdm
 
     Raises InputError if no still can be used, or if the edges do not meet in one point.
     """
     mask = seen_mask(camera)
     skipped: list[str] = []
     used, straight = [], []
-    for path, image in read_images(progress(paths), skipped):
+    for path, image in read_images(paths, skipped):
         width, height = size_of(image)
         if (width, height) != (camera.width, camera.height):
             skipped.append(f"{path}: {width}x{height}, needs {camera.width}x{camera.height}")
@@ -598,7 +593,7 @@ def find_in_stills(
         raise InputError(f"stills: none of them can be used; {skipped[0]}")
     ahead, each = meeting_of_stills(straight)
     fits, lines = [], []
-    for path, point in zip(progress(used), each, strict=True):
+    for path, point in zip(used, each, strict=True):
         about = point if np.isfinite(point).all() else ahead
         found = find_lines(camera, read_image(path), mask, about)
         lines.append(found)

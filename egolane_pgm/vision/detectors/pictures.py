@@ -56,6 +56,30 @@ def open_pictures(
 
 def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
     """Return the lines that the detector finds, and the frame rate of a video."""
+    log, stopped, left = detect_pictures(experiment)
+    if stopped is not None:
+        raise stopped
+    rate = experiment.recording.frame_rate
+    is_given = "frame_rate" in experiment.recording.model_fields_set
+    if is_given and left.frame_rate is not None and left.frame_rate != rate:
+        warnings.warn(
+            f"{left.path}: has {left.frame_rate:g} frames per second, recording.frame_rate is"
+            f" {rate:g}; times and delays are counted with the latter",
+            UserWarning,
+            stacklevel=2,
+        )
+    return log, left.frame_rate
+
+
+def detect_pictures(
+    experiment: Experiment, *, stamps: bool = True
+) -> tuple[LineLog, KeyboardInterrupt | InputError | None, PictureFiles]:
+    """Return the lines that the detector finds, the reason for an early end, and the pictures.
+
+    - stamps: whether the times of a bag are kept if a frame rate is given.
+
+    Ctrl-C and a bad picture keep the frames before; before the first frame they are raised.
+    """
     from egolane_pgm.vision.camera.pictures import camera_of_pictures, note_assumed_rate
     from egolane_pgm.vision.camera.pictures import read_pictures as read
 
@@ -73,20 +97,12 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
         total=left.n_frames if recording.frames is None else None,
     )
     lines = detect(detector, camera, pictures)
-    done = collect(lines, frame_rate, left.path, left.time_s)
-    if done.stopped is not None:
-        raise done.stopped
-    if left.frame_rate is not None and left.frame_rate != frame_rate:
-        warnings.warn(
-            f"{left.path}: has {left.frame_rate:g} frames per second, recording.frame_rate is"
-            f" {frame_rate:g}; times and delays are counted with the latter",
-            UserWarning,
-            stacklevel=2,
-        )
-    if not is_given:
+    done = collect(lines, frame_rate, left.path, left.time_s if stamps or not is_given else None)
+    if done.log is None:
+        raise done.stopped or InputError(f"{left.path}: no frame")
+    if done.stopped is None and not is_given:
         note_assumed_rate(left, frame_rate, "recording.frame_rate")
-    assert done.log is not None
-    return done.log, left.frame_rate
+    return done.log, done.stopped, left
 
 
 def detector_of(experiment: Experiment, key: str) -> Detector:

@@ -229,9 +229,9 @@ def _log(
             f"{source}: no line has two points on the road within {NEAREST_M:.0f} m ahead of this"
             " camera; is it the camera of these pictures?"
         )
-    names = np.repeat(list(clips), list(map(len, clips.values()))) if len(clips) > 1 else None
+    names = np.repeat(list(clips), list(map(len, clips.values())))
     lri, is_valid = [], []
-    for piece in clip_slices(names, len(ids)):
+    for piece in clip_slices(names):
         counts, flag = persistence(offsets[piece], ids[piece] / frame_rate)
         lri += counts
         is_valid += flag
@@ -258,7 +258,7 @@ def _log(
         all_lri,
         source=source,
     )
-    return replace(log, clip=names)
+    return replace(log, clip=names if len(clips) > 1 else None)
 
 
 def _warn(message: str) -> None:

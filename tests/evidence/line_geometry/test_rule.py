@@ -19,26 +19,23 @@ from hypothesis import strategies as st
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.flag_semantics import line_classes
 from egolane_pgm.evidence.line_geometry.model import (
     CLUTTER_PER_M,
     GENERIC,
     LANE_M,
     TABLE_STEP_M,
-    generic_model,
     line_model,
     places,
 )
 from egolane_pgm.evidence.line_geometry.reading import SeenLines, read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
+from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.evidence.line_geometry.visibility import (
     new_visibility,
     visibility_models,
     visibility_tables,
 )
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.inference.compile import compile
-from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.simulation import simulate
@@ -129,7 +126,7 @@ def by_the_formula(
                     intensity[m, lane] = model.clutter[c]
                     for k in range(n + 3):
                         z = offset * width / of_width + in_lane - place[lane, k]
-                        sigma = math.hypot(model.sigma_m[k], model.sigma_per_m * place[lane, k])
+                        sigma = math.hypot(model.sigmas_m[k], model.sigma_per_m * place[lane, k])
                         z /= sigma
                         normal = math.exp(-0.5 * z**2) / (sigma * math.sqrt(2 * math.pi))
                         rate = model.rates[lane, k] * model.class_shares[k, c]
@@ -264,15 +261,16 @@ def test_the_class_of_a_line(
 ) -> None:
     log = line_log([[offset]], is_valid=[[valid]], is_continuous=[[continuous]], lri=[[lri]])
     assert seen_lines(log).kind.tolist() == [[kind]]
-    _, is_strong = line_classes(log)
+    _, is_strong = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
     # How far is too far depends on the lane width, which the strong lines tell.
     is_too_far = abs(offset) > 16
     assert is_strong.tolist() == [[valid and not lri < 6 and (kind >= 0 or is_too_far)]]
 
 
 def seen_lines(log: LineLog, **given: object) -> SeenLines:
-    kind, _ = line_classes(log)
-    seen, _ = read_lines(log, kind, np.full(len(log), W), resolved(**given))
+    kind, _ = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
+    widths = np.full(len(log), W)
+    seen, _ = read_lines(log, kind, widths, resolved(**given), repeats_are_held=False)
     return seen
 
 
@@ -354,7 +352,7 @@ def test_frames_without_lines_tell_no_place_inside_the_lane(n_slots: int) -> Non
 def test_a_detector_without_flags_is_taken_for_one_that_cannot_tell() -> None:
     """The own lane's lines, of a detector with flags that sees none: hardly the outer lane."""
     lines = [[-W / 2, W / 2, 1.5 * W]]
-    shares = generic_model(3, replace(GENERIC, edge_continuous=0.95), 0.0).class_shares
+    shares = line_model(3, resolved(), replace(GENERIC, edge_continuous=0.95)).class_shares
     parameters = resolved(class_shares=shares, alpha=1)
     cannot_tell = line_log(lines * 2)
     can_tell = line_log(lines * 2, is_continuous=[[False] * 3, [False, False, True]])
@@ -526,39 +524,14 @@ def test_a_scale_that_changes_in_the_middle_is_said(width: object) -> None:
             )
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_without_labels_it_beats_the_votes_on_a_simulated_drive(seed: int) -> None:
-    from egolane_pgm.evidence import counting
-
-    drive = simulate("quickstart", seed=seed, frames=800)
-    parameters = resolved(lane_width_m="auto")
-    graph = position_in_lane
-    network = compile(
-        graph.build(3, parameters),
-        hidden=graph.HIDDEN,
-        observed=graph.OBSERVED,
-        inputs=graph.INPUTS,
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        given = line_geometry.evidence(drive.log, 3, parameters)
-    lane = filter_beliefs(network, given, "exact").lane.argmax(axis=1) + 1
-    votes = counting.evidence(drive.log, 3, resolve_parameters(counting.PARAMETERS, {}, 3))
-    voted = votes.likelihoods["DetectorOutput"].argmax(axis=1) + 1
-    scored = ~drive.truth["is_crossing"].to_numpy()
-    right = drive.truth["true_lane"].to_numpy()[scored]
-    assert (lane[scored] == right).mean() > 0.95
-    assert (lane[scored] == right).mean() > (voted[scored] == right).mean()
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
         ({"lane_width_m": "automatic"}, "'automatic' is neither a number nor auto or causal"),
         ({"lane_width_m": -1}, "must be greater than 0"),
-        ({"rates": [1.0, 2.0]}, "has 2 numbers, needs a list of 3 x 6 numbers"),
-        ({"rates": [[1.0] * 5] * 3}, "every row of the same length"),
-        ({"rates": 0.5}, "is not a list of 3 x 6 numbers"),
+        ({"rates": [1.0, 2.0]}, "needs a list of 3 x 6 numbers, got [1.0, 2.0]"),
+        ({"rates": [[1.0], [1.0, 2.0]]}, "every row of the same length"),
+        ({"rates": 0.5}, "needs a list of 3 x 6 numbers, got 0.5"),
         ({"sigmas_m": [0.2] * 5 + [0]}, "must be greater than 0"),
         ({"class_shares": [[2.0] * 4] * 6}, "not a probability"),
     ],
@@ -577,19 +550,6 @@ def test_a_table_may_be_nested_or_in_one_row() -> None:
     assert isinstance(line_geometry.evidence(line_log([[1.8]]), 3, resolved(rates=flat)), Evidence)
 
 
-def log_of(offset_m: FloatArray, is_valid: bool = True) -> LineLog:
-    ids = np.arange(len(offset_m))
-    known = np.isfinite(offset_m)
-    return LineLog(
-        ids,
-        ids / 10.0,
-        offset_m,
-        known & is_valid,
-        np.zeros(offset_m.shape, dtype=bool),
-        np.full(offset_m.shape, 10.0),
-    )
-
-
 def belief_of(folder: Path, log: LineLog) -> tuple[FloatArray, str]:
     """P(lane) of the model without labels, and its warnings."""
     write_table(folder / "lines.csv", log)
@@ -601,12 +561,12 @@ def belief_of(folder: Path, log: LineLog) -> tuple[FloatArray, str]:
 def test_a_recording_in_which_no_width_can_be_told_is_run_with_the_usual_one(
     tmp_path: Path,
 ) -> None:
-    belief, said = belief_of(tmp_path, log_of(np.full((300, 1), -1.6)))
+    belief, said = belief_of(tmp_path, line_log(np.full((300, 1), -1.6)))
     assert "no two lines in one frame" in said
     assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)
     anywhere = np.random.default_rng(0).uniform(-9, 9, (600, 4))
-    belief, said = belief_of(tmp_path, log_of(anywhere))
+    belief, said = belief_of(tmp_path, line_log(anywhere))
     assert "unsure" in said
     assert "3.5 m is assumed" in said
     np.testing.assert_allclose(belief.sum(axis=1), 1)

@@ -62,7 +62,7 @@ def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> 
     ("more", "lri", "said"),
     [
         ("", "np.nan", "frame 0: lines: lri is not finite"),
-        ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS has {'contrast': 8}, not a"),
+        ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS is not a tuple of Parameter"),
     ],
 )
 def test_an_own_detector_that_keeps_no_promise_is_named(
