@@ -338,11 +338,16 @@ def _bent(camera: Camera, angle: FloatArray) -> FloatArray:
     return angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
 
 
-def read_camera(path: str | Path) -> Camera:
+def read_camera(path: str | Path, height_m: float | None = None) -> Camera:
     """The camera of a YAML file, ours or one of ROS, OpenCV or Kalibr with our keys of the mounting
-    added. Raises InputError, one line that names file and key, for a key that is missing, unknown
-    or has a wrong value."""
+    added.
+
+    - height_m: that of a file without one; by default it must be there.
+
+    Raises InputError, one line that names file and key, for a key that is missing, unknown or has a
+    wrong value."""
     values, is_lens = read_keys(Path(path))
+    values = values if height_m is None else {"height_m": height_m, **values}
     for key in values:
         if key not in _KEYS:
             raise InputError(f"{path}: unknown key '{key}'{suggestion(str(key), _KEYS)}")
