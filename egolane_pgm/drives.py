@@ -217,10 +217,10 @@ def read_drives(
     log, known, own_rate = read_recording(experiment, lines)
     recording, annotated = experiment.recording, experiment.ground_truth
     if truth is not None:
-        known = None if isinstance(truth, str) and truth == "none" else truth_of(truth)
+        known = None if isinstance(truth, str) and truth == "none" else truth_of(truth, log)
     elif annotated is not None:
         path = existing(experiment, "ground_truth.path")
-        known = read_ground_truth(path, annotated.extra_rows)
+        known = read_ground_truth(path, annotated.extra_rows, log)
     if own_rate is not None and "frame_rate" not in recording.model_fields_set:
         experiment = with_rate(experiment, own_rate)
         recording = experiment.recording

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic_core import from_json
 
 from egolane_pgm.drives import changed
@@ -41,7 +41,7 @@ class _Message(_Strict):
     """The lines of a frame. Frame ids are exact as floating-point times up to 2**53."""
 
     frame_id: Annotated[int, Field(ge=-(2**53), le=2**53)] | None = None
-    time_s: float | None = None
+    time_s: FiniteFloat | None = None
     lines: list[_Line]
 
 
@@ -151,11 +151,15 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 
     Raises InputError, naming the message, for one that cannot be used.
     """
-    after = 0
+    after, before = 0, -np.inf
     for number, text in enumerate(messages, start=1):
         if text.strip():
-            log = _parse(text, f"message {number}", experiment.recording, after)
-            after = int(log.frame_id[0]) + 1
+            where = f"message {number}"
+            log = _parse(text, where, experiment.recording, after)
+            after, now = int(log.frame_id[0]) + 1, float(log.time_s[0])
+            if not before <= now < np.inf:
+                raise InputError(f"{where}: time_s: {now:g} is not after that of the last message")
+            before = now
             yield log
 
 

@@ -83,7 +83,7 @@ def find_plugin(name: str, kinds: Mapping[str, str]) -> tuple[str, str]:
         found = [kind for kind in kinds if _defines(text, CONTRACTS[kinds[kind]][0])]
     else:
         found = [kind for kind in kinds if name in _modules(kinds[kind])]
-    if found or name.endswith(OWN_FILES):
+    if found or name.endswith(OWN_FILES) or (Path(name).suffix and Path(name).is_file()):
         return (found or ["graph"])[0], name
     known = [known for folder in kinds.values() for known in _modules(folder)]
     raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
@@ -115,6 +115,10 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
         module = graphs.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
     elif name in (known := _modules(folder)):
         module = importlib.import_module(known[name])
+    elif Path(name).suffix and file.is_file():
+        kinds = ", ".join(OWN_FILES if folder == "graphs" else (".py",))
+        advice = "; export BIF from GeNIe" if name.endswith(".xdsl") else ""
+        raise InputError(f"{where}: {name} is none of {kinds}{advice}")
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, known)}")
     for needed in CONTRACTS[folder]:

@@ -268,6 +268,8 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
         raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")
     try:
         run, scores = (json.loads((place / n).read_text()) for n in ("run.json", "scores.json"))
+        if not (isinstance(run, dict) and isinstance(scores, dict)):
+            raise ValueError("run.json and scores.json need keys and values")
         if "identity" not in run:
             raise InputError(f"{place}: was written by another version; run the experiment again")
         frames = read_parquet(place / "beliefs.parquet")

@@ -122,6 +122,8 @@ def frame(frame_id: object = 7, **line: object) -> str:
         (frame(offset_m="x"), "message 3: lines.0.offset_m: input should be a valid number"),
         (frame(offset_m=None), "message 3: frame 7: line 1 is valid but its offset is nan"),
         (frame(6), "message 3: frame id 6 does not come after 6"),
+        ('{"time_s": NaN, "lines": []}', "message 3: time_s: input should be a finite number"),
+        ('{"time_s": -1, "frame_id": 9, "lines": []}', "time_s: -1 is not after that of the last"),
     ],
 )
 def test_a_message_that_cannot_be_used_is_named_after_the_answers_before_it(

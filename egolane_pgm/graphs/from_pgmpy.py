@@ -28,6 +28,9 @@ from egolane_pgm.types import FloatArray, InputError, problems_in
 #: The suffixes of the files that pgmpy reads: BIF and XMLBIF.
 NETWORK_FILES = (".bif", ".xmlbif", ".xml")
 
+#: A half-open or closed interval, as R's `cut` names the values of a node.
+_INTERVAL = re.compile(r"([\[(])\s*([-+.\w]+)\s*,\s*([-+.\w]+)\s*([\])])")
+
 #: A row whose sum is off by no more than this was rounded, and is divided by its sum; pgmpy's own
 #: check allows as much.
 ROUNDED = 0.01
@@ -129,7 +132,8 @@ def _read_cpd(cpd: Any) -> _Cpd:
 
 def _of_slice(node: Any) -> SliceNode:
     """Return the name and the slice of a node of two slices."""
-    match = re.fullmatch(r"(.+)_([01])", node) if isinstance(node, str) else None
+    # R writes a dot where BIF has an underscore.
+    match = re.fullmatch(r"(.+)[_.]([01])", node) if isinstance(node, str) else None
     if match is not None:
         return match[1], int(match[2])
     # A tuple, or pgmpy's `DynamicNode`.
@@ -224,6 +228,8 @@ def read_file(path: Path) -> Any:
     text = "".join(f"{line.rstrip()}\n" for line in read_text(path).splitlines())
     if not text.strip():
         raise InputError(f"{path}: is empty")
+    if path.suffix == ".bif":
+        text = _without_commas(text)
     with quiet():
         from pgmpy.readwrite import BIFReader, XMLBIFReader
 
@@ -237,6 +243,22 @@ def read_file(path: Path) -> Any:
     if not len(network):
         raise InputError(f"{path}: has no variable; is it a {kind} file?")
     return network
+
+
+def _without_commas(text: str) -> str:
+    """Return a BIF file with intervals such as `(-1.5,1.5]`, whose brackets and commas pgmpy takes
+    for its own, as `-1.5_to_1.5`.
+
+    Only names that a variable's values have are changed.
+    """
+    named = {
+        match[0]: f"{match[2]}_to_{match[3]}"
+        for values in re.findall(r"type\s+discrete\s*\[[^\]]*\]\s*\{([^}]*)\}", text)
+        for match in _INTERVAL.finditer(values)
+    }
+    for name, plain in named.items():
+        text = text.replace(name, plain)
+    return text
 
 
 def load_graph_file(path: Path, name: str, where: str) -> ModuleType:

@@ -1,4 +1,4 @@
-"""Positions of a GNSS receiver from tables, GPX, and bags of ROS 1 and ROS 2.
+"""Positions of a GNSS receiver from tables, GPX, NMEA, and bags of ROS 1 and ROS 2.
 
 Times are seconds; dates are seconds since 1970, UTC.
 """
@@ -8,7 +8,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC
+from datetime import UTC, datetime, time
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +29,11 @@ COLUMNS = {
     "sigma_m": ("sigma_m",),
 }
 
-#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX has the
-#: dilution only.
+#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX and NMEA
+#: have the dilution only.
 SIGMA_PER_HDOP_M = 3.0
+
+_KNOT, _HALF_DAY_S = 0.514444, 43_200  # metres per second, seconds
 
 #: The name of the message type of a receiver's fixes, in any package.
 _FIX = "NavSatFix"
@@ -106,7 +108,7 @@ class Positions:
 
 
 def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None) -> Positions:
-    """Read the positions of a drive from a .csv, .parquet or .gpx, or from the
+    """Read the positions of a drive from a .csv, .parquet, .gpx or .nmea, or from the
     sensor_msgs/NavSatFix of a bag: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
 
     - columns: other names of a table's columns (keys of COLUMNS), {"latitude": "lat_gps"}; or the
@@ -170,6 +172,54 @@ def _read_gpx(path: Path, columns: Mapping[str, str]) -> Positions:
     )  # fmt: skip
 
 
+def _read_nmea(path: Path, columns: Mapping[str, str]) -> Positions:
+    """Read the sentences RMC and GGA, which may follow other text in their line.
+
+    Without RMC the date is unknown: times are seconds of the first day. A sentence whose checksum
+    is wrong is left out; it may have none.
+    """
+    with needed(f"{path}", "maps"):
+        import pynmea2
+    rows: dict[float, dict[str, float]] = {}
+    midnight, last, n_bad = 0.0, 0.0, 0
+    for line in read_text(path).splitlines():
+        start = line.find("$")
+        if line[start + 3 : start + 6] not in ("RMC", "GGA"):
+            continue
+        try:
+            fix = pynmea2.parse(line[start:].strip())
+        except pynmea2.ParseError:
+            n_bad += 1
+            continue
+        if fix.timestamp is None:
+            continue
+        at = fix.timestamp
+        second = at.hour * 3600 + at.minute * 60 + at.second + at.microsecond / 1e6
+        if fix.sentence_type == "RMC" and fix.datestamp is not None:
+            midnight = datetime.combine(fix.datestamp, time(), UTC).timestamp()
+        elif second < last - _HALF_DAY_S:
+            midnight += 2 * _HALF_DAY_S
+        last = second
+        row = rows.setdefault(midnight + second, {})
+        has_fix = bool(fix.lat and fix.lon)
+        row["latitude"] = fix.latitude if has_fix else np.nan
+        row["longitude"] = fix.longitude if has_fix else np.nan
+        if fix.sentence_type == "GGA":
+            dilution = float(fix.horizontal_dil or 0)
+            row["sigma_m"] = SIGMA_PER_HDOP_M * dilution if dilution > 0 else np.nan
+        else:
+            row["speed_mps"] = np.nan if fix.spd_over_grnd is None else fix.spd_over_grnd * _KNOT
+            row["heading_deg"] = np.nan if fix.true_course is None else fix.true_course
+    if n_bad:
+        note = f"{path}: left out {n_bad} sentence(s) that are cut off or have a wrong checksum"
+        warnings.warn(note, UserWarning, stacklevel=3)
+    if not rows:
+        raise InputError(f"{path}: has no sentence RMC or GGA with a time")
+    table = pd.DataFrame.from_dict(rows, orient="index")
+    found = {name: table[name].to_numpy() for name in table}
+    return Positions.make(table.index.to_numpy(), source=str(path), **found)
+
+
 def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the fixes on a topic, by default the only one that has some."""
     # rosbags is imported for bags only.
@@ -200,5 +250,6 @@ def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:
 _FORMATS = {
     **dict.fromkeys((".csv", ".parquet"), (_read_table, (*COLUMNS,))),
     ".gpx": (_read_gpx, ()),
+    **dict.fromkeys((".nmea", ".log", ".txt"), (_read_nmea, ())),
     **dict.fromkeys((".bag", ".mcap", ".db3"), (_read_bag, ("topic",))),
 }

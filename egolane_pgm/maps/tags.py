@@ -45,7 +45,10 @@ def read_lanes(values: tuple[str | None, ...]) -> tuple[tuple[int, int], tuple[s
             or (tags["highway"] == "motorway_link" and "lanes:backward" not in tags)
         )
     )
-    if not is_oneway:
+    if oneway in ("reversible", "alternating"):
+        # The direction changes with the time of day.
+        lanes = 0, 0
+    elif not is_oneway:
         lanes = _both_ways(tags, problems)
     elif oneway in ("-1", "reverse"):
         lanes = -1, _count(tags, ["lanes", "lanes:backward"], problems)

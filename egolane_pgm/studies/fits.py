@@ -19,6 +19,7 @@ import joblib
 import numpy as np
 import optuna
 import pandas as pd
+from optuna.trial import TrialState
 
 from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
@@ -389,6 +390,13 @@ def open_study(
             f"study {name}: the storage holds another study of this name, with another {what};"
             " name another directory or storage"
         )
+    keys = {dimension.key for dimension in space.dimensions}
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+        if missing := keys - trial.params.keys():
+            raise InputError(
+                f"study {name}: trial {trial.number} has no {min(missing)}: the storage is damaged;"
+                " name another directory or storage"
+            )
     study.set_user_attr("identity", known)
     return study
 

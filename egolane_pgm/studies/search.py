@@ -99,10 +99,20 @@ def search(
 ) -> None:
     """Run a study until its number of trials, by all workers, is complete."""
     total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
-    study.sampler = make_sampler(settings, space, len(study.get_trials(deepcopy=False)))
+    n_before, is_first = len(study.get_trials(deepcopy=False)), True
+    study.sampler = make_sampler(settings, space, n_before)
     with quiet():
         while len(study.get_trials(deepcopy=False, states=complete)) < total:
+            # Trials that a study begins with have their values.
+            waiting = is_first and study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
             trial = study.ask(space.distributions)
+            if is_first and not waiting:
+                is_first = False
+                if trial.number != n_before:
+                    # Another worker began at the same moment and draws the same.
+                    study.sampler = make_sampler(settings, space, trial.number)
+                    study.tell(trial, state=TrialState.FAIL)
+                    continue
             study.tell(trial, score(trial.params))
 
 

@@ -20,7 +20,7 @@ from egolane_pgm.vision.calibration.road_lines import (
     find_in_stills,
     view_from,
 )
-from egolane_pgm.vision.camera.model import Camera, write_camera
+from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
 from egolane_pgm.vision.camera.pictures import picture_files, read_image, size_of
 
 EXAMPLES = (
@@ -44,7 +44,8 @@ def calibrate(
 
     - stills: pictures of a straight road with lines.
     - lane_width: width of the lanes of that road, metres.
-    - chessboards: pictures of a chessboard, for the lens.
+    - chessboards: pictures of a chessboard, for the lens; or a camera file of ROS, OpenCV or
+      Kalibr.
     - board: inner corners of the chessboard.
     - roll: roll of the camera, clockwise.
     - ignore: pixels that never show road (mirror, dashboard); kept in the YAML. Repeatable.
@@ -60,18 +61,19 @@ def calibrate(
 
     pictures = picture_files(stills)
     size = size_of(read_image(pictures[0]))
-    if chessboards:
+    camera, comment = assumed_camera(*size), [ASSUMED_LENS]
+    if chessboards and Path(chessboards).suffix.lower() in (".yaml", ".yml", ".xml"):
+        camera, comment = read_camera(chessboards, height_m=1.0), [f"Lens: from {chessboards}."]
+    elif chessboards:
         lens = calibrate_lens(picture_files(chessboards), *board)
         for line in lens.skipped:
             warnings.warn(f"skipped: {line}", UserWarning, stacklevel=2)
         camera, comment = lens.camera, [describe_lens(lens, "x".join(map(str, board)))]
-        if (camera.width, camera.height) != size:
-            raise InputError(
-                f"the chessboards are {camera.width}x{camera.height}, the road's pictures"
-                f" {size[0]}x{size[1]}; both must come from one camera, uncropped"
-            )
-    else:
-        camera, comment = assumed_camera(*size), [ASSUMED_LENS]
+    if (camera.width, camera.height) != size:
+        raise InputError(
+            f"the chessboards are {camera.width}x{camera.height}, the road's pictures"
+            f" {size[0]}x{size[1]}; both must come from one camera, uncropped"
+        )
     for mask in ignore:
         if mask[0] >= camera.width or mask[1] >= camera.height:
             text = " ".join(map(str, mask))

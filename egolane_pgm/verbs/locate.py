@@ -19,6 +19,9 @@ from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import ColumnNames, Option, StrPath, Target
 from egolane_pgm.types import InputError
 
+#: Later times are seconds since 1970.
+_DATES = 1e8
+
 EXAMPLES = ("egolane locate roads.osm.pbf drive.gpx -o road.parquet",)
 
 
@@ -65,8 +68,13 @@ def summary(done: pd.DataFrame, given: Mapping[str, Any]) -> str:
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
     n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
     assumed = (on & (done.unknown_way > 0)).mean()
+    ends, unit = done.t_s.iloc[[0, -1]], "s"
+    first, last = (f"{t:g}" for t in ends)
+    if ends.iloc[0] > _DATES:
+        first, last = pd.to_datetime(ends, unit="s").dt.strftime("%Y-%m-%d %H:%M:%S")
+        unit = "UTC"
     return (
-        f"{given['out']}: {len(done)} rows, {done.t_s.iloc[0]:g} to {done.t_s.iloc[-1]:g} s,"
+        f"{given['out']}: {len(done)} rows, {first} to {last} {unit},"
         f" {on.mean():.1%} on the map\n"
         f"half of the positions lie within {np.median(off_by):.1f} m of the way's line;"
         f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -146,6 +147,21 @@ def test_a_file_gives_the_tables_and_the_names_of_the_values(
     # As other programs write it: no end of the last line, spaces after a brace, Windows' lines.
     path.write_bytes(path.read_bytes().replace(b"}\n", b"} \r\n").rstrip())
     assert_right(read_network(str(path)))
+
+
+def test_intervals_and_dots_as_r_writes_them_are_read(tmp_path: Path) -> None:
+    """bnlearn names the values of a node that was cut into intervals by these."""
+    path = tmp_path / "network.bif"
+    names = {"left": "[-9,-1.5]", "middle": "(-1.5,1.5]", "right": "(1.5,9]"}
+    with quiet():
+        BIFWriter(static(underscored)).write(path)
+    text = path.read_text()
+    for plain, interval in names.items():
+        text = text.replace(plain, interval)
+    path.write_text(re.sub(r"(\w)_([01])\b", r"\1.\2", text))
+    declared = read_network(path)
+    assert_right(declared)
+    assert declared.values["Lane"] == ("-9_to_-1.5", "-1.5_to_1.5", "1.5_to_9")
 
 
 @pytest.mark.parametrize(

@@ -24,6 +24,8 @@ def read(**tags: object) -> tuple[tuple[int, int], list[str]]:
         # A motorway is a oneway, and so is its link without lanes against it.
         ({"lanes": 3}, (3, -1)),
         ({"oneway": "-1", "lanes": 2}, (-1, 2)),
+        # Which way the lanes lead changes with the time of day.
+        ({"oneway": "reversible", "lanes": 2}, (0, 0)),
         ({"highway": "motorway_link", "lanes": 1}, (1, -1)),
         ({"highway": "motorway_link", "lanes_backward": 1}, (0, 1)),
         ({"highway": "motorway_link", "oneway": "no"}, (0, 0)),

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of, write_ground_truth
-from egolane_pgm.types import InputError, lane_truth
+from egolane_pgm.types import InputError, LineLog, lane_truth
 
 
 def write(path: Path, text: str) -> Path:
@@ -118,3 +118,46 @@ def test_what_is_no_frame_of_lanes_is_refused(given: Any, said: str) -> None:
     with pytest.raises(InputError) as info:
         truth_of(pd.DataFrame(given) if isinstance(given, dict) else given)
     assert str(info.value).startswith(said)
+
+
+TIMED = LineLog.from_rows(
+    np.arange(5, 9), 10.0, np.zeros(0, int), np.zeros(0), *np.zeros((2, 0), bool), np.zeros(0)
+)
+
+
+@pytest.mark.parametrize(
+    ("rows", "frames"),
+    [
+        ("time_s,lane\n0.5,1\n0.62,2\n0.8,3\n", {5: 1, 6: 2, 8: 3}),
+        ("time_s;lane;crossing\n0.54;1;1\n", {5: 1}),
+        # The nearest of several.
+        ("time_s,lane\n0.56,1\n0.59,2\n0.64,3\n", {6: 2}),
+    ],
+)
+def test_rows_by_time_belong_to_the_nearest_frame(
+    tmp_path: Path, rows: str, frames: dict[int, int]
+) -> None:
+    path = tmp_path / "truth.csv"
+    path.write_text(rows)
+    truth = read_ground_truth(path, log=TIMED)
+    assert truth["true_lane"].to_dict() == frames
+    assert truth["is_crossing"].any() == ("crossing" in rows)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (
+            "time_s,lane\n7,1\n8,1\n",
+            "no time_s is that of a frame; the frames are from 0.5 to",
+        ),
+        ("time_s,lane\n0.6,1\n0.5,1\n", "row 2: time_s must increase, 0.6 is followed by 0.5"),
+        ("time_s,lan\n0.5,1\n", "no column lane"),
+    ],
+)
+def test_rows_by_time_that_fit_no_frame_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+    path = tmp_path / "truth.csv"
+    path.write_text(rows)
+    with pytest.raises(InputError) as info:
+        read_ground_truth(path, log=TIMED)
+    assert str(info.value).startswith(f"{path}: {said}")

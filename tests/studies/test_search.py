@@ -11,6 +11,7 @@ from optuna.trial import TrialState
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.studies.search import (
     SAMPLERS,
+    make_sampler,
     new_study,
     search,
     settings_of,
@@ -66,6 +67,28 @@ def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str
     search(study, SPACE, bowl, settings.model_copy(update={"trials": 30}))
     points = [tuple(t.params.values()) for t in study.trials]
     assert len(points) == len(set(points)) == 30
+
+
+def test_workers_that_begin_at_the_same_moment_draw_other_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = FitSettings(objective="accuracy", sampler="random", trials=12, seed=0)
+    study = new_study(settings)
+    ask, own = study.ask, make_sampler(settings, SPACE, 0)
+
+    def late(*given: Any) -> optuna.Trial:
+        if not study.trials:
+            # Another worker with the same seed is a little faster.
+            mine, study.sampler = study.sampler, own
+            trial = ask(*given)
+            study.tell(trial, bowl(trial.params))
+            study.sampler = mine
+        return ask(*given)
+
+    monkeypatch.setattr(study, "ask", late)
+    search(study, SPACE, bowl, settings)
+    points = [tuple(params.values()) for params, _ in complete(study)]
+    assert len(points) == len(set(points)) == 12
 
 
 def test_a_sampler_that_does_not_fit_is_refused() -> None:

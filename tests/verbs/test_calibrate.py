@@ -67,3 +67,18 @@ def test_what_does_not_fit_the_pictures_or_a_road_is_refused(
     words = ("--lane-width", 3.7, "--stills", stills, *given.split(), "-o", target)
     assert refused("calibrate", *words) == said
     assert not target.exists()
+
+
+def test_the_lens_may_come_from_a_camera_file(stills: Path, tmp_path: Path) -> None:
+    lens = tmp_path / "ros.yaml"
+    matrix = [TRUE.fx, 0, TRUE.cx, 0, TRUE.fy, TRUE.cy, 0, 0, 1]
+    lens.write_text(
+        f"image_width: {TRUE.width}\nimage_height: {TRUE.height}\n"
+        f"camera_matrix: {{rows: 3, cols: 3, data: {matrix}}}\ndistortion_model: plumb_bob\n"
+        f"distortion_coefficients: {{rows: 1, cols: 5, data: {list(TRUE.distortion)}}}\n"
+    )
+    words = ("--chessboards", lens, "--stills", stills, "--lane-width", 3.7)
+    done("calibrate", *words, "-o", tmp_path / "cam.yaml")
+    camera = read_camera(tmp_path / "cam.yaml")
+    assert camera.height_m == pytest.approx(TRUE.height_m, rel=0.03)
+    assert (camera.fx, camera.distortion) == (TRUE.fx, TRUE.distortion)

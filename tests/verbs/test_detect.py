@@ -226,14 +226,14 @@ def test_pictures_of_the_same_aspect_ratio_scale_the_camera_and_it_is_said_once(
     assert seen[:3] == pytest.approx(calibrated[:3], abs=0.08)
 
 
-def test_a_camera_too_high_for_a_car_is_doubted_and_used(place: Path, tmp_path: Path) -> None:
+def test_a_camera_too_high_for_a_lorry_is_doubted_and_used(place: Path, tmp_path: Path) -> None:
     target = tmp_path / "l.csv"
-    for height_m, is_doubted in ((1.3, False), (2.6, True)):
+    for height_m, is_doubted in ((2.6, False), (3.6, True)):
         write_camera(tmp_path / "cam.yaml", replace(CAMERA, height_m=height_m))
         said = done(
             *("detect", place / "drive.avi", "--camera", tmp_path / "cam.yaml", "-o", target)
         ).stderr
-        assert is_doubted == ("cam.yaml: doubtful: the camera is 2.60 m above the road" in said)
+        assert is_doubted == ("cam.yaml: doubtful: the camera is 3.60 m above the road" in said)
         assert len(read_lines(target)) == N_FRAMES
 
 

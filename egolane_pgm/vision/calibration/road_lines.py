@@ -248,9 +248,9 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
 
 
 def doubts_of(view: RoadView) -> str:
-    """What speaks against a view, in one line, or nothing: a height that cars' cameras do not have,
-    or gaps of twice a lane's width that outnumber the lanes, where half the height is usual; else a
-    width that lanes do not have."""
+    """What speaks against a view, in one line, or nothing: a height that cars and lorries do not
+    have, or gaps of twice a lane's width that outnumber the lanes, where half the height is usual;
+    else a width that lanes do not have."""
     assert view.camera.lane_width_m is not None
     high, (low, most), one = view.camera.height_m, USUAL_HEIGHTS, view.camera.lane_width_m
     n_lanes = int(view.is_lane.sum())

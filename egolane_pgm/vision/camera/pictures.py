@@ -103,14 +103,13 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     """The camera as it takes the pictures of a source. If these have another size than it was
     calibrated for, and the same aspect ratio, it is scaled with a warning. Another warns of
-    a height that cars' cameras do not have.
+    a height that no car and no lorry has.
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
     if not USUAL_HEIGHTS[0] <= camera.height_m <= USUAL_HEIGHTS[1]:
         warnings.warn(
-            f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; if this is a car,"
-            " calibrate it again",
+            f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; calibrate it again",
             UserWarning,
             stacklevel=2,
         )

@@ -67,18 +67,22 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
 
 
 @pytest.mark.parametrize(
-    ("width", "said"),
+    ("height", "width", "said"),
     [
-        (3.6, ""),
-        (2.1, "two lanes were taken"),
-        (5.9, "half a lane was taken"),
-        # The height, 1.75 to 2.1 m, is possible: only the width is strange.
-        (4.6, "2.5 to 4.5 m wide almost everywhere, not 4.6 m"),
+        (1.4, 3.6, ""),
+        (2.8, 3.6, ""),
+        (1.4, 2.1, "two lanes were taken"),
+        (2.1, 5.9, "half a lane was taken"),
+        # The heights are possible: only the widths are strange.
+        (1.4, 4.6, "2.5 to 4.5 m wide almost everywhere, not 4.6 m"),
+        (1.4, 5.9, "2.5 to 4.5 m wide almost everywhere, not 5.9 m"),
     ],
 )
-def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(width: float, said: str) -> None:
-    """The lanes are 3.6 m wide, the camera is 1.4 m above the road."""
-    true = replace(PLAIN, height_m=1.4, pitch_deg=-2.0)
+def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(
+    height: float, width: float, said: str
+) -> None:
+    """The lanes are 3.6 m wide."""
+    true = replace(PLAIN, height_m=height, pitch_deg=-2.0)
     view = view_of_lines(true, PLAIN, [lines_of(true, (-5.4, -1.8, 1.8, 5.4))] * 3, width)
     assert view.camera.lane_width_m == width
     doubt = doubts_of(view)

@@ -130,7 +130,7 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
     Raises InputError for a camera with lens distortion.
     """
     camera = view.camera
-    if any(camera.distortion):
+    if camera.is_distorted:
         raise InputError(
             "distortion: a stereo pair must be rectified, and then has none: rectify the pictures"
             " and set all five numbers to 0"
