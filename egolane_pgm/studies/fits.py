@@ -390,7 +390,7 @@ def open_study(
             f"study {name}: the storage holds another study of this name, with another {what};"
             " name another directory or storage"
         )
-    keys = {dimension.key for dimension in space.dimensions}
+    keys = set(space.distributions)
     for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
         if missing := keys - trial.params.keys():
             raise InputError(
