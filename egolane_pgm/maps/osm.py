@@ -56,7 +56,6 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
         import osmium
     rows: list[tuple[Any, ...]] = []
     points, lacking = bytearray(), 0
-    known: dict[tuple[str | None, ...], tuple[str | None, ...]] = {}
     as_bytes = osmium.geom.WKBFactory().create_linestring
     roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
@@ -76,8 +75,7 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
             get = road.tags.get
             name = get("ref") or get("name") or ""
             tags = tuple([get(key) for key in KEYS])
-            # Equal tags of many ways are one object in memory.
-            rows.append((road.id, name, known.setdefault(tags, tags), len(line) // 16))
+            rows.append((road.id, name, tags, len(line) // 16))
             points += line
     except bad_place as error:
         raise InputError(f"{path}: cannot be read as a map: {error}") from None
@@ -149,13 +147,9 @@ def with_joins(ways: LaneGraph) -> LaneGraph:
     n = len(ways)
     begin, end = ways.point[ways.first[:-1]], ways.point[ways.first[1:] - 1]
     place = np.unique(_place_key(np.concatenate([begin, end])), return_inverse=True)[1]
-    order = np.argsort(place[:n], kind="stable")
-    begins = place[:n][order]
-    low, high = (np.searchsorted(begins, place[n:], side) for side in ("left", "right"))
-    count = high - low
-    before = np.repeat(np.arange(n), count)
-    nth = np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
-    after = order[low[before] + nth]
+    begins = pd.DataFrame({"place": place[:n], "after": np.arange(n)})
+    ends = pd.DataFrame({"place": place[n:], "before": np.arange(n)})
+    before, after = ends.merge(begins)[["before", "after"]].to_numpy().T
     leaving = get_coordinates(line_interpolate_point(ways.lines, TURN_M)) - begin
     arriving = end - get_coordinates(line_interpolate_point(ways.lines, -TURN_M))
     (a, b), (x, y) = arriving[before].T, leaving[after].T

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.tools.files import read_parquet, write_parquet
-from egolane_pgm.types import MAX_LANES, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 
 #: The columns of a road table, a DataFrame with T rows; its attribute `source` is the file.
 COLUMNS = {
@@ -43,8 +43,6 @@ def load(path: str | Path) -> pd.DataFrame:
             f"{path}: is not a road table, it has no column {missing[0]};"
             f" `egolane locate MAP POSITIONS -o {path}` writes one"
         )
-    if table.empty or not (np.diff(table.t_s) > 0).all():
-        raise InputError(f"{path}: t_s does not increase from row to row")
     table.attrs["source"] = str(path)
     return table
 
@@ -58,11 +56,10 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
     Raises InputError if the clocks do not overlap, and as `lanes_at`.
     """
     time_s, first, last = log.time_s, table.t_s.iloc[0], table.t_s.iloc[-1]
-    if not len(log) or time_s[-1] < first or time_s[0] > last:
-        span = f"{time_s[0]:g} to {time_s[-1]:g} s" if len(log) else "no frames"
+    if time_s[-1] < first or time_s[0] > last:
         raise InputError(
             f"{table.attrs['source']}: has the times {first:g} to {last:g} s, and {log.source} has"
-            f" {span}: they do not overlap"
+            f" {time_s[0]:g} to {time_s[-1]:g} s: they do not overlap"
         )
     return lanes_at(table, time_s)
 
@@ -70,18 +67,13 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
 def lanes_at(table: pd.DataFrame, time_s: FloatArray) -> IntArray:
     """The number of lanes at T times, (T,), in seconds: the last known one, before any the first.
 
-    Raises InputError if no row has a number, and for more than MAX_LANES.
+    Raises InputError if no row has a number.
     """
     source, known = table.attrs["source"], table[table.n_lanes > 0]
     if known.empty:
         raise InputError(f"{source}: no row has a number of lanes")
     last = np.maximum(np.searchsorted(known.t_s, time_s, side="right") - 1, 0)
     n_lanes: IntArray = known.n_lanes.to_numpy()[last]
-    if n_lanes.max() > MAX_LANES:
-        raise InputError(
-            f"{source}: row {known.index[last[n_lanes.argmax()]]}: a road of {n_lanes.max()} lanes;"
-            f" at most {MAX_LANES} are supported"
-        )
     return n_lanes
 
 
