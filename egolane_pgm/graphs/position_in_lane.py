@@ -95,13 +95,13 @@ PARAMETERS = (
         "the same for the share of frames in which the displacement misleads, lane widths",
         search=(0.05, 0.3),
     ),
-    Parameter("wide_share", "probability", 0.1, "weight of the wide normal", search=(0.01, 0.3)),
+    Parameter("wide_share", "probability", 0.015, "weight of the wide normal", search=(0.01, 0.3)),
     replace(P1, default=0.98),
     replace(P2, default=0.85),
 )
 
 #: The probability of a jump to anywhere on the road, per frame.
-_JUMP = 1e-4
+_JUMP = 1e-5
 
 #: The largest move of RoadPosition in one frame, lanes.
 _BAND = 0.5
