@@ -55,6 +55,9 @@ COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 #: seconds or more.
 KEPT_VELOCITY = 0.98
 
+#: The weight of the wide normal in each frame of a gap, of whose motion nothing is known.
+_GAP_SHARE = 0.1
+
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
 CELLS = Parameter(
     "cells", "integer", 16, "cells of RoadPosition in each lane", lowest=1, highest=100
@@ -196,7 +199,8 @@ build = builder(tables, OBSERVED)
 def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
     """The transition of RoadPosition, (R, R), for each value of LineMotion."""
     transition = partial(moved, n_positions=n_positions, cells=cells, parameters=parameters)
-    after_gap = [_coasted(transition, velocity) for velocity in COASTING]
+    in_gap = partial(transition, parameters={**parameters, "wide_share": _GAP_SHARE})
+    after_gap = [_coasted(in_gap, velocity) for velocity in COASTING]
     moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
     return [transition(displacement) for displacement in known_displacements(parameters)] + moves
 
@@ -276,8 +280,8 @@ def _banded(move: FloatArray, n_positions: int, back: int) -> FloatArray:
     half = len(move) // 2
     source = np.arange(n_positions)[:, None]
     target = source + np.arange(-half, half + 1)
-    target = np.where(target < 0, source + back, target)
-    target = np.where(target >= n_positions, source - back, target)
+    is_off = [target < 0, target >= n_positions]
+    target = np.clip(np.select(is_off, [source + back, source - back], target), 0, n_positions - 1)
     transition = np.zeros((n_positions, n_positions))
-    np.add.at(transition, (source, np.clip(target, 0, n_positions - 1)), move / move.sum())
+    np.add.at(transition, (source, target), move / move.sum())
     return transition

@@ -402,11 +402,11 @@ def paper_drive(run: int) -> Drive:
 @needs_compiler
 @pytest.mark.parametrize("run", [5])
 @pytest.mark.parametrize("how", STRANGERS)
-@pytest.mark.parametrize(("width", "lost"), [("auto", 0.08), ("causal", 0.13)])
+@pytest.mark.parametrize(("width", "lost"), [("auto", 0.08), ("causal", 0.17)])
 def test_a_strangers_recording_of_the_papers_drives(
     recordings: object, run: int, how: str, width: str, lost: float
 ) -> None:
-    """Without a label. Lines filled in another way cost under eight points, and thirteen if what
+    """Without a label. Lines filled in another way cost under eight points, and seventeen if what
     is unusual has to be found out on the way; each of these once cost up to 65 on one of the
     drives."""
     found, model = paper_drive(run), zero_label(4, width)
