@@ -15,6 +15,7 @@ import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     TypeAdapter,
@@ -58,6 +59,15 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
 #: A number of lanes, or `map`.
 _LaneNumber = Annotated[int, Field(ge=1, le=MAX_LANES)] | Literal["map"]
+
+#: A list, which may be written without brackets if it has one item.
+_OneOrSeveral = Annotated[
+    tuple[str, ...],
+    BeforeValidator(
+        lambda value: (value,) if isinstance(value, str) else value,
+        json_schema_input_type=str | Annotated[tuple[str, ...], Field(min_length=1)],
+    ),
+]
 
 #: A section with free keys, such as parameters.
 _Keys = Annotated[dict[str, Any], AfterValidator(plain)]
@@ -232,15 +242,16 @@ class FitSettings(Section):
         " not fitted to",
         examples=[[[0, 100], [9577, None]]],
     )
-    objective: str = Field(
-        default="accuracy",
-        description="tune: the score to optimise",
-        examples=["accuracy", "log_loss"],
+    objective: _OneOrSeveral = Field(
+        default=("accuracy",),
+        min_length=1,
+        description="tune: the score to optimise, or several",
+        examples=["accuracy", ["accuracy", "log_loss"]],
     )
     sampler: str | None = Field(
         default=None,
-        description="tune: the sampler; by default `evolution`",
-        examples=["evolution", "tpe", "cma-es", "random"],
+        description="tune: the sampler; by default `evolution`, or `nsga2` for several scores",
+        examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
     )
     trials: int | None = Field(
         default=None, ge=1, le=10**7, description="tune: total number of trials", examples=[3000]

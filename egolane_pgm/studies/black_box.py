@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -26,7 +26,7 @@ class Objective:
     - direction: minimize or maximize, in Optuna's words.
     - search_space: its `distributions`, for Optuna's `study.ask`, and fixed parameters.
     - start: the experiment's values; they may lie out of bounds.
-    - score: the score of a point of the search space.
+    - score: the scores of a point of the search space: one.
 
     >>> import egolane_pgm as ego
     >>> accuracy = ego.objective("quickstart", overrides={"recording.frames": [0, 300]})
@@ -37,7 +37,7 @@ class Objective:
     direction: Literal["minimize", "maximize"]
     search_space: SearchSpace
     start: Point
-    score: Callable[[Point], float]
+    score: Callable[[Point], Sequence[float]]
 
     @property
     def distributions(self) -> dict[str, Any]:
@@ -57,7 +57,7 @@ class Objective:
             if not is_inside(known[name], value):
                 raise InputError(f"{name}: {value!r} is not in {known[name]}")
             point[name] = int(value) if isinstance(known[name], IntDistribution) else value
-        return self.score(point)
+        return self.score(point)[0]
 
 
 def objective(
@@ -68,7 +68,7 @@ def objective(
     """Prepare an experiment to score many sets of its parameters as `tune` does.
 
     - experiment, overrides: as `load_experiment` takes them. Its `fit.parameters` are searched; the
-      score is `fit.objective`, accuracy by default.
+      score is the first of `fit.objective`, accuracy by default.
 
     Returns a function of a dict of parameters, with `distributions` and `direction`. The score is
     in-sample: the best of many trials does worse on other drives. To hold out, search with the
@@ -91,12 +91,12 @@ def objective(
     """
     chosen = load_experiment(experiment, overrides)
     tuning = chosen.fit
-    name = check_objective(tuning.objective, f"{chosen.source}: fit.objective")
+    name = check_objective(tuning.objective[0], f"{chosen.source}: fit.objective")
     drives = read_drives(chosen)
     check_labels(drives, "tune")
     used = [np.ones(len(drive), dtype=bool) for drive in drives]
     space = fits.search_space([drive.model for drive in drives], tuning)
     start = coordinates(space, fits.current_values(drives[0].model, tuning))
-    scored = fits.objective(drives, space, tuning, used, name)
+    scored = fits.objective(drives, space, tuning, used, [name])
     direction: Literal["minimize", "maximize"] = "maximize" if is_maximised(name) else "minimize"
     return Objective(direction, space, start, scored)

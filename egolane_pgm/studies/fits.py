@@ -337,9 +337,9 @@ def objective(
     space: SearchSpace,
     tuning: FitSettings,
     used: Sequence[BoolArray],
-    name: str,
-) -> Callable[[Point], float]:
-    """The score of a point of the search space; see `objective.score_of`.
+    names: Sequence[str],
+) -> Callable[[Point], list[float]]:
+    """The scores of a point of the search space; see `objective.score_of`.
 
     - used: per drive (K,), marks the annotated frames that are scored.
 
@@ -353,13 +353,13 @@ def objective(
     posteriors = [posterior_at(drive) for drive in drives]
     currents = [current_values(drive.model, tuning) for drive in drives]
 
-    def value(point: Point) -> float:
+    def values(point: Point) -> list[float]:
         changed = searched_values(space, tuning, point)
         pairs = zip(posteriors, currents, strict=True)
         found = [posterior({**current, **changed}) for posterior, current in pairs]
-        return score_of(drives, found, used, name)
+        return [score_of(drives, found, used, name) for name in names]
 
-    return value
+    return values
 
 
 def open_study(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any
@@ -29,10 +29,14 @@ SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
     "tpe": samplers.TPESampler,
     "cma-es": partial(samplers.CmaEsSampler, warn_independent_sampling=False),
     "random": samplers.RandomSampler,
+    "nsga2": samplers.NSGAIISampler,
 }
 
 #: The default number of trials of a study.
 TRIALS = 3000
+
+#: Scores a point: one number, or one per objective.
+Score = Callable[[Point], float | Sequence[float]]
 
 
 @contextmanager
@@ -51,14 +55,22 @@ def quiet() -> Iterator[None]:
 def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit") -> FitSettings:
     """The settings of a study, complete and checked. Each fold has its own seed.
 
-    Raises InputError for an unknown score or sampler, and for one whose package is not installed.
+    Raises InputError for an unknown score or sampler, a score given twice, a sampler of a single
+    objective for several, and a sampler whose package is not installed.
     """
     where = f"{source}: fit"
-    check_objective(tuning.objective, f"{where}.objective")
-    sampler = tuning.sampler or "evolution"
+    names = [check_objective(name, f"{where}.objective") for name in tuning.objective]
+    if len(set(names)) < len(names):
+        raise InputError(f"{where}.objective: a score is named twice")
+    sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
     if sampler not in SAMPLERS:
         hint = suggestion(sampler, SAMPLERS)
         raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
+    if len(names) > 1 and sampler in ("evolution", "cma-es"):
+        raise InputError(
+            f"{where}.sampler: {sampler} searches one objective; for {', '.join(names)} take nsga2,"
+            " tpe or random"
+        )
     if sampler == "cma-es":
         with needed(f"{where}.sampler: cma-es", "cmaes"):
             import cmaes  # noqa: F401
@@ -85,18 +97,17 @@ def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> sa
 
 def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
     """Create a study, in memory unless a storage and a name are given, or load that one."""
-    is_up = is_maximised(settings.objective)
-    direction = StudyDirection.MAXIMIZE if is_up else StudyDirection.MINIMIZE
+    up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
+    directions = [up if is_maximised(name) else down for name in settings.objective]
+    given["load_if_exists"] = "storage" in given
     with quiet():
-        study = optuna.create_study(direction=direction, load_if_exists="storage" in given, **given)
+        study = optuna.create_study(directions=directions, **given)
         if not study.metric_names:
-            study.set_metric_names([settings.objective])
+            study.set_metric_names(list(settings.objective))
     return study
 
 
-def search(
-    study: optuna.Study, space: SearchSpace, score: Callable[[Point], float], settings: FitSettings
-) -> None:
+def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
     """Run a study until its number of trials, by all workers, is complete."""
     total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
     n_before, is_first = len(study.get_trials(deepcopy=False)), True
@@ -117,7 +128,8 @@ def search(
 
 
 def best_trial(study: optuna.Study) -> FrozenTrial:
-    """The best trial, the first among equals."""
-    sign = 1 if study.direction == StudyDirection.MAXIMIZE else -1
-    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    """The best trial, the first among equals; of a Pareto front the best in the first objective."""
+    sign = 1 if study.directions[0] == StudyDirection.MAXIMIZE else -1
+    is_front, states = len(study.directions) > 1, (TrialState.COMPLETE,)
+    complete = study.best_trials if is_front else study.get_trials(deepcopy=False, states=states)
     return max(complete, key=lambda t: (sign * t.values[0], -t.number))

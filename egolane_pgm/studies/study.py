@@ -404,8 +404,8 @@ def run_study(
     if method == "tune":
         tuning = settings_of(first.experiment.fit, None, first.experiment.source)
         space = search_space([drive.model for drive in drives], tuning)
-        keys = {"objective", "sampler", "trials", "seed"}
-        settings = tuning.model_dump(include=keys) | describe(space)
+        settings = {"objectives": list(tuning.objective)}
+        settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
     elif not learns_rule(first.model):
         learnable_nodes(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)

@@ -118,7 +118,7 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     trials = pd.read_parquet(directory / "trials.parquet")
     trials = trials[trials["state"] == "COMPLETE"]
     settings = document["settings"]
-    score = settings["objective"]
+    score = settings["objectives"][0]
     trials = trials[["number", score, *settings["searched"]]].rename(columns={score: "score"})
     if trials.empty:
         raise InputError(f"{directory}: has no complete trial to draw")
@@ -143,7 +143,7 @@ def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, 
         for name, ends in settings["searched"].items()
     }
     with quiet():
-        is_up = is_maximised(settings["objective"])
+        is_up = is_maximised(settings["objectives"][0])
         study = optuna.create_study(direction="maximize" if is_up else "minimize")
         for row in trials.to_dict("records"):
             given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
@@ -216,7 +216,7 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
 
 def _score(document: Mapping[str, Any]) -> tuple[str, int]:
     """The name of the score, and 1 if it is maximised or -1."""
-    name = document["settings"]["objective"]
+    name = document["settings"]["objectives"][0]
     return name, 1 if is_maximised(name) else -1
 
 

@@ -53,7 +53,7 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
     seconds = timed(lambda: [score(point) for point in points], 256)
     yield "our share", seconds
     for sampler in ("random", "evolution"):
-        settings = FitSettings(objective="accuracy", sampler=sampler, trials=2000, seed=0)
+        settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=2000, seed=0)
         seconds = timed(lambda s=settings: search_in_memory(space, score, s), 2000)
         yield f"{sampler}, in memory, whole trial", seconds
         for kept in ("journal", "SQLite"):
@@ -64,7 +64,7 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
                 run = _kept(
                     problem,
                     place,
-                    FitSettings(objective="accuracy", sampler=sampler, trials=trials, seed=0),
+                    FitSettings(objective=("accuracy",), sampler=sampler, trials=trials, seed=0),
                 )
                 yield f"{sampler}, {kept}", timed(run, trials, 1)
     for sampler in ("tpe", "cma-es"):
@@ -87,7 +87,7 @@ def _at(problem: Objective, sampler: str) -> list[Line]:
         clock.append(time.perf_counter())
         return problem.score(point)
 
-    settings = FitSettings(objective="accuracy", sampler=sampler, trials=1011, seed=0)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=1011, seed=0)
     search_in_memory(problem.search_space, timed, settings)
     return [
         (f"{sampler}, in memory, at the {n}th trial", (clock[n + 10] - clock[n - 10]) / 20)

@@ -133,5 +133,10 @@ def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
 
 
 def test_settings_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match=r"unknown score 'acuracy' \(did you mean 'accuracy'\?\)"):
-        settings_of(FitSettings(objective="acuracy"))
+    assert settings_of(FitSettings(objective="f1")).objective == ("f1",)
+    for given, said in (
+        (["acuracy"], r"fit.objective: unknown score 'acuracy' \(did you mean 'accuracy'\?\)"),
+        (["f1", "f1"], "fit.objective: a score is named twice"),
+    ):
+        with pytest.raises(InputError, match=said):
+            settings_of(FitSettings(objective=given))

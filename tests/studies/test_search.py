@@ -11,6 +11,7 @@ from optuna.trial import TrialState
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.studies.search import (
     SAMPLERS,
+    best_trial,
     make_sampler,
     new_study,
     search,
@@ -29,7 +30,7 @@ def complete(study: optuna.Study) -> list[Any]:
 
 @pytest.mark.parametrize("sampler", SAMPLERS)
 def test_the_same_seed_gives_the_same_study_and_another_one_another(sampler: str) -> None:
-    settings = FitSettings(objective="accuracy", sampler=sampler, trials=40, seed=3)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=40, seed=3)
     first = tried(search_in_memory(SPACE, bowl, settings).trials)
     assert tried(search_in_memory(SPACE, bowl, settings).trials) == first
     assert (
@@ -41,7 +42,7 @@ def test_the_same_seed_gives_the_same_study_and_another_one_another(sampler: str
 
 @pytest.mark.parametrize("stops", [(0,), (29,), (30,), (7, 77, 199)])
 def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> None:
-    settings = FitSettings(objective="accuracy", sampler="evolution", trials=200, seed=0)
+    settings = FitSettings(objective=("accuracy",), sampler="evolution", trials=200, seed=0)
     whole = tried(search_in_memory(SPACE, bowl, settings).trials)
     study = new_study(settings)
     for stop in stops:
@@ -59,9 +60,9 @@ def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> No
     assert len(study.get_trials(states=(TrialState.RUNNING,))) == len(stops)
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "cma-es", "random"])
+@pytest.mark.parametrize("sampler", ["tpe", "cma-es", "nsga2", "random"])
 def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str) -> None:
-    settings = FitSettings(objective="accuracy", sampler=sampler, trials=15, seed=0)
+    settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=15, seed=0)
     study = new_study(settings)
     search(study, SPACE, bowl, settings)
     search(study, SPACE, bowl, settings.model_copy(update={"trials": 30}))
@@ -72,7 +73,7 @@ def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str
 def test_workers_that_begin_at_the_same_moment_draw_other_points(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    settings = FitSettings(objective="accuracy", sampler="random", trials=12, seed=0)
+    settings = FitSettings(objective=("accuracy",), sampler="random", trials=12, seed=0)
     study = new_study(settings)
     ask, own = study.ask, make_sampler(settings, SPACE, 0)
 
@@ -91,7 +92,16 @@ def test_workers_that_begin_at_the_same_moment_draw_other_points(
     assert len(points) == len(set(points)) == 12
 
 
+def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
+    settings = FitSettings(objective=("accuracy", "log_loss"), sampler="nsga2", trials=60, seed=0)
+    done = search_in_memory(SPACE, lambda p: [float(p["x0"]), float(p["x0"]) ** 2], settings)
+    assert best_trial(done).values[0] == max(t.values[0] for t in done.trials)
+
+
 def test_a_sampler_that_does_not_fit_is_refused() -> None:
     assert settings_of(FitSettings()).sampler == "evolution"
+    assert settings_of(FitSettings(objective=("accuracy", "log_loss"))).sampler == "nsga2"
     with pytest.raises(InputError, match=r"unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
         settings_of(FitSettings(sampler="tpee"))
+    with pytest.raises(InputError, match="evolution searches one objective; for accuracy, f1"):
+        settings_of(FitSettings(objective=("accuracy", "f1"), sampler="evolution"))

@@ -19,7 +19,7 @@ SPACE = plain_space()
 
 
 def settings(trials: int) -> FitSettings:
-    return FitSettings(objective="accuracy", sampler="evolution", trials=trials, seed=0)
+    return FitSettings(objective=("accuracy",), sampler="evolution", trials=trials, seed=0)
 
 
 def study_in(storage: str, trials: int = 30) -> optuna.Study:

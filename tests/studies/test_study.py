@@ -57,9 +57,9 @@ def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any)
         simulated(fit={"method": "learn", "labels": False}),
         geometry(fit={"method": "learn"}),
         simulated(fit={"method": "tune", **FEW}),
-        simulated(fit={"method": "tune", **FEW, "objective": "delay"}),
+        simulated(fit={"method": "tune", **FEW, "objective": ["log_loss", "delay"]}),
     ],
-    ids=["tables", "evidence", "rule", "tune", "delay"],
+    ids=["tables", "evidence", "rule", "tune", "front"],
 )
 def test_poisoned_labels_of_a_block_change_nothing_of_what_is_inferred_in_it(
     experiment: Any,

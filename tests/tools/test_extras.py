@@ -30,7 +30,7 @@ def exported(file: Path) -> None:
 
 
 def sampler(_: Path) -> None:
-    settings_of(FitSettings(objective="f1", sampler="cma-es"))
+    settings_of(FitSettings(objective=("f1",), sampler="cma-es"))
 
 
 def cluster(_: Path) -> None:

@@ -87,7 +87,7 @@ GOOD = {
         ("evidence", "my_evidence.py", True),
         ("filter", "exakt", False),
         ("fit", {"objective": "accuracy", "untrusted_frames": [[9, None]]}, True),
-        ("fit", {"objective": ["accuracy", "log_loss"]}, False),
+        ("fit", {"objective": ["accuracy", "log_loss"]}, True),
         ("fit", {"untrusted_frames": {"from": 9}}, False),
         ("recording", {"simulate": "quickstart"}, True),
         ("recording", {"simulate": "quickstar"}, False),

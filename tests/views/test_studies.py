@@ -69,7 +69,7 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
 def test_the_held_out_score_of_lane_changes_is_drawn(score: str, delay: dict[str, float]) -> None:
     trials = pd.DataFrame({"number": range(3), "score": [1.0, 2.0, 3.0]})
     held_out = {"model": {"delay": delay}}
-    document = {"settings": {"objective": score}, "held_out": held_out}
+    document = {"settings": {"objectives": [score]}, "held_out": held_out}
     line = history_figure(trials, document, "").axes[0].lines[-1]
     assert set(np.asarray(line.get_ydata())) == set(delay.values())
 
@@ -78,7 +78,7 @@ def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> Non
     rng = np.random.default_rng(0)
     x, y = rng.random((2, 300))
     trials = pd.DataFrame({"score": (1 - np.abs(x - 0.3)).round(2), "y": y, "x": x})
-    settings = {"objective": "accuracy", "searched": {"y": [0.0, 1.0], "x": [0.0, 1.0]}}
+    settings = {"objectives": ["accuracy"], "searched": {"y": [0.0, 1.0], "x": [0.0, 1.0]}}
     found = importances(trials, settings)
     assert next(iter(found)) == "x"
     assert found["x"] > 0.8
