@@ -13,6 +13,7 @@ lane's precision. Scores of the posterior are NaN without frames (None in JSON):
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,19 @@ def confusion(
     # Crossing frames, -1, are counted in front of the first cell, and left out.
     counts = np.bincount(cell + 1, minlength=1 + (n_lanes + 1) * n_lanes)[1:]
     return counts.reshape(n_lanes + 1, n_lanes)
+
+
+def on_widest(matrices: Sequence[IntArray]) -> IntArray:
+    """D confusion matrices of roads with different numbers of lanes, as one array (D, n + 1, n).
+
+    n is the largest number; lane 1 is the leftmost of each.
+    """
+    most = max(matrix.shape[1] for matrix in matrices)
+    found = np.zeros((len(matrices), most + 1, most), dtype=np.int64)
+    for each, matrix in zip(found, matrices, strict=True):
+        n = matrix.shape[1]
+        each[:n, :n], each[most, :n] = matrix[:n], matrix[n]
+    return found
 
 
 def scores_from_confusion(matrix: ArrayLike) -> dict[str, Any]:

@@ -79,9 +79,10 @@ def fit_by_name(
     *,
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
+    pooled: bool = False,
 ) -> Fit:
     """The fit of a method (`fit.method`): none, learn or tune; see `fit_tune` for the options."""
-    tune = partial(fit_tune, storage=storage, starts=starts)
+    tune = partial(fit_tune, storage=storage, starts=starts, pooled=pooled)
     fits: dict[str, Fit] = {"none": fit_nothing, "learn": fit_learn, "tune": tune}
     return fits[method]
 
@@ -251,6 +252,7 @@ def fit_tune(
     *,
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
+    pooled: bool = False,
 ) -> Fitted:
     """Search the best parameters on the training frames, in an Optuna study.
 
@@ -258,12 +260,13 @@ def fit_tune(
       has its own study in it; an interrupted study is resumed.
     - starts: parameter sets that the study on everything tries first. The study of a fold starts
       from scratch: known values may have been tuned on the frames that are held out.
+    - pooled: whether all frames count alike; otherwise all drives do.
     """
     tuning = drives[0].experiment.fit
     space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
-    score = objective(drives, space, tuning, used, settings.objective)
+    score = objective(drives, space, tuning, used, settings.objective, pooled=pooled)
     with storage_errors(storage):
         study = open_study(drives, train, fold, settings, space, storage)
         if fold is None and not study.get_trials(deepcopy=False):
@@ -338,6 +341,8 @@ def objective(
     tuning: FitSettings,
     used: Sequence[BoolArray],
     names: Sequence[str],
+    *,
+    pooled: bool = False,
 ) -> Callable[[Point], list[float]]:
     """The scores of a point of the search space; see `objective.score_of`.
 
@@ -357,7 +362,7 @@ def objective(
         changed = searched_values(space, tuning, point)
         pairs = zip(posteriors, currents, strict=True)
         found = [posterior({**current, **changed}) for posterior, current in pairs]
-        return [score_of(drives, found, used, name) for name in names]
+        return [score_of(drives, found, used, name, pooled=pooled) for name in names]
 
     return values
 

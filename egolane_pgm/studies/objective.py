@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
@@ -21,6 +20,7 @@ from egolane_pgm.scoring.confusion import (
     confusion,
     expected_calibration_error,
     log_loss_per_frame,
+    on_widest,
     scores_from_confusion,
 )
 from egolane_pgm.scoring.events import stability_scores
@@ -29,6 +29,7 @@ from egolane_pgm.types import (
     Evidence,
     FloatArray,
     InputError,
+    IntArray,
     lane_truth,
     suggestion,
 )
@@ -118,6 +119,8 @@ def score_of(
     posteriors: Sequence[FloatArray],
     is_used: Sequence[BoolArray],
     name: str,
+    *,
+    pooled: bool = False,
 ) -> float:
     """Score a parameter set: the mean over the drives, equal weight each.
 
@@ -127,13 +130,28 @@ def score_of(
     - posteriors: per drive (K, n).
     - is_used: per drive (K,), marks the annotated frames that count.
     - name: of the score.
+    - pooled: whether all frames count alike instead: confusion matrices are added, other scores
+      are weighted by frames.
     """
-    scores = [
-        drive_score(drive, posterior, used, name)
-        for drive, posterior, used in zip(drives, posteriors, is_used, strict=True)
-    ]
-    defined = [value for value in scores if not math.isnan(value)]
-    return float(np.mean(defined)) if defined else UNDEFINED
+    given = list(zip(drives, posteriors, is_used, strict=True))
+    if pooled and name in SCORES:
+        matrices = on_widest([drive_confusion(*each) for each in given])
+        return float(scores_from_confusion(matrices.sum(axis=0))[name])
+    scores = np.array([drive_score(*each, name) for each in given])
+    weights = np.ones(len(given))
+    if pooled:
+        # The log-loss counts crossing frames as well.
+        left_out = [d.is_crossing[d.rows] & (name != "log_loss") for d in drives]
+        weights = np.array([np.sum(u & ~out) for u, out in zip(is_used, left_out, strict=True)])
+    known = ~np.isnan(scores)
+    return float(np.average(scores[known], weights=weights[known])) if known.any() else UNDEFINED
+
+
+def drive_confusion(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:
+    """The confusion matrix of a posterior (K, n) of a drive over the frames that are used (K,)."""
+    assigned = assigned_lane(belief, drive.experiment.min_confidence)
+    is_left_out = drive.is_crossing[drive.rows] | ~is_used
+    return confusion(assigned, drive.true_lane[drive.rows], is_left_out, belief.shape[1])
 
 
 def drive_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
@@ -151,10 +169,9 @@ def drive_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str)
     if name in ("brier", "expected_calibration_error"):
         score = brier if name == "brier" else expected_calibration_error
         return score(belief, lane, is_left_out)
-    assigned = assigned_lane(belief, drive.experiment.min_confidence)
     if name in SCORES:
-        matrix = confusion(assigned, lane, is_left_out, belief.shape[1])
-        return float(scores_from_confusion(matrix)[name])
+        return float(scores_from_confusion(drive_confusion(drive, belief, is_used))[name])
+    assigned = assigned_lane(belief, drive.experiment.min_confidence)
     truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     rate = drive.experiment.recording.frame_rate
     found = stability_scores([(assigned, truth)], rate, [is_used])

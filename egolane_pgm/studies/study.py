@@ -379,6 +379,7 @@ def run_study(
     starts: Sequence[Mapping[str, Any]] | None = None,
     storage: str | None = None,
     directory: Path | None = None,
+    pooled: bool = False,
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
@@ -392,6 +393,7 @@ def run_study(
     - starts: parameter sets that the final search tries first; by default the current ones.
     - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
     - directory: the study is saved here.
+    - pooled: whether all frames count alike in a search; otherwise all drives do.
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
@@ -409,7 +411,7 @@ def run_study(
     elif not learns_rule(first.model):
         learnable_nodes(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
-    fit = fit_by_name(method, storage=storage, starts=starts)
+    fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]

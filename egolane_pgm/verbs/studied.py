@@ -92,6 +92,7 @@ def fit_study(
         # An experiment with a road table has several drives.
         experiments=[each.experiment for each in inputs],
         directory=place_of(out, name),
+        pooled=table is not None,
         notes=notes,
         **options,
     )

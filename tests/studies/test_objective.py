@@ -90,15 +90,23 @@ def test_evidence_is_made_again_only_when_its_own_parameters_change(
     assert len(made) == 3
 
 
-def test_drives_weigh_the_same_whatever_their_length() -> None:
+def test_drives_weigh_the_same_whatever_their_length_unless_they_are_pooled() -> None:
     drive = quickstart()
     few = np.arange(len(drive)) < 150
     both = scores([drive, drive], [few, ~few], ("accuracy",), 5)
     one, other = (scores([drive], [used], ("accuracy",), 5) for used in (few, ~few))
     np.testing.assert_allclose(both, (one + other) / 2)
+    for _, posterior in posteriors(5):
+        for name in ("accuracy", "f1", "log_loss", "brier"):
+            pooled, whole = (
+                objective.score_of(drives, [posterior] * len(drives), used, name, pooled=True)
+                for drives, used in (([drive, drive], [few, ~few]), ([drive], [everything()]))
+            )
+            assert pooled == pytest.approx(whole)
 
 
-def test_a_drive_without_a_lane_change_has_no_part_in_their_delay() -> None:
+@pytest.mark.parametrize("pooled", [False, True])
+def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) -> None:
     drive = quickstart()
     rows = drive.rows
     changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
@@ -107,7 +115,7 @@ def test_a_drive_without_a_lane_change_has_no_part_in_their_delay() -> None:
 
         def found(*used: Any, posterior: Any = posterior) -> list[float]:
             many = [drive] * len(used), [posterior] * len(used)
-            return [objective.score_of(*many, used, n) for n in OF_CHANGES]
+            return [objective.score_of(*many, used, n, pooled=pooled) for n in OF_CHANGES]
 
         alone = found(everything())
         assert 0 <= alone[1] <= 1
