@@ -106,7 +106,10 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
         "name,recording.seed,tag.weather\na,1,sun\nb,2,rain\nc,3,sun\n"
     )
     words = ("--table", tmp_path / "runs.csv", "--by-tag", "weather", "--trials", 2)
-    done("tune", QUICKSTART, *words, "--out", tmp_path / "o")
+    done("tune", QUICKSTART, *words, "--out", tmp_path / "o", "--set", "fit.objective=f1")
+    # All frames count alike, as in the scores of the study.
+    best = study_of(tmp_path / "o")["in_sample"]["model"]["f1"]
+    assert trials_of(tmp_path / "o")["f1"].max() == pytest.approx(best, abs=1e-9)
     frames = load_result(tmp_path / "o" / "held_out").frames
     assert frames.groupby("drive")["block"].unique().map(list).to_dict() == {
         "a": [0], "b": [1], "c": [0],
