@@ -116,7 +116,7 @@ def run(  # type: ignore[misc]
     - detector: line detector for a video or pictures.
     - columns: names and units of a table's columns or of fields, e.g.
       offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
-    - graph: another graph: a name or a file; in Python also a pgmpy network.
+    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
     - table: table of runs: columns are YAML keys (recording.path, parameters.sigma1) and tag.X.
     - chunk_frames: infer this many frames at a time, to save memory on long drives.
     - held_out: infer each block of the annotated frames with parameters that were fitted to the
@@ -227,7 +227,7 @@ def open_input(
       recording), or lines (a file, a DataFrame or a LineLog).
     - experiment: the model for lines, `zero_label` if not given. Keys of the recording come from
       the other arguments.
-    - graph: in place of the experiment's: a name, a file or a network of pgmpy.
+    - graph: in place of the experiment's: a name, a file, a module or a network of pgmpy.
     - ground_truth: a file, a DataFrame with frame_id, lane and crossing, or "none".
     - recording: further keys of `recording`, such as `topic`.
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pandas as pd
 import pytest
 
+from egolane_pgm.graphs import no_wor
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.result import load_result
 from egolane_pgm.runs import numbers, open_input, read_runs, run_table, table_inputs
@@ -45,13 +47,21 @@ def test_an_experiment_is_run_on_a_file_with_its_truth(tmp_path: Path) -> None:
 
 def test_a_graph_is_named_whatever_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
+    own = ModuleType("mine")
+    own.__file__ = str(tmp_path / "mine.py")
     for given, name in (
         ("no_wor", "no_wor"),
+        (no_wor, "no_wor"),
+        (own, f"{tmp_path}/mine.py"),
         (Path("mine.py"), f"{tmp_path}/mine.py"),
     ):
         assert graph_named(given, simulated()) == name
-    with pytest.raises(InputError, match="graph: int is no name, file or network of pgmpy"):
-        graph_named(3, simulated())
+    for graph, said in (
+        (3, "graph: int is no name, file or module, and no network of pgmpy"),
+        (ModuleType("mine"), "graph: the module mine has no file; write it to one"),
+    ):
+        with pytest.raises(InputError, match=said):
+            graph_named(graph, simulated())
 
 
 # --- rows ----------------------------------------------------------------------------------------

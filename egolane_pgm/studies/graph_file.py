@@ -24,7 +24,7 @@ from egolane_pgm.types import InputError, problems_in
 def graph_named(graph: Any, experiment: Experiment) -> str:
     """The value of the key `graph` for a graph of any kind: a name or an absolute path.
 
-    - graph: a name, a file, or a network of pgmpy. A network is written as a YAML graph
+    - graph: a name, a file, a module, or a network of pgmpy. A network is written as a YAML graph
       in numbers to a folder that stays until this process ends; a result has a copy.
     - experiment: its evidence rule, or the one that fits the network, defines what is observed.
 
@@ -33,9 +33,15 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
     if isinstance(graph, (str, os.PathLike)):
         name = os.fspath(graph)
         return os.path.abspath(name) if name.endswith(OWN_FILES) else name
+    if isinstance(graph, ModuleType):
+        if graph.__name__.startswith("egolane_pgm.graphs."):
+            return graph.__name__.rpartition(".")[2]
+        if not str(getattr(graph, "__file__", "")).endswith(OWN_FILES):
+            raise InputError(f"graph: the module {graph.__name__} has no file; write it to one")
+        return os.path.abspath(str(graph.__file__))
     if not hasattr(graph, "get_cpds"):
         kind = type(graph).__name__
-        raise InputError(f"graph: {kind} is no name, file or network of pgmpy")
+        raise InputError(f"graph: {kind} is no name, file or module, and no network of pgmpy")
     module = ModuleType("network")
     vars(module)["build"] = lambda n_lanes, parameters: graph
     n_lanes = experiment.n_lanes

@@ -37,7 +37,7 @@ def learn(
     (fit.labels=false). Each fold is scored with a fit to the frames of the other folds.
 
     - experiments: one, or a list: experiments or results.
-    - graph: another graph: a name or a file; in Python also a pgmpy network.
+    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
     - out: directory of the study. A `*` in it is the experiment's name.
     - folds: number of folds, by default 5, 0 for none: blocks of each drive; with a table, groups

@@ -44,7 +44,7 @@ def tune(
     resumes them; the same command on other machines with the same storage joins in.
 
     - experiments: one, or a list: experiments or results.
-    - graph: another graph: a name or a file; in Python also a pgmpy network.
+    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
     - trials: total of a study, by default 3000.
     - parameter: narrow the range of a parameter, p1=[0.5,1], or fix it, p1=0.9.
     - overrides: override a key of the YAML, e.g. fit.objective=log_loss, fit.sampler=tpe,
