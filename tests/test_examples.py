@@ -63,8 +63,9 @@ def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path)
     done("learn", *words, *own, "--out", tmp_path / "learned")
     learned = yaml.safe_load((tmp_path / "learned/best.graph.yaml").read_text())
     assert learned["hidden"] == ["Lane", "Sensor"]
+    done("show", TUTORIAL, "--out", tmp_path / "network.bif")
     table = tmp_path / "graphs.csv"
-    graphs = ["sensor_failure", TUTORIAL]
+    graphs = ["sensor_failure", TUTORIAL, "network.bif"]
     rows = [f"{k},{graph},{{}}" for k, graph in enumerate(graphs)]
     table.write_text("\n".join(["name,graph,parameters", *rows]) + "\n")
     options = [
@@ -78,7 +79,8 @@ def test_a_network_in_pgmpys_own_style_goes_through_the_commands(tmp_path: Path)
     ]
     done("run", *words, "--table", table, *options)
     compared = ego.compare(tmp_path / "runs")
-    assert list(compared.index) == ["0", "1"]
+    assert list(compared.index) == ["0", "1", "2"]
+    assert compared["accuracy"]["1"] == compared["accuracy"]["2"]
 
 
 @pytest.mark.parametrize("name", ["README.md", "CONTRIBUTING.md", "CHANGELOG.md"])

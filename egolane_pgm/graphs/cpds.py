@@ -15,6 +15,7 @@ import contextlib
 import graphlib
 import logging
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -218,23 +219,43 @@ def tabular_cpd(
 
 
 def flat_network(
-    tables: Iterable[Table], values: Mapping[str, Sequence[str]]
+    tables: Iterable[Table], values: Mapping[str, Sequence[str]], between: str = "@"
 ) -> DiscreteBayesianNetwork:
     """Return tables of any number of frames as a pgmpy network without time.
 
     - tables: the second part of their nodes is a frame, not a slice.
     - values: the names of each node's values, by default 0, 1, ...
+    - between: stands between a node's name and its frame
     """
     with quiet():
         from pgmpy.models import DiscreteBayesianNetwork
 
         network = DiscreteBayesianNetwork()
         for table in tables:
-            cpd = tabular_cpd(table, values, lambda node: f"{node[0]}@{node[1]}")
+            cpd = tabular_cpd(table, values, lambda node: f"{node[0]}{between}{node[1]}")
             network.add_node(cpd.variable)
             network.add_edges_from([(p, cpd.variable) for p in cpd.variables[1:]])
             network.add_cpds(cpd)
         return network
+
+
+def bif(tables: Iterable[Table], values: Mapping[str, Sequence[str]]) -> str:
+    """Return two slices as BIF, without loss: nodes are `Lane_0` and `Lane_1`.
+
+    Raises InputError, naming the node, for names that the format cannot hold.
+    """
+    network = flat_network(tables, values, between="_")
+    for cpd in network.cpds:
+        for name in map(str, cpd.state_names[cpd.variable]):
+            # The characters that pgmpy's reader takes for syntax.
+            if not name or name != name.strip() or set(name) & set(',;(){}"/\n'):
+                raise InputError(f"{cpd.variable}: a BIF file cannot hold the value name {name!r}")
+        if not re.fullmatch(r"[\w.-]+", cpd.variable):
+            raise InputError(f"{cpd.variable}: a BIF file cannot hold this name of a node")
+    with quiet():
+        from pgmpy.readwrite import BIFWriter
+
+        return str(BIFWriter(network))
 
 
 def check_tables(tables: Iterable[Table]) -> None:

@@ -19,6 +19,7 @@ from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS, format_of
 from egolane_pgm.recordings.showing import show_recording
 from egolane_pgm.simulation import PRESETS
+from egolane_pgm.tools.files import check_not_read
 from egolane_pgm.tools.options import Option, StrPath
 from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
 from egolane_pgm.views.description import (
@@ -27,8 +28,7 @@ from egolane_pgm.views.description import (
     describe_rule,
     description_text,
 )
-from egolane_pgm.views.network import network_figure, structure_of
-from egolane_pgm.views.style import write_figure
+from egolane_pgm.views.network import write_network
 from egolane_pgm.views.tables import line_width
 from egolane_pgm.vision.detectors.networks.description import ready_networks
 
@@ -77,7 +77,8 @@ def show(
 
     - n_lanes: number of lanes of the road.
     - tables: print the numbers of a graph's tables.
-    - out: draw a graph (.png, .svg, .pdf).
+    - out: write a graph: a picture (.png, .svg, .pdf), or both slices with their tables for
+      other programs (.bif).
 
     Returns the description. Raises InputError if the arguments do not fit.
     """
@@ -102,7 +103,7 @@ def show(
     else:
         found = _plugin(given, n_lanes, tables, out)
     if out is not None and found.get("kind") != "graph":
-        raise InputError(f"out: {out}: only a graph is drawn")
+        raise InputError(f"out: {out}: only a graph is written to a file")
     return found
 
 
@@ -151,8 +152,10 @@ def _is_recording(path: Path) -> bool:
 
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:
-    """The description of a plugin; a graph is also drawn in `out`."""
+    """The description of a plugin; a graph is also written to `out`."""
     kind, bare = find_plugin(name, _PLUGINS)
+    if out is not None:
+        check_not_read(Path(out), [Path(bare)])
     module = load_plugin(_PLUGINS[kind], bare, kind)
     found: dict[str, Any] = {"name": bare}
     if kind == "evidence":
@@ -161,7 +164,7 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
         return found | describe_detector(module)
     compiled = compile_defaults(bare, module, n_lanes)
     if out is not None:
-        write_figure(lambda: network_figure(structure_of(compiled)), Path(out))
+        write_network(compiled, Path(out))
     return found | describe_graph(module, compiled, numbers=tables)
 
 

@@ -1,9 +1,10 @@
-"""The structure of a network, and a picture of its two slices."""
+"""The structure of a network, as a picture of its two slices or in a BIF file."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,10 +13,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangle
 
-from egolane_pgm.graphs.cpds import SliceNode, ve_name
+from egolane_pgm.graphs.cpds import SliceNode, bif, ve_name
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.model import Model
-from egolane_pgm.views.style import INK, inline_figure, new_figure
+from egolane_pgm.tools.files import write_text
+from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
 
 Shape = Circle | Rectangle
 
@@ -63,6 +65,17 @@ def structure_of(compiled: Compiled) -> Structure:
         kind[ve_name(key)] = "virtual evidence"
         within += [(name, ve_name(key)) for name in ((key,) if isinstance(key, str) else key)]
     return Structure(kind, list(dict.fromkeys(within)), across)
+
+
+def write_network(compiled: Compiled, path: Path) -> None:
+    """Write a picture of a network, or both slices with their tables, as BIF (.bif).
+
+    Raises InputError for a file that cannot be written.
+    """
+    if path.suffix.lower() == ".bif":
+        write_text(path, bif(compiled.tables.values(), compiled.values))
+    else:
+        write_figure(lambda: network_figure(structure_of(compiled)), path)
 
 
 # --- the picture ---------------------------------------------------------------------------------

@@ -86,12 +86,14 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("{0}/both.py --json {0}/both.py", "is read here; name another file"),
         ("{0}/g.py --out {0}/g.svg", "g.py, line 3: AttributeError"),
         ("no_wor --out {0}/g.txt", "g.txt: unknown format; a figure ends in .png, .svg, "),
+        ("{0}/own.bif --out {0}/own.bif", "own.bif: is read here"),
         ("ml --out {0}/g.png", "only a graph"),
     ],
 )
 def test_what_cannot_be_shown_is_refused_in_a_line(tmp_path: Path, words: str, said: str) -> None:
     (tmp_path / "both.py").write_text("def build(n, p): ...\ndef evidence(log, n, p): ...\n")
     (tmp_path / "g.py").write_text("HIDDEN = OBSERVED = ()\ndef build(n, p):\n    return n.x\n")
+    (tmp_path / "own.bif").touch()
     assert said.format(tmp_path) in refused("show", *words.format(tmp_path).split())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,10 +11,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch, Rectangle
 from matplotlib.path import Path as Curve
 
+from egolane_pgm.graphs.cpds import Table, bif, quiet
+from egolane_pgm.types import InputError
 from egolane_pgm.views.network import (
     Structure,
     network_figure,
     structure_of,
+    write_network,
 )
 from tests.conformance.networks import random_network, template
 
@@ -154,3 +158,28 @@ def test_no_arrow_runs_through_a_node_and_no_two_nodes_touch(network: Structure)
             if node not in ((start, int(s)), (end, int(t))):
                 distance = ((points - circle.center) ** 2).sum(axis=1) ** 0.5
                 assert distance.min() > circle.radius, (patch.get_gid(), node)
+
+
+@pytest.mark.parametrize("name", ["sensor_failure", "position_in_lane"])
+def test_pgmpy_reads_from_a_bif_file_what_was_written(tmp_path: Path, name: str) -> None:
+    compiled = template(name, 2)
+    write_network(compiled, tmp_path / "network.bif")
+    with quiet():
+        from pgmpy.readwrite import BIFReader
+
+        read = BIFReader(str(tmp_path / "network.bif")).get_model()
+    assert set(read.nodes()) == {f"{n}_{s}" for n, s in compiled.tables}
+    for (node, s), table in compiled.tables.items():
+        cpd = read.get_cpds(f"{node}_{s}")
+        assert cpd.variables == [f"{node}_{s}", *(f"{p}_{ps}" for p, ps in table.parents)]
+        np.testing.assert_array_equal(np.moveaxis(cpd.values, 0, -1), table.values)
+        assert tuple(cpd.state_names[f"{node}_{s}"]) == compiled.values[node]
+
+
+def test_what_bif_cannot_name_is_refused() -> None:
+    tables = template("lane_only", 2).tables.values()
+    for name in ("a,b", "a}", " a", 'say "a"', "a // b", ""):
+        with pytest.raises(InputError, match="Lane_0: a BIF file cannot hold the value name"):
+            bif(tables, {"Lane": ("1", name)})
+    with pytest.raises(InputError, match=r"A\+B_0: a BIF file cannot hold this name of a node"):
+        bif([Table(("A+B", 0), (), np.ones(1))], {})
