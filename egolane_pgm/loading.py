@@ -148,19 +148,22 @@ def safe_name(text: str) -> str:
 # --- YAML files ----------------------------------------------------------------------------------
 
 
-def load_yaml(path: Path) -> dict[str, Any]:
+def load_yaml(path: Path, included_by: tuple[Path, ...] = ()) -> dict[str, Any]:
     """The keys of a YAML file and of the file that it includes.
 
     The file's own keys replace included ones; sections are merged, `{}` empties one. Paths in the
     included file are relative to the including one.
+
+    - included_by: the files that include this one, directly or not.
     """
     content = read_yaml(path, "n_lanes: 4")
     if (name := content.pop("include", None)) is None:
         return content
     file = path.parent / str(name)
-    if not file.is_file() or file.samefile(path):
+    above = (*included_by, path)
+    if not file.is_file() or any(map(file.samefile, above)):
         raise InputError(f"{path}: include: {name!r} is not the name of another file")
-    return merge(load_yaml(file), content)
+    return merge(load_yaml(file, above), content)
 
 
 # --- paths ---------------------------------------------------------------------------------------

@@ -156,6 +156,10 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
+    if kept := kept_though_tuned(model):
+        note = f"{', '.join(kept)} kept, so held-out scores may be in-sample"
+        tuned_on = model.experiment.tuned_on
+        warnings.warn(f"{source}: tuned_on {tuned_on}: {note}", UserWarning, stacklevel=2)
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
     evidence, lanes, begins = zip(*training, strict=True)
@@ -233,6 +237,17 @@ def start_of_learning(model: Model) -> Model:
         specs = getattr(model.graph, "PARAMETERS", ())
         values |= {spec.name: spec.default for spec in specs if spec.is_searched}
     return replace(with_parameters(model, _resolve(model, values)), parameters=model.parameters)
+
+
+def kept_though_tuned(model: Model) -> list[str]:
+    """Parameters that learning keeps though they may have been tuned on the training frames."""
+    e = model.experiment
+    if e.tuned_on not in ("same_frames", "unknown"):
+        return []
+    specs = getattr(model.rule, "PARAMETERS", ())
+    kept = [s.name for s in specs if s.is_searched and model.parameters[s.name] != s.default]
+    is_tuned_graph = e.tuned_on == "same_frames" and not _defaults(model)
+    return [*kept, *[f"graph {e.graph}"] * is_tuned_graph]
 
 
 def _by_name(compiled: Compiled, tables: Mapping[SliceNode, Table]) -> dict[str, Table]:
