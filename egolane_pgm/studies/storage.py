@@ -60,17 +60,20 @@ class _Journal(JournalFileBackend):
 def storage_errors(storage: str | None) -> Iterator[None]:
     """Turn errors of a storage into InputError: a lost database, a full disk.
 
-    While Optuna stores a result or locks a journal, it turns Ctrl-C into one of these other errors.
+    While Optuna stores a result or locks a journal, it turns Ctrl-C into one of these, or another.
     """
     try:
         yield
-    except (OSError, SQLAlchemyError, StorageInternalError) as error:
+    except Exception as error:
+        each: BaseException | None = error
+        while each is not None and not isinstance(each, KeyboardInterrupt):
+            each = each.__context__
+        if each is not None:
+            raise KeyboardInterrupt from None
+        if not isinstance(error, (OSError, SQLAlchemyError, StorageInternalError)):
+            raise
         why = f"{_reason(error)}; complete trials are kept, repeat the command to go on"
         raise InputError(f"{named(storage or 'study')}: {why}") from error
-    except (RuntimeError, UnboundLocalError) as error:
-        if isinstance(error.__context__, KeyboardInterrupt):
-            raise KeyboardInterrupt from None
-        raise
 
 
 def named(storage: str) -> str:
