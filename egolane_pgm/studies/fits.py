@@ -246,7 +246,8 @@ def kept_though_tuned(model: Model) -> list[str]:
         return []
     specs = getattr(model.rule, "PARAMETERS", ())
     kept = [s.name for s in specs if s.is_searched and model.parameters[s.name] != s.default]
-    is_tuned_graph = e.tuned_on == "same_frames" and not _defaults(model)
+    starts_anew = any(s.is_searched for s in getattr(model.graph, "PARAMETERS", ()))
+    is_tuned_graph = e.tuned_on == "same_frames" and not starts_anew
     return [*kept, *[f"graph {e.graph}"] * is_tuned_graph]
 
 
