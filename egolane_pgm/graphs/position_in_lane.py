@@ -97,7 +97,18 @@ PARAMETERS = (
         "the same for the share of frames in which the displacement misleads, lane widths",
         search=(0.05, 0.3),
     ),
-    Parameter("wide_share", "probability", 0.015, "weight of the wide normal", search=(0.01, 0.3)),
+    Parameter("wide_share", "probability", 0.03, "weight of the wide normal", search=(0.01, 0.3)),
+    Parameter(
+        "edges",
+        "choice",
+        "contradicted",
+        "moves off the road: `contradicted` ends them where the lines say otherwise, so that no"
+        " frame is evidence of an outer lane; `left_out` excludes them, so that the lane changes of"
+        " a whole drive tell the lanes",
+        search=None,
+        choices=("contradicted", "left_out"),
+        smoothed="left_out",
+    ),
     replace(P1, default=0.98),
     replace(P2, default=0.85),
 )
@@ -225,7 +236,8 @@ def moved(
     shift = float(np.clip(-gain * displacement * cells, -half, half))
     move = (1 - share) * _cell_moves(shift, narrow, half)
     move += share * _cell_moves(shift, wide, half)
-    return (1 - _JUMP) * _banded(move, n_positions, round(_BACK * cells)) + _JUMP / n_positions
+    back = round(_BACK * cells) if parameters["edges"] == "contradicted" else None
+    return (1 - _JUMP) * _banded(move, n_positions, back) + _JUMP / n_positions
 
 
 def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
@@ -268,16 +280,22 @@ def _twice_integrated(x: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(x * normal_cdf(z) + sigma * density)
 
 
-def _banded(move: FloatArray, n_positions: int, back: int) -> FloatArray:
+def _banded(move: FloatArray, n_positions: int, back: int | None) -> FloatArray:
     """Return the transition (R, R) of moves by -half to half cells, (2 half + 1,).
 
-    A move that leaves the road ends `back` cells inside of its start.
+    A move that leaves the road ends `back` cells inside of its start; with None it is left out, and
+    a cell from which every move leaves the road keeps its car.
     """
     half = len(move) // 2
     source = np.arange(n_positions)[:, None]
     target = source + np.arange(-half, half + 1)
     is_off = [target < 0, target >= n_positions]
+    rows = np.broadcast_to(move, target.shape).copy()
+    if back is None:
+        rows[is_off[0] | is_off[1]] = 0.0
+        rows[:, half] = np.where(rows.any(axis=1), rows[:, half], 1.0)
+        back = 0
     target = np.clip(np.select(is_off, [source + back, source - back], target), 0, n_positions - 1)
     transition = np.zeros((n_positions, n_positions))
-    np.add.at(transition, (source, target), move / move.sum())
+    np.add.at(transition, (source, target), rows / rows.sum(axis=1, keepdims=True))
     return transition
