@@ -10,7 +10,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.evidence.line_geometry.model import GENERIC, generic_model, without_flags
+from egolane_pgm.evidence.line_geometry.model import line_model, without_flags
+from egolane_pgm.graphs.position_in_lane import moved
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence
@@ -108,6 +109,17 @@ def test_a_jam_is_no_evidence(off_m: float, start_lane: int | None) -> None:
     assert (others < 1 / 3 + 0.25).all()
 
 
+def test_smoothed_the_moves_off_the_road_are_left_out() -> None:
+    """Rows sum to one, and a cell without a move on the road keeps its car."""
+    parameters = {**model(2).parameters, "edges": "left_out"}
+    found = moved(0.2, 2 * CELLS, CELLS, parameters)
+    np.testing.assert_allclose(found.sum(axis=1), 1, rtol=1e-12)
+    # To the left by up to half a lane: from the first cell no move is on the road but to stay.
+    assert found[0].argmax() == 0
+    smoothed = load_experiment("zero_label", {"filter": "smoothed", "n_lanes": 2})
+    assert compile_model(smoothed).parameters["edges"] == "left_out"
+
+
 @pytest.mark.filterwarnings("ignore:line log")
 def test_lanes_that_look_alike_to_a_camera_of_four_slots_keep_their_shares() -> None:
     five = model(5)
@@ -118,6 +130,6 @@ def test_lanes_that_look_alike_to_a_camera_of_four_slots_keep_their_shares() -> 
 
 
 def test_without_flags_all_lines_look_alike() -> None:
-    shares = without_flags(generic_model(4, GENERIC, 0.0)).class_shares
+    shares = without_flags(line_model(4, model(4).parameters)).class_shares
     assert (shares[:, 0] == 0).all()
     np.testing.assert_allclose(shares, np.broadcast_to(shares[0], shares.shape), rtol=1e-12)
