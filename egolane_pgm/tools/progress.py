@@ -16,10 +16,12 @@ def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
     """
     from tqdm.auto import tqdm
 
-    is_worker = multiprocessing.parent_process() is not None
-    # Outside of a terminal tqdm hides it.
-    hidden = True if is_worker else False if hasattr(ipython(), "kernel") else None
-    return tqdm(items, leave=False, disable=hidden, **settings)
+    if multiprocessing.parent_process() is not None:
+        settings["disable"] = True
+    elif not hasattr(ipython(), "kernel"):
+        # Outside of a terminal tqdm hides it.
+        settings["disable"] = None
+    return tqdm(items, leave=False, **settings)
 
 
 def ipython() -> Any:
