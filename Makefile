@@ -11,7 +11,7 @@ endif
 run: .venv/.run
 	$(BIN)/egolane run experiments/quickstart.yaml
 	@echo
-	$(BIN)/egolane reproduce --if-available
+	-$(BIN)/egolane reproduce
 	@echo
 	@echo "The belief over lanes of the simulated drive: results/quickstart/figures/strips.png"
 

@@ -37,10 +37,11 @@ if TYPE_CHECKING:
     from egolane_pgm.recordings import read_lines as read_lines
     from egolane_pgm.result import Result as Result
     from egolane_pgm.result import load_result as load_result
+    from egolane_pgm.runs import run as run
+    from egolane_pgm.simulation import simulate as simulate
     from egolane_pgm.studies.black_box import Objective as Objective
     from egolane_pgm.studies.black_box import objective as objective
     from egolane_pgm.studies.em import fit_tables as fit_tables
-    from egolane_pgm.studies.em import learned_network as learned_network
     from egolane_pgm.studies.study import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
@@ -51,8 +52,6 @@ if TYPE_CHECKING:
     from egolane_pgm.verbs.label import label as label
     from egolane_pgm.verbs.learn import learn as learn
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
-    from egolane_pgm.verbs.run import run as run
-    from egolane_pgm.verbs.simulate import simulate as simulate
     from egolane_pgm.verbs.tune import tune as tune
     from egolane_pgm.views.network import draw_network as draw_network
 
@@ -62,14 +61,14 @@ __version__ = "0.2.0"
 _PUBLIC = {
     "experiments_folder": "loading",
     "load_experiment": "loading",
-    "run": "verbs.run",
+    "run": "runs",
     "tune": "verbs.tune",
     "learn": "verbs.learn",
     "compare": "verbs.compare",
     "reproduce": "verbs.reproduce",
     "detect": "verbs.detect",
     "label": "verbs.label",
-    "simulate": "verbs.simulate",
+    "simulate": "simulation",
     "objective": "studies.black_box",
     "Objective": "studies.black_box",
     "read_lines": "recordings",
@@ -91,7 +90,6 @@ _PUBLIC = {
     "check": "checking",
     "prediction_calibration": "checking",
     "expected_counts": "inference.expected_counts",
-    "learned_network": "studies.em",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",
     "fit_tables": "studies.em",
@@ -109,8 +107,11 @@ def __getattr__(name: str) -> Any:
     if module is None:
         raise AttributeError(f"module 'egolane_pgm' has no attribute '{name}'")
     if name == "cpds":
-        return import_module(f"egolane_pgm.{module}.{name}")
-    return getattr(import_module(f"egolane_pgm.{module}"), name)
+        found: Any = import_module(f"egolane_pgm.{module}.{name}")
+    else:
+        found = getattr(import_module(f"egolane_pgm.{module}"), name)
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:

@@ -1,11 +1,12 @@
 """The command `egolane`, made from the functions in `egolane_pgm.verbs`.
 
 A verb's parameters before the `*` become arguments, the others options. Types give the checks, the
-docstring gives the help, and `verbs.options.Option` the rest. A verb's module may also define:
+docstring gives the help, and `tools.options.Option` the rest. A verb's module may also define:
 
-- `text(done, style, wide)`: the output; without it `done.to_text()`.
+- `text(done, style, wide)`: the output, if the object that a verb returns has no `to_text`.
 - `summary(done, given)`: the last lines of the output, such as the path of a result.
-- `failed(done)`: what failed, and why; the exit code is then 1.
+
+If a verb returns a table whose column `error` is not empty, the exit code is 1.
 """
 
 from __future__ import annotations
@@ -19,17 +20,14 @@ import sys
 import types
 import typing
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from egolane_pgm import __version__
-
-if TYPE_CHECKING:
-    from egolane_pgm.verbs.options import Option
 
 #: Commands by purpose, with their short help. A verb is imported only if its command is used.
 GROUPS = {
@@ -64,6 +62,26 @@ COMMANDS = {name: help for group in GROUPS.values() for name, help in group.item
 WITH_TABLES = ("run", "compare", "reproduce")
 WITH_JSON = (*WITH_TABLES, "show")
 
+#: The options of commands that print tables and numbers.
+_TABLES: list[click.Parameter] = [
+    click.Option(
+        ["--format", "table_style"],
+        type=click.Choice(["markdown", "latex", "csv"]),
+        default="markdown",
+        show_default=True,
+        help="Format of tables; csv is unrounded.",
+    ),
+    click.Option(
+        ["--wide", "table_wide"], is_flag=True, help="All scores, in tables of any width."
+    ),
+]
+_JSON = click.Option(
+    ["--json", "json_file"],
+    type=click.Path(),
+    metavar="FILE",
+    help="Write the unrounded numbers as JSON; - prints them only.",
+)
+
 #: The first word of a message, which may be the name of a parameter.
 _LEADING = re.compile(r"^\w+(?=:)")
 
@@ -78,39 +96,33 @@ def main() -> None:
 
 def command_of(name: str) -> click.Command:
     """Make the command of a verb."""
-    module = import_module(f"egolane_pgm.verbs.{name}")
-    verb = getattr(module, name)
-    if isinstance(verb, Mapping):
-        parts = {each: _made(part, each, types.ModuleType(each)) for each, part in verb.items()}
-        made: click.Command = click.Group(name, parts, help=module.__doc__)
-    else:
-        made = _made(verb, name, module)
-    examples = "\n".join(f"  {example}" for example in module.EXAMPLES)
-    made.epilog = f"\b\nExamples:\n{examples}"
-    return made
-
-
-def _made(verb: Callable[..., Any], name: str, module: types.ModuleType) -> click.Command:
     from egolane_pgm.types import InputError
 
+    module = import_module(f"egolane_pgm.verbs.{name}")
+    verb = getattr(module, name)
     hints = typing.get_type_hints(verb, include_extras=True)
     text, helps = _docstring(inspect.getdoc(verb) or "")
-    params: list[click.Parameter] = []
-    for parameter in inspect.signature(verb).parameters.values():
-        params += _params(parameter, hints[parameter.name], helps.get(parameter.name, ""))
-    params += _common_options(name)
+    params = [
+        _param(each, hints[each.name], helps.get(each.name, ""))
+        for each in inspect.signature(verb).parameters.values()
+    ]
+    params += _TABLES * (name in WITH_TABLES) + [_JSON] * (name in WITH_JSON)
     names = {param.name: max(param.opts, key=len) for param in params}
 
     def callback(**values: Any) -> None:
         try:
-            given = {key: _given(hints.get(key), key, v) for key, v in values.items()}
-            _invoke(verb, given, module)
+            for key, value in values.items():
+                if value == "" or (isinstance(value, tuple) and "" in value):
+                    raise InputError(f"{key}: is empty")
+            _invoke(verb, values, module)
         except InputError as error:
             # A parameter of the Python function is an option here.
             text = _LEADING.sub(lambda m: names.get(m[0], m[0]), str(error))
             raise InputError(text) from error
 
-    return click.Command(name, callback=callback, params=params, help=text)
+    examples = "\n".join(f"  {example}" for example in module.EXAMPLES)
+    epilog = f"\b\nExamples:\n{examples}"
+    return click.Command(name, callback=callback, params=params, help=text, epilog=epilog)
 
 
 def _docstring(text: str) -> tuple[str, dict[str, str]]:
@@ -134,89 +146,56 @@ def _parts_of(hint: Any) -> tuple[list[Any], list[Any]]:
     """The types in a hint, without None, and its annotations, the outermost first."""
     if typing.get_origin(hint) is typing.Annotated:
         kinds, extras = _parts_of(hint.__origin__)
-        return kinds, [*hint.__metadata__, *extras]
+        return kinds, [*reversed(hint.__metadata__), *extras]
     if typing.get_origin(hint) in (types.UnionType, typing.Union):
         parts = [_parts_of(part) for part in hint.__args__ if part is not types.NoneType]
         return [k for kinds, _ in parts for k in kinds], [e for _, extras in parts for e in extras]
     return [hint], []
 
 
-def _option_of(extras: Sequence[Any]) -> Option:
-    from egolane_pgm.verbs.options import Option
+def _param(parameter: inspect.Parameter, hint: Any, help: str) -> click.Parameter:
+    """The argument or option of a verb's parameter."""
+    from egolane_pgm.tools.options import Option
 
-    return next((extra for extra in extras if isinstance(extra, Option)), Option())
-
-
-def _params(parameter: inspect.Parameter, hint: Any, help: str) -> list[click.Parameter]:
-    """The argument or option of a verb's parameter; none if it is hidden."""
     name, default, (kinds, extras) = parameter.name, parameter.default, _parts_of(hint)
-    option = _option_of(extras)
-    if option.hidden:
-        return []
-    given = None if default in (inspect.Parameter.empty, ()) else default
-    settings: dict[str, Any] = {"metavar": option.metavar, "type": _type_of(kinds, extras)}
-    settings["required"] = option.required or default is inspect.Parameter.empty
+    option = next((extra for extra in extras if isinstance(extra, Option)), Option())
+    is_needed = default is inspect.Parameter.empty
+    is_list = any(typing.get_origin(kind) is Sequence for kind in kinds)
+    is_many = is_list and not isinstance(default, str)
+    kind = _type_of(kinds[0], kinds, extras)
+    settings = {"metavar": option.metavar, "required": option.required or is_needed, "type": kind}
+    value = default if option.default is None else option.default
+    if value is not None and value != () and not is_needed:
+        settings["default"] = value
     if parameter.kind is not inspect.Parameter.KEYWORD_ONLY:
-        settings |= {} if given is None else {"default": given}
-        return [click.Argument([name], nargs=-1 if option.many else 1, **settings)]
-    value = given if option.default is None else option.default
-    help = f"Do not {help}" if default is True else help[:1].upper() + help[1:]
-    if option.shown or not (value is None or isinstance(value, bool)):
-        help += f"  [default: {option.shown or value}]"
-    long = f"--{name.rstrip('_').replace('_', '-')}"
-    if bool in kinds:
-        names = option.names or (f"--no-{name}" if default is True else long,)
-        flag = {"is_flag": True, "default": default, "flag_value": default is not True}
-        return [click.Option([*names, name], help=help, **flag)]
+        return click.Argument([name], nargs=-1 if is_many else 1, **settings)
+    long = f"--{name.replace('_', '-')}"
+    if default is True:
+        flag = long.replace("--", "--no-")
+        return click.Option([flag, name], flag_value=False, default=True, help=f"Do not {help}")
     names = option.names if any(n.startswith("--") for n in option.names) else (*option.names, long)
-    settings |= {"multiple": option.many or _is_mapping(kinds), "envvar": option.envvar}
-    settings |= {} if value is None else {"default": value}
-    return [click.Option([*names, name], help=help, **settings)]
+    settings |= {"is_flag": True} if kinds == [bool] else {"multiple": is_many}
+    help = help[:1].upper() + help[1:]
+    return click.Option(
+        [*names, name], help=help, envvar=option.envvar, show_default=True, **settings
+    )
 
 
-def _is_mapping(kinds: Sequence[Any]) -> bool:
-    """Whether a parameter takes only names and values."""
-    return [typing.get_origin(each) for each in kinds] == [Mapping]
-
-
-def _type_of(kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
+def _type_of(first: Any, kinds: Sequence[Any], extras: Sequence[Any]) -> Any:
     """The type by which click checks a value."""
-    first = kinds[0]
-    if typing.get_origin(first) is typing.Literal:
-        return click.Choice([*first.__args__])
-    if typing.get_origin(first) is tuple:
-        return first.__args__
-    if first in (int, float):
-        low, high = (
-            next((getattr(extra, key) for extra in extras if hasattr(extra, key)), None)
-            for key in ("ge", "le")
-        )
-        if low is None and high is None:
-            return first
-        return (click.IntRange if first is int else click.FloatRange)(low, high)
+    kind, given = typing.get_origin(first), typing.get_args(first)
+    if kind is typing.Literal:
+        return click.Choice(given)
+    if kind is Sequence:
+        return _type_of(given[0], kinds, extras)
+    if kind is tuple:
+        return given
+    if first in (int, float, bool):
+        ends = {key: getattr(e, key) for e in extras for key in ("ge", "le") if hasattr(e, key)}
+        ranged = click.IntRange if first is int else click.FloatRange
+        return ranged(ends.get("ge"), ends.get("le")) if ends else first
     is_path = any(typing.get_origin(each) is os.PathLike for each in kinds)
     return click.Path() if is_path else str
-
-
-def _common_options(name: str) -> list[click.Parameter]:
-    """The options of commands that print tables and numbers."""
-    style = click.Choice(["markdown", "latex", "csv"])
-    wide = "Print all columns; without it those that do not fit the terminal are left out."
-    if name == "run":
-        wide = "Print all scores, confusion matrices and lane changes, in tables of any width."
-    as_json = "Write the unrounded numbers as JSON; - prints them only."
-    tables: list[click.Parameter] = [
-        click.Option(
-            ["--format", "table_style"],
-            type=style,
-            default="markdown",
-            show_default=True,
-            help="Format of tables; csv is unrounded.",
-        ),
-        click.Option(["--wide"], is_flag=True, help=wide),
-    ]
-    to_file = click.Option(["--json", "json_file"], type=click.Path(), metavar="FILE", help=as_json)
-    return tables * (name in WITH_TABLES) + [to_file] * (name in WITH_JSON)
 
 
 # --- what a command does -----------------------------------------------------------------------
@@ -225,17 +204,17 @@ def _common_options(name: str) -> list[click.Parameter]:
 def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.ModuleType) -> None:
     """Call a verb with the values of the command line, and print what it returns."""
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
-    from egolane_pgm.verbs.options import several_of
+    from egolane_pgm.tools.options import several_of
 
-    style, wide = values.pop("table_style", "markdown"), values.pop("wide", False)
+    tables = {k.removeprefix("table_"): values.pop(k) for k in [*values] if k.startswith("table_")}
     json_file = values.pop("json_file", None)
     given = {name: value for name, value in values.items() if value != ()}
+    is_data = tables.get("style", "markdown") != "markdown"
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file not in (None, "-"):
         each_given = (v for value in given.values() for v in several_of(value))
         check_not_read(Path(json_file), [Path(v) for v in each_given if isinstance(v, str) and v])
         check_place(Path(json_file))
-    text, summary = getattr(module, "text", None), getattr(module, "summary", None)
     with contextlib.redirect_stdout(prints):
         done = verb(**given)
         # The file is written before anything is printed: a reader may close the pipe.
@@ -243,21 +222,22 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
             write_json(Path(json_file), document_of(done))
         for note in getattr(done, "notes", ()):
             warn(note)
-        if text is not None:
-            printed = text(done, style, wide)
-        else:
-            printed = done.to_text() if hasattr(done, "to_text") else done
-        if isinstance(printed, str) and printed:
+        printed = done
+        if hasattr(done, "to_text"):
+            printed = done.to_text(**tables)
+        elif hasattr(module, "text"):
+            printed = module.text(done, **tables)
+        if isinstance(printed, str):
             click.echo(printed)
-        end = summary(done, given) if summary is not None and done is not None else ""
-        if end:
-            click.echo(f"\n{end}" if isinstance(printed, str) else end, err=style != "markdown")
+        if hasattr(module, "summary") and not isinstance(done, str):
+            end = module.summary(done, given)
+            click.echo(f"\n{end}" if isinstance(printed, str) else end, err=is_data)
     if json_file == "-":
         click.echo(json_text(document_of(done)), nl=False)
-    failed: list[tuple[str, str]] = getattr(module, "failed", lambda done: [])(done)
-    for title, why in failed:
+    failed = done["error"].dropna() if "error" in getattr(done, "columns", ()) else {}
+    for title, why in failed.items():
         warn(f"failed: {title}: {why}")
-    if failed:
+    if len(failed):
         raise SystemExit(1)
 
 
@@ -273,20 +253,6 @@ def document_of(done: Any) -> Any:
         rows = done.reset_index().astype(object)
         return to_jsonable({"rows": rows.where(rows.notna(), None).to_dict("records")})
     return done
-
-
-def _given(hint: Any, name: str, value: Any) -> Any:
-    """Convert a value of the command line to what the verb takes."""
-    from egolane_pgm.loading import read_override
-    from egolane_pgm.types import InputError
-
-    kinds, extras = _parts_of(hint)
-    option = _option_of(extras)
-    if value == "" or (isinstance(value, tuple) and "" in value):
-        raise InputError(f"{name}: is empty")
-    if _is_mapping(kinds):
-        return dict(read_override(each, option.example or "name=value", name) for each in value)
-    return value
 
 
 def warn(text: str) -> None:

@@ -78,7 +78,10 @@ def compare(
                 row |= _intervals(counts, of_first)
             row["tuned_on"] = ""
             if node == "Lane":
-                row |= _event_scores(aligned)
+                # The means of the defined scores of lane changes.
+                table = pd.DataFrame([numbers(each.scores) for each in aligned])
+                means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
+                row |= means.rename(EVENT_SCORES).to_dict()
                 row["tuned_on"] = ", ".join(dict.fromkeys(e.run["tuned_on"] for e in aligned))
             rows.append(row)
     return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
@@ -149,8 +152,7 @@ def _groups(results: Sequence[Result], key: str | None) -> dict[Any, list[Result
 def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
     """The annotated frames whose labels are trusted, and their ground truth."""
     frames = result.frames.dropna(subset=["true_lane"])
-    if "is_trusted" in frames:
-        frames = frames[frames["is_trusted"]]
+    frames = frames[frames["is_trusted"]] if "is_trusted" in frames else frames
     truth = truth_of(frames)
     if truth is None:
         raise InputError(f"{result.name}: has no ground truth to compare with")
@@ -205,10 +207,3 @@ def _intervals(
         label = name if minus is None else f"{name}_difference"
         cells |= {label: found.estimate, f"{label}_low": found.low, f"{label}_high": found.high}
     return cells
-
-
-def _event_scores(results: Sequence[Result]) -> dict[str, float]:
-    """The means over the recordings of the scores of lane changes that are defined."""
-    table = pd.DataFrame([numbers(result.scores) for result in results])
-    means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
-    return {name: means[key] for key, name in EVENT_SCORES.items()}

@@ -11,7 +11,6 @@ import os
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,7 @@ from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
 from egolane_pgm.model import Model, compile_model
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.recordings import FORMATS, IN_PIXELS, files_of, format_of, read_lines
+from egolane_pgm.recordings import files_of, format_of, read_lines, reader_of
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
 from egolane_pgm.recordings.select import (
     fill_missing,
@@ -43,7 +42,6 @@ from egolane_pgm.types import (
     LineLog,
     clip_slices,
     problems_in,
-    suggestion,
 )
 
 if TYPE_CHECKING:
@@ -51,9 +49,6 @@ if TYPE_CHECKING:
 
 #: Keys of `recording` that identify a drive; the others describe how to read it.
 DRIVE_KEYS = ("simulate", "seed", "frames")
-
-#: Advice about a missing file of the public data.
-_FETCH = "run `egolane data fetch`, or set EGOLANE_DATA to the folder that has it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +86,8 @@ class Drive:
     @property
     def rows(self) -> IntArray:
         """(K,): the annotated frames; all frames without ground truth."""
-        if not self.has_truth:
-            return np.arange(len(self.log))
-        return np.flatnonzero(self.true_lane != NOT_ANNOTATED)
+        is_annotated = self.true_lane != NOT_ANNOTATED
+        return np.flatnonzero(is_annotated | ~is_annotated.any())
 
     @property
     def is_trusted(self) -> BoolArray:
@@ -101,8 +95,7 @@ class Drive:
         frame_id = self.log.frame_id[self.rows]
         trusted = np.ones(len(frame_id), dtype=bool)
         for first, stop in self.experiment.fit.untrusted_frames:
-            last = np.inf if stop is None else stop
-            trusted &= (frame_id < first) | (frame_id >= last)
+            trusted &= (frame_id < first) | (frame_id >= (np.inf if stop is None else stop))
         return trusted
 
     def mask_labels(self, train: IntArray) -> Drive:
@@ -110,11 +103,8 @@ class Drive:
 
         Masked frames count as crossing, in lane 1: no fit reads the lane of a crossing frame.
         """
-        if not self.has_truth:
-            return self
-        kept = np.zeros(len(self.log), dtype=bool)
-        kept[self.rows[train]] = True
-        masked = (self.true_lane != NOT_ANNOTATED) & ~kept
+        masked = self.true_lane != NOT_ANNOTATED
+        masked[self.rows[train]] = False
         lane = np.where(masked, 1, self.true_lane)
         return replace(self, true_lane=lane, is_crossing=self.is_crossing | masked)
 
@@ -156,17 +146,12 @@ def read_recording(
 
 def read_file(experiment: Experiment) -> LineLog:
     """Read lines from a file or a folder, in a known format or with a user's own `read(path)`."""
-    check_file(experiment)
-    r = experiment.recording
-    path = Path(str(r.path))
-    options = {**r.options, "frame_rate": r.frame_rate}
-    given = {key: getattr(r, key) for key in ("camera", "topic", "columns")}
-    options |= {key: value for key, value in given.items() if value is not None}
-    if r.format is None or r.format in FORMATS:
-        return read_lines(path, format=r.format, **options)
-    where = f"{experiment.source}: recording.format"
-    reader = load_plugin("recordings", r.format, where)
-    options.pop("columns", None)
+    path, reader = check_file(experiment)
+    r, where = experiment.recording, f"{experiment.source}: recording.format"
+    given = {"camera": r.camera, "topic": r.topic, "frame_rate": r.frame_rate}
+    options = {**r.options, **{key: value for key, value in given.items() if value is not None}}
+    if reader is None:
+        return read_lines(path, format=r.format, columns=r.columns, **options)
     with plugin_errors(reader, where):
         found = reader.read(path, **options)
     with problems_in(where):
@@ -187,27 +172,27 @@ def check_sources(experiment: Experiment) -> None:
 
         with problems_in(f"{experiment.source}: recording"):
             simulated_road(r.simulate, frames=1)
-    for key in ("ground_truth.path", "road"):
-        if getattr(experiment, key.partition(".")[0]) is not None:
-            existing(experiment, key, _FETCH)
+    if experiment.ground_truth is not None:
+        existing(experiment, "ground_truth.path")
+    if experiment.road is not None:
+        existing(experiment, "road")
 
 
-def check_file(experiment: Experiment) -> None:
-    """Raise InputError for a file of lines that is missing, or whose format is unknown."""
-    r, source = experiment.recording, experiment.source
-    if r.format is not None and r.format not in FORMATS:
-        where = f"{source}: recording.format"
-        if not r.format.endswith(".py"):
-            raise InputError(f"{where}: unknown format '{r.format}'{suggestion(r.format, FORMATS)}")
-        load_plugin("recordings", r.format, where)
-    path = existing(experiment, "recording.path", _FETCH)
-    format = r.format or format_of(path)
-    if r.camera is not None:
+def check_file(experiment: Experiment) -> tuple[Path, Any]:
+    """The file of lines, and the user's own reader of its format, if there is one.
+
+    Raises InputError for a file that is missing and for an unknown format.
+    """
+    recording, where = experiment.recording, f"{experiment.source}: recording.format"
+    format = recording.format or ""
+    reader = load_plugin("recordings", format, where) if format.endswith(".py") else None
+    path = existing(experiment, "recording.path")
+    if recording.camera is not None:
         existing(experiment, "recording.camera")
-    elif format in IN_PIXELS:
-        raise InputError(
-            f"{source}: recording.camera: is missing; the lines of {path.name} are in pixels"
-        )
+    if reader is None:
+        with problems_in(where):
+            reader_of(format or format_of(path))
+    return path, reader
 
 
 # --- from a recording to drives ------------------------------------------------------------------
@@ -222,9 +207,8 @@ def read_drives(
     """Read the recording of an experiment: one drive, or several.
 
     - lines: a DataFrame or LineLog, for `recording.path: in memory`.
-    - truth: a DataFrame with frame_id, lane and crossing, or "none", in place of the ground truth
-      of the experiment.
-    - tags: tags of the drives.
+    - truth: a DataFrame with frame_id, lane and crossing, or "none", instead of the experiment's.
+    - tags: labels of the drives.
 
     Raises InputError for files that cannot be used, and warns of oddities.
     """
@@ -233,25 +217,20 @@ def read_drives(
     log, known, own_rate = read_recording(experiment, lines)
     recording, annotated = experiment.recording, experiment.ground_truth
     if truth is not None:
-        known = None if isinstance(truth, str) and truth == "none" else truth_of(truth)
+        known = None if isinstance(truth, str) and truth == "none" else truth_of(truth, log)
     elif annotated is not None:
-        path = existing(experiment, "ground_truth.path", _FETCH)
-        known = read_ground_truth(path, annotated.extra_rows)
+        path = existing(experiment, "ground_truth.path")
+        known = read_ground_truth(path, annotated.extra_rows, log)
     if own_rate is not None and "frame_rate" not in recording.model_fields_set:
         experiment = with_rate(experiment, own_rate)
         recording = experiment.recording
     elif own_rate is not None and abs(own_rate / recording.frame_rate - 1) > 0.1:
-        warnings.warn(
-            f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
-            f" with recording.frame_rate, {recording.frame_rate:g}",
-            UserWarning,
-            stacklevel=2,
-        )
+        note = f"{log.source}: has {own_rate:g} frames per second by its times; delays are counted"
+        note += f" with recording.frame_rate, {recording.frame_rate:g}"
+        warnings.warn(note, UserWarning, stacklevel=2)
     log = select_frames(log, *(recording.frames or (None, None)))
     if known is not None and log.clip is not None:
-        raise InputError(
-            f"{log.source}: clips have no ground truth; leave out ground_truth (or `none`)"
-        )
+        raise InputError(f"{log.source}: clips have no ground truth; leave out ground_truth")
     drives: list[Drive] = []
     for frames in [slice(None)] if log.clip is None else clip_slices(log.clip):
         clip = log.take(frames)
@@ -291,16 +270,14 @@ def make_drive(
         rows, known = np.flatnonzero(at >= 0), truth.iloc[at[at >= 0]]
         if not len(rows):
             raise InputError(
-                f"no common frames: {log.source} has {frame_range(log.frame_id)}, {source} has"
-                f" {frame_range(truth.index.to_numpy())}"
+                f"no common frames: {log.source} has {frame_range(log.frame_id)},"
+                f" {truth.attrs['source']} has {frame_range(truth.index.to_numpy())}"
             )
         lane[rows], crossing[rows] = known["true_lane"], known["is_crossing"]
         notes += sign_warning(log.take(rows), known["true_lane"].to_numpy())
         if missing := len(log) - len(rows):
-            notes.append(
-                f"{log.source}: {missing} of {len(log)} frames have no ground truth; filtered,"
-                " not scored"
-            )
+            unscored = f"{missing} of {len(log)} frames have no ground truth; filtered, not scored"
+            notes.append(f"{log.source}: {unscored}")
     for note in notes:
         warnings.warn(note, UserWarning, stacklevel=2)
     return Drive(name, model, log, lane, crossing)
@@ -312,14 +289,15 @@ def cut(name: str, experiment: Experiment, log: LineLog, truth: pd.DataFrame | N
     n_lanes = lanes_along(road, log)
     for note in unknown_lanes(road, log):
         warnings.warn(note, UserWarning, stacklevel=2)
-    widths = sorted(set(n_lanes.tolist()))
-    models = {n: compile_model(changed(experiment, road=None, n_lanes=n)) for n in widths}
-    borders = [0, *(np.flatnonzero(np.diff(n_lanes)) + 1).tolist(), len(log)]
-    drives = []
-    for number, (start, stop) in enumerate(pairwise(borders), start=1):
-        part, model = log.take(slice(start, stop)), models[int(n_lanes[start])]
-        drives.append(make_drive(f"{name}_{number}", model, part, truth, most_lanes=widths[-1]))
-    return drives
+    widest = int(n_lanes.max())
+    models = {
+        n: compile_model(changed(experiment, road=None, n_lanes=n)) for n in set(n_lanes.tolist())
+    }
+    segments = np.split(np.arange(len(log)), np.flatnonzero(np.diff(n_lanes)) + 1)
+    return [
+        make_drive(f"{name}_{k}", models[n_lanes[at[0]]], log.take(at), truth, most_lanes=widest)
+        for k, at in enumerate(segments, start=1)
+    ]
 
 
 def changed(experiment: Experiment, **changes: Any) -> Experiment:
@@ -353,12 +331,8 @@ def data_files(experiment: Experiment) -> list[Path]:
     """The files that an experiment names, plugins included."""
     recording, truth = experiment.recording, experiment.ground_truth
     named = [recording.path, recording.right, recording.camera, truth and truth.path]
-    named += [experiment.road, experiment.evidence, experiment.graph]
-    named += [
-        recording.format,
-        recording.detector,
-        *experiment.parameters.get(DETECTOR, {}).values(),
-    ]
+    named += [experiment.road, experiment.evidence, experiment.graph, recording.format]
+    named += [recording.detector, *experiment.parameters.get(DETECTOR, {}).values()]
     return [Path(name) for name in named if isinstance(name, str) and os.path.isabs(name)]
 
 

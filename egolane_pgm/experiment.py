@@ -8,13 +8,14 @@ from __future__ import annotations
 import functools
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Annotated, Any, Literal, NoReturn, Self, TypeVar, get_args, get_type_hints
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     TypeAdapter,
@@ -24,10 +25,9 @@ from pydantic import (
     model_validator,
     with_config,
 )
-from pydantic_core import ErrorDetails
-from typing_extensions import TypedDict, is_typeddict
+from typing_extensions import TypedDict
 
-from egolane_pgm.types import MAX_LANES, InputError, not_one_of, suggestion
+from egolane_pgm.types import MAX_LANES, InputError, near_word
 
 #: What an experiment keeps for `n_lanes: map`.
 FROM_MAP = 0
@@ -36,63 +36,60 @@ FROM_MAP = 0
 DETECTOR = "detector"
 
 
-class FrozenDict(dict[str, Any]):
-    """A dict that stays as it is. It can be pickled, and hashed where its values can."""
-
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
-        raise TypeError("an experiment stays as it is; model_copy(update={...}) makes another")
-
-    __setitem__ = __delitem__ = __ior__ = _refuse
-    clear = pop = popitem = setdefault = update = _refuse
-
-    def __hash__(self) -> int:  # type: ignore[override]
-        return hash(frozenset(self.items()))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return FrozenDict, (dict(self),)
-
-
-def frozen(value: Any) -> Any:
-    """The same with dicts and lists that stay as they are; numbers and arrays of NumPy become
-    Python's, and paths text."""
+def plain(value: Any) -> Any:
+    """Return a copy: lists become tuples, NumPy's numbers and arrays Python's, and paths text."""
     if isinstance(value, Mapping):
-        return FrozenDict({key: frozen(each) for key, each in value.items()})
+        return {key: plain(each) for key, each in value.items()}
     if isinstance(value, (np.ndarray, np.generic)):
-        return frozen(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return tuple(map(frozen, value))
-    if isinstance(value, set):
-        return frozenset(map(frozen, value))
+        return tuple(map(plain, value))
     return os.fspath(value) if isinstance(value, os.PathLike) else value
 
 
-def _or_map(schema: dict[str, Any]) -> None:
-    """A number of lanes may be left to the map."""
-    number = {"type": schema.pop("type"), "minimum": 1, "maximum": schema.pop("maximum")}
-    schema["anyOf"] = [number, {"const": "map"}]
-
-
-def _or_one(schema: dict[str, Any]) -> None:
-    """A list of one may be written without the brackets."""
-    several = {key: schema.pop(key) for key in ("type", "items")}
-    schema["anyOf"] = [several["items"], several]
+def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
+    first, stop = value
+    if stop is not None and first >= stop:
+        raise ValueError(f"[{first}, {stop}] is an empty range")
+    return value
 
 
 #: A number greater than 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
+#: A number of lanes, or `map`.
+_LaneNumber = Annotated[int, Field(ge=1, le=MAX_LANES)] | Literal["map"]
+
+#: A list, which may be written without brackets if it has one item.
+_OneOrSeveral = Annotated[
+    tuple[str, ...],
+    BeforeValidator(
+        lambda value: (value,) if isinstance(value, str) else value,
+        json_schema_input_type=str | Annotated[tuple[str, ...], Field(min_length=1)],
+    ),
+]
+
 #: A section with free keys, such as parameters.
-_Keys = Annotated[dict[str, Any], AfterValidator(frozen)]
+_Keys = Annotated[dict[str, Any], AfterValidator(plain)]
 
 
 class Section(BaseModel):
-    """Keys of a YAML file, immutable; unknown keys are refused."""
+    """Keys of a YAML file; unknown keys are refused, and no key can be set later."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
+    @field_validator("*", mode="before")
+    @classmethod
+    def _is_no_flag(cls, value: Any, info: ValidationInfo) -> Any:
+        """Refuse true and false for a number, which pydantic takes for 1 and 0."""
+        kind = cls.model_fields[str(info.field_name)].annotation
+        if isinstance(value, bool) and kind is not bool:
+            raise ValueError("takes neither true nor false")
+        return value
+
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """The same with other values for some keys, which are not checked."""
-        return super().model_copy(update=frozen(update or {}), deep=deep)
+        """Return a copy with other values for some keys, which are not checked."""
+        return super().model_copy(update=plain(update or {}), deep=deep)
 
 
 AnySection = TypeVar("AnySection")
@@ -144,7 +141,7 @@ def _columns_per_line(columns: Columns) -> Columns:
         theirs = columns.get(name)
         if theirs is not None and n_lines != (len(theirs) if isinstance(theirs, tuple) else None):
             raise ValueError(f"{name}: needs as many columns as offset_m")
-    return frozen(columns)  # type: ignore[no-any-return]
+    return plain(columns)  # type: ignore[no-any-return]
 
 
 #: Columns, checked.
@@ -171,7 +168,7 @@ class Recording(Section):
         description="topic of a bag; by default the topic of the paper's line detectors",
         examples=["/isis_line_detector/lines"],
     )
-    frames: tuple[int, int] | None = Field(
+    frames: Annotated[tuple[int, int], AfterValidator(_check_range)] | None = Field(
         default=None,
         description="first frame id and the one after the last",
         examples=[[238, 10190]],
@@ -204,7 +201,7 @@ class Recording(Section):
         examples=["right/*.png"],
     )
     options: _Keys = Field(
-        default_factory=FrozenDict,
+        default_factory=dict,
         description="further options of the format's reader",
         examples=[{"valid": "always"}],
     )
@@ -218,8 +215,6 @@ class Recording(Section):
     def _one_source(self) -> Recording:
         if (self.path is None) == (self.simulate is None):
             raise ValueError("needs either path or simulate")
-        if self.frames is not None and self.frames[0] >= self.frames[1]:
-            raise ValueError(f"frames {list(self.frames)} is an empty range")
         return self
 
 
@@ -248,18 +243,19 @@ class FitSettings(Section):
     folds: int = Field(
         default=5, ge=2, description="number of blocks of the drive, held out in turn"
     )
-    untrusted_frames: tuple[tuple[int, int | None], ...] = Field(
+    untrusted_frames: tuple[
+        Annotated[tuple[int, int | None], AfterValidator(_check_range)], ...
+    ] = Field(
         default=(),
         description="ranges of frame ids (first, the one after the last or null) whose labels are"
         " not fitted to",
         examples=[[[0, 100], [9577, None]]],
     )
-    objective: tuple[str, ...] = Field(
+    objective: _OneOrSeveral = Field(
         default=("accuracy",),
         min_length=1,
         description="tune: the score to optimise, or several",
         examples=["accuracy", ["accuracy", "log_loss"]],
-        json_schema_extra=_or_one,
     )
     sampler: str | None = Field(
         default=None,
@@ -271,7 +267,7 @@ class FitSettings(Section):
     )
     seed: int = Field(default=0, ge=0, description="tune: random seed of the sampler")
     parameters: _Keys = Field(
-        default_factory=FrozenDict,
+        default_factory=dict,
         description="tune: by name [low, high], the names of a choice, or one value to keep; if"
         " parameters of the detector (detector.NAME) are among them, only what is named is"
         " searched",
@@ -285,19 +281,6 @@ class FitSettings(Section):
         le=1e9,
         description="learn: weight of the starting tables, in frames per row",
     )
-
-    @field_validator("objective", mode="before")
-    @classmethod
-    def _one_or_several(cls, value: Any) -> Any:
-        return (value,) if isinstance(value, str) else value
-
-    @field_validator("untrusted_frames")
-    @classmethod
-    def _not_empty(cls, value: tuple[tuple[int, int | None], ...]) -> Any:
-        for first, stop in value:
-            if stop is not None and first >= stop:
-                raise ValueError(f"[{first}, {stop}] is an empty range")
-        return value
 
     @field_validator("parameters", mode="before")
     @classmethod
@@ -334,7 +317,6 @@ class Experiment(Section):
         description="number of lanes of the road, or `map` to take it from the road table: the"
         " recording is cut into drives whenever the number changes",
         examples=[4],
-        json_schema_extra=_or_map,
     )
     evidence: str = Field(
         default="counting",
@@ -379,7 +361,7 @@ class Experiment(Section):
         description="frames whose most probable lane is less probable get no lane",
     )
     parameters: _Keys = Field(
-        default_factory=FrozenDict,
+        default_factory=dict,
         description="values of the parameters of graph and evidence rule (`egolane show GRAPH`),"
         " and in `detector` of the detector; others keep their defaults",
         examples=[{"sigma1": 0.35, "bonus_value": 9}, {"detector": {"every": 2}}],
@@ -393,7 +375,7 @@ class Experiment(Section):
         default=FitSettings(), description="settings of `tune`, `learn` and held-out runs"
     )
 
-    @field_validator("n_lanes", mode="before")
+    @field_validator("n_lanes", mode="before", json_schema_input_type=_LaneNumber)
     @classmethod
     def _number_or_map(cls, value: Any, info: ValidationInfo) -> Any:
         has_road = info.data.get("road") is not None
@@ -436,11 +418,11 @@ class Experiment(Section):
 
     @field_validator("parameters")
     @classmethod
-    def _goes_with_a_detector(cls, value: FrozenDict, info: ValidationInfo) -> FrozenDict:
-        recording = info.data.get("recording")
-        if not isinstance(value.get(DETECTOR, {}), Mapping):
+    def _goes_with_a_detector(cls, value: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+        recording, own = info.data.get("recording"), value.get(DETECTOR, {})
+        if not isinstance(own, Mapping):
             raise ValueError(f"{DETECTOR}: needs keys and values")
-        if value.get(DETECTOR) and recording is not None and recording.detector is None:
+        if own and recording is not None and recording.detector is None:
             raise ValueError(f"{DETECTOR}: the recording has no detector")
         return value
 
@@ -453,15 +435,14 @@ class Experiment(Section):
 
     _source: str = "experiment"
 
+    def __hash__(self) -> int:
+        # Dicts have no hash.
+        return hash((self.name, self.graph, self.evidence))
+
     @property
     def source(self) -> str:
         """The YAML file, for messages."""
         return self._source
-
-    @property
-    def model_parameters(self) -> dict[str, Any]:
-        """The values of the parameters of graph and evidence rule."""
-        return {name: value for name, value in self.parameters.items() if name != DETECTOR}
 
 
 def make_experiment(content: Mapping[str, Any], source: str) -> Experiment:
@@ -487,8 +468,14 @@ def validated(kind: type[AnySection], content: Mapping[str, Any], source: str) -
         return made
     except ValidationError as error:
         raise InputError(f"{source}: {_first_problem(error, kind)}") from None
-    except RecursionError:
-        raise InputError(f"{source}: a section contains itself (&name ... *name)") from None
+
+
+#: Messages for pydantic's error types, in terms of YAML.
+_NEEDS = {
+    "model_type": "needs keys and values",
+    "dict_type": "needs keys and values",
+    "tuple_type": "needs a list",
+}
 
 
 def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str, Any]:
@@ -511,52 +498,19 @@ def resolved(experiment: Experiment, parameters: Mapping[str, Any]) -> dict[str,
 def _first_problem(error: ValidationError, kind: Any) -> str:
     """pydantic's first complaint. An unknown key goes before others, with a suggestion."""
     problems = error.errors(include_url=False)
-    for problem in problems:
-        if problem["type"] == "extra_forbidden":
-            *above, key = problem["loc"]
-            prefix = f"{'.'.join(map(str, above))}: " if above else ""
-            known = _keys_at(kind, problem["loc"])
-            return f"{prefix}unknown key '{key}'{suggestion(str(key), known)}"
-    return _problem(problems[0])
-
-
-def _keys_at(kind: Any, loc: Sequence[int | str]) -> Iterable[str]:
-    """Return the keys of the section of a key."""
-    for part in loc[:-1]:
-        inside = _sections_in(get_type_hints(kind, include_extras=True).get(str(part)))
-        kind = next(inside, kind)
-    return get_type_hints(next(_sections_in(kind)))
-
-
-def _sections_in(kind: Any) -> Iterator[Any]:
-    """The sections in a type such as `Section | None`."""
-    if isinstance(kind, type) and (issubclass(kind, Section) or is_typeddict(kind)):
-        yield kind
-    for part in get_args(kind):
-        yield from _sections_in(part)
-
-
-#: Messages for pydantic's error types, in terms of YAML.
-_NEEDS = {
-    "model_type": "needs keys and values",
-    "dict_type": "needs keys and values",
-    "tuple_type": "needs a list",
-}
-
-
-def _problem(problem: ErrorDetails) -> str:
-    """One of pydantic's complaints that is not about an unknown key."""
+    problem = next((p for p in problems if p["type"] == "extra_forbidden"), problems[0])
     where = ".".join(map(str, problem["loc"]))
     if problem["type"] == "missing":
         return f"{where}: is missing"
+    if problem["type"] == "extra_forbidden":
+        above, key = ".".join(map(str, problem["loc"][:-1])), str(problem["loc"][-1])
+        # Of all sections: a key may be at the wrong place.
+        schema = _adapter(kind).json_schema()
+        parts = (schema, *schema.get("$defs", {}).values())
+        known = {each for part in parts for each in part.get("properties", ())}
+        return f"{above}{': ' if above else ''}unknown key '{key}'{near_word(key, known)}"
     value = problem["input"]
-    if problem["type"] == "literal_error" and isinstance(value, str):
-        choices = [
-            c.strip("'") for c in problem["ctx"]["expected"].replace(" or ", ", ").split(", ")
-        ]
-        return f"{where}: {not_one_of(value, choices)}"
     message = problem["msg"].removeprefix("Value error, ")
-    message = message[0].lower() + message[1:]
-    message = _NEEDS.get(problem["type"], message)
+    message = _NEEDS.get(problem["type"], message[0].lower() + message[1:])
     shown = "" if isinstance(value, dict) else f" (got {repr(value)[:100]})"
     return f"{where}: {message}{shown}" if where else f"{message}{shown}"

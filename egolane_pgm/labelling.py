@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from egolane_pgm.inference.kernels.sweeps import best_path
 from egolane_pgm.loading import load_experiment
@@ -31,18 +32,16 @@ BELOW = 0.99
 #: hardly differ.
 CHANGE_WEIGHT = 0.01
 
-#: Without a position in the lane, frames this close to a lane change are crossing, seconds.
-BESIDE_S = 1.0
-
-#: Segments closer to each other are merged_runs, seconds.
-JOIN_S = 1.0
+#: Uncertain segments this close to each other are one; and without a position in the lane, frames
+#: this close to a lane change are crossing. Seconds.
+NEAR_S = 1.0
 
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Labels:
     """The labels of T frames.
 
-    - run: the experiment, smoothed.
+    - run: the result of the smoothed experiment.
     - frames: a row per frame, by `frame_id`: `lane`, 1 (leftmost) to n; `is_crossing`; `time_s`;
       `confidence`, the smoothed probability of the label, of both lanes during a crossing.
     - below: labels with a smaller confidence are uncertain.
@@ -74,7 +73,7 @@ class Labels:
         confidence = self.frames["confidence"].to_numpy()
         rows = [
             (ids[a], ids[b - 1], time_s[a], time_s[b - 1], b - a, confidence[a:b].min())
-            for a, b in merged_runs(confidence < self.below, time_s, JOIN_S)
+            for a, b in merged_runs(confidence < self.below, time_s, NEAR_S)
         ]
         names = ["first_frame", "last_frame", "first_s", "last_s", "frames", "lowest_confidence"]
         return pd.DataFrame(rows, columns=names)
@@ -83,7 +82,7 @@ class Labels:
         unsure, n = self.segments()["frames"], len(self.frames)
         changes = np.count_nonzero(np.diff(self.frames["lane"]))
         text = (
-            f"{self.run.name!r}: {n} frames, {self.run.experiment.n_lanes} lanes, {changes} lane"
+            f"{self.run.name!r}: {n} frames, {self.run.n_lanes} lanes, {changes} lane"
             f" changes, {len(unsure)} uncertain segments ({unsure.sum() / n:.1%})"
         )
         if self.run.truth is not None:
@@ -116,31 +115,20 @@ class Labels:
 def label_input(given: Input, below: float = BELOW) -> Labels:
     """Label the recording of an experiment, which is run smoothed.
 
-    - below: labels with a smaller confidence are not sure.
-
     Raises InputError for a threshold outside 0 to 1, and for several drives.
     """
     if not 0 <= below <= 1:
         raise InputError(f"below: {below} is not a probability (0 to 1)")
     changes = {"filter": "smoothed", "lag": None, "min_confidence": 0.0}
-    smoothed = load_experiment(given.experiment, changes)
-    run = run_input(given._replace(experiment=smoothed))
+    run = run_input(given._replace(experiment=load_experiment(given.experiment, changes)))
     if len(run.lines) > 1:
         raise InputError(f"{run.name}: has {len(run.lines)} drives; label them one by one")
     belief, time_s = run.node("Lane"), run.frames["time_s"].to_numpy()
     lane = lane_path(belief)
-    crossing = run.frames.get("line_crossing_probability")
-    on_line = None if crossing is None else crossing.to_numpy()
+    on_line = run.frames.get("line_crossing_probability")
     possible = crossed_lanes(lane, time_s, belief.shape[1], on_line)
-    frames = pd.DataFrame(
-        {
-            "lane": lane,
-            "is_crossing": possible.sum(axis=1) > 1,
-            "confidence": (belief * possible).sum(axis=1),
-            "time_s": time_s,
-        },
-        index=run.frames.index,
-    )
+    frames = pd.DataFrame({"lane": lane, "is_crossing": possible.sum(axis=1) > 1}, run.frames.index)
+    frames = frames.assign(confidence=(belief * possible).sum(axis=1), time_s=time_s)
     answered = run.frames.assign(assigned_lane=lane)
     scores = to_jsonable(score(answered, run.frame_rate))
     return Labels(replace(run, frames=answered, scores=scores), frames, below)
@@ -161,7 +149,7 @@ def lane_path(belief: FloatArray) -> IntArray:
 
 
 def crossed_lanes(
-    lane: IntArray, time_s: FloatArray, n_lanes: int, on_line: FloatArray | None
+    lane: IntArray, time_s: FloatArray, n_lanes: int, on_line: ArrayLike | None
 ) -> BoolArray:
     """The lanes that the car is in (T, n): one, or several during a crossing.
 
@@ -169,22 +157,23 @@ def crossed_lanes(
     - on_line (T,): the line crossing probability; None if the graph has no position in the lane.
 
     A crossing is the run of frames around a change of the label with an `on_line` above 0.5, or,
-    without `on_line`, within BESIDE_S; at least the two frames of the change. A change over a gap
-    in the recording has no crossing.
+    without `on_line`, within NEAR_S; at least the two frames of the change. A change over a gap in
+    the recording has no crossing.
     """
-    n_frames = len(lane)
     possible: BoolArray = lane[:, None] == np.arange(1, n_lanes + 1)
     step = np.diff(time_s)
-    is_next = np.append((step >= 0) & (step <= BESIDE_S), False)
-    for t in np.flatnonzero((np.diff(lane) != 0) & is_next[:-1]):
-        before, after = int(lane[t]), int(lane[t + 1])
-        near = np.abs(time_s - (time_s[t] + time_s[t + 1]) / 2) <= BESIDE_S
-        if on_line is not None:
-            near = on_line > 0.5
-        start, stop = t, t + 1
-        while start > 0 and near[start - 1] and lane[start - 1] == before and is_next[start - 1]:
-            start -= 1
-        while stop + 1 < n_frames and near[stop + 1] and lane[stop + 1] == after and is_next[stop]:
-            stop += 1
-        possible[start : stop + 1, min(before, after) - 1 : max(before, after)] = True
+    is_gap = (step < 0) | (step > NEAR_S)
+    for t in np.flatnonzero((np.diff(lane) != 0) & ~is_gap):
+        if on_line is None:
+            near = np.abs(time_s - (time_s[t] + time_s[t + 1]) / 2) <= NEAR_S
+        else:
+            near = np.asarray(on_line) > 0.5
+        # The nearest frame on either side that is not part of the crossing.
+        out = np.flatnonzero(~near[:t] | (lane[:t] != lane[t]) | is_gap[:t])
+        start = out[-1] + 1 if out.size else 0
+        k = t + 2
+        out = np.flatnonzero(~near[k:] | (lane[k:] != lane[t + 1]) | is_gap[t + 1 :])
+        stop = k + out[0] if out.size else len(lane)
+        low, high = sorted(lane[t : t + 2])
+        possible[start:stop, low - 1 : high] = True
     return possible

@@ -10,12 +10,14 @@ another file, and `version: 1`, which is optional, is the version of the keys.
 
 from __future__ import annotations
 
+import operator
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from egolane_pgm.experiment import DETECTOR, Experiment, frozen, make_experiment
+from egolane_pgm.experiment import DETECTOR, Experiment, make_experiment, plain
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.tools.files import read_yaml, without_version
 from egolane_pgm.tools.yaml import parse_yaml
@@ -31,7 +33,7 @@ FILES = {"recording.path", "recording.camera", "recording.right", "ground_truth.
 PLUGINS = {"graph", "evidence", "recording.format", "recording.detector"}
 
 #: Keys of a recording, which other lines do not inherit.
-RECORDING_KEYS = ("recording", "ground_truth", "road", "tuning", "description")
+RECORDING_KEYS = ("recording", "ground_truth", "road", "description")
 
 ExperimentLike = Experiment | str | os.PathLike[str] | Mapping[str, Any]
 Overrides = Mapping[str, Any] | Sequence[str] | None
@@ -85,11 +87,8 @@ def load_experiment(
     Raises InputError, naming file and key, for a key or value that does not fit.
 
     >>> import egolane_pgm as ego
-    >>> experiment = ego.load_experiment("quickstart", {"parameters.sigma1": 0.3})
-    >>> experiment.parameters["sigma1"]
+    >>> ego.load_experiment("quickstart", {"parameters.sigma1": 0.3}).parameters["sigma1"]
     0.3
-    >>> ego.load_experiment(experiment, {"filter": "exact"}).filter
-    'exact'
     >>> ego.load_experiment("quickstart", {"filtr": "exact"})
     Traceback (most recent call last):
     ...
@@ -136,40 +135,35 @@ def _on_lines(content: Mapping[str, Any], lines: Any, changes: Mapping[str, Any]
     kept = {key: value for key, value in content.items() if key not in RECORDING_KEYS}
     if kept.get("tuned_on") == "same_frames" and path != recording.get("path"):
         kept["tuned_on"] = "other_frames"
-    own = kept.get("parameters") or {}
-    kept["parameters"] = {key: value for key, value in own.items() if key != DETECTOR}
+    if DETECTOR in (kept.get("parameters") or {}):
+        kept["parameters"] = {k: v for k, v in kept["parameters"].items() if k != DETECTOR}
     return {**kept, "name": name, "recording": {"path": path}}
 
 
 def safe_name(text: str) -> str:
     """Replace characters that are not allowed in the name of an experiment."""
-    kept = (c if (c.isascii() and c.isalnum()) or c in "._-" else "_" for c in text)
-    return "".join(kept).lstrip("._-") or "recording"
+    return re.sub(r"[^a-zA-Z0-9._-]", "_", text).lstrip("._-") or "recording"
 
 
 # --- YAML files ----------------------------------------------------------------------------------
 
 
-def load_yaml(path: Path, including: tuple[Path, ...] = ()) -> dict[str, Any]:
+def load_yaml(path: Path, included_by: tuple[Path, ...] = ()) -> dict[str, Any]:
     """The keys of a YAML file and of the file that it includes.
 
     The file's own keys replace included ones; sections are merged, `{}` empties one. Paths in the
     included file are relative to the including one.
 
-    - including: the files that include this one, for messages.
+    - included_by: the files that include this one, directly or not.
     """
-    if including and not path.is_file():
-        raise InputError(f"{including[-1]}: include: no file {path}")
     content = read_yaml(path, "n_lanes: 4")
-    name = content.pop("include", None)
-    if name is None:
+    if (name := content.pop("include", None)) is None:
         return content
-    if not isinstance(name, str):
-        raise InputError(f"{path}: include: {name!r} is not the name of a file")
-    including = (*including, path)
-    if any((path.parent / name).resolve() == each.resolve() for each in including):
-        raise InputError(f"{path}: include: {name} includes this file itself")
-    return merge(load_yaml(path.parent / name, including), content)
+    file = path.parent / str(name)
+    above = (*included_by, path)
+    if not file.is_file() or any(map(file.samefile, above)):
+        raise InputError(f"{path}: include: {name!r} is not the name of another file")
+    return merge(load_yaml(file, above), content)
 
 
 # --- paths ---------------------------------------------------------------------------------------
@@ -201,18 +195,13 @@ def absolute(content: Mapping[str, Any], folder: Path, prefix: str = "") -> dict
     return found
 
 
-def existing(experiment: Experiment, key: str, hint: str = "") -> Path:
-    """The file or folder of a key such as `recording.path`. Raises InputError if it is missing.
-
-    - hint: what to do, for the message.
-    """
-    name: Any = experiment
-    for part in key.split("."):
-        name = getattr(name, part)
-    path = Path(str(name))
+def existing(experiment: Experiment, key: str) -> Path:
+    """The file or folder of a key such as `recording.path`. Raises InputError if it is missing."""
+    path = Path(str(operator.attrgetter(key)(experiment)))
     if not path.exists():
         raise InputError(
-            f"{experiment.source}: {key}: {path}: no such file{f'; {hint}' if hint else ''}"
+            f"{experiment.source}: {key}: {path}: no such file; run `egolane data fetch` for the"
+            " paper's recordings, or set EGOLANE_DATA to the folder that has it"
         )
     return path
 
@@ -220,28 +209,24 @@ def existing(experiment: Experiment, key: str, hint: str = "") -> Path:
 # --- overrides -----------------------------------------------------------------------------------
 
 
-def parse_overrides(overrides: Overrides) -> dict[str, Any]:
-    """Overrides as nested keys and values."""
-    if isinstance(overrides, str) or not isinstance(overrides, (Iterable, type(None))):
-        raise InputError(f"overrides: {overrides!r}: needs a dict, or a list of key=value")
-    if not isinstance(overrides, Mapping):
-        overrides = dict(read_override(each, "n_lanes=3") for each in overrides or ())
-    return nest(overrides) if overrides else {}
+def parse_overrides(overrides: Overrides, name: str = "overrides") -> dict[str, Any]:
+    """Overrides as nested keys and values. Raises InputError, naming the argument.
 
-
-def read_override(override: Any, example: str, option: str = "overrides") -> tuple[str, Any]:
-    """The key and the YAML value of `key=value`. Raises InputError for anything else.
-
-    - example, option: for messages.
+    - overrides: a dict, or a list of `key=value`, whose values are YAML.
     """
-    key, equals, text = str(override).partition("=")
-    key = key.strip()
-    if not equals or not all(key.split(".")):
-        raise InputError(f"{option}: {override}: write it as key=value, e.g. {example}")
-    try:
-        return key, parse_yaml(text, option)
-    except InputError as error:
-        raise InputError(f"{option}: {override}: the value is not YAML") from error
+    if isinstance(overrides, str) or not isinstance(overrides, (Iterable, type(None))):
+        raise InputError(f"{name}: {overrides!r}: needs a dict, or a list of key=value")
+    if not overrides:
+        return {}
+    if isinstance(overrides, Mapping):
+        return nest(overrides)
+    found = {}
+    for override in overrides:
+        key, equals, text = str(override).partition("=")
+        if not equals or not all(key.strip().split(".")):
+            raise InputError(f"{name}: {override}: write it as key=value, e.g. n_lanes=3")
+        found[key.strip()] = parse_yaml(text, f"{name}: {override}")
+    return nest(found)
 
 
 def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
@@ -250,7 +235,7 @@ def nest(flat: Mapping[str, Any]) -> dict[str, Any]:
     for key, value in flat.items():
         if not isinstance(key, str) or not all(key.split(".")):
             raise InputError(f"{key!r} is not the name of a key, e.g. parameters.sigma1")
-        section = nest(value) if isinstance(value, Mapping) else frozen(value)
+        section = nest(value) if isinstance(value, Mapping) else plain(value)
         for part in reversed(key.split(".")):
             section = {part: section}
         nested = merge(nested, section)

@@ -93,7 +93,8 @@ def compile_model(experiment: Experiment) -> Model:
     graph = load_plugin("graphs", e.graph, f"{source}: graph")
     declared = declared_parameters(rule, graph)
     specs = smoothing_defaults(declared) if e.filter in ("smoothed", "viterbi") else declared
-    parameters = resolve_parameters(specs, e.model_parameters, e.n_lanes, f"{source}: parameters")
+    given = {name: value for name, value in e.parameters.items() if name != DETECTOR}
+    parameters = resolve_parameters(specs, given, e.n_lanes, f"{source}: parameters")
     with problems_in(f"{source}: graph {e.graph}"):
         compiled, unused = compile_graph(rule, graph, e.n_lanes, parameters)
         lanes = compiled.cardinality.get("Lane")
@@ -116,21 +117,17 @@ def compile_graph(
 
     A graph that defines `tables`, HIDDEN and OBSERVED is compiled without pgmpy.
     """
-    values = getattr(graph, "VALUES", {})
     provides = getattr(rule, "PROVIDES", ())
-    if all(hasattr(graph, name) for name in ("tables", "HIDDEN", "OBSERVED")):
-        unused = _unused(graph, provides)
-        with plugin_errors(graph, "graph"):
-            tables = graph.tables(n_lanes, parameters)
-        inputs = getattr(graph, "INPUTS", ())
-        compiled = compile_tables(
-            tables, observed=graph.OBSERVED, hidden=graph.HIDDEN, inputs=inputs, values=values
-        )
-        return compiled, unused
-    network = build_network(graph, n_lanes, parameters)
+    has_tables = all(hasattr(graph, name) for name in ("tables", "HIDDEN", "OBSERVED"))
+    network = None if has_tables else build_network(graph, n_lanes, parameters)
     if hasattr(graph, "OBSERVED"):
-        observed, unused = graph.OBSERVED, _unused(graph, provides)
-        inputs = getattr(graph, "INPUTS", ())
+        observed, inputs = graph.OBSERVED, getattr(graph, "INPUTS", ())
+        unused = frozenset(getattr(graph, "UNUSED", ())).difference(observed)
+        if provides and not {*observed} <= {*provides} <= {*observed, *unused}:
+            raise InputError(
+                f"observes {', '.join(map(str, observed))}, the evidence rule gives"
+                f" {', '.join(map(str, provides))}; list in the graph's UNUSED what it ignores"
+            )
     else:
         # A plain pgmpy network observes all evidence about its nodes.
         nodes = node_names(network)
@@ -143,12 +140,12 @@ def compile_graph(
                 f" {', '.join(map(str, provides)) or 'nothing (it has no PROVIDES)'}, the graph has"
                 f" {', '.join(sorted(nodes))}"
             )
-    with warnings.catch_warnings():
-        # A plain network has no virtual-evidence nodes.
-        warnings.simplefilter("ignore", UserWarning)
-        hidden = getattr(graph, "HIDDEN", None)
-        compiled = compile(network, hidden=hidden, observed=observed, inputs=inputs, values=values)
-    return compiled, unused
+    roles = {"observed": observed, "inputs": inputs, "values": getattr(graph, "VALUES", {})}
+    if network is None:
+        with plugin_errors(graph, "graph"):
+            tables = graph.tables(n_lanes, parameters)
+        return compile_tables(tables, hidden=graph.HIDDEN, **roles), unused
+    return compile(network, hidden=getattr(graph, "HIDDEN", None), **roles), unused
 
 
 def build_network(
@@ -166,23 +163,6 @@ def observed_under(rule: ModuleType, network: Any) -> tuple[Observed, ...]:
     """Return the evidence of a rule whose nodes are in the network."""
     nodes, provides = node_names(network), getattr(rule, "PROVIDES", ())
     return tuple(k for k in provides if nodes.issuperset([k] if isinstance(k, str) else k))
-
-
-def _unused(graph: ModuleType, provides: tuple[Observed, ...]) -> frozenset[Observed]:
-    """Check that a rule provides all evidence a graph observes; return the unused evidence."""
-    unused = frozenset(getattr(graph, "UNUSED", ())).difference(graph.OBSERVED)
-    if provides:
-        given = ", ".join(map(str, provides))
-        for key in graph.OBSERVED:
-            if key not in provides:
-                raise InputError(f"observes {key}, the evidence rule gives only {given}")
-        for key in provides:
-            if key not in graph.OBSERVED and key not in unused:
-                raise InputError(
-                    f"does not observe {key}, which the evidence rule gives; add it to the graph's"
-                    " UNUSED to ignore it"
-                )
-    return unused
 
 
 def with_parameters(model: Model, parameters: Mapping[str, Value]) -> Model:
@@ -219,22 +199,16 @@ def with_graph(experiment: Experiment, graph: str) -> Experiment:
     module = load_plugin("graphs", graph, where)
     evidence = matching_evidence_rule(module, experiment.n_lanes, experiment.evidence, where)
     rule = load_plugin("evidence", evidence, where)
-    known = {spec.name for spec in declared_parameters(rule, module)}
-    kept = {
-        name: value for name, value in experiment.parameters.items() if name in known | {DETECTOR}
-    }
+    known = {DETECTOR, *(spec.name for spec in declared_parameters(rule, module))}
+    kept = {name: value for name, value in experiment.parameters.items() if name in known}
     changes = {"graph": graph, "evidence": evidence, "parameters": kept}
     learned = getattr(module, "LEARNED_FROM", None)
-    if learned is not None:
-        changes["tuned_on"] = tuned_on(experiment, learned)
+    if learned in ("", "unknown"):
+        changes["tuned_on"] = "unknown"
+    elif learned is not None:
+        is_same = learned == recording_key(experiment)
+        changes["tuned_on"] = "same_frames" if is_same else "other_frames"
     return experiment.model_copy(update=changes)
-
-
-def tuned_on(experiment: Experiment, learned_from: str) -> str:
-    """Return the value of `tuned_on` for a graph that was learned from a recording."""
-    if learned_from in ("", "unknown"):
-        return "unknown"
-    return "same_frames" if learned_from == recording_key(experiment) else "other_frames"
 
 
 def recording_key(experiment: Experiment) -> str:
@@ -248,24 +222,18 @@ def recording_key(experiment: Experiment) -> str:
 def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: str) -> str:
     """Return the evidence rule that provides what a graph observes, preferably `first`.
 
-    Of several rules the one that declares most of the graph's integer parameters is taken; for a
-    plain pgmpy network the one of whose evidence it observes most.
+    For a plain pgmpy network it is the rule of whose evidence the network observes most.
     """
     names = dict.fromkeys([first, *plugin_names("evidence")])
     rules = {name: load_plugin("evidence", name, where) for name in names}
-    specs = getattr(graph, "PARAMETERS", ())
     if not hasattr(graph, "OBSERVED"):
+        specs = getattr(graph, "PARAMETERS", ())
         network = build_network(graph, n_lanes, resolve_parameters(specs, {}, n_lanes))
         return max(rules, key=lambda name: len(observed_under(rules[name], network)))
     seen = set(graph.OBSERVED)
     known = {*seen, *getattr(graph, "UNUSED", ())}
-    shapes = {p.name for p in specs if p.kind == "integer"}
-    missing = {
-        name: len(shapes - {p.name for p in getattr(rule, "PARAMETERS", ())})
-        for name, rule in rules.items()
-        if seen <= set(getattr(rule, "PROVIDES", seen)) <= known
-    }
-    return min(missing, key=missing.__getitem__, default=first)
+    fits = (n for n, rule in rules.items() if seen <= {*getattr(rule, "PROVIDES", seen)} <= known)
+    return next(fits, first)
 
 
 # --- evidence ------------------------------------------------------------------------------------
@@ -330,21 +298,15 @@ def make_evidence(
     return used, tentative
 
 
-def looks_ahead(model: Model) -> str | None:
-    """Return the reason if the evidence of a frame uses later frames, otherwise None."""
-    if not hasattr(model.rule, "looks_ahead"):
-        return None
-    with plugin_errors(model.rule, "evidence"):
-        why: str | None = model.rule.looks_ahead(model.parameters)
-    return why
-
-
 def why_not_causal(model: Model) -> list[str]:
     """Return the reasons why posteriors use later frames; empty for a causal model."""
     e, reasons = model.experiment, []
     if e.filter not in METHODS:
         later = "all later" if e.lag is None else f"the next {e.lag}"
         reasons.append(f"{e.filter}: not causal, a frame's belief uses {later} frames too")
-    if why := looks_ahead(model):
-        reasons.append(f"{e.evidence}: not causal, {why}")
+    if hasattr(model.rule, "looks_ahead"):
+        with plugin_errors(model.rule, "evidence"):
+            why = model.rule.looks_ahead(model.parameters)
+        if why:
+            reasons.append(f"{e.evidence}: not causal, {why}")
     return reasons

@@ -10,11 +10,11 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, FiniteFloat
 from pydantic_core import from_json
 
 from egolane_pgm.drives import changed
-from egolane_pgm.experiment import FROM_MAP, Columns, Experiment, Section, validated
+from egolane_pgm.experiment import FROM_MAP, Experiment, Recording, Section, validated
 from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.loading import existing
 from egolane_pgm.maps.road_table import lanes_at
@@ -41,7 +41,7 @@ class _Message(_Strict):
     """The lines of a frame. Frame ids are exact as floating-point times up to 2**53."""
 
     frame_id: Annotated[int, Field(ge=-(2**53), le=2**53)] | None = None
-    time_s: float | None = None
+    time_s: FiniteFloat | None = None
     lines: list[_Line]
 
 
@@ -151,23 +151,21 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 
     Raises InputError, naming the message, for one that cannot be used.
     """
-    recording, after = experiment.recording, 0
+    after, before = 0, -np.inf
     for number, text in enumerate(messages, start=1):
         if text.strip():
             where = f"message {number}"
-            log = parse_message(text, where, recording.frame_rate, after, recording.columns)
-            after = int(log.frame_id[0]) + 1
+            log = _parse(text, where, experiment.recording, after)
+            after, now = int(log.frame_id[0]) + 1, float(log.time_s[0])
+            if not before <= now < np.inf:
+                raise InputError(f"{where}: time_s: {now:g} is not after that of the last message")
+            before = now
             yield log
 
 
-def parse_message(
-    text: str, where: str, frame_rate: float, after: int = 0, columns: Columns | None = None
-) -> LineLog:
-    """Parse one message into a LineLog of one frame; see `read_messages`.
-
-    - after: the frame id of a message without one.
-    - columns: other names of the fields.
-    """
+def _parse(text: str, where: str, recording: Recording, after: int) -> LineLog:
+    """Return one frame. after: its id if the message has a time only."""
+    columns, frame_rate = recording.columns, recording.frame_rate
     try:
         content = from_json(text)
     except ValueError as error:

@@ -46,20 +46,12 @@ Runs = str | int | Sequence[int]
 def parse_runs(given: Runs) -> list[int]:
     """Run numbers: `"1-3,7"` gives [1, 2, 3, 7]. Raises InputError for an unknown run."""
     runs: list[int] = []
-    if not isinstance(given, str):
-        runs = [given] if isinstance(given, int) else list(given)
-        for number in runs:
-            if not isinstance(number, int):
-                raise InputError(f"runs: {number!r} is no number; the paper has runs 1 to 10")
-    else:
-        for part in given.split(","):
-            match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", part)
-            if match is None:
-                raise InputError(f"runs: {given}: write numbers and ranges, e.g. 1-5,7")
-            low, high = int(match[1]), int(match[2] or match[1])
-            if low > high:
-                raise InputError(f"runs: {given}: {low}-{high} is an empty range")
-            runs += range(low, min(high, 99) + 1)
+    for part in given.split(",") if isinstance(given, str) else np.atleast_1d(given):
+        match = re.fullmatch(r"\s*(\d+)(?:-(\d+))?\s*", str(part))
+        low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
+        if low > high:
+            raise InputError(f"runs: {given}: write numbers and ranges, e.g. 1-5,7")
+        runs += range(low, min(high, 99) + 1)
     for number in runs:
         paper_experiment(number)
     return list(dict.fromkeys(runs))

@@ -93,16 +93,11 @@ class Parameter:
             if not isinstance(value, str):
                 raise InputError(f"{where}: {value!r} is not text")
             return value
-        if self.kind == "choice":
-            if not isinstance(value, str) or value not in self.choices:
-                raise InputError(f"{where}: {not_one_of(value, self.choices)}")
-            return value
-        if isinstance(value, str) and self.choices:
+        if self.kind == "choice" or (self.choices and isinstance(value, str)):
             if value not in self.choices:
-                raise InputError(
-                    f"{where}: '{value}' is neither a number nor {' or '.join(self.choices)}"
-                )
-            return value
+                number = "" if self.kind == "choice" else ", nor a number"
+                raise InputError(f"{where}: {not_one_of(value, self.choices)}{number}")
+            return str(value)
         if self.shape is not None:
             return self._check_table(value, self.shape(n_lanes), where)
         if isinstance(value, (list, tuple, np.ndarray)):
@@ -115,17 +110,13 @@ class Parameter:
 
     def _check_table(self, value: object, shape: tuple[int, ...], where: str) -> Value:
         needed = f"a list of {' x '.join(map(str, shape))} numbers"
-        if not isinstance(value, (list, tuple, np.ndarray)):
-            raise InputError(f"{where}: {value!r} is not {needed}")
-        rows = list(value)
-        for size in shape[1:]:
-            if all(isinstance(row, (list, tuple, np.ndarray)) for row in rows):
-                if any(len(row) != size for row in rows):
-                    raise InputError(f"{where}: needs {needed}, every row of the same length")
-                rows = [number for row in rows for number in row]
-        if len(rows) != math.prod(shape):
-            raise InputError(f"{where}: has {len(rows)} numbers, needs {needed}")
-        return tuple(float(self._check_number(v, where)) for v in rows)
+        try:
+            numbers = np.asarray(value)
+        except ValueError as error:
+            raise InputError(f"{where}: needs {needed}, every row of the same length") from error
+        if numbers.dtype.kind not in "iuf" or numbers.shape not in (shape, (math.prod(shape),)):
+            raise InputError(f"{where}: needs {needed}, got {str(value)[:100]}")
+        return tuple(float(self._check_number(v, where)) for v in numbers.ravel().tolist())
 
     def _check_number(self, value: object, where: str) -> float | int:
         if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
@@ -137,8 +128,6 @@ class Parameter:
             raise InputError(f"{where}: {value} is not a probability (0 to 1)")
         if self.kind in ("sigma", "positive") and x <= 0:
             raise InputError(f"{where}: {value} must be greater than 0")
-        if self.kind in ("non_negative", "integer") and x < 0:
-            raise InputError(f"{where}: {value} must not be negative")
         if self.kind == "integer" and x != int(x):
             raise InputError(f"{where}: {value} is not a whole number")
         if x < self.lowest:

@@ -1,8 +1,8 @@
 """Find and import plugins: graphs, evidence rules, readers and detectors.
 
-A plugin is a module that defines the names of its folder's contract (`build`, `evidence`, ...): one
-of this package, by name, or a user's file. A graph may also be a file that pgmpy reads, or Python
-with a pgmpy network at its top level, which `build` then returns.
+A plugin is a module that defines the names of its folder's contract (`tables`, `evidence`, ...):
+one of this package, by name, or a user's file. A graph may also be a file that pgmpy reads, or
+Python with a pgmpy network at its top level, which `build` then returns.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from types import ModuleType
 from egolane_pgm.parameters import Parameter
 from egolane_pgm.types import InputError, suggestion
 
-#: The names that a module of each folder must define.
+#: The names that a module of each folder must define; of `a|b` one is needed.
 CONTRACTS = {
-    "graphs": ("build",),
+    "graphs": ("tables|build",),
     "evidence": ("evidence",),
     "recordings": ("read",),
     "detectors": ("STEREO", "start"),
@@ -63,7 +63,7 @@ def _modules(folder: str) -> dict[str, str]:
 
 
 def _defines(text: str, name: str) -> bool:
-    return re.search(rf"^(def )?{name}\b", text, re.MULTILINE) is not None
+    return re.search(rf"^(def )?({name})\b", text, re.MULTILINE) is not None
 
 
 def find_plugin(name: str, kinds: Mapping[str, str]) -> tuple[str, str]:
@@ -83,7 +83,7 @@ def find_plugin(name: str, kinds: Mapping[str, str]) -> tuple[str, str]:
         found = [kind for kind in kinds if _defines(text, CONTRACTS[kinds[kind]][0])]
     else:
         found = [kind for kind in kinds if name in _modules(kinds[kind])]
-    if found or name.endswith(OWN_FILES):
+    if found or name.endswith(OWN_FILES) or (Path(name).suffix and Path(name).is_file()):
         return (found or ["graph"])[0], name
     known = [known for folder in kinds.values() for known in _modules(folder)]
     raise InputError(f"unknown name '{name}'{suggestion(name, known)}")
@@ -106,7 +106,7 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
         raise InputError(f"{where}: no file {file}")
     if name.endswith(".py"):
         module = _load_file(file, where)
-        if folder == "graphs" and not hasattr(module, "build"):
+        if folder == "graphs" and not {"tables", "build"} & {*vars(module)}:
             _build_from_network(module, f"{where}: {name}")
     elif is_file:
         # Graphs are above this module in the layers.
@@ -115,10 +115,14 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
         module = graphs.load_graph_file(file, f"{_OWN}{Path(name).stem}", where)
     elif name in (known := _modules(folder)):
         module = importlib.import_module(known[name])
+    elif Path(name).suffix and file.is_file():
+        kinds = ", ".join(OWN_FILES if folder == "graphs" else (".py",))
+        advice = "; export BIF from GeNIe" if name.endswith(".xdsl") else ""
+        raise InputError(f"{where}: {name} is none of {kinds}{advice}")
     else:
         raise InputError(f"{where}: unknown name '{name}'{suggestion(name, known)}")
     for needed in CONTRACTS[folder]:
-        if not hasattr(module, needed):
+        if not any(hasattr(module, name) for name in needed.split("|")):
             raise InputError(f"{where}: {name} does not define {needed}")
     specs = getattr(module, "PARAMETERS", ())
     if not isinstance(specs, (tuple, list)) or not all(isinstance(s, Parameter) for s in specs):
@@ -127,13 +131,9 @@ def load_plugin(folder: str, name: str, where: str) -> ModuleType:
 
 
 def declared_parameters(rule: ModuleType, graph: ModuleType) -> list[Parameter]:
-    """Return the parameters of an evidence rule and a graph; a common one is shared."""
-    specs = {p.name: p for p in getattr(rule, "PARAMETERS", ())}
-    for p in getattr(graph, "PARAMETERS", ()):
-        if p.name in specs and specs[p.name].kind != p.kind:
-            raise InputError(f"parameters.{p.name}: graph and evidence rule declare it differently")
-        specs[p.name] = p
-    return list(specs.values())
+    """Return the parameters of an evidence rule and a graph; both may declare the same one."""
+    both = (*getattr(rule, "PARAMETERS", ()), *getattr(graph, "PARAMETERS", ()))
+    return list({spec.name: spec for spec in both}.values())
 
 
 def _build_from_network(module: ModuleType, where: str) -> None:
@@ -149,7 +149,7 @@ def _build_from_network(module: ModuleType, where: str) -> None:
     if len(found) != 1:
         names = ", ".join(name for name, _ in found.values())
         has = f"and has {len(found)} pgmpy networks ({names})" if found else "nor a pgmpy network"
-        raise InputError(f"{where} does not define build, {has} at its top level")
+        raise InputError(f"{where} defines neither tables nor build, {has} at its top level")
     [(_, network)] = found.values()
     vars(module)["build"] = lambda n_lanes, parameters: network
 

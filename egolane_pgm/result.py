@@ -26,11 +26,9 @@ import pandas as pd
 from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events
-from egolane_pgm.inference.unrolling import Unrolled, unrolled
-from egolane_pgm.loading import IN_MEMORY, load_experiment
+from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
@@ -48,7 +46,6 @@ from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, LineLog
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pgmpy.models import DynamicBayesianNetwork
 
 #: The columns of `Result.frames`; the index is frame_id. Those marked ? are not always there.
 COLUMNS = {
@@ -113,11 +110,6 @@ class Result:
 
         return f"Result({result_title(self)})"
 
-    def _repr_html_(self) -> str:
-        from egolane_pgm.views.display import result_html
-
-        return result_html(self)
-
     @property
     def name(self) -> str:
         """The name of the experiment."""
@@ -173,22 +165,6 @@ class Result:
         [log] = self.lines.values()
         return make_evidence(self.model, log)[0]
 
-    def network(
-        self, *, evidence: bool = False, first: int | None = None, last: int | None = None
-    ) -> DynamicBayesianNetwork | Unrolled:
-        """The graph in pgmpy, or some frames of it with their evidence.
-
-        - evidence: False for the declared network of two slices, whose virtual-evidence tables
-          (`WOR_ve`) are placeholders; True for unrolled frames and the run's evidence in them.
-        - first, last: with evidence: frame ids, both included; all by default. pgmpy takes seconds
-          for hundreds of frames.
-        """
-        if not evidence:
-            return self.model.network
-        ids = self.frames.index.to_numpy()
-        first, last = (ids[0] if first is None else first), (ids[-1] if last is None else last)
-        return unrolled(self.model.compiled, self.evidence, first, last, frame_id=ids)
-
     def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
 
@@ -200,7 +176,7 @@ class Result:
         return result_text(self, style, wide)
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
-        """Draw the posterior over time as strips, the truth below.
+        """Draw the posterior over time as strips, and the truth.
 
         - first, last: frame ids, both included; all by default.
 
@@ -211,8 +187,10 @@ class Result:
 
         return inline_figure(lambda: result_strips(self, first, last))
 
-    def save(self, directory: str | os.PathLike[str]) -> Path:
+    def save(self, directory: str | os.PathLike[str], *, figures: bool = False) -> Path:
         """Write the result directory; an older result is replaced, other files stay.
+
+        - figures: also draw the posterior over time, figures/strips.png.
 
         Raises InputError if the directory holds something else or cannot be written.
         """
@@ -229,6 +207,11 @@ class Result:
         self.events.round(6).to_csv(place / "events.csv", index=False)
         write_json(place / "scores.json", self.scores)
         write_json(place / "run.json", self.run)
+        if figures:
+            from egolane_pgm.views.strips import result_strips
+            from egolane_pgm.views.style import write_figure
+
+            write_figure(lambda: result_strips(self), place / "figures" / "strips.png")
         return place
 
     def _write_inputs(self, place: Path) -> dict[str, Any]:
@@ -247,12 +230,6 @@ class Result:
             table = pd.concat(logs, names=["drive"]).reset_index()
             table = table if len(logs) > 1 else table.drop(columns="drive")
             table.to_parquet(place / "lines.parquet", index=False)
-        if config["recording"].get("path") == IN_MEMORY:
-            kept = {k: v for k, v in config["recording"].items() if k not in ("frames", "columns")}
-            config["recording"] = {**kept, "path": "./lines.parquet"}
-            if self.truth is not None and len(self.lines) == 1:
-                write_ground_truth(place / "ground_truth.txt", self.truth)
-                config["ground_truth"] = {"path": "./ground_truth.txt"}
         return config
 
 
@@ -291,6 +268,8 @@ def load_result(directory: str | os.PathLike[str]) -> Result:
         raise InputError(f"{place}: is not a result directory (no run.json and scores.json)")
     try:
         run, scores = (json.loads((place / n).read_text()) for n in ("run.json", "scores.json"))
+        if not (isinstance(run, dict) and isinstance(scores, dict)):
+            raise ValueError("run.json and scores.json need keys and values")
         if "identity" not in run:
             raise InputError(f"{place}: was written by another version; run the experiment again")
         frames = read_parquet(place / "beliefs.parquet")
@@ -333,16 +312,10 @@ def stored(
 
 
 def identity(experiment: Experiment, data: Sequence[Mapping[str, Any]]) -> str:
-    """A checksum of the config, the content of the files and the version.
-
-    The location of the files does not count: a moved file is the same data.
-    """
+    """A checksum of the config, the content of the files and the version."""
     config = experiment.model_dump(mode="json", exclude={"fit"}) | {"fit": experiment.fit.method}
-    names = {entry["path"]: entry["sha256"] for entry in data}
-    text = json.dumps(config, sort_keys=True)
-    for path, sha256 in sorted(names.items(), reverse=True):
-        text = text.replace(json.dumps(path), json.dumps(sha256))
-    return hashlib.sha256(f"{text} {metadata.version('egolane-pgm')}".encode()).hexdigest()
+    content = config, [entry["sha256"] for entry in data], metadata.version("egolane-pgm")
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 # --- the table of frames -------------------------------------------------------------------------
@@ -448,13 +421,11 @@ def make_result(
     - begin: `time.perf_counter()` at the start.
     - more: further keys of run.json.
     """
-    first = drives[0]
-    model = first.model
+    first, model = drives[0], drives[0].model
     rate = model.experiment.recording.frame_rate
     e = with_rate(experiment, rate)
     notes = list(dict.fromkeys(notes))
-    impossible = int(frames["is_impossible"].sum())
-    if impossible:
+    if impossible := int(frames["is_impossible"].sum()):
         notes.append(
             f"{first.log.source}: the evidence of {impossible} frame(s) has joint likelihood zero;"
             " they keep their prediction"
@@ -462,7 +433,6 @@ def make_result(
     data = [digest(path) for path in data_files(experiment)]
     widest = max(drives, key=lambda drive: drive.model.n_lanes).model
     reasons = why_not_causal(model)
-    scores = score(frames, rate, e.lag)
     run = {
         "name": e.name,
         "config": resolved(e, model.parameters),
@@ -485,4 +455,4 @@ def make_result(
     if begin is not None:
         run["seconds"] = round(time.perf_counter() - begin, 3)
     lines = dict(zip(drive_names(drives), (drive.log for drive in drives), strict=True))
-    return Result(e, frames, to_jsonable(run), to_jsonable(scores), lines)
+    return Result(e, frames, to_jsonable(run), to_jsonable(score(frames, rate, e.lag)), lines)

@@ -22,16 +22,10 @@ from egolane_pgm.inference.events import across_lanes
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.inference.smoothing import fixed_lag_beliefs, lag_rest, lag_step, smooth_beliefs
 from egolane_pgm.inference.viterbi import viterbi
-from egolane_pgm.model import (
-    Model,
-    looks_ahead,
-    make_evidence,
-    online_rule,
-)
+from egolane_pgm.model import Model, make_evidence, online_rule, why_not_causal
 from egolane_pgm.recordings.select import fill_after
 from egolane_pgm.result import Result, make_result
 from egolane_pgm.scoring.confusion import assigned_lane
-from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import NOT_ANNOTATED, Beliefs, FloatArray, InputError, LineLog
 
 #: The columns of some frames, (T,) each, by the names of `result.COLUMNS`.
@@ -67,7 +61,9 @@ def infer(model: Model, logs: LineLog | Iterable[LineLog]) -> Iterator[Columns]:
             columns["assigned_lane"] = path.lane
         yield columns
         return
-    _check_causal(model)
+    # A fixed lag waits for its later frames.
+    if reasons := why_not_causal(model)[e.lag is not None :]:
+        raise InputError(f"{e.source}: {reasons[0]}; this needs the whole drive")
     recording = e.recording
     rule = online_rule(model)
     last: LineLog | None = None
@@ -129,18 +125,6 @@ def _rows(values: FloatArray | None, frames: slice) -> FloatArray | None:
     return None if values is None else values[frames]
 
 
-def _check_causal(model: Model) -> None:
-    """Raise InputError for a model that needs the whole drive at once."""
-    e = model.experiment
-    if e.filter in ("smoothed", "viterbi"):
-        raise InputError(
-            f"{e.source}: filter: {e.filter} needs the whole drive; use fixed_lag, exact or"
-            " assumed_density"
-        )
-    if why := looks_ahead(model):
-        raise InputError(f"{e.source}: evidence: {why}; it needs the whole drive")
-
-
 # --- drives --------------------------------------------------------------------------------------
 
 
@@ -194,20 +178,17 @@ def run_experiment(
     *,
     chunk_frames: int | None = None,
     tags: Mapping[str, str] | None = None,
-    progress: bool | None = False,
 ) -> Result:
     """Read the drives of an experiment, infer the lane in each frame, and score it.
 
     - lines, truth: data in memory, as for `read_drives`.
     - chunk_frames: number of frames to infer at a time, to save memory.
     - tags: labels to group results by.
-    - progress: whether a bar counts the drives; by default in a terminal.
     """
     begin = time.perf_counter()
     with noting() as notes:
         drives = read_drives(experiment, lines, truth, tags)
-        shown = bar(drives, progress, unit="drive") if len(drives) > 1 else drives
-        frames = concat_drives(drives, [frames_of(drive, chunk_frames) for drive in shown])
+        frames = concat_drives(drives, [frames_of(drive, chunk_frames) for drive in drives])
     return make_result(experiment, drives, frames, notes, begin=begin)
 
 

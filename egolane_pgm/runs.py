@@ -1,4 +1,4 @@
-"""Inputs of a run: experiments, lines, and tables of runs.
+"""Runs of experiments, of lines, and of tables of runs.
 
 A table of runs is one experiment with a row of overrides per run. Its columns are keys of an
 experiment (`recording.path`, `n_lanes`, `parameters.sigma1`) and the user's tags (`tag.driver`).
@@ -6,16 +6,19 @@ experiment (`recording.path`, `n_lanes`, `parameters.sigma1`) and the user's tag
 
 from __future__ import annotations
 
+import json
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, overload
 
 import pandas as pd
+from annotated_types import Ge
 
-from egolane_pgm.drives import DRIVE_KEYS, Drive, read_drives
-from egolane_pgm.experiment import Experiment, make_experiment
+from egolane_pgm.drives import DRIVE_KEYS, Drive, check_sources, read_drives
+from egolane_pgm.experiment import FROM_MAP, Experiment, FitSettings, make_experiment
 from egolane_pgm.loading import (
     FILES,
     IN_MEMORY,
@@ -28,11 +31,14 @@ from egolane_pgm.loading import (
     parse_overrides,
     safe_name,
 )
-from egolane_pgm.model import with_graph
-from egolane_pgm.result import TAG, Result, stored
+from egolane_pgm.model import compile_model, with_graph
+from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.result import TAG, Result, check_writable, stored
 from egolane_pgm.running import noting, run_experiment
-from egolane_pgm.tools.files import make_directory, read_parquet
+from egolane_pgm.tools import options
+from egolane_pgm.tools.files import make_directory
 from egolane_pgm.tools.jobs import parallel
+from egolane_pgm.tools.options import Option, StrPath, place_of
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.tools.yaml import parse_yaml
 from egolane_pgm.types import InputError, LineLog, suggestion
@@ -59,6 +65,150 @@ class Input(NamedTuple):
     def drives(self) -> list[Drive]:
         """The drives of the recording."""
         return read_drives(self.experiment, self.lines, self.truth, self.tags)
+
+
+@overload
+def run(given: Any, *, table: StrPath | pd.DataFrame, **options: Any) -> pd.DataFrame: ...
+
+
+@overload
+def run(given: Any, **options: Any) -> Result: ...
+
+
+# The overloads leave the options to this one.
+def run(  # type: ignore[misc]
+    given: Annotated[ExperimentLike | options.Lines | Result, Option("EXPERIMENT|LINES")],
+    *,
+    experiment: Annotated[ExperimentLike | None, Option("X.yaml")] = None,
+    overrides: options.Overrides = (),
+    ground_truth: Annotated[options.Truth | None, Option("FILE|none")] = None,
+    n_lanes: int | None = None,
+    camera: Annotated[StrPath | None, Option("FILE")] = None,
+    detector: Annotated[StrPath | None, Option("NAME|FILE.py")] = None,
+    columns: options.ColumnNames = None,
+    graph: options.Graph = None,
+    table: options.TableOfRuns = None,
+    chunk_frames: Annotated[int | None, Ge(1)] = None,
+    held_out: bool = False,
+    dry_run: bool = False,
+    out: Annotated[StrPath | None, Option("DIR", default="results/*")] = None,
+    figures: bool = True,
+    jobs: options.Jobs = 1,
+    cluster: options.Cluster = None,
+) -> Result | pd.DataFrame | str:
+    """Infer the lane in each frame of a recording, score it, and list lane changes.
+
+    EXPERIMENT is a YAML file, or a name that `egolane show` lists. LINES is a recording of lines,
+    which is run with the model of an experiment.
+
+    With a table the experiment is run once per row of overrides: a result directory for each, and
+    summary.parquet. Rows that have a result already are skipped; a row that fails does not stop the
+    others.
+
+    - given: an experiment; lines: a file, a DataFrame (see `read_lines`) or a LineLog; or a Result,
+      whose experiment is run again on its recording.
+    - experiment: the model for LINES (evidence, graph, filter, parameters), by default zero_label.
+    - overrides: override a key of the YAML, e.g. parameters.bonus_value=0, recording.topic=/lanes.
+    - ground_truth: annotated lanes, a file or a DataFrame with frame_id, lane and crossing; "none"
+      to run without.
+    - n_lanes: number of lanes of the road.
+    - camera: camera of pictures, or of lines in pixels.
+    - detector: line detector for a video or pictures.
+    - columns: names and units of a table's columns or of fields, e.g.
+      offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
+    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - table: table of runs: columns are YAML keys (recording.path, parameters.sigma1) and tag.X.
+    - chunk_frames: infer this many frames at a time, to save memory on long drives.
+    - held_out: infer each block of the annotated frames with parameters that were fitted to the
+      others (`fit.method`: none, learn, tune; `fit.folds`: number of blocks).
+    - dry_run: check keys, plugins, parameters and files without a run. A .py that a YAML names is
+      executed.
+    - out: result directory; with a table, the folder of its results. A `*` in it is the run's name.
+    - figures: draw the posterior over time.
+    - jobs: processes that share the rows of a table.
+    - cluster: Dask cluster for the rows of a table.
+
+    Returns a `Result`; with a table a DataFrame with a row per run; of a dry run a line. Writes
+    files only with `out`. Raises InputError if the arguments do not fit.
+
+    >>> import egolane_pgm as ego
+    >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> int(result.frames["Lane_2"].idxmax()) in result.frames.index
+    True
+    >>> figure = result.plot()
+    >>> lines = ego.simulate("a4", frames=300).log.to_pandas()
+    >>> ego.run(lines, n_lanes=4)
+    Result('in_memory': 300 frames, no ground truth; not tuned, causal)
+    """
+    chosen = open_input(
+        given,
+        experiment=experiment,
+        overrides=overrides,
+        n_lanes=n_lanes,
+        ground_truth=ground_truth,
+        graph=graph,
+        recording={
+            "camera": camera,
+            "detector": detector,
+            "columns": columns and column_keys(columns),
+        },
+    )
+    place = None if out is None else place_of(out, chosen.experiment.name)
+    n_blocks = chosen.experiment.fit.folds if held_out else None
+    if table is not None:
+        if place is None:
+            raise InputError("table: needs out, the folder of its results")
+        if any(each is not None for each in (experiment, ground_truth, chunk_frames)):
+            raise InputError(
+                "table: does not go with experiment, ground_truth and chunk_frames; name files in"
+                " its columns recording.path and ground_truth.path"
+            )
+        inputs = table_inputs(chosen.experiment, table)
+        if dry_run:
+            return "\n".join(check_input(each) for each in inputs)
+        return run_table(inputs, place, n_blocks=n_blocks, jobs=jobs, cluster=cluster)
+    if dry_run:
+        return check_input(chosen)
+    if place is not None:
+        check_writable(place)
+        check_same_drive(place, chosen.experiment)
+    result = run_input(chosen, n_blocks=n_blocks, chunk_frames=chunk_frames)
+    if place is None:
+        return result
+    return replace(result, directory=result.save(place, figures=figures))
+
+
+def check_same_drive(place: Path, experiment: Experiment) -> None:
+    """Raise InputError if a directory has the result of another recording."""
+    try:
+        old = json.loads((place / "run.json").read_text())["config"]["recording"]
+        name = old.get("path") or old.get("simulate")
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return  # A result of another version, or a damaged one, is replaced.
+    if name != (experiment.recording.path or experiment.recording.simulate):
+        raise InputError(f"out: {place} has the result of another recording, {name}; name another")
+
+
+def check_input(given: Input) -> str:
+    """Check an experiment without reading its recording; return a line about it."""
+    experiment = given.experiment
+    if experiment.recording.path != IN_MEMORY:
+        check_sources(experiment)
+    if experiment.n_lanes == FROM_MAP:
+        # The number of lanes is known after reading only; any number shows whether plugins fit.
+        experiment = load_experiment(experiment, {"road": None}, n_lanes=2)
+    model = compile_model(experiment)
+    if experiment.fit != FitSettings():
+        # Optuna is loaded for this only.
+        from egolane_pgm.studies.fits import search_space
+        from egolane_pgm.studies.search import settings_of
+
+        settings_of(experiment.fit, source=experiment.source)
+        search_space([model], experiment.fit)
+    return (
+        f"{given.experiment.source}: ok ({model.n_lanes} lanes,"
+        f" {model.compiled.n_states} joint states)"
+    )
 
 
 def open_input(
@@ -92,18 +242,15 @@ def open_input(
             [lines] = given.lines.values()
             truth = given.truth if truth is None else truth
         given = found
-    options: dict[str, Any] = {}
-    if of_recording := {key: value for key, value in (recording or {}).items() if value}:
-        options["recording"] = of_recording
+    of_recording = {key: value for key, value in (recording or {}).items() if value}
+    options: dict[str, Any] = {"recording": of_recording} if of_recording else {}
     name = os.fspath(truth) if isinstance(truth, (str, os.PathLike)) else None
     if name is not None:
         options["ground_truth"] = None if name == "none" else {"path": name}
     changes = merge(options, parse_overrides(overrides))
-    if lines is None and (experiment is not None or is_lines(given)):
-        lines = given
-        loaded = load_experiment(
-            ZERO_LABEL if experiment is None else experiment, changes, lines=lines, n_lanes=n_lanes
-        )
+    if lines is None and is_lines(given):
+        lines, model = given, ZERO_LABEL if experiment is None else experiment
+        loaded = load_experiment(model, changes, lines=lines, n_lanes=n_lanes)
     else:
         loaded = load_experiment(given, changes, n_lanes=n_lanes)
     if graph is not None:
@@ -119,9 +266,28 @@ def is_lines(given: Any) -> bool:
     """Whether something is a recording of lines rather than an experiment."""
     if isinstance(given, (LineLog, pd.DataFrame)):
         return True
-    is_name = isinstance(given, (str, os.PathLike))
-    ending = Path(given).suffix.lower() if is_name else ""
-    return is_name and bool(ending or os.path.isdir(given)) and ending not in (".yaml", ".yml")
+    if not isinstance(given, (str, os.PathLike)):
+        return False
+    ending = Path(given).suffix.lower()
+    return bool(ending or os.path.isdir(given)) and ending not in (".yaml", ".yml")
+
+
+def run_input(
+    given: Input,
+    *,
+    n_blocks: int | None = None,
+    chunk_frames: int | None = None,
+) -> Result:
+    """Run an experiment. n_blocks: hold out each of some blocks; chunk_frames: see `infer`."""
+    experiment, lines, truth, tags = given
+    if n_blocks is None:
+        return run_experiment(experiment, lines, truth, chunk_frames=chunk_frames, tags=tags)
+    # It can search: other runs do without Optuna.
+    from egolane_pgm.studies.study import run_held_out
+
+    with noting() as notes:
+        drives = given.drives()
+    return run_held_out(drives, n_blocks, notes=notes)
 
 
 # --- tables of runs ------------------------------------------------------------------------------
@@ -130,16 +296,14 @@ def is_lines(given: Any) -> bool:
 def read_runs(table: str | os.PathLike[str] | pd.DataFrame) -> tuple[list[dict[str, Any]], Path]:
     """The rows of a table of runs, without empty cells, and the folder of its paths.
 
-    A cell of a CSV is YAML, except in names, paths and tags, which are text. Raises InputError for
-    an unknown column and for a table without rows.
+    - table: a DataFrame, or a CSV whose cells are YAML, except names, paths and tags.
+
+    Raises InputError for an unknown column and for a table without rows.
     """
     if isinstance(table, pd.DataFrame):
-        cells, folder, where = table.copy(), Path.cwd(), "table"
+        cells, folder, where = table, Path.cwd(), "table"
     else:
-        path = Path(table)
-        folder, where = path.absolute().parent, str(path)
-        is_parquet = path.suffix == ".parquet"
-        cells = read_parquet(path) if is_parquet else _read_csv(path)
+        cells, folder, where = _read_csv(Path(table)), Path(table).absolute().parent, str(table)
     for column in map(str, cells):
         if not column.startswith(TAG) and column.split(".")[0] not in Experiment.model_fields:
             hint = suggestion(column, Experiment.model_fields)
@@ -209,7 +373,6 @@ def run_table(
     n_blocks: int | None = None,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> pd.DataFrame:
     """Run each row of a table of runs; write a result directory for each.
 
@@ -224,7 +387,7 @@ def run_table(
     folder = Path(out)
     make_directory(folder)
     rows = parallel(partial(run_row, folder, n_blocks), inputs, jobs=jobs, cluster=cluster)
-    done = list(bar(rows, progress, total=len(inputs), unit="run"))
+    done = list(bar(rows, total=len(inputs), unit="run"))
     summary = pd.DataFrame(done).set_index("name")
     summary.to_parquet(folder / SUMMARY)
     return summary
@@ -232,49 +395,27 @@ def run_table(
 
 def run_row(folder: Path, n_blocks: int | None, given: Input) -> dict[str, Any]:
     """Run one row of a table, unless its result exists; return its row of the summary."""
-    experiment, place = given.experiment, folder / given.experiment.name
-    row: dict[str, Any] = {"name": experiment.name}
+    name = given.experiment.name
+    row: dict[str, Any] = {"name": name}
     row |= {f"{TAG}{key}": value for key, value in given.tags.items()}
     try:
-        done = stored(experiment, place, given.tags, n_blocks)
+        done = stored(given.experiment, folder / name, given.tags, n_blocks)
         row["was_there"] = done is not None
         if done is None:
             done = run_input(given, n_blocks=n_blocks)
-            done.save(place)
+            done.save(folder / name)
         return {**row, "seconds": done.run["seconds"], "error": None, **numbers(done.scores)}
     except InputError as error:
         return {**row, "error": str(error)}
 
 
-def run_input(
-    given: Input,
-    *,
-    n_blocks: int | None = None,
-    chunk_frames: int | None = None,
-    progress: bool | None = False,
-) -> Result:
-    """Run an experiment. n_blocks: hold out each of some blocks; chunk_frames: see `infer`."""
-    experiment, lines, truth, tags = given
-    if n_blocks is None:
-        return run_experiment(
-            experiment, lines, truth, chunk_frames=chunk_frames, tags=tags, progress=progress
-        )
-    # It can search: other runs do without Optuna.
-    from egolane_pgm.studies.study import run_held_out
-
-    with noting() as notes:
-        drives = given.drives()
-    return run_held_out(drives, n_blocks, notes=notes, progress=progress)
-
-
 def numbers(scores: Mapping[str, Any]) -> dict[str, Any]:
     """Every single number of some scores, by its keys with dots between them."""
-    flat = pd.json_normalize(dict(scores)).iloc[0].to_dict()
     found: dict[str, Any] = {}
-    for key, value in flat.items():
-        if key.rpartition(".")[0].endswith("intervals"):
+    for key, value in pd.json_normalize(dict(scores)).iloc[0].items():
+        if str(key).rpartition(".")[0].endswith("intervals"):
             if isinstance(value, list):
                 found |= {f"{key}.low": value[0], f"{key}.high": value[1]}
         elif not isinstance(value, list):
-            found[key] = value
+            found[str(key)] = value
     return found

@@ -229,11 +229,8 @@ class LineLog(_Frames):
         if self.is_missing.size == 0 and n_frames:
             object.__setattr__(self, "is_missing", np.zeros(n_frames, dtype=bool))
         check_frame_ids(self.frame_id, self.source)
-        if self.offset_m.ndim != 2 or len(self.offset_m) != n_frames:
-            raise InputError(
-                f"{self.source}: offset_m has shape {self.offset_m.shape}, needs ({n_frames}, L)"
-            )
-        of_lines = dict.fromkeys(("is_valid", "is_continuous", "lri"), self.offset_m.shape)
+        lines = (n_frames, self.offset_m.shape[-1])
+        of_lines = dict.fromkeys(("offset_m", "is_valid", "is_continuous", "lri"), lines)
         of_frames = dict.fromkeys(("time_s", "is_missing", "clip"), (n_frames,))
         for name, shape in {**of_frames, **of_lines}.items():
             array = getattr(self, name)
@@ -407,26 +404,21 @@ class Evidence(_Frames):
         try:
             table = pd.DataFrame({node: np.asarray(rows[node], dtype=object) for node in rows})
         except ValueError as error:
-            needed = "a list of values for each node, all of the same length"
-            raise InputError(f"evidence: needs {needed}") from error
+            raise InputError(f"evidence: needs a list of values for each node: {error}") from error
         observed = [(key,) if isinstance(key, str) else key for key in compiled.observed]
         known = {*(node for nodes in observed for node in nodes), *compiled.inputs}
         given: dict[str, IntArray] = {}
         for node, column in table.items():
             if node not in known:
-                raise InputError(
-                    f"evidence for {node}: the network has no such observed node or input"
-                    f"{suggestion(str(node), known)}; `compile` is given those that are observed"
-                )
+                meant = suggestion(str(node), known)
+                raise InputError(f"evidence for {node}: no such observed node or input{meant}")
             name, names = str(node), compiled.values[str(node)]
             given[name] = pd.Index(names).get_indexer(column.convert_dtypes().astype("string"))
             unknown = np.flatnonzero((given[name] < 0) & column.notna())
             if len(unknown):
-                value = column[unknown[0]]
-                raise InputError(
-                    f"evidence for {node}: row {unknown[0]}: {value!r} is not the name of a"
-                    f" value{suggestion(str(value), names)}"
-                )
+                row, value = unknown[0], column[unknown[0]]
+                meant = f"{value!r} is not the name of a value{suggestion(str(value), names)}"
+                raise InputError(f"evidence for {node}: row {row}: {meant}")
         for node in compiled.inputs:
             if node not in given or (given[node] < 0).any():
                 raise InputError(f"evidence for {node}: is missing, an input must be known")
@@ -490,10 +482,7 @@ class Beliefs(_Frames):
     @property
     def lane(self) -> FloatArray:
         """(T, n): the posterior over lanes. Raises InputError without a node Lane."""
-        if "Lane" not in self.marginals:
-            nodes = ", ".join(self.marginals)
-            raise InputError(f"the network has no node Lane, it has {nodes}: take beliefs[node]")
-        return self.marginals["Lane"]
+        return self["Lane"]
 
     def to_pandas(self) -> pd.DataFrame:
         """Return a table with a row per frame and a column `Node=value` per value, Lane first."""

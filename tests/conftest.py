@@ -10,8 +10,6 @@ from hypothesis import settings
 
 from tests.kits.calibration_kit import write_boards, write_stills
 from tests.kits.drives import write_drive
-from tests.kits.labelled_drive import write_labelled_drive
-from tests.kits.labelled_pictures import write_labelled
 from tests.kits.synthetic_road import write_place
 
 # The first example of a kernel waits for its compiler, so that no example has a time limit. A
@@ -34,14 +32,8 @@ SLOWEST = (
     *("docs/test_examples.py", "makers/test_benchmark.py", "studies/test_study.py"),
     *("evidence/line_geometry/test_rule.py", "evidence/line_geometry/test_flag_semantics.py"),
     *("studies/test_search.py", "test_frozen.py", "test_paper.py", "test_notebooks.py"),
-    *(
-        "test_online.py",
-        "test_running.py",
-        "test_labelling.py",
-        "evidence/line_geometry/",
-        "test_dist.py",
-        "makers/",
-    ),
+    *("test_online.py", "test_running.py", "test_labelling.py", "evidence/line_geometry/"),
+    *("test_dist.py", "makers/"),
     *("docs/", "tools/test_jobs.py", "studies/", "vision/detectors/", "verbs/test_tune.py"),
 )
 
@@ -86,18 +78,6 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with drive.avi, cam.yaml and run.yaml."""
     return write_place(tmp_path_factory.mktemp("camera"))
-
-
-@pytest.fixture
-def labels(tmp_path: Path) -> Path:
-    """Labels of three pictures, which are beside them, and the camera."""
-    return write_labelled(tmp_path)
-
-
-@pytest.fixture
-def labelled(tmp_path: Path) -> Path:
-    """An experiment on labels of lines, its camera beside it."""
-    return write_labelled_drive(tmp_path / "drive")
 
 
 @pytest.fixture(scope="module")

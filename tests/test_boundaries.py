@@ -14,7 +14,6 @@ from egolane_pgm.parameters import LARGEST, Parameter
 #: Graphs and rules that go together, whatever the drive.
 PAIRS = [
     ("sensor_failure", "counting"),
-    ("wor_levels", "counting_levels"),
     ("position_in_lane", "line_geometry"),
 ]
 
@@ -49,14 +48,12 @@ def test_parameters_at_their_ends_give_beliefs_and_no_warnings(seed: int) -> Non
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         try:
-            beliefs = ego.run(
-                ego.experiments_folder() / "zero_label.yaml", overrides=changes
-            ).beliefs
+            result = ego.run(ego.experiments_folder() / "zero_label.yaml", overrides=changes)
         except ego.InputError:
             return
-    for name, values in beliefs.marginals.items():
-        np.testing.assert_allclose(values.sum(axis=1), 1, rtol=1e-9, err_msg=name)
-    assert np.isfinite(beliefs.log_evidence).all()
+    for name in result.model.values:
+        np.testing.assert_allclose(result.node(name).sum(axis=1), 1, rtol=1e-9, err_msg=name)
+    assert np.isfinite(result.frames["log_evidence"]).all()
 
 
 def test_what_no_graph_can_use_is_refused() -> None:
@@ -64,6 +61,3 @@ def test_what_no_graph_can_use_is_refused() -> None:
     few = {"recording.frames": [0, 40], "evidence": "counting"}
     with pytest.raises(ego.InputError, match=r"shift: 1.7e\+308 must be at most 1e\+100"):
         ego.run(place, overrides={**few, "graph": "biased_sensor", "parameters.shift": 1.7e308})
-    rule = {"graph": "sensor_failure", "evidence": "counting_levels"}
-    with pytest.raises(ego.InputError, match="evidence for WOR: shape"):
-        ego.run(place, overrides={**few, **rule})

@@ -21,7 +21,6 @@ N_FRAMES = 600
 #: A graph for each evidence rule.
 GRAPHS = {
     "counting": "sensor_failure",
-    "counting_levels": "wor_levels",
     "line_geometry": "position_in_lane",
 }
 

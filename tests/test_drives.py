@@ -64,14 +64,6 @@ def test_a_simulated_drive_has_its_own_ground_truth() -> None:
     assert not one(simulated(), ground_truth="none").has_truth
 
 
-def test_a_range_of_frames_is_read_as_if_there_were_no_others(tmp_path: Path) -> None:
-    path = write_drive(tmp_path)
-    log = one(path, {"recording.frames": [30, 90]}).log
-    np.testing.assert_array_equal(log.frame_id, np.arange(30, 90))
-    with pytest.raises(InputError, match="no frame from 500 to before 900; the recording has"):
-        one(path, {"recording.frames": [500, 900]})
-
-
 # --- pictures ------------------------------------------------------------------------------------
 
 
@@ -94,22 +86,6 @@ def test_a_folder_of_pictures_gives_what_the_video_of_them_gives(place: Path) ->
     for other in (pattern, video):
         np.testing.assert_array_equal(folder.offset_m, other.offset_m)
         np.testing.assert_array_equal(folder.is_valid, other.is_valid)
-
-
-@pytest.mark.parametrize(
-    ("keys", "said"),
-    [
-        ({"path": "drive.avi", "detector": None}, "of a video a detector"),
-        ({"path": "nowhere"}, "nowhere: no such file"),
-        ({"path": "none"}, "none: has no pictures"),
-    ],
-)
-def test_pictures_that_cannot_be_used_are_named(
-    place: Path, keys: dict[str, Any], said: str
-) -> None:
-    (place / "none").mkdir()
-    with pytest.raises(InputError, match=said):
-        one(place / "run.yaml", {"recording": {**keys, "path": place / keys["path"]}})
 
 
 # --- ground truth --------------------------------------------------------------------------------

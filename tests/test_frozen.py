@@ -51,7 +51,7 @@ def run_of_paper(number: int) -> dict[str, Any]:
 
     The paper's graph has the recovered parameters. Zero label knows the number of lanes only.
     """
-    [run] = ego.reproduce(runs=number, parameters="recovered", progress=False)
+    [run] = ego.reproduce(runs=number, parameters="recovered")
     exact = run_again(run, run.experiment, overrides={"filter": "exact"})
     zero_label = run_again(run, "zero_label", n_lanes=run.experiment.n_lanes)
     return {
@@ -114,7 +114,7 @@ def test_scores_of_the_ten_runs(ten_runs: list[dict[str, Any]], model: str) -> N
 @needs_compiler
 def test_em_on_run_1(recordings: Path) -> None:
     """The log evidence after each step of EM without a prior, and the log posterior with one."""
-    [run] = ego.reproduce(runs=1, parameters="recovered", progress=False)
+    [run] = ego.reproduce(runs=1, parameters="recovered")
     frozen = FROZEN["em_run_1"]
     for strength, history in ((0.0, frozen["log_evidence"]), (100.0, frozen["log_posterior"])):
         fitted = ego.fit_tables(
@@ -133,9 +133,7 @@ def test_beliefs_of_quickstart() -> None:
 
 def assert_trials(experiment: Any, trials: int, sampler: str, frozen: list[float]) -> None:
     """Check the value of each trial of an in-sample search for accuracy."""
-    study = ego.tune(
-        experiment, trials=trials, overrides={"fit.sampler": sampler}, folds=0, progress=False
-    )
+    study = ego.tune(experiment, trials=trials, overrides={"fit.sampler": sampler}, folds=0)
     assert_frozen(study.trials["accuracy"], frozen)
 
 
@@ -173,7 +171,6 @@ def test_lines_in_three_stills(real_pictures: Path, tmp_path: Path, detector: st
         camera=camera,
         detector=detector,
         overrides={"recording.frame_rate": 20, "lri_frames": 2},
-        progress=False,
     )
     frozen = FROZEN["stills"][detector]
     np.testing.assert_allclose(log.offset_m, frozen["offset_m"], rtol=0, atol=OFFSET_TOLERANCE_M)

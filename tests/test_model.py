@@ -112,16 +112,6 @@ def test_a_model_is_pickled_with_its_plugins() -> None:
         np.testing.assert_array_equal(other, values)
 
 
-def test_a_parameter_that_rule_and_graph_declare_differently_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "g.py").write_text(
-        "from egolane_pgm.graphs.sensor_failure import *\n"
-        "from egolane_pgm.parameters import Parameter\n"
-        "PARAMETERS = PARAMETERS + (Parameter('max_lri', 'integer', 1, 'x'),)\n"
-    )
-    with pytest.raises(InputError, match=r"parameters\.max_lri: graph and evidence rule declare"):
-        compile_model(load_experiment(write_drive(tmp_path, graph="./g.py")))
-
-
 def test_every_graph_gets_an_evidence_rule_that_fits_it() -> None:
     found = {}
     for name in plugin_names("graphs"):
@@ -130,5 +120,4 @@ def test_every_graph_gets_an_evidence_rule_that_fits_it() -> None:
         compile_model(load_experiment(simulated(graph=name, evidence=rule), n_lanes=3))
         found[name] = rule
     assert found["sensor_failure"] == "counting"
-    assert found["wor_levels"] == "counting_levels"
     assert found["position_in_lane"] == "line_geometry"

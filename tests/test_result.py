@@ -18,6 +18,7 @@ from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.graphs import no_wor
 from egolane_pgm.graphs.cpds import quiet
 from egolane_pgm.inference.events import SURE
+from egolane_pgm.inference.unrolling import unrolled
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import compile_model
 from egolane_pgm.recordings.table import write_table
@@ -168,8 +169,8 @@ def test_posteriors_that_come_late_report_late(drive: Path) -> None:
 
 def test_a_result_gives_its_network_and_its_frames_with_their_evidence(saved: Path) -> None:
     found = run(simulated(filter="exact"))
-    assert found.network().nodes["WOR_ve", 1]
-    some = found.network(evidence=True, first=200, last=202)
+    assert ("WOR_ve", 1) in found.model.network
+    some = unrolled(found.model.compiled, found.evidence, 200, 202)
     with quiet():
         from pgmpy.inference import VariableElimination
 
@@ -222,7 +223,7 @@ def test_a_result_of_lines_in_memory_runs_again(tmp_path: Path) -> None:
     options = {"experiment": simulated(), "n_lanes": 3, "ground_truth": short_drive().truth}
     found = run(log_with_gaps(), {"recording.missing_frames": "hold"}, **options)
     again = load_result(found.save(tmp_path / "result"))
-    for other in (run(found), run(again), run(tmp_path / "result" / "experiment.yaml")):
+    for other in (run(found), run(again)):
         kept = found.frames.drop(columns=["true_lane", "is_crossing"])
         assert_frame_equal(other.frames[kept.columns], kept)
     assert run(found).scores == found.scores
@@ -301,10 +302,11 @@ def rewrite(name: str, **changes: object) -> Callable[[Path], object]:
     ("change", "said"),
     [
         (lambda d: (d / "run.json").unlink(), "is not a result directory (no run.json and scor"),
-        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "is not a whole Parquet file"),
+        (lambda d: (d / "beliefs.parquet").write_bytes(b"PAR1"), "cannot be read as Parquet"),
         (lambda d: (d / "beliefs.parquet").unlink(), "beliefs.parquet: cannot be read"),
-        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: is not a whole"),
+        (lambda d: (d / "lines.parquet").write_bytes(b"PAR1"), "lines.parquet: cannot be read"),
         (lambda d: (d / "scores.json").write_text("{"), "is damaged (JSONDecodeError: "),
+        (lambda d: (d / "scores.json").write_text("[]"), "scores.json need keys and values"),
         (rewrite("run.json", identity=None), "was written by another version; run the experiment"),
     ],
 )

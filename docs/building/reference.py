@@ -275,15 +275,13 @@ def commands_page() -> str:
         context = click.Context(egolane, info_name="egolane")
         command = egolane.get_command(context, name)
         assert command is not None
-        parts += list(command_parts(command, context, name, 2))
+        parts += list(command_parts(command, context, name))
     return "\n\n".join(parts)
 
 
-def command_parts(
-    command: click.Command, parent: click.Context, name: str, level: int
-) -> Iterator[str]:
+def command_parts(command: click.Command, parent: click.Context, name: str) -> Iterator[str]:
     context = click.Context(command, info_name=name, parent=parent)
-    yield f"{'#' * level} {context.command_path}"
+    yield f"## {context.command_path}"
     yield f"```text\n{command.get_usage(context).removeprefix('Usage: ')}\n```"
     for text in (command.help, command.epilog):
         if text:
@@ -295,11 +293,6 @@ def command_parts(
             rows.append([f"`{record[0]}`", escaped(record[1])])
     if rows:
         yield markdown(["option", "meaning"], rows)
-    if isinstance(command, click.Group):
-        for each in command.list_commands(context):
-            below = command.get_command(context, each)
-            assert below is not None
-            yield from command_parts(below, context, each, level + 1)
 
 
 def help_text(text: str) -> str:

@@ -22,7 +22,7 @@ which defaults are not theirs.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -130,5 +130,5 @@ def start(camera: Camera, parameters: Parameters) -> Step:
 def nearest(lines: FrameLines, count: int) -> FrameLines:
     """The `count` lines nearest to the car, valid ones before others."""
     order = np.sort(np.lexsort((np.abs(lines.offset_m), ~lines.is_valid))[:count])
-    kept = {field.name: getattr(lines, field.name) for field in fields(lines)}
-    return replace(lines, **{name: a[order] for name, a in kept.items()})
+    shape, lri = lines.shape[order], lines.lri[order]
+    return FrameLines(shape, lines.is_valid[order], lines.is_continuous[order], lri)

@@ -15,7 +15,6 @@ its curvature is too small.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from itertools import pairwise
 
 import cv2
@@ -42,15 +41,6 @@ PARAMETERS = not_searched(
             "how many lines are followed: 2, the lane's own; 4, their neighbours too; 6 at most",
             lowest=2,
             highest=6,
-        ),
-        Parameter(
-            "units",
-            "choice",
-            "metres",
-            "offsets in `metres`, lines valid above `shown_above`; or `as_recorded`, as in the"
-            " paper's recordings of MLD: a line is valid from its first detection on, its offset"
-            " is 0 up to `shown_above` detections, then in steps of 1/80 and below 8",
-            choices=("metres", "as_recorded"),
         ),
         Parameter(
             "shown_above",
@@ -83,44 +73,27 @@ _EXACT_UP_TO = 10
 #: heading, m/m, and curvature, 1/m.
 _ROWS, _HEADING, _CURVATURE = 50, 0.15, 0.01
 
-#: The offsets of the paper's recordings: steps, and the side of the searched region.
-_STEP, _SIDE = 1 / 80, 8.0
-
 
 def start(camera: Camera, parameters: Parameters) -> Step:
     """Starts a drive: the step takes its pictures in order and gives lines.
 
     Raises InputError if the camera sees too little of the road.
     """
-    follow, road = follower(camera, parameters)
-    slots = no_slots()
+    road = road_of(camera, _REACH_M, _NARROWEST_M, number(parameters, "widest_m"))
+    most = int(number(parameters, "lines"))
+    rng, slots = np.random.default_rng(0), no_slots()
 
     def step(picture: Picture) -> FrameLines:
         nonlocal slots
-        slots = follow(slots, picture)
-        return lines_of(slots, road, parameters)
-
-    return step
-
-
-def follower(
-    camera: Camera, parameters: Parameters
-) -> tuple[Callable[[Slots, Picture], Slots], Road]:
-    """As `start`, but the step takes the slots and gives the new ones. Also gives the rows of the
-    picture that show the road."""
-    road = road_of(camera, _REACH_M, _NARROWEST_M, number(parameters, "widest_m"))
-    most = int(number(parameters, "lines"))
-    rng = np.random.default_rng(0)
-
-    def follow(slots: Slots, picture: Picture) -> Slots:
         check_size(picture.image, camera.width, camera.height)
         grey = cv2.cvtColor(picture.image, cv2.COLOR_BGR2GRAY)
         markings = find_markings(grey.astype(np.uint8, copy=False), road)
         t, u = markings.points(road)
         found = starts(road, join_seeds(markings, road, _EXACT_UP_TO), _FILLED)
-        return advance(slots, road, t, u, found, most, rng)
+        slots = advance(slots, road, t, u, found, most, rng)
+        return lines_of(slots, road, number(parameters, "shown_above"))
 
-    return follow, road
+    return step
 
 
 def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
@@ -142,14 +115,11 @@ def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
     return good
 
 
-def lines_of(slots: Slots, road: Road, parameters: Parameters) -> FrameLines:
+def lines_of(slots: Slots, road: Road, shown_above: float) -> FrameLines:
     """The lines of a frame, left to right, as the detector gives them."""
     slot = np.flatnonzero(slots.is_used)
     shape, counter = shapes_of(road, slots.curve[slot]), slots.counter[slot]
-    is_valid = is_shown = counter > number(parameters, "shown_above")
-    if parameters["units"] == "as_recorded":
-        shape[:, 0] = np.where(is_shown, np.round(shape[:, 0] / _STEP) * _STEP, 0.0)
-        is_valid = np.abs(shape[:, 0]) < _SIDE
+    is_valid = counter > shown_above
     order = np.argsort(shape[:, 0], kind="stable")
     return FrameLines(
         shape[order],

@@ -5,7 +5,7 @@ of all valid lines gives the WOR. A frame without a valid line has a uniform ten
 the lowest WOR.
 
 A detector without a continuous flag gives no bonus. Without LRI (NaN) every valid line counts as
-fully reliable, so that the WOR is the detected share of the n + 1 expected lines.
+fully reliable; the WOR then is the detected share of the n + 1 expected lines.
 """
 
 from __future__ import annotations

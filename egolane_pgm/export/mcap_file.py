@@ -5,7 +5,7 @@ Messages are JSON with a JSON Schema:
     /frame      the row of `Result.frames`: posteriors, answers, truth; without missing values
     /lines      frame_id and the lines as recorded: offset_m, is_valid, is_continuous, lri
     /birdseye   foxglove.SceneUpdate: the lines from above, the posterior as bars behind the car
-    /changes    foxglove.Log: the reported lane changes
+    /changes    the row of `Result.events`: a reported lane change
     /picture    foxglove.CompressedImage: the pictures that the detector saw
 
 Foxglove's axes: x ahead, y to the left, z up.
@@ -18,8 +18,7 @@ import heapq
 import json
 import math
 import warnings
-from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +29,7 @@ from egolane_pgm.export import chosen_frames
 from egolane_pgm.result import Result, lanes_of
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import atomic
-from egolane_pgm.types import SIDES, InputError, IntArray, LineLog
+from egolane_pgm.types import InputError, IntArray
 from egolane_pgm.vision.camera.pictures import images_of
 from egolane_pgm.vision.camera.writing import as_jpeg
 from egolane_pgm.vision.detectors.pictures import pictures_of
@@ -46,8 +45,8 @@ Message = tuple[int, str, Content]
 #: Nodes with more values (the cells of RoadPosition) are left out: each value is a curve.
 MOST_VALUES = 16
 
-#: How far ahead the lines of the bird's-eye view reach, and their dashes, metres.
-AHEAD_M, DASH_M, WIDTH_M = 40.0, 3.0, 0.15
+#: How far ahead the lines of the bird's-eye view reach, and their width, metres.
+AHEAD_M, WIDTH_M = 40.0, 0.15
 
 #: The bars of the posterior: position behind the camera, distance and greatest height, metres.
 BARS_M, BAR_GAP_M, BAR_HEIGHT_M = -8.0, 2.0, 6.0
@@ -55,32 +54,35 @@ BARS_M, BAR_GAP_M, BAR_HEIGHT_M = -8.0, 2.0, 6.0
 #: Pictures are not higher, pixels.
 PICTURE_HEIGHT = 540
 
+#: The names of Foxglove's schemas.
+SCHEMAS = {"/birdseye": "foxglove.SceneUpdate", "/picture": "foxglove.CompressedImage"}
+
+Triple = tuple[float, float, float]
+
 # Okabe and Ito's colours, red green blue.
-CONTINUOUS, DASHED, NOT_VALID = (0, 114, 178), (230, 159, 0), (150, 150, 150)
-ASSIGNED, OTHER, TRUTH, CAR = (0, 114, 178), (188, 215, 236), (213, 94, 0), (120, 120, 120)
+CONTINUOUS, DASHED, NOT_VALID = (0.0, 0.45, 0.7), (0.9, 0.62, 0.0), (0.59, 0.59, 0.59)
+ASSIGNED, OTHER, TRUTH, CAR = CONTINUOUS, (0.74, 0.84, 0.93), (0.84, 0.37, 0.0), (0.47, 0.47, 0.47)
 
 
-def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None) -> dict[str, int]:
-    """Write a result as an MCAP file; return the number of messages of each topic.
+def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
+    """Write a result as an MCAP file.
 
     - frames: first and last frame id; all by default.
 
     Lines and pictures that are missing are left out with a warning. Raises InputError for several
-    drives, for times that do not increase, and if the file cannot be written.
+    drives, and if the file cannot be written.
     """
     shown = chosen_frames(result, frames)
-    time_ns = _clock(result, shown)
-    log = next(iter(result.lines.values()), None)
-    if log is None:
+    # Seconds since 1970 in a float are exact to a microsecond.
+    time_ns = (shown["time_s"] * 1e6).round().astype(np.int64).to_numpy() * 1000
+    if not result.lines:
         warnings.warn(f"{result.name}: has no lines; shown without them", stacklevel=2)
     topics = [
         _frame_messages(result, shown),
-        _line_messages(log, shown),
-        _scene_messages(log, shown, time_ns),
-        _event_messages(result, shown, time_ns),
+        _line_messages(_lines_of(result), shown, time_ns),
+        _event_messages(result, shown),
         _picture_messages(result, shown, time_ns),
     ]
-    counts: Counter[str] = Counter()
     with atomic(file) as temporary, temporary.open("wb") as stream:
         writer: Any = Writer(stream)
         writer.start(profile="", library="egolane-pgm")
@@ -88,48 +90,34 @@ def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None
         for row, topic, content in heapq.merge(*topics, key=lambda message: message[0]):
             if topic not in channels:
                 channels[topic] = _channel(writer, topic, content)
-            data = json.dumps(content, separators=(",", ":"), allow_nan=False).encode()
+            data = json.dumps(content, default=_base64, allow_nan=False).encode()
             now = int(time_ns[row])
             writer.add_message(channels[topic], now, data, now, row)
-            counts[topic] += 1
         writer.finish()
-    return dict(counts)
-
-
-def _clock(result: Result, frames: pd.DataFrame) -> IntArray:
-    """(T,): the times of the frames, nanoseconds; they must increase."""
-    time_s = frames["time_s"].to_numpy(np.float64)
-    # Seconds since 1970 in a float are exact to a microsecond.
-    time_ns: IntArray = np.round(time_s * 1e6).astype(np.int64) * 1000
-    bad = (np.diff(time_ns, prepend=-1) <= 0) | (time_ns < 0)
-    if bad.any():
-        k = int(np.argmax(bad))
-        raise InputError(
-            f"{result.directory or result.name}: frame {frames.index[k]} is at {time_s[k]:g} s,"
-            " before 0 or not after the frame before it; a viewer needs times that increase"
-        )
-    return time_ns
 
 
 def _channel(writer: Any, topic: str, first: Content) -> int:
     """Register a topic, whose messages are like the first one."""
-    name, example = SCHEMAS.get(topic, (f"egolane{topic.replace('/', '.')}", first))
-    schema = json.dumps({"title": name, **schema_of(example)}).encode()
+    name = SCHEMAS.get(topic, f"egolane{topic.replace('/', '.')}")
+    schema = json.dumps({"title": name, **schema_of(first)}).encode()
     schema_id = writer.register_schema(name, "jsonschema", schema)
     return int(writer.register_channel(topic, "json", schema_id))
 
 
 def schema_of(example: Any) -> Content:
-    """The JSON Schema of values like an example. A list is described by its first element, a
-    number that may be unknown by None."""
+    """The JSON Schema of values like an example; a list is described by its first element."""
     if isinstance(example, dict):
         return {"type": "object", "properties": {k: schema_of(v) for k, v in example.items()}}
     if isinstance(example, list):
         return {"type": "array", "items": schema_of(example[0]) if example else {}}
     if isinstance(example, bytes):
         return {"type": "string", "contentEncoding": "base64"}
-    kinds = {bool: "boolean", int: "integer", float: "number", str: "string"}
+    kinds = {bool: "boolean", int: "integer", str: "string"}
     return {"type": kinds.get(type(example), ["number", "null"])}
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()
 
 
 # --- messages ------------------------------------------------------------------------------------
@@ -138,80 +126,63 @@ def schema_of(example: Any) -> Content:
 def _frame_messages(result: Result, frames: pd.DataFrame) -> Iterator[Message]:
     many = {node: len(values) for node, values in result.run["values"].items()}
     left_out = tuple(f"{node}_" for node, n in many.items() if n > MOST_VALUES)
-    table = frames.reset_index()
-    table = table[[column for column in table if not column.startswith(left_out)]]
-    for row, record in enumerate(table.to_dict("records")):
-        yield row, "/frame", {key: value for key, value in record.items() if _is_known(value)}
+    columns = [column for column in frames if not column.startswith(left_out)]
+    return _records("/frame", frames[columns].reset_index(), range(len(frames)))
 
 
-def _is_known(value: Any) -> bool:
-    return math.isfinite(value) if isinstance(value, float) else value is not None
+def _event_messages(result: Result, frames: pd.DataFrame) -> Iterator[Message]:
+    events = result.events[result.events["detected_frame_id"].isin(frames.index)]
+    return _records("/changes", events, frames.index.get_indexer(events["detected_frame_id"]))
 
 
-def _line_messages(log: LineLog | None, frames: pd.DataFrame) -> Iterator[Message]:
-    """The lines in the form that `egolane online` and `recordings.topics` read."""
-    for row, at in _rows(log, frames):
-        assert log is not None
-        columns = log.offset_m[at], log.is_valid[at], log.is_continuous[at], log.lri[at]
-        lines = [
-            {
-                "offset_m": offset if math.isfinite(offset) else None,
-                "is_valid": is_valid,
-                "is_continuous": is_continuous,
-                "lri": lri if math.isfinite(lri) else None,
-            }
-            for offset, is_valid, is_continuous, lri in zip(
-                *(column.tolist() for column in columns), strict=True
-            )
-            if not (math.isnan(offset) and math.isnan(lri))
-        ]
-        yield row, "/lines", {"frame_id": int(frames.index[row]), "lines": lines}
+def _records(topic: str, table: pd.DataFrame, rows: Iterable[int]) -> Iterator[Message]:
+    """A message for each row of a table, without missing and infinite values."""
+    for row, record in zip(rows, table.to_dict("records"), strict=True):
+        known = {k: v for k, v in record.items() if v is not None and math.isfinite(v)}
+        yield int(row), topic, known
 
 
-def _rows(log: LineLog | None, frames: pd.DataFrame) -> Iterator[tuple[int, int]]:
-    """The row of each frame, and the row of its lines."""
-    if log is not None:
-        at = pd.Index(log.frame_id).get_indexer(frames.index)
-        yield from ((row, int(at[row])) for row in np.flatnonzero(at >= 0).tolist())
+def _lines_of(result: Result) -> dict[int, list[Content]]:
+    """The lines as recorded, by frame id; a missing number is None."""
+    found: dict[int, list[Content]] = {}
+    for log in result.lines.values():
+        table = log.to_pandas()[["offset_m", "is_valid", "is_continuous", "lri"]]
+        table = table.dropna(subset=["offset_m", "lri"], how="all").astype(object)
+        found = {frame_id: [] for frame_id in log.frame_id.tolist()}
+        records = table.where(table.notna(), None).to_dict("records")
+        for (frame_id, _), line in zip(table.index, records, strict=True):
+            found[frame_id].append(line)
+    return found
 
 
-def _scene_messages(
-    log: LineLog | None, frames: pd.DataFrame, time_ns: IntArray
+def _line_messages(
+    lines: Mapping[int, list[Content]], frames: pd.DataFrame, time_ns: IntArray
 ) -> Iterator[Message]:
-    """The lines straight ahead, since a recording has their offsets only, and the posterior."""
+    """The lines in the form that `egolane online` and `recordings.topics` read, and the scene.
+
+    A recording has the offsets of lines only, so the scene has them straight ahead.
+    """
     posterior, answer = lanes_of(frames), frames["assigned_lane"].to_numpy()
-    truth = frames["true_lane"].fillna(0).to_numpy(int)
-    lines_at = dict(_rows(log, frames))
-    for row, now in enumerate(time_ns.tolist()):
-        lines: list[Content] = []
-        if log is not None and row in lines_at:
-            at = lines_at[row]
-            # Some detectors write an offset of exactly 0, or of kilometres, for no line.
-            offset = np.abs(log.offset_m[at])
-            is_line = (offset < 100) & ((offset > 0) | log.is_valid[at])
-            for k in np.flatnonzero(is_line):
-                valid, solid = bool(log.is_valid[at, k]), bool(log.is_continuous[at, k])
-                lines.append(_line(-float(log.offset_m[at, k]), valid, solid))
+    truth, n = frames["true_lane"].fillna(0).to_numpy(int), posterior.shape[1]
+    for row, (frame_id, now) in enumerate(zip(frames.index, time_ns.tolist(), strict=True)):
+        if frame_id in lines:
+            yield row, "/lines", {"frame_id": int(frame_id), "lines": lines[frame_id]}
+        # Some detectors write an offset of exactly 0, or of kilometres, for no line.
+        drawn = [
+            _line(-line["offset_m"], line["is_valid"], line["is_continuous"])
+            for line in lines.get(frame_id, [])
+            if line["offset_m"] is not None
+            and abs(line["offset_m"]) < 100
+            and (line["offset_m"] or line["is_valid"])
+        ]
         cubes = [_cube((-2.25, 0.0, 0.7), (4.5, 1.8, 1.4), CAR)]
-        n = posterior.shape[1]
         for lane, p in enumerate(posterior[row].tolist(), start=1):
             left, high = ((n + 1) / 2 - lane) * BAR_GAP_M, max(p * BAR_HEIGHT_M, 0.02)
             colour = ASSIGNED if lane == answer[row] else OTHER
             cubes.append(_cube((BARS_M, left, high / 2), (0.8, 1.6, high), colour))
             if lane == truth[row]:
                 cubes.append(_cube((BARS_M, left, -0.05), (1.4, 1.9, 0.1), TRUTH))
-        yield row, "/birdseye", _scene(now, lines, cubes)
-
-
-def _event_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -> Iterator[Message]:
-    for event in result.events.to_dict("records"):
-        row = int(frames.index.searchsorted(event["detected_frame_id"]))
-        if row < len(frames) and event["detected_frame_id"] >= frames.index[0]:
-            text = f"lane change {SIDES[event['direction']]}"
-            if event["from_lane"]:
-                text += f", from {event['from_lane']} to {event['to_lane']}"
-                text += f", probability {event['probability']:.2f}"
-            yield row, "/changes", _log(int(time_ns[row]), text)
+        yield row, "/birdseye", _scene(now, drawn, cubes)
 
 
 def _picture_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -> Iterator[Message]:
@@ -227,9 +198,8 @@ def _picture_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -
     for frame_id, _, image in images_of(source, (int(ids[0]), int(ids[-1]) + 1)):
         if frame_id in ids:
             row = int(ids.get_loc(frame_id))
-            data = base64.b64encode(as_jpeg(image, PICTURE_HEIGHT)).decode()
-            stamp = _time(int(time_ns[row]))
-            content = {"timestamp": stamp, "frame_id": "camera", "format": "jpeg", "data": data}
+            content: Content = {"timestamp": _time(int(time_ns[row])), "frame_id": "camera"}
+            content |= {"format": "jpeg", "data": as_jpeg(image, PICTURE_HEIGHT)}
             yield row, "/picture", content
 
 
@@ -242,7 +212,7 @@ def _scene(now: int, lines: list[Content], cubes: list[Content]) -> Content:
         "timestamp": _time(now),
         "frame_id": "car",
         "id": "drive",
-        "lifetime": {"sec": 0, "nsec": 0},
+        "lifetime": _time(0),
         "frame_locked": True,
         "lines": lines,
         "cubes": cubes,
@@ -252,60 +222,34 @@ def _scene(now: int, lines: list[Content], cubes: list[Content]) -> Content:
 
 
 def _line(left: float, is_valid: bool, is_continuous: bool) -> Content:
-    step = AHEAD_M if is_continuous else DASH_M
-    starts = np.arange(0.0, AHEAD_M, 2 * step).tolist()
-    ends = [x for start in starts for x in (start, min(start + step, AHEAD_M))]
     colour = NOT_VALID if not is_valid else CONTINUOUS if is_continuous else DASHED
     return {
-        "type": 2,  # every two points are a segment
+        "type": 0,  # a line strip
         "pose": _pose((0.0, 0.0, 0.0)),
         "thickness": WIDTH_M if is_valid else WIDTH_M / 2,
         "scale_invariant": False,
-        "points": [{"x": x, "y": left, "z": 0.0} for x in ends],
+        "points": [_xyz((x, left, 0.0)) for x in (0.0, AHEAD_M)],
         "color": _colour(colour),
         "colors": [],
         "indices": [],
     }
 
 
-def _cube(
-    at: tuple[float, float, float], size: tuple[float, float, float], colour: tuple[int, int, int]
-) -> Content:
-    sizes = dict(zip("xyz", size, strict=True))
-    return {"pose": _pose(at), "size": sizes, "color": _colour(colour)}
+def _cube(at: Triple, size: Triple, colour: Triple) -> Content:
+    return {"pose": _pose(at), "size": _xyz(size), "color": _colour(colour)}
 
 
-def _pose(at: tuple[float, float, float]) -> Content:
-    orientation = {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}
-    return {"position": dict(zip("xyz", at, strict=True)), "orientation": orientation}
+def _pose(at: Triple) -> Content:
+    return {"position": _xyz(at), "orientation": {**_xyz((0.0, 0.0, 0.0)), "w": 1.0}}
 
 
-def _colour(colour: tuple[int, int, int]) -> Content:
-    return {**{key: value / 255 for key, value in zip("rgb", colour, strict=True)}, "a": 1.0}
+def _xyz(values: Triple) -> Content:
+    return dict(zip("xyz", values, strict=True))
+
+
+def _colour(colour: Triple) -> Content:
+    return dict(zip("rgba", (*colour, 1.0), strict=True))
 
 
 def _time(now: int) -> Content:
     return {"sec": now // 10**9, "nsec": now % 10**9}
-
-
-def _log(now: int, text: str) -> Content:
-    level = {"level": 2, "name": "egolane", "file": "", "line": 0}  # 2: information
-    return {"timestamp": _time(now), "message": text, **level}
-
-
-_ORIGIN = (0.0, 0.0, 0.0)
-_LINE = {"offset_m": None, "is_valid": True, "is_continuous": True, "lri": None}
-
-#: Names of schemas, and examples with all keys, which the first message may lack.
-SCHEMAS: dict[str, tuple[str, Content]] = {
-    "/lines": ("egolane.lines", {"frame_id": 0, "lines": [_LINE]}),
-    "/birdseye": (
-        "foxglove.SceneUpdate",
-        _scene(0, [_line(0.0, True, True)], [_cube(_ORIGIN, _ORIGIN, CAR)]),
-    ),
-    "/changes": ("foxglove.Log", _log(0, "")),
-    "/picture": (
-        "foxglove.CompressedImage",
-        {"timestamp": _time(0), "frame_id": "camera", "format": "jpeg", "data": b""},
-    ),
-}

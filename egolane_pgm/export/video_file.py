@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import tee
 from pathlib import Path
 
 from egolane_pgm.export import chosen_frames
@@ -11,11 +12,12 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.pictures import camera_of_pictures, read_pictures
 from egolane_pgm.vision.camera.writing import video_writer
 from egolane_pgm.vision.detectors.pictures import open_pictures
-from egolane_pgm.vision.video import Scene, draw_frame, layout, with_detected_lines
+from egolane_pgm.vision.detectors.runner import detect
+from egolane_pgm.vision.video import Scene, draw_frame, layout
 
 
-def write_video(file: Path, result: Result, frames: tuple[int, int] | None = None) -> int:
-    """Write a result as an .mp4; return the number of frames.
+def write_video(file: Path, result: Result, frames: tuple[int, int] | None = None) -> None:
+    """Write a result as an .mp4.
 
     The detector runs again, from the first picture of the run, because a result has the offsets of
     the lines and not their shape. If it stops early, the frames before are kept.
@@ -35,19 +37,20 @@ def write_video(file: Path, result: Result, frames: tuple[int, int] | None = Non
     camera = camera_of_pictures(camera, left)
     start = 0 if experiment.recording.frames is None else experiment.recording.frames[0]
     pictures = read_pictures(left, camera, right, (start, int(shown.index[-1]) + 1))
-    posterior, places, n_drawn = lanes_of(shown), layout(camera), 0
+    posterior, places = lanes_of(shown), layout(camera)
     time_s, answer = shown["time_s"].tolist(), shown["assigned_lane"].tolist()
     truth = shown["true_lane"].fillna(0).tolist()
     with (
-        bar(None, None, desc=detector.name, unit="frame", total=len(shown)) as progress,
+        bar(desc=detector.name, unit="frame", total=len(shown)) as progress,
         video_writer(file, result.frame_rate, places.size) as write,
     ):
-        for picture, lines in with_detected_lines(pictures, detector, camera):
+        # The detector takes one picture at a time, so no more than one is kept.
+        drawn, given = tee(pictures)
+        for picture, (_, lines) in zip(drawn, detect(detector, camera, given), strict=True):
             if picture.frame_id not in shown.index:
                 continue
             row = int(shown.index.get_loc(picture.frame_id))
-            given = time_s[row], lines, posterior[row], answer[row], truth[row] or None
-            write(draw_frame(places, picture.image, Scene(picture.frame_id, *given)))
-            n_drawn += 1
+            belief = posterior[row], answer[row], truth[row] or None
+            scene = Scene(picture.frame_id, time_s[row], lines, *belief)
+            write(draw_frame(places, picture.image, scene))
             progress.update()
-    return n_drawn

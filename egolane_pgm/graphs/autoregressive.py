@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior
+from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN
@@ -46,6 +46,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *prior("DetectorOutput", fresh, given),
         *dynamics("DetectorOutput", [*given, previous("DetectorOutput")], after),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.graphs import autoregressive
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior
+from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = autoregressive.HIDDEN
@@ -36,6 +36,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *prior("WOR", fresh, ["SensorState"]),
         *dynamics("WOR", ["SensorState", previous("WOR")], after),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -15,6 +15,7 @@ import contextlib
 import graphlib
 import logging
 import math
+import re
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,18 +27,13 @@ from numpy.typing import ArrayLike
 from egolane_pgm.types import FloatArray, InputError, Observed
 
 if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
+    from pgmpy.factors.discrete import TabularCPD
+    from pgmpy.models import DiscreteBayesianNetwork, DynamicBayesianNetwork
 
 SliceNode = tuple[str, int]
 
 #: The end of the name of a virtual-evidence node.
 VE_SUFFIX = "_ve"
-
-#: The note at the virtual-evidence nodes of a declared network.
-PLACEHOLDER = (
-    "virtual evidence: this table is a placeholder; ego.unrolled or Result.network(evidence=True)"
-    " gives frames whose tables hold their evidence"
-)
 
 
 def lane_normals(sigma: float, n: int, shift: float = 0.0) -> FloatArray:
@@ -101,22 +97,22 @@ class Table:
 
     def __post_init__(self) -> None:
         # Quick, because a search builds thousands of tables per second; NaN fails both comparisons.
-        if self.values.ndim == len(self.parents) + 1:
-            off = np.abs(self.values.sum(axis=-1) - 1).max()
-            if self.values.min() >= 0 and off <= 1e-9:
-                return
-        name = f"P({_spell(self.node)} | {', '.join(map(_spell, self.parents)) or 'nothing'})"
-        if self.values.ndim != len(self.parents) + 1:
-            raise InputError(
-                f"{name}: the table has {self.values.ndim} axes, needs {len(self.parents) + 1}:"
-                " one per parent and the node's own"
-            )
-        if not np.isfinite(self.values).all() or (self.values < 0).any():
-            raise InputError(f"{name}: the table has a negative or NaN entry")
-        raise InputError(f"{name}: the rows of the table must sum to one")
+        n_axes = len(self.parents) + 1
+        if self.values.ndim != n_axes:
+            has = f"the table has {self.values.ndim} axes, needs {n_axes}"
+            problem = f"{has}: one per parent and the node's own"
+        elif not self.values.min() >= 0:
+            problem = "the table has a negative or NaN entry"
+        elif not np.abs(self.values.sum(axis=-1) - 1).max() <= 1e-9:
+            problem = "the rows of the table must sum to one"
+        else:
+            return
+        given = ", ".join(map(spell, self.parents)) or "nothing"
+        raise InputError(f"P({spell(self.node)} | {given}): {problem}")
 
 
-def _spell(node: SliceNode) -> str:
+def spell(node: SliceNode) -> str:
+    """Return a node of a slice as messages name it."""
     return f"{node[0]} at t" if node[1] == 0 else f"{node[0]} at t+1"
 
 
@@ -170,22 +166,20 @@ def declare(
     """Declare the tables as a pgmpy network with both slices in full.
 
     - observed: nodes, or tuples of nodes observed jointly. Each gets a binary child `<name>_ve` for
-      virtual evidence, whose table is a placeholder (1/2 everywhere) with a note, see
-      `network.nodes["WOR_ve", 0]`
+      virtual evidence, whose table is a placeholder (1/2 everywhere); `unrolled` gives frames whose
+      tables hold their evidence
     - values: the names of each node's values (pgmpy's state names), by default numbers from 0
 
     Raises InputError as `check_tables`.
     """
     tables = list(tables)
-    check_tables(tables, observed)
-    n_given = len(tables)
+    check_tables(tables)
     cardinality = {table.node: table.values.shape[-1] for table in tables}
     for target in observed:
         names = (target,) if isinstance(target, str) else target
         sizes = [cardinality[name, 0] for name in names]
         tables += within(ve_name(target), names, np.full((*sizes, 2), 0.5))
     with quiet():
-        from pgmpy.factors.discrete import TabularCPD
         from pgmpy.models import DynamicBayesianNetwork
         from pgmpy.models.DynamicBayesianNetwork import DynamicNode
 
@@ -200,34 +194,71 @@ def declare(
             if table.node[1] == 1:
                 # pgmpy adds a node to the second slice only together with an edge.
                 super(DynamicBayesianNetwork, network).add_node(DynamicNode(*table.node))
-            # In pgmpy the node's values are rows and the parents' combinations columns.
-            columns = table.values.reshape(-1, table.values.shape[-1]).T
-            axes = zip((*table.parents, table.node), table.values.shape, strict=True)
-            network.add_cpds(
-                TabularCPD(
-                    table.node,
-                    len(columns),
-                    columns,
-                    evidence=list(table.parents),
-                    evidence_card=list(table.values.shape[:-1]),
-                    state_names={
-                        node: list((values or {}).get(node[0], range(size))) for node, size in axes
-                    },
-                )
-            )
-        for table in tables[n_given:]:
-            network.nodes[table.node]["note"] = PLACEHOLDER
+            network.add_cpds(tabular_cpd(table, values or {}))
         return network
 
 
-def builder(
-    tables: Callable[[int, Any], Iterable[Table]], observed: Iterable[Observed]
-) -> Callable[[int, Any], DynamicBayesianNetwork]:
-    """Return the `build(n_lanes, parameters)` of a graph file from its `tables`."""
-    return lambda n_lanes, parameters: declare(tables(n_lanes, parameters), observed)
+def tabular_cpd(
+    table: Table,
+    values: Mapping[str, Sequence[str]],
+    name_of: Callable[[SliceNode], Any] = lambda node: node,
+) -> TabularCPD:
+    """Return a table as pgmpy's CPD.
+
+    - values: the names of each node's values, by default numbers from 0
+    - name_of: returns the name of a node in pgmpy
+    """
+    from pgmpy.factors.discrete import TabularCPD
+
+    axes = zip((*table.parents, table.node), table.values.shape, strict=True)
+    names = {name_of(node): list(values.get(node[0], range(size))) for node, size in axes}
+    *parents, node = names
+    # In pgmpy the node's values are rows and the parents' combinations columns.
+    columns = table.values.reshape(-1, table.values.shape[-1]).T
+    return TabularCPD(node, len(columns), columns, parents, list(table.values.shape[:-1]), names)
 
 
-def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> None:
+def flat_network(
+    tables: Iterable[Table], values: Mapping[str, Sequence[str]], between: str = "@"
+) -> DiscreteBayesianNetwork:
+    """Return tables of any number of frames as a pgmpy network without time.
+
+    - tables: the second part of their nodes is a frame, not a slice.
+    - values: the names of each node's values, by default 0, 1, ...
+    - between: stands between a node's name and its frame
+    """
+    with quiet():
+        from pgmpy.models import DiscreteBayesianNetwork
+
+        network = DiscreteBayesianNetwork()
+        for table in tables:
+            cpd = tabular_cpd(table, values, lambda node: f"{node[0]}{between}{node[1]}")
+            network.add_node(cpd.variable)
+            network.add_edges_from([(p, cpd.variable) for p in cpd.variables[1:]])
+            network.add_cpds(cpd)
+        return network
+
+
+def bif(tables: Iterable[Table], values: Mapping[str, Sequence[str]]) -> str:
+    """Return two slices as BIF, without loss: nodes are `Lane_0` and `Lane_1`.
+
+    Raises InputError, naming the node, for names that the format cannot hold.
+    """
+    network = flat_network(tables, values, between="_")
+    for cpd in network.cpds:
+        for name in map(str, cpd.state_names[cpd.variable]):
+            # The characters that pgmpy's reader takes for syntax.
+            if not name or name != name.strip() or set(name) & set(',;(){}"/\n'):
+                raise InputError(f"{cpd.variable}: a BIF file cannot hold the value name {name!r}")
+        if not re.fullmatch(r"[\w.-]+", cpd.variable):
+            raise InputError(f"{cpd.variable}: a BIF file cannot hold this name of a node")
+    with quiet():
+        from pgmpy.readwrite import BIFWriter
+
+        return str(BIFWriter(network))
+
+
+def check_tables(tables: Iterable[Table]) -> None:
     """Check that the tables of two slices fit each other.
 
     Raises InputError, naming the nodes, if a table is missing or given twice, for an edge back in
@@ -240,22 +271,18 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
     for table in tables:
         name, n_values = table.node[0], table.values.shape[-1]
         if table.node in parents:
-            raise InputError(f"{_spell(table.node)}: there are two tables for it")
+            raise InputError(f"{spell(table.node)}: there are two tables for it")
         if size.setdefault(name, n_values) != n_values:
             raise InputError(
                 f"{name}: has {size[name]} values in the first frame and {n_values} later"
             )
         parents[table.node] = table.parents
-    for key in observed:
-        for name in (key,) if isinstance(key, str) else key:
-            if (name, 0) not in parents:
-                raise InputError(f"observed node {name}: there is no table for it")
     for table in tables:
         name, s = table.node
         for (parent, at), rows in zip(table.parents, table.values.shape, strict=False):
             if (parent, at) not in parents:
                 raise InputError(
-                    f"{_spell(table.node)} has the parent {_spell((parent, at))}, for which there"
+                    f"{spell(table.node)} has the parent {spell((parent, at))}, for which there"
                     " is no table"
                 )
             if at > s:
@@ -277,6 +304,6 @@ def check_tables(tables: Iterable[Table], observed: Iterable[Observed] = ()) -> 
         for name, at in sorted(parents[node]):
             if at == s and (name, 1 - s) not in parents.get(other, ()):
                 raise InputError(
-                    f"{_spell(node)} depends on {_spell((name, s))}, but {_spell(other)} does not"
-                    f" depend on {_spell((name, 1 - s))}: give both tables the same parent"
+                    f"{spell(node)} depends on {spell((name, s))}, but {spell(other)} does not"
+                    f" depend on {spell((name, 1 - s))}: give both tables the same parent"
                 )

@@ -1,6 +1,6 @@
 """The paper's graph with failures that last neither very short nor very long.
 
-In the paper a failure ends in each frame with probability 1 - p2, so that one frame is its most
+In the paper a failure ends in each frame with probability 1 - p2, and one frame is its most
 probable duration. Here it passes through `failure_phases` phases, each of which ends with the same
 probability (the method of stages; Cox and Miller 1965). Its mean duration is 1 / (1 - p2) frames as
 in the paper, and its standard deviation shrinks about with the root of the number of phases.
@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, previous, prior, within
+from egolane_pgm.graphs.cpds import Table, dynamics, previous, prior, within
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = (*sensor_failure.HIDDEN, "Phase")
@@ -50,6 +50,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("Phase", [previous("Phase")], moves),
         *within("SensorState", ["Phase"], is_bad),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -21,12 +21,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet
+from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, quiet, spell
 from egolane_pgm.tools.files import read_text
 from egolane_pgm.types import FloatArray, InputError, problems_in
 
 #: The suffixes of the files that pgmpy reads: BIF and XMLBIF.
 NETWORK_FILES = (".bif", ".xmlbif", ".xml")
+
+#: A half-open or closed interval, as R's `cut` names the values of a node.
+_INTERVAL = re.compile(r"([\[(])\s*([-+.\w]+)\s*,\s*([-+.\w]+)\s*([\])])")
 
 #: A row whose sum is off by no more than this was rounded, and is divided by its sum; pgmpy's own
 #: check allows as much.
@@ -129,7 +132,8 @@ def _read_cpd(cpd: Any) -> _Cpd:
 
 def _of_slice(node: Any) -> SliceNode:
     """Return the name and the slice of a node of two slices."""
-    match = re.fullmatch(r"(.+)_([01])", node) if isinstance(node, str) else None
+    # R writes a dot where BIF has an underscore.
+    match = re.fullmatch(r"(.+)[_.]([01])", node) if isinstance(node, str) else None
     if match is not None:
         return match[1], int(match[2])
     # A tuple, or pgmpy's `DynamicNode`.
@@ -186,8 +190,8 @@ def _tables(
             continue
         if node not in parents or set(given) != set(parents[node]):
             raise InputError(
-                f"{node[0]} in slice {node[1]}: its table is given {_names(given)}, its edges come"
-                f" from {_names(parents.get(node, ()))}"
+                f"{spell(node)}: its table is given {_names(given)}, its edges come from"
+                f" {_names(parents.get(node, ()))}"
             )
         tables[node] = _table(cpd, values)
     for (name, s), edges in parents.items():
@@ -199,17 +203,15 @@ def _tables(
         shifted = tuple((p, 1 - q) for p, q in table.parents)
         if set(shifted) != set(edges):
             raise InputError(
-                f"{name}: no table for slice {s}, where its edges come from {_names(edges)}; that"
-                f" of slice {1 - s} is given {_names(table.parents)}"
+                f"{spell((name, s))}: has no table, and its edges come from {_names(edges)}; the"
+                f" table of the other slice is given {_names(table.parents)}"
             )
         tables[name, s] = Table((name, s), shifted, table.values)
     return tables
 
 
 def _names(nodes: Iterable[SliceNode]) -> str:
-    return (
-        ", ".join(sorted(f"{name}[{'t' if s == 0 else 't+1'}]" for name, s in nodes)) or "nothing"
-    )
+    return ", ".join(sorted(map(spell, nodes))) or "nothing"
 
 
 # --- files --------------------------------------------------------------------------------------
@@ -226,6 +228,8 @@ def read_file(path: Path) -> Any:
     text = "".join(f"{line.rstrip()}\n" for line in read_text(path).splitlines())
     if not text.strip():
         raise InputError(f"{path}: is empty")
+    if path.suffix == ".bif":
+        text = _without_commas(text)
     with quiet():
         from pgmpy.readwrite import BIFReader, XMLBIFReader
 
@@ -236,12 +240,25 @@ def read_file(path: Path) -> Any:
             # pgmpy's readers raise any error for a file that is no network.
             why = " ".join(f"{type(error).__name__}: {error}".split())
             raise InputError(f"{path}: is no {kind} file that pgmpy can read ({why})") from error
-        without = [str(n) for n in network if network.get_cpds(n) is None]
     if not len(network):
         raise InputError(f"{path}: has no variable; is it a {kind} file?")
-    if without:
-        raise InputError(f"{path}: no probabilities of {', '.join(without)}; is it truncated?")
     return network
+
+
+def _without_commas(text: str) -> str:
+    """Return a BIF file with intervals such as `(-1.5,1.5]`, whose brackets and commas pgmpy takes
+    for its own, as `-1.5_to_1.5`.
+
+    Only names that a variable's values have are changed.
+    """
+    named = {
+        match[0]: f"{match[2]}_to_{match[3]}"
+        for values in re.findall(r"type\s+discrete\s*\[[^\]]*\]\s*\{([^}]*)\}", text)
+        for match in _INTERVAL.finditer(values)
+    }
+    for name, plain in named.items():
+        text = text.replace(name, plain)
+    return text
 
 
 def load_graph_file(path: Path, name: str, where: str) -> ModuleType:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from egolane_pgm.graphs.cpds import (
     Table,
-    builder,
     dynamics,
     lane_normals,
     previous,
@@ -29,6 +28,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("Lane", [previous("Lane")], lane_normals(sigma1, n_lanes)),
         *within("DetectorOutput", ["Lane"], lane_normals(sigma2, n_lanes)),
     ]
-
-
-build = builder(tables, OBSERVED)

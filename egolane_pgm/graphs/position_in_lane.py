@@ -26,7 +26,6 @@ import numpy as np
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    builder,
     dynamics,
     normal_cdf,
     previous,
@@ -54,6 +53,9 @@ COASTING = (-0.06, -0.04, -0.02, 0.0, 0.02, 0.04, 0.06)
 #: The share of that velocity which is left after a frame without lines: a lane change takes two
 #: seconds or more.
 KEPT_VELOCITY = 0.98
+
+#: The weight of the wide normal in each frame of a gap, of whose motion nothing is known.
+_GAP_SHARE = 0.1
 
 #: The geometry of the cells and of LineMotion. The evidence rule declares these parameters too.
 CELLS = Parameter(
@@ -95,16 +97,33 @@ PARAMETERS = (
         "the same for the share of frames in which the displacement misleads, lane widths",
         search=(0.05, 0.3),
     ),
-    Parameter("wide_share", "probability", 0.1, "weight of the wide normal", search=(0.01, 0.3)),
+    Parameter("wide_share", "probability", 0.03, "weight of the wide normal", search=(0.01, 0.3)),
+    Parameter(
+        "edges",
+        "choice",
+        "contradicted",
+        "moves off the road: `contradicted` ends them where the lines say otherwise, so that no"
+        " frame is evidence of an outer lane; `left_out` excludes them, so that the lane changes of"
+        " a whole drive tell the lanes",
+        search=None,
+        choices=("contradicted", "left_out"),
+        smoothed="left_out",
+    ),
     replace(P1, default=0.98),
     replace(P2, default=0.85),
 )
 
 #: The probability of a jump to anywhere on the road, per frame.
-_JUMP = 1e-4
+_JUMP = 1e-5
 
 #: The largest move of RoadPosition in one frame, lanes.
 _BAND = 0.5
+
+#: How far inside of its start a move ends that would leave the road, lanes. Such a move has to lose
+#: as much as a move across a line inside the road, which ends where the lines contradict it; else
+#: every frame without a lane change is evidence of the outer lanes. So it ends where the lines
+#: contradict it, wherever the car is in its lane, and without lines mostly in its own lane.
+_BACK = 2 / 3
 
 #: The largest standard deviation that is used, in cells. A wider normal is as flat over the band,
 #: and its differences would lose digits.
@@ -184,13 +203,11 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
     ]
 
 
-build = builder(tables, OBSERVED)
-
-
 def motions(n_positions: int, cells: int, parameters: Mapping[str, Value]) -> list[FloatArray]:
     """The transition of RoadPosition, (R, R), for each value of LineMotion."""
     transition = partial(moved, n_positions=n_positions, cells=cells, parameters=parameters)
-    after_gap = [_coasted(transition, velocity) for velocity in COASTING]
+    in_gap = partial(transition, parameters={**parameters, "wide_share": _GAP_SHARE})
+    after_gap = [_coasted(in_gap, velocity) for velocity in COASTING]
     moves = [after[k] for k in range(len(STEPS)) for after in after_gap]
     return [transition(displacement) for displacement in known_displacements(parameters)] + moves
 
@@ -216,10 +233,11 @@ def moved(
     wide = number(parameters, "motion_sigma_wide") * cells
     half = max(1, math.ceil(_BAND * cells))
     share = number(parameters, "wide_share")
-    shift = -gain * displacement * cells
+    shift = float(np.clip(-gain * displacement * cells, -half, half))
     move = (1 - share) * _cell_moves(shift, narrow, half)
     move += share * _cell_moves(shift, wide, half)
-    return (1 - _JUMP) * _banded(move, n_positions) + _JUMP / n_positions
+    back = round(_BACK * cells) if parameters["edges"] == "contradicted" else None
+    return (1 - _JUMP) * _banded(move, n_positions, back) + _JUMP / n_positions
 
 
 def _coasted(transition: Callable[[float], FloatArray], velocity: float) -> list[FloatArray]:
@@ -262,17 +280,22 @@ def _twice_integrated(x: FloatArray, sigma: float) -> FloatArray:
     return np.asarray(x * normal_cdf(z) + sigma * density)
 
 
-def _banded(move: FloatArray, n_positions: int) -> FloatArray:
-    """Makes a transition (R, R) of the moves from each cell, without those that leave the road. A
-    cell from which every move leaves the road keeps its car."""
+def _banded(move: FloatArray, n_positions: int, back: int | None) -> FloatArray:
+    """Return the transition (R, R) of moves by -half to half cells, (2 half + 1,).
+
+    A move that leaves the road ends `back` cells inside of its start; with None it is left out, and
+    a cell from which every move leaves the road keeps its car.
+    """
     half = len(move) // 2
-    target = np.arange(n_positions)[:, None] + np.arange(-half, half + 1)
-    on_road = (target >= 0) & (target < n_positions)
-    rows = np.where(on_road, move, 0.0)
-    total = rows.sum(axis=1, keepdims=True)
-    rows[:, half] = np.where(total[:, 0] > 0, rows[:, half], 1.0)
-    rows /= np.where(total > 0, total, 1.0)
+    source = np.arange(n_positions)[:, None]
+    target = source + np.arange(-half, half + 1)
+    is_off = [target < 0, target >= n_positions]
+    rows = np.broadcast_to(move, target.shape).copy()
+    if back is None:
+        rows[is_off[0] | is_off[1]] = 0.0
+        rows[:, half] = np.where(rows.any(axis=1), rows[:, half], 1.0)
+        back = 0
+    target = np.clip(np.select(is_off, [source + back, source - back], target), 0, n_positions - 1)
     transition = np.zeros((n_positions, n_positions))
-    source = np.broadcast_to(np.arange(n_positions)[:, None], target.shape)
-    transition[source[on_road], target[on_road]] = rows[on_road]
+    np.add.at(transition, (source, target), rows / rows.sum(axis=1, keepdims=True))
     return transition

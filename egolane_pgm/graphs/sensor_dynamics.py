@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, builder, dynamics, lane_normals, previous, prior, uniform
+from egolane_pgm.graphs.cpds import Table, dynamics, lane_normals, previous, prior, uniform
 from egolane_pgm.parameters import Parameter, Parameters, number
 
 HIDDEN = sensor_failure.HIDDEN
@@ -21,8 +21,8 @@ PARAMETERS = (
         "sigma1_bad",
         "sigma",
         0.6,
-        "standard deviation of the lane dynamics into a frame in which the sensor is BAD, lanes"
-        " (`sigma1`: in which it is OK)",
+        "standard deviation of the lane dynamics into a frame with a BAD sensor, lanes (`sigma1`:"
+        " with an OK one)",
     ),
 )
 
@@ -36,6 +36,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *prior("Lane", uniform(2, n_lanes), ["SensorState"]),
         *dynamics("Lane", ["SensorState", previous("Lane")], np.stack(moves)),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -11,7 +11,6 @@ import numpy as np
 from egolane_pgm.graphs.cpds import (
     Table,
     binary,
-    builder,
     dynamics,
     lane_normals,
     previous,
@@ -39,9 +38,6 @@ P2 = Parameter(
 )
 P3 = Parameter("p3", "probability", 0.6, "P(WOR OK | SensorState OK); Table `tab:cptri`")
 P4 = Parameter("p4", "probability", 0.6, "P(WOR BAD | SensorState BAD); Table `tab:cptri`")
-WOR_LEVELS = Parameter(
-    "wor_levels", "integer", 3, "values of WOR, the most reliable one first", lowest=2, highest=100
-)
 
 HIDDEN = ("Lane", "SensorState")
 OBSERVED = ("DetectorOutput", "WOR")
@@ -70,6 +66,3 @@ def tables_without_wor(n_lanes: int, parameters: Parameters) -> list[Table]:
         *dynamics("SensorState", [previous("SensorState")], binary(p1, p2)),
         *within("DetectorOutput", ["SensorState", "Lane"], np.stack(outputs)),
     ]
-
-
-build = builder(tables, OBSERVED)

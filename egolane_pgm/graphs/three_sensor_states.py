@@ -12,7 +12,6 @@ import numpy as np
 from egolane_pgm.graphs import sensor_failure
 from egolane_pgm.graphs.cpds import (
     Table,
-    builder,
     dynamics,
     lane_normals,
     previous,
@@ -60,6 +59,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         ),
         *within("WOR", ["SensorState"], [[p3, 1 - p3], [p3_worn, 1 - p3_worn], [1 - p4, p4]]),
     ]
-
-
-build = builder(tables, OBSERVED)

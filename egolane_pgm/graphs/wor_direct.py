@@ -10,7 +10,6 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import (
     Table,
-    builder,
     dynamics,
     lane_normals,
     previous,
@@ -41,6 +40,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *within("WOR", [], [p_wor, 1 - p_wor]),
         *within("DetectorOutput", ["WOR", "Lane"], np.stack(outputs)),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, binary, builder, within
+from egolane_pgm.graphs.cpds import Table, binary, within
 from egolane_pgm.graphs.sensor_failure import P3, P4
 from egolane_pgm.parameters import Parameters, number
 
@@ -40,6 +40,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *sensor_failure.tables_without_wor(n_lanes, parameters),
         *within("WOR", ["Lane", "SensorState"], np.stack(wor)),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, binary, builder, within
+from egolane_pgm.graphs.cpds import Table, binary, within
 from egolane_pgm.parameters import Parameters, per_lane
 
 HIDDEN = sensor_failure.HIDDEN
@@ -32,6 +32,3 @@ def tables(n_lanes: int, parameters: Parameters) -> list[Table]:
         *sensor_failure.tables_without_wor(n_lanes, parameters),
         *within("WOR", ["Lane", "SensorState"], wor),
     ]
-
-
-build = builder(tables, OBSERVED)

@@ -37,7 +37,7 @@ import numpy as np
 from pydantic import BeforeValidator
 
 from egolane_pgm.experiment import Section, validated
-from egolane_pgm.graphs.cpds import Table, declare, uniform
+from egolane_pgm.graphs.cpds import Table, uniform
 from egolane_pgm.parameters import check_names
 from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
@@ -52,13 +52,6 @@ def _values(given: Any) -> Any:
     if isinstance(given, int) and not isinstance(given, bool) and given > 0:
         return given
     raise ValueError("needs a number of values, or a list of their names")
-
-
-def _observed(given: Any) -> Any:
-    return tuple(map(str, given)) if isinstance(given, list) else str(given)
-
-
-_Observed = Annotated[Any, BeforeValidator(_observed)]
 
 
 class _Rows(Section):
@@ -81,9 +74,9 @@ class _Graph(Section):
     description: str | None = None
     nodes: dict[str, Annotated[Any, BeforeValidator(_values)]]
     hidden: tuple[str, ...]
-    observed: tuple[_Observed, ...]
+    observed: tuple[str | tuple[str, ...], ...]
     inputs: tuple[str, ...] = ()
-    unused: tuple[_Observed, ...] = ()
+    unused: tuple[str | tuple[str, ...], ...] = ()
     tables: dict[str, dict[str, Any]]
     #: The recording of a fit, see `model.recording_key`.
     learned_from: str | None = None
@@ -91,7 +84,7 @@ class _Graph(Section):
 
 def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     """Make a module from a YAML file, with the names of a graph in Python (HIDDEN, OBSERVED,
-    tables, build, ...).
+    tables, ...).
 
     - name: name of the new module
     - where: how error messages begin
@@ -113,7 +106,6 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         VALUES={n: values for n, values in graph.nodes.items() if not isinstance(values, int)},
         PARAMETERS=(),
         tables=lambda n_lanes, parameters: tables,
-        build=lambda n_lanes, parameters: declare(tables, graph.observed),
     )
     return module
 
@@ -157,15 +149,16 @@ def _tables(graph: _Graph) -> list[Table]:
 
 
 def _numbers(rows: list[Any], shape: tuple[int, ...], where: str) -> FloatArray:
+    needs = " x ".join(map(str, shape))
     try:
-        values = np.array(rows)
-    except ValueError:
-        # Rows of different lengths.
-        values = np.array(None)
-    if values.dtype.kind not in "iuf" or values.shape != shape:
-        has = " x ".join(map(str, values.shape)) if values.dtype.kind in "iuf" else "others"
-        raise InputError(f"{where}: needs {' x '.join(map(str, shape))} numbers, has {has}")
-    return values.astype(np.float64)
+        values = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError):
+        # Text, or rows of different lengths.
+        raise InputError(f"{where}: needs {needs} numbers, has others") from None
+    if values.shape != shape:
+        has = " x ".join(map(str, values.shape))
+        raise InputError(f"{where}: needs {needs} numbers, has {has}")
+    return values
 
 
 def _check_nodes(listed: Iterable[str], known: Iterable[str], where: str) -> None:

@@ -18,7 +18,6 @@ likelihood of the states with these values.
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +29,7 @@ import numpy as np
 
 from egolane_pgm.graphs.cpds import SliceNode, Table, check_tables, declare, ve_name
 from egolane_pgm.graphs.from_pgmpy import read_network
-from egolane_pgm.types import NOTE, FloatArray, InputError, IntArray, Observed, suggestion
+from egolane_pgm.types import FloatArray, InputError, IntArray, Observed, suggestion
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -41,16 +40,13 @@ LANES = ("Lane", "DetectorOutput", "Lanes")
 #: More joint states than this are refused.
 MAX_STATES = 4096
 
-#: Why an observed node is in the joint state.
-_NOT_PLAIN = "an edge across the slices, an input, a child, two evidences or another first table"
-
 
 @dataclass(frozen=True)
 class Group:
     """The evidence of a node, or of several nodes jointly.
 
-    observed: the key of the evidence, whose K values are those of the nodes, the first one's vary
-    slowest. emission (S, K): P(values | joint state), 0 if they differ from those in the joint
+    observed: the key of the evidence. K is the number of joint values of its nodes, the first one's
+    vary slowest. emission (S, K): P(values | joint state), 0 if they differ from those in the joint
     state. only (S,): the only possible value in each joint state, None if a state has several.
     """
 
@@ -60,8 +56,9 @@ class Group:
 
 
 class Placement(NamedTuple):
-    """The array that a table is a factor of: `target` is "prior", "transition" or the number of a
-    group (its emission), `indices` (a broadcastable array per axis) select the table's entries."""
+    """The place of a table in the arrays. It is multiplied into `target`: "prior", "transition" or
+    the number of a group (its emission). `indices`, a broadcastable array per axis, select its
+    entries."""
 
     target: str | int
     indices: tuple[IntArray, ...]
@@ -86,7 +83,7 @@ class Compiled:
     prior (U, S): P(joint state of the first frame), before its evidence.
     transition (U, S, S): row is the previous state.
     groups: the emissions, one for each key of the evidence.
-    places: the array that each table is a factor of.
+    places: the place of each table in these arrays.
     tables: the table of every node but the virtual-evidence ones, in both slices.
     one_table: the nodes with the same table in the first frame and in all later ones.
     values: the names of each of these nodes' values.
@@ -115,11 +112,6 @@ class Compiled:
         nodes = " x ".join(f"{name} ({self.cardinality[name]})" for name in self.state_nodes)
         seen = ", ".join(key if isinstance(key, str) else "+".join(key) for key in self.observed)
         return f"Compiled({nodes}: {self.n_states} joint states; observes {seen})"
-
-    @property
-    def functions(self) -> tuple[str, ...]:
-        """The hidden nodes that are functions of others."""
-        return tuple(name for name in self.hidden if name not in self.state_nodes)
 
     @property
     def observed(self) -> tuple[Observed, ...]:
@@ -153,13 +145,12 @@ def compile(
     - hidden: the nodes of the beliefs; by default Lane and all nodes that are neither observed nor
       inputs.
     - inputs: nodes without parents whose value is known in every frame.
-    - values: names of nodes' values, instead of the network's. By default those of LANES count
-      from 1 and those of any other node from 0.
+    - values: names of nodes' values, instead of the network's. By default the values of LANES are
+      counted from 1, of any other node from 0.
 
-    Warns of observed nodes without a virtual-evidence child, which is added. Raises InputError,
-    naming the node or the file, for anything that the filters do not support.
+    A virtual-evidence child that an observed node does not have is added. Raises InputError, naming
+    the node or the file, for anything that the filters do not support.
 
-    >>> import warnings
     >>> import numpy as np
     >>> import egolane_pgm as ego
     >>> from pgmpy.factors.discrete import TabularCPD
@@ -170,9 +161,7 @@ def compile(
     ...     TabularCPD(("Lane", 1), 2, [[0.9, 0.1], [0.1, 0.9]], [("Lane", 0)], [2]),
     ...     TabularCPD(("Line", 0), 2, [[0.8, 0.2], [0.2, 0.8]], [("Lane", 0)], [2]),
     ... )
-    >>> with warnings.catch_warnings():
-    ...     warnings.simplefilter("ignore")  # Line has no virtual-evidence node
-    ...     compiled = ego.compile(network, observed=["Line"])
+    >>> compiled = ego.compile(network, observed=["Line"])
     >>> compiled
     Compiled(Lane (2): 2 joint states; observes Line)
     >>> seen = ego.Evidence({"Line": np.array([[1.0, 0.0], [1.0, 0.0]])})
@@ -195,22 +184,13 @@ def compile(
             tables.append(table)
         elif set(table.parents) != {(n, s) for n in ve[name]}:
             raise InputError(f"{name}: its parents must be {', '.join(ve[name])} in the same slice")
-    compiled = compile_tables(
+    return compile_tables(
         tables,
         observed=tuple(observed),
         hidden=tuple(hidden),
         inputs=tuple(inputs),
         values={**declared.values, **(values or {})},
     )
-    missing = [name for name in ve if (name, 0) not in declared.tables]
-    if missing:
-        warnings.warn(
-            f"{NOTE}the network has no {', '.join(missing)}: missing"
-            " virtual-evidence nodes are added",
-            UserWarning,
-            stacklevel=2,
-        )
-    return compiled
 
 
 def compile_tables(
@@ -231,11 +211,14 @@ def compile_tables(
     of_node = {table.node: table for table in tables}
     names_of = {key: (key,) if isinstance(key, str) else key for key in observed}
     _check_declared(of_node, hidden, names_of, observed, inputs)
-    check_tables(tables, observed)
+    check_tables(tables)
     aligned = {}
     for (name, s), table in of_node.items():
         parents = tuple((p, s) for p, _ in of_node[name, 1].parents)
-        aligned[name, s] = _in_order(table, parents)
+        if table.parents != parents and sorted(table.parents) == sorted(parents):
+            order = [table.parents.index(p) for p in parents]
+            table = Table(table.node, parents, table.values.transpose(*order, len(order)))
+        aligned[name, s] = table
     one_table = set()
     for (name, s), first in aligned.items():
         later = aligned[name, 1]
@@ -251,11 +234,9 @@ def compile_tables(
         )
     n_states, n_inputs = math.prod(size[n] for n in state), math.prod(size[n] for n in inputs)
     if n_states > MAX_STATES:
-        seen = [n for n in state if n not in hidden]
-        why = f"; {', '.join(seen)}: observed, but no plain emission ({_NOT_PLAIN})" if seen else ""
         product = " x ".join(f"{n} {size[n]}" for n in state)
         raise InputError(
-            f"the joint state has {n_states} values ({product}), more than {MAX_STATES}{why}"
+            f"the joint state has {n_states} values ({product}), more than {MAX_STATES}"
         )
     node_value = _values_in(state, size)
     first_column = np.cumsum([0, *(size[n] for n in state)])[:-1, None]
@@ -336,7 +317,7 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
     The numbers may change a node's role: a function may become uncertain, an emission's table may
     differ between the slices.
 
-    Raises InputError, naming the node, for a table with other parents or another shape.
+    Raises InputError, naming the node, for a table with other parents or values.
     """
     now = dict(compiled.tables)
     for table in tables:
@@ -345,10 +326,10 @@ def with_tables(compiled: Compiled, tables: Iterable[Table]) -> Compiled:
             raise InputError(f"{name}: the compiled network has no such node (slice {s})")
         if table.node not in now:
             continue  # a virtual-evidence node
-        old = now[table.node]
-        table = now[table.node] = _in_order(table, old.parents)
-        if table.parents != old.parents or table.values.shape != old.values.shape:
-            raise InputError(f"{name}: the table has other parents or another shape than before")
+        old, now[table.node] = now[table.node], table
+        n_values = old.values.shape[-1]
+        if set(table.parents) != set(old.parents) or table.values.shape[-1] != n_values:
+            raise InputError(f"{name}: the table has other parents or values than before")
     new = compile_tables(
         list(now.values()),
         observed=compiled.observed,
@@ -368,14 +349,6 @@ def with_initial_lane(compiled: Compiled, start: FloatArray) -> Compiled:
     prior = compiled.prior * start[compiled.node_value["Lane"]]
     total = prior.sum(axis=1, keepdims=True)
     return replace(compiled, prior=prior / np.where(total > 0, total, 1), start=start)
-
-
-def _in_order(table: Table, parents: tuple[SliceNode, ...]) -> Table:
-    """Return the table with its parents in this order, or unchanged if it has other parents."""
-    if table.parents == parents or sorted(table.parents) != sorted(parents):
-        return table
-    order = [table.parents.index(p) for p in parents]
-    return Table(table.node, parents, table.values.transpose(*order, len(order)))
 
 
 def _values_in(nodes: Sequence[str], size: Mapping[str, int]) -> dict[str, IntArray]:

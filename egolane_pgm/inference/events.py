@@ -19,7 +19,7 @@ the car crosses a line. An event is then one crossing of one line:
 - If the offset is unknown or moves further than JUMP, and until FLICKER_S later, only the posterior
   counts.
 
-No constant is a number of frames, and none was searched.
+All constants are times, probabilities or lane widths; no search has moved them.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ from egolane_pgm.types import UNASSIGNED, Beliefs, BoolArray, FloatArray, InputE
 if TYPE_CHECKING:
     import pandas as pd
 
-#: The probability from which a lane is held. A false change costs two errors, itself and the change
-#: back; a missed one costs one. So reporting pays if 2 (1 - p) < p, which is p > 2/3.
+#: The least probability of a lane that is held. A false change costs two errors, itself and the
+#: change back; a missed one costs one. So reporting pays if 2 (1 - p) < p, which is p > 2/3.
 CONFIDENT = 2 / 3
 
 #: The time after a change in which the change back needs RETURN_CONFIDENT, seconds. A lane change
@@ -49,7 +49,7 @@ FLICKER_S = 3.0
 #: returns so quickly mostly wavers and its probabilities are too large.
 RETURN_CONFIDENT = 20 / 21
 
-#: The probability from which a frame is called sure in reports.
+#: The least probability of a frame that reports call sure.
 SURE = 0.95
 
 #: Half the width of a car, in lane widths: about .9 m of 3.6 m.
@@ -131,7 +131,7 @@ class EventState(NamedTuple):
 
     here: the lane that is held, -1 before the first one.
     before, calm_s: the lane before it, and until when a change back needs RETURN_CONFIDENT.
-    ahead (n,): whether each lane is more probable than `here`.
+    ahead (n,): True for lanes that are more probable than `here`.
     since_id, since_s (n,): the frame id and time since which it is, without a break.
     beyond: lateral offset of the car, lane widths from the centre of its lane after all changes.
     lost_s: when the offset was last unknown or jumped.
@@ -162,7 +162,7 @@ def next_events(
     time_s: FloatArray,
     lateral_offset: FloatArray | None,
 ) -> tuple[EventState, IntArray, dict[str, NDArray[Any]]]:
-    """Find the lane changes of T more frames; the result does not depend on how a drive is cut.
+    """Find the lane changes of T more frames; chunks of a drive give the same result as the whole.
 
     - lane: (T, n) the posterior over lanes.
     - frame_id, time_s: (T,), seconds.

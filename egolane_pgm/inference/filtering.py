@@ -37,8 +37,8 @@ from egolane_pgm.types import (
 
 METHODS = ("assumed_density", "exact")
 
-#: The recursion is compiled for the sizes of a network with at most this many joint states, for
-#: recordings of at least so many frames.
+#: The recursion is compiled for the sizes of a network with at most this many joint states, if a
+#: recording has at least this many frames.
 MAX_FIXED_STATES = 16
 MIN_FIXED_FRAMES = 1000
 

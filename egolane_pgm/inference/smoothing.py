@@ -10,7 +10,6 @@ filter's.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -18,30 +17,22 @@ import numpy as np
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import forward, joint_input, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
-from egolane_pgm.types import (
-    Beliefs,
-    BoolArray,
-    Evidence,
-    FloatArray,
-    InputError,
-    IntArray,
-)
+from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, InputError, IntArray
 
 
-@dataclass(frozen=True)
-class Passed:
+class Passed(NamedTuple):
     """The results of the exact forward recursion over T frames, which the smoothers take.
 
     filtered (T, S): the joint belief after each frame.
     likelihood (T, S): of each frame's evidence; one if it is ignored.
-    index (T,): the joint value of the inputs.
+    input_index (T,): the joint value of the inputs.
     begins (T,): True in the first frame.
     log_evidence, is_impossible (T,): as in `Beliefs`.
     """
 
     filtered: FloatArray
     likelihood: FloatArray
-    index: IntArray
+    input_index: IntArray
     begins: BoolArray
     log_evidence: FloatArray
     is_impossible: BoolArray
@@ -114,7 +105,7 @@ def fixed_lag_beliefs(
     passed = pass_forward(compiled, evidence)
     smoothed = np.empty_like(passed.filtered)
     fixed_lag_frames(
-        lag, passed.filtered, passed.likelihood, compiled.transition, passed.index, smoothed
+        lag, passed.filtered, passed.likelihood, compiled.transition, passed.input_index, smoothed
     )
     return _beliefs(compiled, passed, smoothed, frame_id)
 
@@ -146,10 +137,9 @@ def lag_step(
     recent = pass_forward(compiled, evidence, None if state is None else state.joint)
     joint = recent.filtered[-1]
     if state is not None:
-        pairs = zip(vars(state.recent).values(), vars(recent).values(), strict=True)
-        recent = Passed(*map(np.concatenate, pairs))
+        recent = Passed._make(map(np.concatenate, zip(state.recent, recent, strict=True)))
     n_known = int(len(recent.filtered) > lag)
-    rest = Passed(*(array[n_known:] for array in vars(recent).values()))
+    rest = Passed._make(array[n_known:] for array in recent)
     return LagState(rest, joint), _first(compiled, recent, n_known)
 
 
@@ -160,7 +150,7 @@ def lag_rest(compiled: Compiled, state: LagState) -> Beliefs:
 
 def _first(compiled: Compiled, recent: Passed, n_frames: int) -> Beliefs:
     """Return the beliefs of the first of the recent frames, given all of them."""
-    here = Passed(*(array[:n_frames] for array in vars(recent).values()))
+    here = Passed._make(array[:n_frames] for array in recent)
     smoothed = _smoothed(compiled, recent)[:n_frames] if n_frames else here.filtered
     return _beliefs(compiled, here, smoothed, None)
 
@@ -168,7 +158,7 @@ def _first(compiled: Compiled, recent: Passed, n_frames: int) -> Beliefs:
 def _smoothed(compiled: Compiled, passed: Passed) -> FloatArray:
     smoothed = np.empty_like(passed.filtered)
     smooth_frames(
-        passed.filtered, passed.likelihood, compiled.transition, passed.index, passed.begins,
+        passed.filtered, passed.likelihood, compiled.transition, passed.input_index, passed.begins,
         smoothed, np.zeros((0, 0)),
     )  # fmt: skip
     return smoothed

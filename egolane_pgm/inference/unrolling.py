@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, uniform, ve_name
-from egolane_pgm.graphs.flat import flat_network
+from egolane_pgm.graphs.cpds import SliceNode, Table, flat_network, uniform, ve_name
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.filtering import joint_input, step
 from egolane_pgm.types import Evidence, FloatArray, InputError, IntArray, Observed
 
 if TYPE_CHECKING:
     from pgmpy.models import DiscreteBayesianNetwork
-
-    from egolane_pgm.model import Model
 
 
 class Unrolled(NamedTuple):
@@ -32,7 +29,7 @@ class Unrolled(NamedTuple):
 
 
 def unrolled(
-    model: Model | Compiled,
+    compiled: Compiled,
     evidence: Evidence,
     first: int,
     last: int,
@@ -48,7 +45,7 @@ def unrolled(
     frame's largest one. The nodes of the frame before `first` on which later frames depend carry
     the past: their joint distribution is the belief of the filter `exact`. In pgmpy,
 
-        network, given = unrolled(model, evidence, 40, 45)
+        network, given = unrolled(compiled, evidence, 40, 45)
         VariableElimination(network).query(["Lane@45"], evidence=given)
 
     gives the filter's belief of the last frame, and the smoothed belief of an earlier one. `given`
@@ -59,11 +56,10 @@ def unrolled(
     >>> import egolane_pgm as ego
     >>> place = ego.experiments_folder() / "quickstart.yaml"
     >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> unrolled = ego.unrolled(run.model, run.evidence, 40, 41)
+    >>> unrolled = ego.unrolled(run.model.compiled, run.evidence, 40, 41)
     >>> sorted(node for node in unrolled.network.nodes() if node.startswith("Lane@"))
     ['Lane@39', 'Lane@40', 'Lane@41']
     """
-    compiled = model if isinstance(model, Compiled) else model.compiled
     joint_input(compiled, evidence)
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
     start, stop = _position(ids, first), _position(ids, last) + 1

@@ -36,9 +36,6 @@ class Path:
     log_probability: float
     is_impossible: BoolArray
 
-    def __len__(self) -> int:
-        return len(self.frame_id)
-
     @property
     def lane(self) -> IntArray:
         """(T,): the lane in each frame, 1 to n."""
@@ -70,6 +67,6 @@ def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None
         with np.errstate(divide="ignore"):
             log_likelihood = np.log(passed.likelihood)
             log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
-        total = best_path(log_prior, log_transition, log_likelihood, passed.index, states)
+        total = best_path(log_prior, log_transition, log_likelihood, passed.input_index, states)
     values = {name: compiled.node_value[name][states] for name in compiled.hidden}
     return Path(ids, values, total, passed.is_impossible)

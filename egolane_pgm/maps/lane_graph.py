@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import FloatArray, IntArray
@@ -98,12 +97,6 @@ class LaneGraph:
         return np.searchsorted(self.before, np.arange(len(self) + 1)).astype(np.int64)
 
     @cached_property
-    def joins(self) -> Any:
-        """The joins as a sparse matrix, (S, S), weighted by the length of the first segment."""
-        weights = self.length_m[self.before], (self.before, self.after)
-        return csr_array(weights, shape=(len(self), len(self)))
-
-    @cached_property
     def lines(self) -> Any:
         """The segments as shapely lines, (S,)."""
         with needed("a map", "maps"):
@@ -165,29 +158,29 @@ class Near:
 
 def near(graph: LaneGraph, place: FloatArray, radius_m: float) -> Near:
     """The segments within a radius of T places, (T, 2), metres on the graph's plane."""
-    from shapely import line_locate_point, points
+    from shapely import (
+        distance,
+        get_coordinates,
+        line_interpolate_point,
+        line_locate_point,
+        points,
+    )
 
     point = points(place)
     row, segment = graph.tree.query(point, predicate="dwithin", distance=radius_m)
     order = np.lexsort((segment, row))
     row, segment = row[order], segment[order].astype(np.int64)
-    along = line_locate_point(graph.lines[segment], point[row])
-    # All segments one after the other, so that one search finds the straight piece of each line.
-    begin = np.cumsum(graph.length_m) - graph.length_m
-    laid = graph.along_m + np.repeat(begin, np.diff(graph.first))
-    piece = np.searchsorted(laid, begin[segment] + along) - 1
-    piece = np.clip(piece, graph.first[segment], graph.first[segment + 1] - 2)
-    (ux, uy), (vx, vy) = (
-        (graph.point[piece + 1] - graph.point[piece]).T,
-        (place[row] - graph.point[piece]).T,
-    )
-    length = np.maximum(np.hypot(ux, uy), 1e-9)
-    share = np.clip((along - graph.along_m[piece]) / length, 0.0, 1.0)
-    distance = np.hypot(vx - share * ux, vy - share * uy)
+    line = graph.lines[segment]
+    along = line_locate_point(line, point[row])
+    # The direction of a metre of the line.
+    ends = np.maximum(along - 0.5, 0.0), along + 0.5
+    begin, end = (get_coordinates(line_interpolate_point(line, at)) for at in ends)
+    (ux, uy), (vx, vy) = (end - begin).T, (place[row] - begin).T
+    offset = distance(line, point[row])
     return Near(
         np.searchsorted(row, np.arange(len(place) + 1)).astype(np.int64),
         segment,
         along,
-        np.where(ux * vy - uy * vx <= 0.0, distance, -distance),
+        np.where(ux * vy - uy * vx <= 0.0, offset, -offset),
         np.arctan2(uy, ux),
     )

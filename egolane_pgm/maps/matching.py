@@ -264,18 +264,12 @@ def filter_states(
 ) -> None:
     """Fill out (M,) with P(state at t | positions up to t)."""
     for t in range(len(first) - 1):
-        here, size = first[t], first[t + 1] - first[t]
-        top = emission[here : first[t + 1]].max()
-        total = 0.0
-        for b in range(size):
-            weight = 1.0
-            if t > 0:
-                weight = 0.0
-                for a in range(here - first[t - 1]):
-                    weight += out[first[t - 1] + a] * np.exp(transition[block[t] + a * size + b])
-            out[here + b] = weight * np.exp(emission[here + b] - top)
-            total += out[here + b]
-        out[here : here + size] /= total
+        here, there = first[t], first[t + 1]
+        weight = np.exp(emission[here:there] - emission[here:there].max())
+        if t > 0:
+            step = transition[block[t] : block[t + 1]].reshape(-1, there - here)
+            weight *= out[first[t - 1] : here] @ np.exp(step)
+        out[here:there] = weight / weight.sum()
 
 
 @kernel()
@@ -284,18 +278,11 @@ def smooth_states(
 ) -> None:
     """Turn the posterior of the filter, (M,), into P(state at t | all positions), in place."""
     for t in range(len(first) - 3, -1, -1):
-        here, there = first[t], first[t + 1]
-        rows, size = there - here, first[t + 2] - there
-        weight = np.zeros(rows)
-        for b in range(size):
-            predicted = 0.0
-            for a in range(rows):
-                predicted += belief[here + a] * np.exp(transition[block[t + 1] + a * size + b])
-            if predicted > 0.0:
-                for a in range(rows):
-                    moved = np.exp(transition[block[t + 1] + a * size + b])
-                    weight[a] += moved * belief[there + b] / predicted
-        belief[here:there] *= weight
+        here, there, end = first[t], first[t + 1], first[t + 2]
+        step = np.exp(transition[block[t + 1] : block[t + 2]].reshape(-1, end - there))
+        predicted = belief[here:there] @ step
+        ratio = np.where(predicted > 0.0, belief[there:end] / predicted, 0.0)
+        belief[here:there] *= step @ ratio
         belief[here:there] /= belief[here:there].sum()
 
 
@@ -308,15 +295,12 @@ def best_path(
     score = emission.copy()
     origin = np.zeros(len(emission), dtype=np.int64)
     for t in range(1, n_times):
-        size = first[t + 1] - first[t]
-        for b in range(size):
-            best = -np.inf
-            for a in range(first[t] - first[t - 1]):
-                value = score[first[t - 1] + a] + transition[block[t] + a * size + b]
-                if value > best:
-                    best = value
-                    origin[first[t] + b] = a
-            score[first[t] + b] += best
+        before, here, there = first[t - 1], first[t], first[t + 1]
+        step = transition[block[t] : block[t + 1]].reshape(-1, there - here)
+        for b in range(there - here):
+            ways = score[before:here] + step[:, b]
+            origin[here + b] = ways.argmax()
+            score[here + b] += ways.max()
     state = np.argmax(score[first[n_times - 1] : first[n_times]])
     for t in range(n_times - 1, -1, -1):
         out[t] = state

@@ -27,25 +27,21 @@ def read_osm(path: str | Path) -> LaneGraph:
     All nodes of the file are in memory while it is read (16 bytes each): take the roads out of a
     large extract first (`osmium tags-filter`).
 
-    Warns of invalid tags, whose lanes are unknown, and of nodes without coordinates, which are left
-    out. Raises InputError for a file that is no map or has no such road.
+    Warns of invalid tags, whose lanes are unknown, and of ways with nodes without coordinates,
+    which are left out. Raises InputError for a file that is no map or has no such road.
     """
-    return join_ways(read_ways(path))
-
-
-def read_ways(path: str | Path) -> LaneGraph:
-    """As `read_osm`, with a segment for each way, or several if another way shares a point."""
     ways, point = _read(path)
     lanes = ways["tags"].map(read_lanes)
     wrong = lanes[lanes.map(lambda each: len(each[1]) > 0)]
     if len(wrong):
         example = f"way {ways['way'][wrong.index[0]]}: {'; '.join(wrong.iloc[0][1])}"
         _warn(f"{path}: ignored wrong tags of {len(wrong)} way(s), first of {example}")
-    return with_joins(_segments(ways, point, np.array([each for each, _ in lanes])))
+    segments = _segments(ways, point, np.array([each for each, _ in lanes]))
+    return join_ways(with_joins(segments))
 
 
 def _warn(text: str) -> None:
-    warnings.warn(text, UserWarning, stacklevel=4)
+    warnings.warn(text, UserWarning, stacklevel=3)
 
 
 # --- the file ----------------------------------------------------------------------------------
@@ -60,7 +56,6 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
         import osmium
     rows: list[tuple[Any, ...]] = []
     points, lacking = bytearray(), 0
-    known: dict[tuple[str | None, ...], tuple[str | None, ...]] = {}
     as_bytes = osmium.geom.WKBFactory().create_linestring
     roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
@@ -75,21 +70,17 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
                 # Much faster than a loop over the nodes.
                 line = bytes.fromhex(as_bytes(road))[9:]
             except bad_place:
-                places = [(n.lon, n.lat) for n in road.nodes if n.location.valid()]
-                lacking += len(road.nodes) - len(places)
-                if len(set(places)) < 2:
-                    continue
-                line = np.array(places, dtype="<f8").tobytes()
+                lacking += 1
+                continue
             get = road.tags.get
             name = get("ref") or get("name") or ""
             tags = tuple([get(key) for key in KEYS])
-            # Equal tags of many ways are one object in memory.
-            rows.append((road.id, name, known.setdefault(tags, tags), len(line) // 16))
+            rows.append((road.id, name, tags, len(line) // 16))
             points += line
     except bad_place as error:
         raise InputError(f"{path}: cannot be read as a map: {error}") from None
     if lacking:
-        _warn(f"{path}: left out {lacking} nodes of motorways or trunk roads without coordinates")
+        _warn(f"{path}: left out {lacking} way(s) with nodes that the file lacks")
     if not rows:
         raise InputError(
             f"{path}: no motorway and no trunk road with coordinates (highway={', '.join(KINDS)})"
@@ -156,13 +147,9 @@ def with_joins(ways: LaneGraph) -> LaneGraph:
     n = len(ways)
     begin, end = ways.point[ways.first[:-1]], ways.point[ways.first[1:] - 1]
     place = np.unique(_place_key(np.concatenate([begin, end])), return_inverse=True)[1]
-    order = np.argsort(place[:n], kind="stable")
-    begins = place[:n][order]
-    low, high = (np.searchsorted(begins, place[n:], side) for side in ("left", "right"))
-    count = high - low
-    before = np.repeat(np.arange(n), count)
-    nth = np.arange(len(before)) - np.repeat(np.cumsum(count) - count, count)
-    after = order[low[before] + nth]
+    begins = pd.DataFrame({"place": place[:n], "after": np.arange(n)})
+    ends = pd.DataFrame({"place": place[n:], "before": np.arange(n)})
+    before, after = ends.merge(begins)[["before", "after"]].to_numpy().T
     leaving = get_coordinates(line_interpolate_point(ways.lines, TURN_M)) - begin
     arriving = end - get_coordinates(line_interpolate_point(ways.lines, -TURN_M))
     (a, b), (x, y) = arriving[before].T, leaving[after].T

@@ -1,4 +1,4 @@
-"""Positions of a GNSS receiver from tables, GPX, and bags of ROS 1 and ROS 2.
+"""Positions of a GNSS receiver from tables, GPX, NMEA, and bags of ROS 1 and ROS 2.
 
 Times are seconds; dates are seconds since 1970, UTC.
 """
@@ -8,15 +8,16 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC
+from datetime import UTC, datetime, time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import BoolArray, FloatArray, InputError, suggestion
+from egolane_pgm.types import FloatArray, InputError, suggestion
 
 #: Accepted names of a table's columns. The first of each is our own.
 COLUMNS = {
@@ -28,9 +29,11 @@ COLUMNS = {
     "sigma_m": ("sigma_m",),
 }
 
-#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX has the
-#: dilution only.
+#: A receiver's standard deviation at a horizontal dilution of precision of 1, metres. GPX and NMEA
+#: have the dilution only.
 SIGMA_PER_HDOP_M = 3.0
+
+_KNOT, _HALF_DAY_S = 0.514444, 43_200  # metres per second, seconds
 
 #: The name of the message type of a receiver's fixes, in any package.
 _FIX = "NavSatFix"
@@ -66,55 +69,46 @@ class Positions:
         latitude: FloatArray,
         longitude: FloatArray,
         *,
-        speed_mps: FloatArray | None = None,
-        heading_deg: FloatArray | None = None,
-        sigma_m: FloatArray | None = None,
         source: str = "positions",
+        **further: FloatArray,
     ) -> Positions:
         """Check T rows of a receiver. Rows without a fix (NaN, or exactly 0 north 0 east) and rows
         that repeat a time are left out, with one warning each.
 
+        - further: speed_mps, heading_deg and sigma_m, as far as they are known.
+
         Raises InputError for a time that is missing or goes back, a latitude beyond 90 degrees, a
         longitude beyond 180, a standard deviation that is not positive, and if no row is left.
         """
-        unknown = np.full(len(t_s), np.nan)
-        columns = [
-            np.asarray(unknown if values is None else values, dtype=np.float64)
-            for values in (t_s, latitude, longitude, speed_mps, heading_deg, sigma_m)
-        ]
-        time, north, east, _, _, sigma = columns
-        checks = (
-            (~np.isfinite(time), "has no time"),
-            (np.abs(north) > 90, "has a latitude beyond 90 degrees"),
-            (np.abs(east) > 180, "has a longitude beyond 180 degrees"),
-            (sigma <= 0, "has a sigma_m that is not greater than 0"),
-            (np.diff(time, prepend=time[:1]) < 0, "is earlier than the one before; sort by time"),
-        )
-        for bad, problem in checks:
+        given = {"t_s": t_s, "latitude": latitude, "longitude": longitude, **further}
+        rows = pd.DataFrame(given, dtype=float).reindex(columns=[*COLUMNS])
+        for bad, problem in (
+            (~np.isfinite(rows.t_s), "has no time"),
+            (rows.latitude.abs() > 90, "has a latitude beyond 90 degrees"),
+            (rows.longitude.abs() > 180, "has a longitude beyond 180 degrees"),
+            (rows.sigma_m <= 0, "has a sigma_m that is not greater than 0"),
+            (rows.t_s.diff() < 0, "is earlier than the one before; sort by time"),
+        ):
             if bad.any():
-                raise InputError(f"{source}: position {int(np.argmax(bad)) + 1} {problem}")
-        has_fix = np.isfinite(north) & np.isfinite(east) & ~((north == 0) & (east == 0))
-        _warn(source, ~has_fix, "without a fix")
-        first = np.concatenate([[True], np.diff(time[has_fix]) > 0])[: has_fix.sum()]
-        _warn(source, ~first, "with the time of the one before")
-        kept = np.flatnonzero(has_fix)[first]
-        if not len(kept):
+                raise InputError(f"{source}: position {int(bad.argmax()) + 1} {problem}")
+        place = rows[["latitude", "longitude"]]
+        has_fix = np.isfinite(place).all(axis=1) & (place != 0).any(axis=1)
+        fixes = rows[has_fix]
+        kept = fixes.drop_duplicates("t_s")
+        for n_left, before, what in (
+            (len(fixes), rows, "without a fix"),
+            (len(kept), fixes, "with the time of the one before"),
+        ):
+            if n_left < len(before):
+                left_out = f"left out {len(before) - n_left} of {len(before)} positions {what}"
+                warnings.warn(f"{source}: {left_out}", UserWarning, stacklevel=3)
+        if kept.empty:
             raise InputError(f"{source}: has no position")
-        time, north, east, speed, heading, sigma = (values[kept] for values in columns)
-        return cls(time, north, east, speed, heading, sigma, source)
-
-
-def _warn(source: str, marked: BoolArray, what: str) -> None:
-    if marked.any():
-        warnings.warn(
-            f"{source}: left out {int(marked.sum())} of {len(marked)} positions {what}",
-            UserWarning,
-            stacklevel=4,
-        )
+        return cls(**{name: kept[name].to_numpy() for name in kept}, source=source)
 
 
 def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None) -> Positions:
-    """Read the positions of a drive from a .csv, .parquet or .gpx, or from the
+    """Read the positions of a drive from a .csv, .parquet, .gpx or .nmea, or from the
     sensor_msgs/NavSatFix of a bag: .bag, .mcap, .db3 or the folder of a ROS 2 bag.
 
     - columns: other names of a table's columns (keys of COLUMNS), {"latitude": "lat_gps"}; or the
@@ -124,24 +118,16 @@ def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None
     and as `Positions.make`.
     """
     path, columns = Path(path), dict(columns or {})
-    kind = path.suffix.lower()
+    kind = ".bag" if path.is_dir() else path.suffix.lower()
+    if kind not in _FORMATS:
+        raise InputError(f"{path}: unknown extension '{kind}' of positions ({', '.join(_FORMATS)})")
     if not path.exists():
         raise InputError(f"{path}: no such file")
-    if kind in (".csv", ".parquet"):
-        return _read_table(path, columns)
-    if kind in (".bag", ".mcap", ".db3") or path.is_dir():
-        topic = columns.pop("topic", None)
-        known = "topic"
-    elif kind == ".gpx":
-        known = "none"
-    else:
-        raise InputError(
-            f"{path}: unknown extension '{path.suffix}' of positions"
-            " (.csv, .parquet, .gpx, .bag, .mcap, .db3)"
-        )
-    if columns:
-        raise InputError(f"{path}: unknown column '{next(iter(columns))}' (known: {known})")
-    return _read_gpx(path) if kind == ".gpx" else _read_bag(path, topic)
+    read, known = _FORMATS[kind]
+    for ours in columns:
+        if ours not in known:
+            raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, known)}")
+    return read(path, columns)
 
 
 def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
@@ -150,26 +136,19 @@ def _read_table(path: Path, columns: Mapping[str, str]) -> Positions:
     from egolane_pgm.recordings.table import read_columns
 
     table = read_columns(path)
-    there = list(table)
-    for ours, theirs in columns.items():
-        if ours not in COLUMNS:
-            raise InputError(f"{path}: unknown column '{ours}'{suggestion(ours, COLUMNS)}")
-        if theirs not in there:
-            raise InputError(f"{path}: no column '{theirs}'{suggestion(theirs, there)}")
     values: dict[str, Any] = {}
     for ours, usual in COLUMNS.items():
-        theirs = columns.get(ours) or next((name for name in usual if name in there), "")
-        if theirs:
+        theirs = columns.get(ours) or next((name for name in usual if name in table), "")
+        if theirs in table:
             read = to_seconds if ours == "t_s" else to_numbers
             values[ours] = read(path, ours, table[theirs], theirs)
-        elif ours in ("t_s", "latitude", "longitude"):
-            raise InputError(
-                f"{path}: no column {ours}; the table has {', '.join(there) or 'none'}"
-            )
+        elif theirs or ours in ("t_s", "latitude", "longitude"):
+            there = ", ".join(table)
+            raise InputError(f"{path}: no column {theirs or ours}; the table has {there or 'none'}")
     return Positions.make(**values, source=str(path))
 
 
-def _read_gpx(path: Path) -> Positions:
+def _read_gpx(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the points of all tracks, in their order."""
     with needed(f"{path}", "maps"):
         import gpxpy
@@ -193,13 +172,61 @@ def _read_gpx(path: Path) -> Positions:
     )  # fmt: skip
 
 
-def _read_bag(path: Path, topic: str | None) -> Positions:
+def _read_nmea(path: Path, columns: Mapping[str, str]) -> Positions:
+    """Read the sentences RMC and GGA, which may follow other text in their line.
+
+    Without RMC the date is unknown: times are seconds of the first day. A sentence whose checksum
+    is wrong is left out; it may have none.
+    """
+    with needed(f"{path}", "maps"):
+        import pynmea2
+    rows: dict[float, dict[str, float]] = {}
+    midnight, last, n_bad = 0.0, 0.0, 0
+    for line in read_text(path).splitlines():
+        start = line.find("$")
+        if line[start + 3 : start + 6] not in ("RMC", "GGA"):
+            continue
+        try:
+            fix = pynmea2.parse(line[start:].strip())
+        except pynmea2.ParseError:
+            n_bad += 1
+            continue
+        if fix.timestamp is None:
+            continue
+        at = fix.timestamp
+        second = at.hour * 3600 + at.minute * 60 + at.second + at.microsecond / 1e6
+        if fix.sentence_type == "RMC" and fix.datestamp is not None:
+            midnight = datetime.combine(fix.datestamp, time(), UTC).timestamp()
+        elif second < last - _HALF_DAY_S:
+            midnight += 2 * _HALF_DAY_S
+        last = second
+        row = rows.setdefault(midnight + second, {})
+        has_fix = bool(fix.lat and fix.lon)
+        row["latitude"] = fix.latitude if has_fix else np.nan
+        row["longitude"] = fix.longitude if has_fix else np.nan
+        if fix.sentence_type == "GGA":
+            dilution = float(fix.horizontal_dil or 0)
+            row["sigma_m"] = SIGMA_PER_HDOP_M * dilution if dilution > 0 else np.nan
+        else:
+            row["speed_mps"] = np.nan if fix.spd_over_grnd is None else fix.spd_over_grnd * _KNOT
+            row["heading_deg"] = np.nan if fix.true_course is None else fix.true_course
+    if n_bad:
+        note = f"{path}: left out {n_bad} sentence(s) that are cut off or have a wrong checksum"
+        warnings.warn(note, UserWarning, stacklevel=3)
+    if not rows:
+        raise InputError(f"{path}: has no sentence RMC or GGA with a time")
+    table = pd.DataFrame.from_dict(rows, orient="index")
+    found = {name: table[name].to_numpy() for name in table}
+    return Positions.make(table.index.to_numpy(), source=str(path), **found)
+
+
+def _read_bag(path: Path, columns: Mapping[str, str]) -> Positions:
     """Read the fixes on a topic, by default the only one that has some."""
     # rosbags is imported for bags only.
     from egolane_pgm.recordings.topics import fields_of, topics_of
 
-    there = topics_of(path)
-    names = [name for name, (kind, _) in there.items() if kind.split("/")[-1] == _FIX]
+    topic = columns.get("topic")
+    names = [name for name, (kind, _) in topics_of(path).items() if kind.endswith(f"/{_FIX}")]
     chosen = [name for name in names if topic in (None, name)]
     if len(chosen) != 1:
         what = f"{len(chosen)} topics of type {_FIX}" + (f" named {topic}" if topic else "")
@@ -217,3 +244,12 @@ def _read_bag(path: Path, topic: str | None) -> Positions:
     return Positions.make(
         np.asarray(fix["time_s"]), latitude, longitude, sigma_m=sigma, source=str(path)
     )
+
+
+#: Extension of a file of positions: its reader, and the keys of `columns` that it takes.
+_FORMATS = {
+    **dict.fromkeys((".csv", ".parquet"), (_read_table, (*COLUMNS,))),
+    ".gpx": (_read_gpx, ()),
+    **dict.fromkeys((".nmea", ".log", ".txt"), (_read_nmea, ())),
+    **dict.fromkeys((".bag", ".mcap", ".db3"), (_read_bag, ("topic",))),
+}

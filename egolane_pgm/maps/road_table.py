@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.tools.files import read_parquet, write_parquet
-from egolane_pgm.types import MAX_LANES, FloatArray, InputError, IntArray, LineLog
+from egolane_pgm.types import FloatArray, InputError, IntArray, LineLog
 
 #: The columns of a road table, a DataFrame with T rows; its attribute `source` is the file.
 COLUMNS = {
@@ -19,7 +19,7 @@ COLUMNS = {
     "segment": "the row of the lane graph; -1 off the map",
     "along_m": "metres from the segment's start; NaN off the map",
     "offset_m": "metres of the position from the way's line, negative to its left; NaN off the map"
-    " and in rows without a position",
+    " and for outliers",
     "sure": "the probability of the segment, 0 to 1",
     "n_lanes": "lanes of the segment, assumed if `unknown_way` is set; 0 unknown",
     "unknown_way": "the way of a segment without a number of lanes in the map; 0 for other segments"
@@ -43,8 +43,6 @@ def load(path: str | Path) -> pd.DataFrame:
             f"{path}: is not a road table, it has no column {missing[0]};"
             f" `egolane locate MAP POSITIONS -o {path}` writes one"
         )
-    if table.empty or not (np.diff(table.t_s) > 0).all():
-        raise InputError(f"{path}: t_s does not increase from row to row")
     table.attrs["source"] = str(path)
     return table
 
@@ -58,11 +56,10 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
     Raises InputError if the clocks do not overlap, and as `lanes_at`.
     """
     time_s, first, last = log.time_s, table.t_s.iloc[0], table.t_s.iloc[-1]
-    if not len(log) or time_s[-1] < first or time_s[0] > last:
-        span = f"{time_s[0]:g} to {time_s[-1]:g} s" if len(log) else "no frames"
+    if time_s[-1] < first or time_s[0] > last:
         raise InputError(
             f"{table.attrs['source']}: has the times {first:g} to {last:g} s, and {log.source} has"
-            f" {span}: they do not overlap"
+            f" {time_s[0]:g} to {time_s[-1]:g} s: they do not overlap"
         )
     return lanes_at(table, time_s)
 
@@ -70,38 +67,26 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
 def lanes_at(table: pd.DataFrame, time_s: FloatArray) -> IntArray:
     """The number of lanes at T times, (T,), in seconds: the last known one, before any the first.
 
-    Raises InputError if no row has a number, and for more than MAX_LANES.
+    Raises InputError if no row has a number.
     """
     source, known = table.attrs["source"], table[table.n_lanes > 0]
     if known.empty:
         raise InputError(f"{source}: no row has a number of lanes")
     last = np.maximum(np.searchsorted(known.t_s, time_s, side="right") - 1, 0)
     n_lanes: IntArray = known.n_lanes.to_numpy()[last]
-    if n_lanes.max() > MAX_LANES:
-        raise InputError(
-            f"{source}: row {known.index[last[n_lanes.argmax()]]}: a road of {n_lanes.max()} lanes;"
-            f" at most {MAX_LANES} are supported"
-        )
     return n_lanes
 
 
 def unknown_lanes(table: pd.DataFrame, log: LineLog) -> list[str]:
-    """Warnings, a line each, for frames with an assumed number of lanes, without one, and off the
-    map."""
+    """A warning of frames whose number of lanes is not in the map, if there are any."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
-    off, way, n_lanes = table.iloc[row][["segment", "unknown_way", "n_lanes"]].to_numpy().T
-    off = off < 0
-    assumed = (n_lanes > 0) & (way > 0)
-    known = pd.unique(way[assumed])
-    ways = ", ".join(map(str, known[:3])) + (", ..." if len(known) > 3 else "")
-    lacks = "the road has no number of lanes in the map"
-    kinds = (
-        (assumed, f"{lacks} (way {ways}); the number is assumed"),
-        (~off & (n_lanes == 0), f"{lacks}; the number before is kept"),
-        (off, "the car is off the map; the number before is kept"),
-    )
+    way, n_lanes = table.iloc[row][["unknown_way", "n_lanes"]].to_numpy().T
+    is_unknown = (way > 0) | (n_lanes == 0)
+    if not is_unknown.any():
+        return []
+    ways = ", ".join(map(str, pd.unique(way[way > 0])[:3])) or "none"
     return [
-        f"{table.attrs['source']}: in {marked.sum()} of {len(log)} frames {what}"
-        for marked, what in kinds
-        if marked.any()
+        f"{table.attrs['source']}: in {is_unknown.sum()} of {len(log)} frames the number of lanes"
+        f" is not in the map (first ways without it: {ways}); it is assumed, or the number before"
+        " is kept"
     ]

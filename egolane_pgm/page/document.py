@@ -30,10 +30,7 @@ with needed("a page of results", "page"):
     from bokeh.models import Range1d
     from bokeh.resources import INLINE
 
-    from egolane_pgm.page.timeline import panels, step_seconds
-
-#: The most rows of a list.
-MAX_ROWS = 300
+    from egolane_pgm.page.timeline import panels
 
 #: A jump shows so much before and after the place, seconds.
 MARGIN_S = 5.0
@@ -42,35 +39,26 @@ MARGIN_S = 5.0
 _HIDDEN = ["begin_s", "end_s", "to_lane", "direction"]
 
 
-def write_page(results: Sequence[Result], file: Path) -> list[str]:
+def write_page(results: Sequence[Result], file: Path) -> None:
     """Write the page of results, which share one time axis.
 
-    Returns a line for each part that is missing. Raises InputError for a result without frames or
-    with several drives, and if the file cannot be written.
+    Raises InputError for a result with several drives, and if the file cannot be written.
     """
     for result in results:
-        if not len(result) or "drive" in result.frames:
-            fault = (
-                "several drives; run one of them for a page" if len(result) else "no frames to show"
+        if "drive" in result.frames:
+            raise InputError(
+                f"{result.directory or result.name}: has several drives; run one of them for a page"
             )
-            raise InputError(f"{result.directory or result.name}: has {fault}")
     is_one = len(results) == 1
     given = {r.name if is_one else f"{k}: {r.name}": r for k, r in enumerate(results, start=1)}
     changes = {name: lane_changes(result) for name, result in given.items()}
     times = pd.concat(result.frames["time_s"] for result in results)
     time = Range1d(times.min(), times.max(), name="time", bounds="auto", min_interval=0.5)
     shown: dict[Any, Any] = {}  # Panels that several results share are shown once.
-    lacking, scored, events = [], {}, []
+    scored, events = {}, []
     for name, result in given.items():
         for key, panel in panels(result, changes[name], "" if is_one else name, time):
             shown.setdefault(key, panel)
-        if not result.lines:
-            lacking.append(f"{name}: has no lines; the page shows none")
-        n = step_seconds(result) * result.frame_rate
-        if n > 1.5:
-            lacking.append(
-                f"{name}: is too long to show each frame; a step is one of {n:.1f} frames"
-            )
         for who, scores in scores_by_side(result).items():
             scored[who if is_one else f"{name}, {who}"] = scores
         if "within" in result.scores["events"]:
@@ -81,9 +69,10 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     grid = gridplot([[panel] for panel in shown.values()], sizing_mode="stretch_width", **bar)
     grid.name = "timeline"
     notes = [f"{name}: {note}" for name, result in given.items() for note in result.notes]
+    notes += [f"{name}: has no lines" for name, result in given.items() if not result.lines]
     words = {
         "results": [result_title(result) for result in results],
-        "notes": [without_folders(note) for note in (*notes, *lacking)],
+        "notes": [without_folders(note) for note in notes],
         "sure": SURE,
         "worst": _jump_list({name: worst_segments(r.frames) for name, r in given.items()}),
         "changes": _jump_list(changes),
@@ -95,7 +84,6 @@ def write_page(results: Sequence[Result], file: Path) -> list[str]:
     template = resources.files(__package__).joinpath("page.html").read_text(encoding="utf-8")
     look = {"template": template, "template_variables": words}
     write_text(file, file_html(grid, INLINE, ", ".join(given), **look))
-    return lacking
 
 
 def _jump_list(lists: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
@@ -104,9 +92,11 @@ def _jump_list(lists: Mapping[str, pd.DataFrame]) -> dict[str, Any]:
     if table.empty:
         return {"header": [], "rows": []}
     order, ascending = ("frames", False) if "frames" in table else ("begin_s", True)
-    table = table.sort_values(order, ascending=ascending, kind="stable").head(MAX_ROWS)
+    table = table.sort_values(order, ascending=ascending, kind="stable")
     hidden = [*_HIDDEN, "result"] if len(lists) == 1 else _HIDDEN
     shown = table.drop(columns=hidden, errors="ignore")
+    times = zip(table["begin_s"], table["end_s"], strict=True)
+    shown.insert(0, "time (s)", [f"{begin:.1f} to {end:.1f}" for begin, end in times])
     places = zip(table["begin_s"] - MARGIN_S, table["end_s"] + MARGIN_S, strict=True)
     cells = [[cell(value) for value in row] for row in shown.to_numpy(object)]
     return {"header": list(shown), "rows": list(zip(places, cells, strict=True))}

@@ -11,15 +11,16 @@ from egolane_pgm.inference.events import SURE
 from egolane_pgm.result import Result, lanes_of, truth_of
 from egolane_pgm.scoring.events import TOLERANCES_S, match_events
 from egolane_pgm.scoring.events import lane_changes as true_changes
-from egolane_pgm.types import SIDES
+from egolane_pgm.types import SIDES, merged_runs
 from egolane_pgm.views.answers import is_known, outcomes, true_lane
+from egolane_pgm.views.tables import cell
 
 #: Wrong segments that are closer to each other are joined, seconds.
 JOIN_S = 1.0
 
 
 def worst_segments(frames: pd.DataFrame) -> pd.DataFrame:
-    """List the segments with wrong answers, the longest first.
+    """List the segments with wrong answers.
 
     Without ground truth: those in which no lane has the probability `SURE`.
 
@@ -27,17 +28,13 @@ def worst_segments(frames: pd.DataFrame) -> pd.DataFrame:
     """
     known, lane, truth = is_known(frames), frames["assigned_lane"].to_numpy(), true_lane(frames)
     wrong = known & (lane != truth) if known.any() else lanes_of(frames).max(axis=1) < SURE
-    time_s = frames["time_s"].to_numpy()
-    [bad] = np.nonzero(wrong)
-    rows = []
-    for part in (
-        np.split(bad, 1 + np.flatnonzero(np.diff(time_s[bad]) > JOIN_S)) if len(bad) else []
-    ):
-        begin, end = time_s[part[0]], time_s[part[-1]]
-        row = {"begin_s": begin, "end_s": end, "time (s)": f"{begin:.1f} to {end:.1f}"}
+    time_s, rows = frames["time_s"].to_numpy(), []
+    for start, stop in merged_runs(wrong, time_s, JOIN_S):
+        part = start + np.flatnonzero(wrong[start:stop])
+        row = {"begin_s": time_s[start], "end_s": time_s[stop - 1]}
         row |= {"frames": len(part), "answer": _lanes(lane[part])}
         rows.append(row | {"truth": _lanes(truth[part])} if known.any() else row)
-    return pd.DataFrame(sorted(rows, key=lambda row: -row["frames"]))
+    return pd.DataFrame(rows)
 
 
 def lane_changes(result: Result) -> pd.DataFrame:
@@ -45,25 +42,28 @@ def lane_changes(result: Result) -> pd.DataFrame:
 
     Columns: begin_s and end_s, to_lane and direction (0 if missed), and those that are shown.
     """
-    frames, events, rows = result.frames, result.events, []
+    frames, events = result.frames, result.events
+    sides, pairs = events["direction"].map(SIDES), _arrows(events)
+    table = events[["to_lane", "direction"]].assign(
+        begin_s=events["time_s"],
+        end_s=events["detected_time_s"],
+        lanes=pairs.where(events["from_lane"] > 0, sides),
+        outcome=outcomes(events, frames),
+    )
     truth = truth_of(frames)
-    if truth is not None:
-        matched = match_events(events, truth, result.frame_rate, max(TOLERANCES_S))
-        true = true_changes(truth)
-        time_s = frames["time_s"].loc[truth.index].to_numpy()
-        for k in set(range(len(true))) - set(matched):
-            begin, end = time_s[true.start[k]], time_s[true.end[k]]
-            row = {"begin_s": begin, "end_s": end, "to_lane": 0, "direction": 0}
-            lanes = f"{true.from_lane[k]} → {true.to_lane[k]}"
-            rows.append({**row, "time (s)": f"{begin:.1f}", "lanes": lanes, "outcome": "missed"})
-    for event, found in zip(events.to_dict("records"), outcomes(events, frames), strict=True):
-        row = {"begin_s": event["time_s"], "end_s": event["detected_time_s"]}
-        row |= {"to_lane": event["to_lane"], "direction": event["direction"]}
-        lanes = f"{event['from_lane']} → {event['to_lane']}"
-        lanes = lanes if event["from_lane"] else SIDES[event["direction"]]
-        row |= {"time (s)": f"{event['time_s']:.1f}", "lanes": lanes, "outcome": found}
-        rows.append(row | ({"delay (s)": f"{event['delay_s']:+.1f}"} if found == "correct" else {}))
-    return pd.DataFrame(sorted(rows, key=lambda row: row["begin_s"]))
+    if truth is None:
+        return table
+    matched = match_events(events, truth, result.frame_rate, max(TOLERANCES_S))
+    true = true_changes(truth).drop(index=np.unique(matched[matched >= 0]))
+    time_s = frames["time_s"].loc[truth.index].to_numpy()
+    missed = true.assign(lanes=_arrows(true), to_lane=0, direction=0, outcome="missed")
+    missed = missed.assign(begin_s=time_s[true["start"]], end_s=time_s[true["end"]])
+    table["delay (s)"] = [cell(delay, "+.1f") for delay in events["delay_s"]]
+    return pd.concat([table, missed[table.columns.drop("delay (s)")]], ignore_index=True)
+
+
+def _arrows(changes: pd.DataFrame) -> pd.Series:
+    return changes["from_lane"].astype(str) + " → " + changes["to_lane"].astype(str)
 
 
 def _lanes(lanes: Any) -> str:

@@ -31,12 +31,6 @@ ERRORS = [CLEAR, style.DETECTOR_COLOUR, style.UNASSIGNED_COLOUR]
 LINES = [CLEAR, style.FAINT, style.MODEL_COLOUR, style.DETECTOR_COLOUR]
 
 
-def step_seconds(result: Result) -> float:
-    """The length of a step of the timeline, seconds."""
-    time_s = result.frames["time_s"]
-    return float(max(1 / result.frame_rate, (time_s.iloc[-1] - time_s.iloc[0]) / MAX_STEPS))
-
-
 def panels(
     result: Result, changes: pd.DataFrame, name: str, time: Range1d
 ) -> Iterator[tuple[Any, Any]]:
@@ -46,7 +40,8 @@ def panels(
     - name: in front of each title; may be empty.
     - time: range of the time axis, shared by all panels of the page.
     """
-    n, step_s, x_s = result.n_lanes, step_seconds(result), result.frames["time_s"].to_numpy()
+    n, x_s = result.n_lanes, result.frames["time_s"].to_numpy()
+    step_s = max(1 / result.frame_rate, (x_s[-1] - x_s[0]) / MAX_STEPS)
     step, first = np.unique(np.round((x_s - x_s[0]) / step_s).astype(int), return_index=True)
     n_steps, frames = step[-1] + 1, result.frames.iloc[first]
     known, truth = is_known(frames), true_lane(frames)
@@ -83,8 +78,8 @@ def panels(
     def draw(panel: Any, image: NDArray[Any], y: float, height: float, colours: Any) -> None:
         """Add an image over the whole time, from y on."""
         mapper = LinearColorMapper(colours, low=0, high=len(colours) - 1, high_color=style.GRID)
-        place = {"x": float(x_s[0]) - step_s / 2, "dw": step_s * n_steps}
-        panel.image([image], y=y, dh=height, color_mapper=mapper, level="image", **place)
+        place = {"x": x_s[0] - step_s / 2, "dw": step_s * n_steps, "y": y, "dh": height}
+        panel.image([image], color_mapper=mapper, level="image", **place)
 
     for who, (belief, lane) in reversed(answers(frames).items()):
         image = image_of(CERTAIN * belief)

@@ -26,9 +26,6 @@ FORMATS: dict[str, tuple[tuple[str, ...], str, str]] = {
 #: Extensions of the files in a folder that is a bag.
 _IN_BAGS = (".mcap", ".db3", ".zstd")
 
-#: Formats whose lines are in pixels, which need a camera.
-IN_PIXELS = ("tusimple",)
-
 
 def read_lines(
     path: str | Path,
@@ -55,7 +52,7 @@ def read_lines(
     >>> import tempfile
     >>> import egolane_pgm as ego
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     _ = ego.simulate("a4", frames=30, out=folder)
+    ...     ego.simulate("a4", frames=30).log.to_pandas().to_csv(f"{folder}/lines.csv")
     ...     lines = ego.read_lines(f"{folder}/lines.csv")
     >>> len(lines), lines.to_pandas().columns.to_list()
     (30, ['time_s', 'offset_m', 'is_valid', 'is_continuous', 'lri'])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import os
 import sys
-import warnings
 from pathlib import Path
 from typing import NamedTuple
 
@@ -63,10 +62,8 @@ def fetch() -> list[str]:
     Content with a wrong checksum never replaces a file. Raises InputError if the server cannot be
     reached.
     """
-    with warnings.catch_warnings():
-        # tqdm, which pooch imports, warns of missing widgets in a notebook.
-        warnings.simplefilter("ignore")
-        import pooch
+    import pooch
+
     # pooch raises its errors.
     import requests
 
@@ -83,7 +80,6 @@ def fetch() -> list[str]:
         except (requests.ConnectionError, requests.Timeout):
             raise InputError(f"{BASE_URL}: no connection; is the network up?") from None
         except (OSError, ValueError) as error:
-            is_io = isinstance(error, OSError)
-            why = " ".join(str(error).split())[:160] if is_io else "wrong checksum"
+            why = " ".join(str(error).split())[:160]
             problems.append(f"{url}: not downloaded to {file.path}: {why}")
     return problems

@@ -65,16 +65,13 @@ def column_keys(given: ColumnsGiven) -> dict[str, Any]:
     if isinstance(given, Mapping):
         return dict(given)
     keys: dict[str, Any] = {}
-    for each in [given] if isinstance(given, str) else given:
-        for part in re.split(r",(?![^\[]*\])", each):
-            name, equals, value = part.partition("=")
-            if not equals:
-                raise InputError(
-                    f"columns: {part!r}: write it as ours=theirs, e.g. offset_m=lateral, or"
-                    " offset_m=[left,right]"
-                )
-            # A single letter may be syntax of YAML.
-            keys[name.strip()] = value if len(value) == 1 else parse_yaml(value, f"columns: {name}")
+    for text in [given] if isinstance(given, str) else given:
+        if "=" not in text:
+            raise InputError(
+                f"columns: {text!r}: write it as ours=theirs, e.g. offset_m=lateral, or"
+                " offset_m=[left,right]"
+            )
+        keys |= parse_yaml("{" + text.replace("=", ": ") + "}", f"columns: {text}")
     return keys
 
 
@@ -117,18 +114,8 @@ def lines_of_columns(
         table.refuse(starts & ~is_later, f"time_s is not later than in the frame before{cure}")
     at = np.cumsum(starts) - 1
     lines = _columns_of_lines(table)
-    of_line = _lines_of(table, lines, at)
-    log = LineLog.from_rows(
-        frame_id[starts],
-        frame_rate,
-        at[of_line["row"]],
-        of_line["offset_m"],
-        of_line["is_valid"] == 1,
-        of_line["is_continuous"] == 1,
-        of_line["lri"],
-        row_line=of_line["line"].astype(np.int64) - 1,
-        source=str(path),
-    )
+    row_frame, of_line = _lines_of(table, lines, at)
+    log = LineLog.from_rows(frame_id[starts], frame_rate, row_frame, **of_line, source=str(path))
     if time_s is not None:
         log = replace(log, time_s=time_s[starts])
     if row is None and (columns or {}).get("offset_m") is None:
@@ -193,8 +180,10 @@ def _columns_of_lines(table: _Table) -> list[dict[str, str]]:
     return found
 
 
-def _lines_of(table: _Table, lines: list[dict[str, str]], at: IntArray) -> dict[str, Any]:
-    """The columns of all lines by our names, and the `row` of each line.
+def _lines_of(
+    table: _Table, lines: list[dict[str, str]], at: IntArray
+) -> tuple[IntArray, dict[str, Any]]:
+    """The frame of each line, and the other arguments of `LineLog.from_rows`.
 
     - lines: the columns of each line of a row.
     - at (N,): the frame of each row, from 0.
@@ -210,36 +199,35 @@ def _lines_of(table: _Table, lines: list[dict[str, str]], at: IntArray) -> dict[
     offset = cells("offset_m") / _PER_METRE[table.names.get("unit", "m")]
     is_empty = np.isnan(offset)
     found: dict[str, Any] = {
-        "row": row,
         "offset_m": -offset if table.names.get("left_positive", False) else offset,
         "lri": cells("lri"),
     }
     for name, default in (("is_valid", ~is_empty), ("is_continuous", False)):
-        found[name] = cells(name)
+        flag = cells(name)
         has_column = np.repeat([name in names for names in lines], len(at))
-        table.refuse(np.isnan(found[name]) & has_column & ~is_empty, f"{name} is empty", row)
-        found[name] = np.where(has_column, found[name], default)
+        table.refuse(np.isnan(flag) & has_column & ~is_empty, f"{name} is empty", row)
+        found[name] = np.where(has_column, flag == 1, default)
     if "line" in lines[0]:
-        found["line"] = cells("line")
-        is_there = ~np.isnan(found["line"])
+        line: Any = cells("line")
+        is_there = ~np.isnan(line)
         table.refuse(~is_there & ~is_empty, "line is empty, but there is an offset")
         # Lines may be numbered from 0.
-        found["line"] = found["line"] + (np.nanmin(found["line"], initial=1) == 0)
+        line += np.nanmin(line, initial=1) == 0
     elif isinstance(table.names.get("offset_m"), str):
-        found["line"] = row - np.searchsorted(at, at) + 1.0
+        line = row - np.searchsorted(at, at) + 1.0
         # A single row without an offset is a frame without lines.
         is_there = ~is_empty | (np.bincount(at)[at] > 1)
     else:
-        found["line"] = np.repeat(np.arange(len(lines)) + 1.0, len(at))
+        line = np.repeat(np.arange(len(lines)) + 1.0, len(at))
         # A valid line without an offset is kept, and refused later.
-        is_there = ~is_empty | (found["is_valid"] == 1)
-    found = {name: values[is_there] for name, values in found.items()}
-    row, line = found["row"], found["line"]
+        is_there = ~is_empty | found["is_valid"]
+    row, line = row[is_there], line[is_there]
     table.refuse((line < 1) | (line > MAX_LINES), f"line is not in 1..{MAX_LINES}", row)
     is_twice = pd.Series(at[row] * MAX_LINES + line).duplicated().to_numpy()
     cure = "; `columns: {frame_id: null}` numbers frames by their times"
     table.refuse(is_twice, f"its frame has this line twice{cure}", row)
-    return found
+    kept = {name: values[is_there] for name, values in found.items()}
+    return at[row], {**kept, "row_line": line.astype(np.int64) - 1}
 
 
 def _frames_of(table: _Table, first: int) -> tuple[IntArray, FloatArray | None]:

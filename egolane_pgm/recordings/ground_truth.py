@@ -13,27 +13,34 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.recordings.columns import to_numbers
-from egolane_pgm.recordings.table import with_index
+from egolane_pgm.recordings.columns import to_numbers, to_seconds
+from egolane_pgm.recordings.table import read_columns, with_index
 from egolane_pgm.tools.files import read_text, write_text
-from egolane_pgm.types import InputError, lane_truth, suggestion
+from egolane_pgm.types import InputError, LineLog, lane_truth, suggestion
 
 _INTEGER = r"\s*([+-]?[0-9]{1,18})\s*"
 _ROW = re.compile(rf"{_INTEGER}[;,]{_INTEGER}[;,]\s*([01])\s*")
 
 
-def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()) -> pd.DataFrame:
+def read_ground_truth(
+    path: str | Path, extra_rows: Iterable[Sequence[int]] = (), log: LineLog | None = None
+) -> pd.DataFrame:
     """Read the lane of each annotated frame, and the flag of a crossing into another lane.
 
     A row is `frame;lane;crossing` (or with commas), crossing 0 or 1. A heading and empty rows are
-    skipped.
+    skipped. A table (.csv, .parquet) with a column time_s is read as `truth_of` takes a DataFrame.
 
+    - log: the frames, for a table by time.
     - extra_rows: further rows (frame, lane, crossing). The paper counts frame 0 of the Spanish
       recording, which its file lacks.
 
     Raises InputError, naming the line, for a malformed row, for a file without rows, and for frames
     that do not increase.
     """
+    table = Path(path)
+    is_csv = table.suffix.lower() == ".csv"
+    if table.suffix.lower() == ".parquet" or (is_csv and "time_s" in read_text(table)[:1000]):
+        return truth_of(read_columns(table), log, str(path))
     rows: list[tuple[int, ...]] = []
     for number, line in enumerate(read_text(Path(path)).splitlines(), start=1):
         if match := _ROW.fullmatch(line):
@@ -51,22 +58,30 @@ def read_ground_truth(path: str | Path, extra_rows: Iterable[Sequence[int]] = ()
     return lane_truth(frame_id, lane, crossing == 1, str(path))
 
 
-def truth_of(given: pd.DataFrame) -> pd.DataFrame:
+def truth_of(
+    given: pd.DataFrame, log: LineLog | None = None, source: str = "ground truth in memory"
+) -> pd.DataFrame:
     """The ground truth of a DataFrame, see `types.lane_truth`.
 
     - given: a row per frame: frame_id (or as its index), lane or true_lane (1 leftmost), and
-      optionally is_crossing or crossing. Frames without a lane are not annotated.
+      optionally is_crossing or crossing. Frames without a lane are not annotated. Without frame_id,
+      time_s: a frame has the row whose time is nearest, at most half a frame away.
+    - log: the frames, for rows by time.
+    - source: for messages.
 
-    Raises InputError for a missing column, a wrong cell, and frame ids that do not increase.
+    Raises InputError for a missing column, a wrong cell, and frame ids or times that do not
+    increase or are of no frame.
 
     >>> import pandas as pd
     >>> from egolane_pgm.recordings.ground_truth import truth_of
     >>> truth_of(pd.DataFrame({"frame_id": [7, 8, 9], "lane": [2, None, 1]}))["true_lane"].to_list()
     [2, 1]
     """
-    path = Path("ground truth in memory")
+    path = Path(source)
     frame = with_index(given, "ground_truth")
     frame = frame.rename(columns={"crossing": "is_crossing", "true_lane": "lane"})
+    if "frame_id" not in frame and "time_s" in frame and log is not None:
+        frame = _at_frames(frame, log, path)
     for name in ("frame_id", "lane"):
         if name not in frame:
             raise InputError(f"{path}: no column {name}{suggestion(name, frame.columns)}")
@@ -76,6 +91,33 @@ def truth_of(given: pd.DataFrame) -> pd.DataFrame:
     if "is_crossing" in frame:
         crossing = to_numbers(path, "is_crossing", frame["is_crossing"])
     return lane_truth(frame_id, lane, crossing == 1, str(path))
+
+
+def _at_frames(frame: pd.DataFrame, log: LineLog, path: Path) -> pd.DataFrame:
+    """Join rows by time to the frames nearest to them."""
+    time_s = to_seconds(path, "time_s", frame["time_s"])
+    later = np.diff(time_s) > 0
+    if not later.all():
+        row = int(later.argmin())
+        before, after = time_s[row : row + 2]
+        wrong = f"{before:.10g} is followed by {after:.10g}"
+        raise InputError(f"{path}: row {row + 2}: time_s must increase, {wrong}")
+    half = np.median(np.diff(log.time_s)) / 2 if len(log) > 1 else np.inf
+    found = pd.merge_asof(
+        pd.DataFrame({"frame_id": log.frame_id, "time_s": log.time_s}),
+        frame.assign(time_s=time_s),
+        on="time_s",
+        direction="nearest",
+        # Times since 1970 have few digits after the point.
+        tolerance=half + 1e-6,
+    )
+    if "lane" in found and found["lane"].isna().all():
+        spans = [f"{ends[0]:.10g} to {ends[-1]:.10g} s" for ends in (log.time_s, time_s)]
+        raise InputError(
+            f"{path}: no time_s is that of a frame; the frames are from {spans[0]}, the rows from"
+            f" {spans[1]}"
+        )
+    return found
 
 
 def write_ground_truth(path: str | Path, truth: pd.DataFrame) -> None:

@@ -16,7 +16,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.interfaces import Connection, Nodetype
 from rosbags.typesys import Stores, get_typestore
 
-from egolane_pgm.recordings.decoding import Decoder, Fields, stamp_of
+from egolane_pgm.recordings.decoding import Fields, fields_of_objects, stamp_of
 from egolane_pgm.types import InputError
 
 #: The topics of a file: message type and number of messages.
@@ -64,7 +64,8 @@ def fields_of(bag: AnyReader, topic: str) -> Fields:
     chosen = _connections(bag, topic)
     found = list(bag.messages(chosen))
     types, kind = bag.typestore.fielddefs, chosen[0].msgtype
-    fields = Decoder(types, [raw for _, _, raw in found], bag.is2).decode(kind)
+    read = [bag.deserialize(raw, kind) for _, _, raw in found]
+    fields = fields_of_objects(read, kind, types)
     is_stamp = ("timestamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")) in types[kind][1]
     stamp = fields.get("header.stamp", fields["timestamp"] if is_stamp else np.zeros(len(found)))
     logged_s = _seconds(np.array([ns for _, ns, _ in found]))

@@ -35,7 +35,7 @@ def show_recording(path: Path) -> str:
             continue
         time_s = np.asarray(fields["time_s"])
         rate = rate_of(np.arange(len(time_s)), time_s)
-        text[-1] += f"; {_pace(rate, (np.diff(time_s) > 1.5 / (rate or np.inf)).sum())}"
+        text[-1] += f"; {_pace(rate, (np.diff(time_s) * (rate or 0) > 1.5).sum())}"
         text += [*_spans(table_of(fields)), *_command(path, topic=topic)]
     return "\n".join(text or [f"{path}: has no topics"])
 

@@ -8,6 +8,7 @@ a list of lines keep their own names.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -37,8 +38,7 @@ def topics_of(path: str | Path) -> Topics:
 
     Raises InputError for a file that is missing or cannot be read.
     """
-    library = _library(Path(path))
-    with library.opened(Path(path)) as file:
+    with _opened(Path(path)) as (library, file):
         topics: Topics = library.topics_of(file)
     return topics
 
@@ -48,22 +48,22 @@ def messages(path: str | Path, topic: str) -> Iterator[Message]:
 
     Raises InputError as `topics_of`, for an unknown topic, and for one without messages.
     """
-    library = _library(Path(path))
-    with library.opened(Path(path)) as file:
+    with _opened(Path(path)) as (library, file):
         yield from library.messages(file, _find_topic(library.topics_of(file), topic))
 
 
 def fields_of(path: Path, topic: str | None = None) -> Fields:
     """The fields of all messages on a topic (by default the one with lines), and their times
     `time_s` in seconds. Raises InputError as `messages`."""
-    library = _library(path)
-    with library.opened(path) as file:
+    with _opened(path) as (library, file):
         fields: Fields = library.fields_of(file, _find_topic(library.topics_of(file), topic))
     return fields
 
 
-def _library(path: Path) -> Any:
-    """The module that reads a file. Raises InputError if there is no such file."""
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[Any, Any]]:
+    """The module that reads a file, and the open file. Raises InputError for a missing one."""
+    library: Any = rosbag
     if not path.exists():
         raise InputError(f"{path}: no such file")
     if path.suffix.lower() == ".mcap" and path.is_file():
@@ -71,10 +71,9 @@ def _library(path: Path) -> Any:
             head = opened.read(25)
         # rosbags reads MCAP files of ROS 2, and refuses what is no MCAP file.
         if head.startswith(b"\x89MCAP") and head[17:] != b"\x04\0\0\0ros2":
-            from egolane_pgm.recordings import mcap_file
-
-            return mcap_file
-    return rosbag
+            from egolane_pgm.recordings import mcap_file as library
+    with library.opened(path) as file:
+        yield library, file
 
 
 def _find_topic(there: Topics, topic: str | None) -> str:

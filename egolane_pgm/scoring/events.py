@@ -268,13 +268,10 @@ def score_events(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any
 def score_crossing(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any]:
     """The scores of the line crossing probability as early warning; None if undefined.
 
-    Keys: `auc` (area under the ROC curve for "this frame is crossing"), `precision`, `recall` (of
-    the crossing frames, with a warning from WARNED), `changes` (true ones), `warned` (how many of
-    them), `lead_s` {`median`, `p10`}, `warnings`, `false_per_hour`.
+    Keys: `changes` (true ones), `warned` (how many of them), `lead_s` (median), `false_per_hour`.
     """
     reach = max(TOLERANCES_S) * frame_rate
-    warnings, false = 0, 0
-    leads = []
+    false, leads = 0, []
     for _, truth, crossing in drives:
         ids, is_crossing = truth.index.to_numpy(), truth["is_crossing"].to_numpy()
         runs = runs_of(np.asarray(crossing) >= WARNED)
@@ -285,21 +282,14 @@ def score_crossing(drives: Sequence[Reported], frame_rate: float) -> dict[str, A
         after = np.searchsorted(ids[is_crossing], ids[begin])
         padded = np.concatenate([[-math.inf], ids[is_crossing], [math.inf]])
         is_far = (padded[after + 1] - ids[end] >= reach) & (ids[begin] - padded[after] >= reach)
-        warnings, false = warnings + len(begin), false + int(is_far.sum())
-    values = np.concatenate([np.asarray(each.crossing, dtype=np.float64) for each in drives])
-    is_crossing = np.concatenate([each.truth["is_crossing"].to_numpy() for each in drives])
-    is_warned, lead = values >= WARNED, np.concatenate(leads)
-    both = int((is_warned & is_crossing).sum())
-    auc = roc_auc(values, is_crossing)
+        false += int(is_far.sum())
+    lead = np.concatenate(leads)
+    frames = sum(len(each.truth) for each in drives)
     return {
-        "auc": None if math.isnan(auc) else auc,
-        "precision": _ratio(both, int(is_warned.sum())),
-        "recall": _ratio(both, int(is_crossing.sum())),
         "changes": len(lead),
         "warned": int(np.count_nonzero(~np.isnan(lead))),
-        "lead_s": {"median": _percentile(lead, 50), "p10": _percentile(lead, 10)},
-        "warnings": warnings,
-        "false_per_hour": _ratio(false, len(values) / frame_rate / 3600),
+        "lead_s": _percentile(lead, 50),
+        "false_per_hour": _ratio(false, frames / frame_rate / 3600),
     }
 
 
@@ -318,23 +308,6 @@ def _leads(begin: IntArray, end: IntArray, truth: pd.DataFrame) -> FloatArray:
         if first < len(begin) and begin[first] < max(stop, start + 1):
             lead[c] = ids[label] - ids[begin[first]]
     return lead
-
-
-def roc_auc(score: ArrayLike, is_positive: ArrayLike) -> float:
-    """The area under the ROC curve: the probability that a positive frame has a larger score than
-    a negative one, ties counting half (Hanley & McNeil 1982).
-
-    score (T,), is_positive (T,). NaN without a positive or without a negative frame.
-    """
-    from scipy.stats import rankdata
-
-    positive = np.asarray(is_positive)
-    n_positive = int(positive.sum())
-    n_negative = len(positive) - n_positive
-    if not n_positive or not n_negative:
-        return float("nan")
-    total = float(rankdata(score)[positive].sum())
-    return (total - n_positive * (n_positive + 1) / 2) / (n_positive * n_negative)
 
 
 def _ratio(count: float, of: float) -> float | None:

@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from pydantic import Field, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
@@ -28,9 +29,6 @@ from egolane_pgm.simulation.world import (
     slow_noise,
 )
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray, LineLog, suggestion
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 #: Correlation times of the noise and of the continuous flag, and the mean duration of a false
 #: track, seconds.
@@ -59,18 +57,18 @@ class DetectorModel:
     - noise_m: standard deviation of a reported line from its place
     - seen_left, seen_inner, seen_right, seen_shoulder: probability that a near line is in view: the
       leftmost line, an inner (dashed) one, the rightmost one, the line beyond the shoulder
-    - range_m: distance at which a line is in view half as often
+    - range_m: distance that halves the probability of being in view
     - in_view_s: correlation time of being in view, seconds
     - miss: probability that a line in view is missed in a frame
     - continuous_left, continuous_inner, continuous_right, continuous_shoulder: probability that the
       line has the continuous flag
-    - clutter: share of the time for which each of the two false tracks is there
+    - clutter: share of the time in which each of the two false tracks is present
     - ok_s, bad_s: mean time in the states OK and BAD of the sensor, a Markov chain, seconds;
       bad_s = 0 for no failures
-    - bad_missed: probability, per line and failure, that the line is not detected
-    - bad_shifted: probability, per line and failure, that the line is reported shifted; all lines
+    - bad_missed: probability, per line and failure, of no detection of the line
+    - bad_shifted: probability, per line and failure, of a shift of the reported line; all lines
       of a failure share the shift
-    - bad_clutter: probability, per false track and failure, that the track is there
+    - bad_clutter: probability, per false track and failure, of the presence of the track
     """
 
     offset_scale: Positive = 1.0
@@ -190,12 +188,6 @@ def _clutter_tracks(
     return offset, is_detected, is_continuous
 
 
-def _last_frame_with(event: BoolArray) -> IntArray:
-    """The last frame up to now with the event, (T, K); -1 before the first."""
-    frame = np.arange(len(event))[:, None]
-    return np.asarray(np.maximum.accumulate(np.where(event, frame, -1), axis=0))
-
-
 def line_reliability(is_detected: BoolArray) -> tuple[IntArray, BoolArray]:
     """Return LRI and valid flags, (T, K) each, of tracks with detections (T, K).
 
@@ -205,7 +197,8 @@ def line_reliability(is_detected: BoolArray) -> tuple[IntArray, BoolArray]:
     first = np.repeat(is_detected[:1], _LRI_MAX, axis=0)
     total = np.cumsum(np.concatenate([first, is_detected]), axis=0)
     lri = total[_LRI_MAX:] - total[:-_LRI_MAX]
-    return lri, _last_frame_with(lri == _LRI_MAX) > _last_frame_with(lri == 0)
+    state = pd.DataFrame(np.select([lri == _LRI_MAX, lri == 0], [1.0, 0.0], np.nan)).ffill()
+    return lri, (state == 1).to_numpy()
 
 
 def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, seed: int) -> LineLog:
@@ -225,9 +218,11 @@ def detect_lines(road: Road, is_failing: BoolArray, detector: DetectorModel, see
     )
     lri, is_valid = line_reliability(is_detected)
     is_listed = lri > 0
-    last = np.maximum(_last_frame_with(is_detected), 0)
-    offset = np.where(is_listed, np.take_along_axis(offset, last, axis=0), np.nan)
-    is_continuous = np.take_along_axis(is_continuous, last, axis=0) & is_listed
+    held, flag = (
+        pd.DataFrame(np.where(is_detected, values, np.nan)).ffill().to_numpy()
+        for values in (offset, is_continuous)
+    )
+    offset, is_continuous = np.where(is_listed, held, np.nan), (flag == 1) & is_listed
 
     n_slots = max(1, int(is_listed.sum(axis=1).max()))
     order = np.argsort(offset, axis=1, kind="stable")[:, :n_slots]  # NaN last
@@ -250,7 +245,7 @@ class SimulatedDrive:
     - log: the detected lines
     - truth: the annotated lane
     - position_m: (T,) distance of the vehicle from the leftmost line, metres
-    - is_failing: (T,) whether the sensor is in its BAD state
+    - is_failing: (T,) True in the BAD state of the sensor
     """
 
     log: LineLog
@@ -359,6 +354,11 @@ def simulate(
 
     Raises InputError for an unknown preset or key, with a suggestion, and for a value that is out
     of range, naming the key.
+
+    >>> import egolane_pgm as ego
+    >>> drive = ego.simulate("a4", frames=30)
+    >>> len(drive.log), drive.n_lanes, list(drive.truth)
+    (30, 4, ['true_lane', 'is_crossing'])
     """
     check_names(_OF_WORLD | _OF_DETECTOR, overrides, "simulation")
     of_detector = {k: overrides.pop(k) for k in _OF_DETECTOR & overrides.keys()}

@@ -10,18 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Container, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from egolane_pgm.graphs.cpds import SliceNode, Table, declare
-from egolane_pgm.graphs.from_pgmpy import read_network
+from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import counted_tables, expected_counts
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
-
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 
 #: The iterations end when the log posterior grows by less than this, nats per frame.
 TOLERANCE = 1e-6
@@ -41,7 +36,7 @@ class LearnedTables:
     """The result of EM.
 
     - tables: `counted_tables`, learned or unchanged.
-    - compiled: the network with these tables.
+    - compiled: the network with these tables; `compiled.network` is the one of pgmpy.
     - log_posterior (I,): log evidence plus log prior (0 for the starting tables), before each
       iteration and after the last.
     - is_impossible (T,): marks frames whose evidence, together with the known values, has
@@ -114,34 +109,6 @@ def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Comp
         if s == 1 and name in compiled.one_table
     ]
     return with_tables(compiled, [*first, *learned.values()])
-
-
-def learned_network(
-    network: DynamicBayesianNetwork, learned: LearnedTables | Compiled
-) -> DynamicBayesianNetwork:
-    """A copy of a pgmpy network with learned tables, of both slices in full.
-
-    - network: the network that was compiled; it is not changed.
-    - learned: the result of `fit_tables`, or any network compiled from this one.
-
-    Raises InputError, naming the node, if the tables belong to another network.
-
-    >>> import egolane_pgm as ego
-    >>> place = ego.experiments_folder() / "quickstart.yaml"
-    >>> run = ego.run(place, overrides={"recording.frames": [0, 300]})
-    >>> fitted = ego.fit_tables(run.model.compiled, run.evidence, iterations=3)
-    >>> network = ego.learned_network(run.model.network, fitted)
-    >>> print(network, network.check_model())
-    DynamicBayesianNetwork with 12 nodes and 12 edges True
-    """
-    compiled = learned if isinstance(learned, Compiled) else learned.compiled
-    declared = read_network(network)
-    for node, table in compiled.tables.items():
-        own = declared.tables.get(node)
-        has_parents = own is not None and {*own.parents} == {*table.parents}
-        if own is None or not has_parents or own.values.size != table.values.size:
-            raise InputError(f"{node[0]}: the network has no such table; is it what was compiled?")
-    return declare({**declared.tables, **compiled.tables}.values(), (), declared.values)
 
 
 def _most_probable(counts: FloatArray, start: FloatArray, strength: float) -> FloatArray:

@@ -7,7 +7,6 @@ the final fit. The labels of all other frames are masked in `drives`.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -16,24 +15,26 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import joblib
 import numpy as np
 import optuna
 import pandas as pd
+from optuna.trial import TrialState
 
 from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.inference.filtering import METHODS
 from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value, not_searched, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
     PREFIX,
-    check_filter,
     posterior_at,
-    scores_of,
+    score_of,
     searched_of_detector,
     split,
     with_detector,
@@ -63,9 +64,6 @@ class Fitted(dict[str, Value]):
 
 Fit = Callable[[Sequence[Drive], Sequence[IntArray], int | None], Fitted]
 
-#: The largest number of EM steps.
-ITERATIONS = 200
-
 #: The prefix of a learned table: `tables.Lane.next`; without a suffix if a node has one table.
 TABLES = "tables."
 _SLICES = (".first", ".next")
@@ -79,13 +77,12 @@ def fit_nothing(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | 
 def fit_by_name(
     method: str,
     *,
-    trials: int | None = None,
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
 ) -> Fit:
     """The fit of a method (`fit.method`): none, learn or tune; see `fit_tune` for the options."""
-    tune = partial(fit_tune, trials=trials, storage=storage, starts=starts, pooled=pooled)
+    tune = partial(fit_tune, storage=storage, starts=starts, pooled=pooled)
     fits: dict[str, Fit] = {"none": fit_nothing, "learn": fit_learn, "tune": tune}
     return fits[method]
 
@@ -159,29 +156,21 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
-    notes = []
     if kept := kept_though_tuned(model):
-        where = f"{source}: tuned_on {model.experiment.tuned_on}"
-        notes.append(f"{where}: {', '.join(kept)} kept, so held-out scores may be in-sample")
+        note = f"{', '.join(kept)} kept, so held-out scores may be in-sample"
+        tuned_on = model.experiment.tuned_on
+        warnings.warn(f"{source}: tuned_on {tuned_on}: {note}", UserWarning, stacklevel=2)
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
     evidence, lanes, begins = zip(*training, strict=True)
-    lane = np.concatenate(lanes)
-    if options.labels:
-        notes += [
-            f"{source}: no frame to learn from has lane {k + 1}; it keeps its start"
-            for k in range(model.n_lanes)
-            if k not in lane
-        ]
     start = start_of_learning(model).compiled
     fitted = em.fit_tables(
         start,
         Evidence.concat(evidence),
-        {"Lane": lane},
+        {"Lane": np.concatenate(lanes)},
         np.concatenate(begins),
         nodes=learnable_nodes(model),
         strength=options.strength,
-        iterations=ITERATIONS,
     )
     impossible, graph = int(fitted.is_impossible.sum()), f"graph {model.experiment.graph}"
     if impossible == len(fitted.is_impossible):
@@ -190,14 +179,8 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             " rule and the graph fit together?"
         )
     if impossible:
-        notes.append(
-            f"{source}: {graph} does not allow {impossible} frame(s) to learn from; they are left"
-            " out"
-        )
-    if len(fitted.log_posterior) > ITERATIONS:
-        notes.append(f"{source}: learning did not converge in {ITERATIONS} iterations")
-    for note in notes:
-        warnings.warn(note, UserWarning, stacklevel=2)
+        note = f"{graph} does not allow {impossible} frame(s) to learn from; they are left out"
+        warnings.warn(f"{source}: {note}", UserWarning, stacklevel=2)
     tables = _by_name(start, fitted.tables).items()
     return Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
 
@@ -250,15 +233,11 @@ def start_of_learning(model: Model) -> Model:
 
     Parameters of the graph that may have been tuned on these frames start from their defaults.
     """
-    values = _resolve(model, {**model.parameters, **_defaults(model)})
-    return replace(with_parameters(model, values), parameters=model.parameters)
-
-
-def _defaults(model: Model) -> dict[str, Value]:
-    if model.experiment.tuned_on not in ("same_frames", "unknown"):
-        return {}
-    specs = getattr(model.graph, "PARAMETERS", ())
-    return {spec.name: spec.default for spec in specs if spec.is_searched}
+    values = dict(model.parameters)
+    if model.experiment.tuned_on in ("same_frames", "unknown"):
+        specs = getattr(model.graph, "PARAMETERS", ())
+        values |= {spec.name: spec.default for spec in specs if spec.is_searched}
+    return replace(with_parameters(model, _resolve(model, values)), parameters=model.parameters)
 
 
 def kept_though_tuned(model: Model) -> list[str]:
@@ -268,7 +247,8 @@ def kept_though_tuned(model: Model) -> list[str]:
         return []
     specs = getattr(model.rule, "PARAMETERS", ())
     kept = [s.name for s in specs if s.is_searched and model.parameters[s.name] != s.default]
-    is_tuned_graph = e.tuned_on == "same_frames" and not _defaults(model)
+    starts_anew = any(s.is_searched for s in getattr(model.graph, "PARAMETERS", ()))
+    is_tuned_graph = e.tuned_on == "same_frames" and not starts_anew
     return [*kept, *[f"graph {e.graph}"] * is_tuned_graph]
 
 
@@ -287,14 +267,12 @@ def fit_tune(
     train: Sequence[IntArray],
     fold: int | None,
     *,
-    trials: int | None = None,
     storage: str | None = None,
     starts: Sequence[Mapping[str, Value]] = (),
     pooled: bool = False,
 ) -> Fitted:
     """Search the best parameters on the training frames, in an Optuna study.
 
-    - trials: their number if the experiment does not give it (`fit.trials`).
     - storage: a URL as Optuna takes it, or a journal file; None for a study in memory. Each fold
       has its own study in it; an interrupted study is resumed.
     - starts: parameter sets that the study on everything tries first. The study of a fold starts
@@ -302,7 +280,6 @@ def fit_tune(
     - pooled: whether all frames count alike; otherwise all drives do.
     """
     tuning = drives[0].experiment.fit
-    tuning = tuning.model_copy(update={"trials": tuning.trials or trials})
     space = search_space([drive.model for drive in drives], tuning)
     settings = settings_of(tuning, fold, drives[0].experiment.source)
     used = [np.isin(np.arange(len(d)), t) for d, t in zip(drives, train, strict=True)]
@@ -348,7 +325,7 @@ def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
         current, source = current_values(model, tuning), model.experiment.source
         where = f"{source}: fit.parameters"
         spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
-        if spaces[-1].dimensions != spaces[0].dimensions:
+        if spaces[-1].distributions != spaces[0].distributions:
             raise InputError(
                 f"{source}: has other parameters or lanes than {models[0].experiment.source}; one"
                 " set for both needs the same plugins, and a parameter with a value per lane cannot"
@@ -371,7 +348,7 @@ def searches_detector(tuning: FitSettings) -> bool:
 
 def searched_values(space: SearchSpace, tuning: FitSettings, point: Point) -> dict[str, Value]:
     """The parameters that are searched, or fixed by `fit.parameters`, at a point."""
-    names = {d.parameter for d in space.dimensions}.union(tuning.parameters)
+    names = {*tuning.parameters, *(key.partition("[")[0] for key in space.distributions)}
     return {name: v for name, v in to_parameters(space, point).items() if name in names}
 
 
@@ -384,14 +361,17 @@ def objective(
     *,
     pooled: bool = False,
 ) -> Callable[[Point], list[float]]:
-    """The scores of a point of the search space; see `objective.scores_of`.
+    """The scores of a point of the search space; see `objective.score_of`.
 
     - used: per drive (K,), marks the annotated frames that are scored.
 
     Raises InputError for a filter that looks ahead.
     """
-    for drive in drives:
-        check_filter(drive.experiment)
+    for e in (drive.experiment for drive in drives):
+        if e.filter not in METHODS:
+            raise InputError(
+                f"{e.source}: filter: a search takes assumed_density or exact, not {e.filter}"
+            )
     posteriors = [posterior_at(drive) for drive in drives]
     currents = [current_values(drive.model, tuning) for drive in drives]
 
@@ -399,7 +379,7 @@ def objective(
         changed = searched_values(space, tuning, point)
         pairs = zip(posteriors, currents, strict=True)
         found = [posterior({**current, **changed}) for posterior, current in pairs]
-        return scores_of(drives, found, used, names, pooled=pooled)
+        return [score_of(drives, found, used, name, pooled=pooled) for name in names]
 
     return values
 
@@ -432,20 +412,24 @@ def open_study(
             f"study {name}: the storage holds another study of this name, with another {what};"
             " name another directory or storage"
         )
+    keys = set(space.distributions)
+    for trial in study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,)):
+        if missing := keys - trial.params.keys():
+            raise InputError(
+                f"study {name}: trial {trial.number} has no {min(missing)}: the storage is damaged;"
+                " name another directory or storage"
+            )
     study.set_user_attr("identity", known)
     return study
 
 
 def drive_digest(drive: Drive, train: IntArray) -> str:
     """A checksum of the lines, labels, training frames and model of a drive."""
-    log, found = drive.log, hashlib.sha256()
-    arrays = (log.frame_id, log.offset_m, log.is_valid, log.is_continuous, log.lri)
-    for array in (*arrays, drive.true_lane, drive.is_crossing, train):
-        found.update(np.ascontiguousarray(array).tobytes())
-    e = drive.experiment
-    for plugin in (e.evidence, e.graph):
-        # A user's own file is part of the model; it may have moved.
-        file = Path(plugin)
-        found.update(file.read_bytes() if file.is_absolute() else plugin.encode())
-    found.update(f"{e.filter} {e.evidence_mode} {e.min_confidence}".encode())
-    return found.hexdigest()[:16]
+    log, e = drive.log, drive.experiment
+    # A user's own file is part of the model; it may have moved.
+    files = [Path(plugin) for plugin in (e.evidence, e.graph)]
+    plugins = [f.read_bytes() if f.is_absolute() else f.name for f in files]
+    lines = log.frame_id, log.offset_m, log.is_valid, log.is_continuous, log.lri
+    labels = drive.true_lane, drive.is_crossing, train
+    model = plugins, e.filter, e.evidence_mode, e.min_confidence
+    return str(joblib.hash((lines, labels, model)))

@@ -52,7 +52,7 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
     model = Model(experiment, rule, module, {}, compiled, unused)
     content = graph_yaml(model, "a network of pgmpy that was in memory")
     # A network of unknown origin may have seen any frames.
-    content["learned_from"] = getattr(graph, "learned_from", "unknown")
+    content["learned_from"] = "unknown"
     digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
     file = Path(_folder().name, f"network_{digest}.yaml")
     write_yaml(file, content)

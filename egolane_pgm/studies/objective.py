@@ -10,7 +10,7 @@ import numpy as np
 
 from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.experiment import DETECTOR, Experiment
-from egolane_pgm.inference.filtering import METHODS, filter_beliefs
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value
 from egolane_pgm.scoring.confusion import (
@@ -50,9 +50,6 @@ PREFIX = f"{DETECTOR}."
 #: The value of an undefined score, such as the delay if no lane change was followed.
 UNDEFINED = 1e6
 
-#: The number of cached evidences per drive; `bonus_value`, which is searched, has 10 values.
-KEPT_EVIDENCE = 12
-
 
 def check_objective(name: str, where: str = "objective") -> str:
     """Return the name of a score. Raises InputError for an unknown one, with a suggestion."""
@@ -60,15 +57,6 @@ def check_objective(name: str, where: str = "objective") -> str:
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
     return name
-
-
-def check_filter(experiment: Experiment) -> None:
-    """Raise InputError for a filter that looks ahead."""
-    if experiment.filter not in METHODS:
-        raise InputError(
-            f"{experiment.source}: filter: a search takes assumed_density or exact, not"
-            f" {experiment.filter}; search with one of these"
-        )
 
 
 def searched_of_detector(experiment: Experiment) -> tuple[list[Parameter], dict[str, Value]]:
@@ -100,12 +88,13 @@ def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Ex
 def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
     """A function of all parameters: the posterior over lanes in the annotated frames, (K, n).
 
-    The last evidences are cached, since most trials change only the graph. Parameters of the
+    The last evidences are cached, since most trials change only the graph, and `bonus_value`, which
+    is searched, has 10 values. Parameters of the
     detector make it process all pictures again.
     """
     names = [spec.name for spec in getattr(drive.model.rule, "PARAMETERS", ())]
 
-    @lru_cache(maxsize=KEPT_EVIDENCE)
+    @lru_cache(maxsize=12)
     def evidence(
         of_rule: tuple[Value, ...], of_detector: tuple[tuple[str, Value], ...]
     ) -> Evidence:
@@ -125,57 +114,48 @@ def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
     return posterior
 
 
-def scores_of(
+def score_of(
     drives: Sequence[Drive],
     posteriors: Sequence[FloatArray],
     is_used: Sequence[BoolArray],
-    objectives: Sequence[str],
+    name: str,
     *,
     pooled: bool = False,
-) -> list[float]:
-    """Score a parameter set: per objective the mean over the drives, equal weight each.
+) -> float:
+    """Score a parameter set: the mean over the drives, equal weight each.
 
-    Drives with an undefined score are left out of its mean, such as drives without a lane change
-    for the delay; a score that no drive defines is `UNDEFINED`.
+    Drives with an undefined score are left out, such as drives without a lane change for the delay;
+    a score that no drive defines is `UNDEFINED`.
 
     - posteriors: per drive (K, n).
     - is_used: per drive (K,), marks the annotated frames that count.
-    - objectives: names of scores.
+    - name: of the score.
     - pooled: whether all frames count alike instead: confusion matrices are added, other scores
       are weighted by frames.
     """
-    values = np.zeros((len(drives), len(objectives)))
-    weights = np.ones_like(values)
-    matrices: list[IntArray] = []
-    for k, (drive, posterior, used) in enumerate(zip(drives, posteriors, is_used, strict=True)):
-        rows = drive.rows
-        lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
-        assigned = assigned_lane(posterior, drive.experiment.min_confidence)
-        matrices.append(confusion(assigned, lane, crossing | ~used, posterior.shape[1]))
-        of_matrix = scores_from_confusion(matrices[k])
-        for j, name in enumerate(objectives):
-            if name in SCORES:
-                values[k, j] = of_matrix[name]
-                continue
-            value = belief_score(drive, posterior, used, name)
-            # The log-loss counts crossing frames as well.
-            counted = used if name == "log_loss" else used & ~crossing
-            weights[k, j] = np.count_nonzero(counted) if pooled else 1
-            if np.isnan(value):
-                value = weights[k, j] = 0.0
-            values[k, j] = value
-    total = weights.sum(axis=0)
-    found = (values * weights).sum(axis=0) / np.where(total > 0, total, 1)
-    found[total == 0] = UNDEFINED
+    given = list(zip(drives, posteriors, is_used, strict=True))
+    if pooled and name in SCORES:
+        matrices = on_widest([drive_confusion(*each) for each in given])
+        return float(scores_from_confusion(matrices.sum(axis=0))[name])
+    scores = np.array([drive_score(*each, name) for each in given])
+    weights = np.ones(len(given))
     if pooled:
-        of_matrix = scores_from_confusion(on_widest(matrices).sum(axis=0))
-        for j, name in enumerate(objectives):
-            found[j] = of_matrix[name] if name in SCORES else found[j]
-    return found.tolist()  # type: ignore[no-any-return]
+        # The log-loss counts crossing frames as well.
+        left_out = [d.is_crossing[d.rows] & (name != "log_loss") for d in drives]
+        weights = np.array([np.sum(u & ~out) for u, out in zip(is_used, left_out, strict=True)])
+    known = ~np.isnan(scores)
+    return float(np.average(scores[known], weights=weights[known])) if known.any() else UNDEFINED
 
 
-def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
-    """One score of a posterior (K, n) over the frames that are used (K,).
+def drive_confusion(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:
+    """The confusion matrix of a posterior (K, n) of a drive over the frames that are used (K,)."""
+    assigned = assigned_lane(belief, drive.experiment.min_confidence)
+    is_left_out = drive.is_crossing[drive.rows] | ~is_used
+    return confusion(assigned, drive.true_lane[drive.rows], is_left_out, belief.shape[1])
+
+
+def drive_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
+    """One score of a posterior (K, n) of a drive over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
     are all used. NaN without any; `UNDEFINED`, a large number, if no change is followed.
@@ -186,12 +166,13 @@ def belief_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str
     if name == "log_loss":
         losses = log_loss_per_frame(belief, lane)[is_used]
         return float(losses.mean()) if losses.size else float("nan")
-    if name == "brier":
-        return brier(belief, lane, is_left_out)
-    if name == "expected_calibration_error":
-        return expected_calibration_error(belief, lane, is_left_out)
-    truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
+    if name in ("brier", "expected_calibration_error"):
+        score = brier if name == "brier" else expected_calibration_error
+        return score(belief, lane, is_left_out)
+    if name in SCORES:
+        return float(scores_from_confusion(drive_confusion(drive, belief, is_used))[name])
     assigned = assigned_lane(belief, drive.experiment.min_confidence)
+    truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     rate = drive.experiment.recording.frame_rate
     found = stability_scores([(assigned, truth)], rate, [is_used])
     delay = found["delay"]

@@ -19,7 +19,7 @@ from egolane_pgm.experiment import FitSettings
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.sampler import Shade
-from egolane_pgm.studies.space import Point, SearchSpace, distributions
+from egolane_pgm.studies.space import Point, SearchSpace
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError, suggestion
 
@@ -35,8 +35,8 @@ SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
 #: The default number of trials of a study.
 TRIALS = 3000
 
-#: Scores a point: one number per objective.
-Score = Callable[[Point], Sequence[float]]
+#: Scores a point: one number, or one per objective.
+Score = Callable[[Point], float | Sequence[float]]
 
 
 @contextmanager
@@ -88,7 +88,7 @@ def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> sa
       keep no state, get another seed, so that a resumed study repeats no trial.
     """
     if settings.sampler == "evolution":
-        return Shade(settings.seed, distributions(space))
+        return Shade(settings.seed, space.distributions)
     entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
     with quiet():
@@ -97,31 +97,39 @@ def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> sa
 
 def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
     """Create a study, in memory unless a storage and a name are given, or load that one."""
-    names = settings.objective
     up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
-    directions = [up if is_maximised(name) else down for name in names]
+    directions = [up if is_maximised(name) else down for name in settings.objective]
+    given["load_if_exists"] = "storage" in given
     with quiet():
-        study = optuna.create_study(
-            directions=directions, load_if_exists="storage" in given, **given
-        )
+        study = optuna.create_study(directions=directions, **given)
         if not study.metric_names:
-            study.set_metric_names(list(names))
+            study.set_metric_names(list(settings.objective))
     return study
 
 
 def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
     """Run a study until its number of trials, by all workers, is complete."""
     total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
-    study.sampler = make_sampler(settings, space, len(study.get_trials(deepcopy=False)))
+    n_before, is_first = len(study.get_trials(deepcopy=False)), True
+    study.sampler = make_sampler(settings, space, n_before)
     with quiet():
         while len(study.get_trials(deepcopy=False, states=complete)) < total:
-            trial = study.ask(distributions(space))
+            # Trials that a study begins with have their values.
+            waiting = is_first and study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
+            trial = study.ask(space.distributions)
+            if is_first and not waiting:
+                is_first = False
+                if trial.number != n_before:
+                    # Another worker began at the same moment and draws the same.
+                    study.sampler = make_sampler(settings, space, trial.number)
+                    study.tell(trial, state=TrialState.FAIL)
+                    continue
             study.tell(trial, score(trial.params))
 
 
 def best_trial(study: optuna.Study) -> FrozenTrial:
     """The best trial, the first among equals; of a Pareto front the best in the first objective."""
     sign = 1 if study.directions[0] == StudyDirection.MAXIMIZE else -1
-    trials = study.best_trials if len(study.directions) > 1 else study.get_trials(deepcopy=False)
-    complete = [t for t in trials if t.state == TrialState.COMPLETE]
+    is_front, states = len(study.directions) > 1, (TrialState.COMPLETE,)
+    complete = study.best_trials if is_front else study.get_trials(deepcopy=False, states=states)
     return max(complete, key=lambda t: (sign * t.values[0], -t.number))

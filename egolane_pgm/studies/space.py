@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from optuna.distributions import (
-    BaseDistribution,
     CategoricalDistribution,
     FloatDistribution,
     IntDistribution,
@@ -25,46 +24,16 @@ Point = Mapping[str, float | int | str]
 
 
 @dataclass(frozen=True)
-class Dimension:
-    """A number, or a choice, to search.
+class SearchSpace:
+    """D dimensions, and the values of all other parameters.
 
-    - key: `sigma1`, or `p3[2]` for the value of lane 2 of a parameter with one value per lane.
-    - parameter: the declared name: `p3`.
-    - lane: from 1; None for a parameter with one value for all lanes.
-    - distribution: its range as Optuna takes it: numbers from low to high, both included, or
-      choices.
+    - distributions: as Optuna takes them, a number from low to high, both included, or choices. The
+      key is the name of the parameter, or `p3[2]` for the value of lane 2 of a parameter with one
+      value per lane.
+    - fixed: the other parameters, by name.
     """
 
-    key: str
-    parameter: str
-    lane: int | None
-    distribution: Any
-
-    def value_in(self, parameters: Mapping[str, Value]) -> Any:
-        """Its value in a parameter set."""
-        value = parameters[self.parameter]
-        return value[self.lane - 1] if self.lane is not None and isinstance(value, tuple) else value
-
-    @property
-    def ends(self) -> list[Any]:
-        """[low, high], or the choices."""
-        d = self.distribution
-        return list(d.choices) if isinstance(d, CategoricalDistribution) else [d.low, d.high]
-
-    def __contains__(self, value: Any) -> bool:
-        d = self.distribution
-        if isinstance(d, CategoricalDistribution):
-            return value in d.choices
-        is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
-        is_inside = is_number and d.low <= value <= d.high
-        return is_inside and (not isinstance(d, IntDistribution) or value == int(value))
-
-
-@dataclass(frozen=True)
-class SearchSpace:
-    """D dimensions, and the values of all other parameters."""
-
-    dimensions: tuple[Dimension, ...]
+    distributions: dict[str, Any]
     fixed: Mapping[str, Value]
 
 
@@ -86,7 +55,7 @@ def make_space(
     or not allowed for the parameter's kind, and for a space without dimensions.
     """
     known = {spec.name: spec for spec in specs}
-    dimensions: list[Dimension] = []
+    dimensions: dict[str, Any] = {}
     fixed: dict[str, Value] = {}
     for name in given:
         if name not in known:
@@ -101,17 +70,16 @@ def make_space(
         elif bounds is None:
             fixed[name] = current[name]
         elif spec.kind == "choice":
-            dimensions.append(Dimension(name, name, None, _choices(spec, bounds, n_lanes, here)))
+            dimensions[name] = _choices(spec, bounds, n_lanes, here)
         else:
             found = _range(spec, bounds, name in given, n_lanes, here)
             # A parameter that is searched only because of its bounds in the YAML moves all lanes.
             is_split = spec.per_lane and spec.is_searched
-            for lane in range(1, n_lanes + 1) if is_split else (None,):
-                key = name if lane is None else f"{name}[{lane}]"
-                dimensions.append(Dimension(key, name, lane, found))
+            keys = [f"{name}[{lane}]" for lane in range(1, n_lanes + 1)] if is_split else [name]
+            dimensions |= dict.fromkeys(keys, found)
     if not dimensions:
         raise InputError(f"{where}: every parameter is fixed, there is nothing to search")
-    return SearchSpace(tuple(dimensions), fixed)
+    return SearchSpace(dimensions, fixed)
 
 
 def _choices(
@@ -135,10 +103,8 @@ def _range(
     is_open_above = spec.kind == "probability" and bounds[1] == 1
     low: Any = 0.0 if is_open_below else spec.check(bounds[0], n_lanes, where)
     high: Any = spec.check(bounds[1], n_lanes, where)
-    if low > high:
-        raise InputError(f"{where}: [{low}, {high}] is inverted, the lower bound comes first")
-    if low == high:
-        raise InputError(f"{where}: [{low}, {high}] is empty; write {low} to fix the parameter")
+    if low >= high:
+        raise InputError(f"{where}: [{low}, {high}] is empty; write one value to fix it")
     margin = OPEN_END * (high - low)
     low, high = low + margin * is_open_below, high - margin * is_open_above
     # Whole numbers are searched if the kind, or default and bounds, are declared as whole.
@@ -152,35 +118,53 @@ def _range(
     return FloatDistribution(low, high, log=not is_given and is_tenfold and low > 0)
 
 
-def distributions(space: SearchSpace) -> dict[str, BaseDistribution]:
-    """The space as Optuna takes it: a distribution per dimension."""
-    return {d.key: d.distribution for d in space.dimensions}
-
-
 def to_parameters(space: SearchSpace, point: Point) -> dict[str, Value]:
     """Every declared parameter's value at a point."""
     values: dict[str, Value] = dict(space.fixed)
     lanes: dict[str, list[float]] = {}
-    for d in space.dimensions:
-        if d.lane is None:
-            values[d.parameter] = point[d.key]
+    for key in space.distributions:
+        name, bracket, _ = key.partition("[")
+        if bracket:
+            lanes.setdefault(name, []).append(float(point[key]))
         else:
-            lanes.setdefault(d.parameter, []).append(float(point[d.key]))
+            values[name] = point[key]
     return values | {name: tuple(numbers) for name, numbers in lanes.items()}
+
+
+def coordinates(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Any]:
+    """The value of each dimension in a parameter set; it may lie outside of the space."""
+    found: dict[str, Any] = {}
+    for key in space.distributions:
+        name, bracket, lane = key.partition("[")
+        value: Any = parameters[name]
+        is_one = bracket and isinstance(value, tuple)
+        found[key] = value[int(lane[:-1]) - 1] if is_one else value
+    return found
 
 
 def to_point(space: SearchSpace, parameters: Mapping[str, Value]) -> dict[str, Any] | None:
     """The point of a parameter set; None if a value lies outside of the space."""
-    point: dict[str, Any] = {}
-    for d in space.dimensions:
-        value = d.value_in(parameters)
-        if value not in d:
+    point = coordinates(space, parameters)
+    for key, d in space.distributions.items():
+        if not is_inside(d, point[key]):
             return None
-        point[d.key] = int(value) if isinstance(d.distribution, IntDistribution) else value
+        point[key] = int(point[key]) if isinstance(d, IntDistribution) else point[key]
     return point
 
 
+def is_inside(d: Any, value: Any) -> bool:
+    """Whether a distribution has a value."""
+    if isinstance(d, CategoricalDistribution):
+        return value in d.choices
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    is_whole = not isinstance(d, IntDistribution) or value == int(value)
+    return is_number and d.low <= value <= d.high and is_whole
+
+
 def describe(space: SearchSpace) -> dict[str, Any]:
-    """The space as plain JSON: the range of each dimension, and the fixed values."""
-    fixed = {k: list(v) if isinstance(v, tuple) else v for k, v in sorted(space.fixed.items())}
-    return {"searched": {d.key: d.ends for d in space.dimensions}, "fixed": fixed}
+    """The space ready for JSON: the range of each dimension, and the fixed values."""
+    ends = {
+        key: list(d.choices) if isinstance(d, CategoricalDistribution) else [d.low, d.high]
+        for key, d in space.distributions.items()
+    }
+    return {"searched": ends, "fixed": dict(sorted(space.fixed.items()))}

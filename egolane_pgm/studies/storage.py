@@ -12,7 +12,7 @@ from optuna.exceptions import StorageInternalError
 from optuna.storages import BaseStorage, JournalStorage, RDBStorage
 from optuna.storages.journal import JournalFileBackend, JournalFileOpenLock
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import IntegrityError, SQLAlchemyError
+from sqlalchemy.exc import SQLAlchemyError
 
 from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import InputError
@@ -26,22 +26,11 @@ def open_storage(storage: str) -> BaseStorage:
 
     Raises InputError, one line, if that fails.
     """
+    is_file = "://" not in storage
+    if is_file:
+        make_directory(Path(storage).parent)
     try:
-        if "://" not in storage:
-            make_directory(Path(storage).parent)
-            return JournalStorage(_Journal(Path(storage)))
-        try:
-            return RDBStorage(storage)
-        except IntegrityError:
-            # Another worker has just created the tables.
-            return RDBStorage(storage)
-    except InputError:
-        raise
-    except ImportError as error:
-        name = error.name or getattr(error.__cause__, "name", None)
-        raise InputError(
-            f"{named(storage)}: needs the package {name}: pip install {name}"
-        ) from error
+        return JournalStorage(_Journal(Path(storage))) if is_file else RDBStorage(storage)
     # Drivers of databases have different errors; a damaged journal raises others in Optuna.
     except Exception as error:
         raise InputError(f"{named(storage)}: cannot be used: {_reason(error)}") from error
@@ -71,37 +60,27 @@ class _Journal(JournalFileBackend):
 def storage_errors(storage: str | None) -> Iterator[None]:
     """Turn errors of a storage into InputError: a lost database, a full disk.
 
-    Ctrl-C comes out as KeyboardInterrupt: while Optuna stores a result or locks a journal, it
-    raises UnboundLocalError or RuntimeError instead.
+    While Optuna stores a result or locks a journal, it turns Ctrl-C into one of these, or another.
     """
     try:
         yield
-    except InputError:
-        raise
     except Exception as error:
-        # Optuna may raise another error while it handles the first one.
-        chain: list[BaseException] = [error]
-        while chain[-1].__context__ is not None:
-            chain.append(chain[-1].__context__)
-        for each in chain:
-            if not isinstance(each, Exception):
-                raise type(each)(*each.args) from None
-        for each in chain:
-            if isinstance(each, (OSError, SQLAlchemyError, StorageInternalError)):
-                kept = "complete trials are kept, repeat the command to go on"
-                place = named(storage or "study")
-                raise InputError(f"{place}: {_reason(each)}; {kept}") from error
-        raise
+        each: BaseException | None = error
+        while each is not None and not isinstance(each, KeyboardInterrupt):
+            each = each.__context__
+        if each is not None:
+            raise KeyboardInterrupt from None
+        if not isinstance(error, (OSError, SQLAlchemyError, StorageInternalError)):
+            raise
+        why = f"{_reason(error)}; complete trials are kept, repeat the command to go on"
+        raise InputError(f"{named(storage or 'study')}: {why}") from error
 
 
 def named(storage: str) -> str:
     """A storage in a message, without its password."""
-    try:
-        if "://" in storage:
-            return f"storage: {make_url(storage).set(query={}).render_as_string()}"
-    except SQLAlchemyError:
-        return "storage"
-    return storage
+    if "://" not in storage:
+        return storage
+    return f"storage: {make_url(storage).set(query={}).render_as_string()}"
 
 
 def _reason(error: BaseException) -> str:

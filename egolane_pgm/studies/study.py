@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -44,14 +44,8 @@ from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import InputError, IntArray, suggestion
 
-if TYPE_CHECKING:
-    from pgmpy.models import DynamicBayesianNetwork
-
 #: The default number of blocks.
 N_BLOCKS = 5
-
-#: Trials per fold of `run --held-out` with `fit.method: tune`; `tune` has more.
-TRIALS_PER_FOLD = 300
 
 #: The file that makes the directory of a study complete.
 STUDY_FILE = "study.json"
@@ -109,7 +103,8 @@ def _folds(drives: Sequence[Drive], numbers: Sequence[IntArray]) -> list[Fold]:
 def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -> list[Fold]:
     """Hold out whole drives: those with each value of a tag, or of each of some parts of the list.
 
-    Recordings of one drive are held out together. Raises InputError if nothing would be left.
+    Recordings of one drive are held out together, with the tag of the first one. Raises InputError
+    if nothing would be left.
     """
     experiments = [drive.experiment for drive in drives]
     keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
@@ -123,15 +118,10 @@ def drive_folds(drives: Sequence[Drive], n_parts: int, tag: str | None = None) -
         known = {name for drive in drives for name in drive.tags}
         groups = [drive.tags.get(tag) for drive in drives]
         which = f"by_tag: all have one {tag}"
-        for drive, key, group in zip(drives, keys, groups, strict=True):
-            first = keys.index(key)
+        for drive, group in zip(drives, groups, strict=True):
             if group is None:
                 raise InputError(f"by_tag: {drive.name} has no tag.{tag}{suggestion(tag, known)}")
-            if group != groups[first]:
-                raise InputError(
-                    f"{drive.name}: is the same drive as {drives[first].name} with another"
-                    f" tag.{tag}; held-out labels would leak"
-                )
+        groups = [groups[keys.index(key)] for key in keys]
     if len(set(groups)) < 2:
         raise InputError(f"{which}, so nothing would be left to fit to; folds 0 holds out nothing")
     return group_folds(drives, groups)
@@ -164,13 +154,12 @@ def fit_folds(
     *,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> list[Fitted]:
     """The fit of each numbered fold; see `fit_fold`."""
     work = partial(fit_fold, list(drives), fit)
     found = parallel(work, folds, jobs=jobs, cluster=cluster)
     fitted = []
-    for fold, notes in bar(found, progress, total=len(folds), unit="fit"):
+    for fold, notes in bar(found, total=len(folds), unit="fit"):
         fitted.append(fold)
         for note in notes:
             warnings.warn(note, UserWarning, stacklevel=2)
@@ -272,18 +261,6 @@ class Study:
         found = [*self.in_sample.notes, *(self.held_out.notes if self.held_out else ())]
         return list(dict.fromkeys(found))
 
-    @property
-    def network(self) -> DynamicBayesianNetwork:
-        """The fitted graph in pgmpy, with its origin for the `tuned_on` of a run."""
-        network = self.model.network
-        network.learned_from = self.learned_from
-        return network
-
-    @property
-    def learned_from(self) -> str:
-        """The training recording; empty for several."""
-        return recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
-
     def experiment(self) -> dict[str, Any]:
         """The keys of the fitted experiment, without learned tables."""
         first, suffix = self.experiments[0], "tuned" if self.method == "tune" else "learned"
@@ -292,10 +269,8 @@ class Study:
         if detector:
             fitted = with_detector(fitted, detector)
         content: dict[str, Any] = to_jsonable(resolved(fitted, self.model.parameters))
-        how = "lines alone" if not first.fit.labels else "labels and lines"
-        how = f"{self.n_trials} trials" if self.n_trials else how
         content["name"] = f"{self.name}_{suffix}"
-        content["description"] = f"{first.description}; fitted by {self.method}: {how}".lstrip("; ")
+        content["description"] = f"{first.description}; fitted by {self.method}".lstrip("; ")
         # A later run may use one of several training drives.
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
         return content
@@ -320,8 +295,10 @@ class Study:
         (place / STUDY_FILE).unlink(missing_ok=True)
         content = self.experiment()
         if any(name.startswith(TABLES) for name in self.fitted):
-            graph = graph_yaml(self.model, f"tables learned from {self.learned_from or 'drives'}")
-            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": self.learned_from})
+            # The training recording; empty for several.
+            origin = recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
+            graph = graph_yaml(self.model, f"tables learned from {origin or 'drives'}")
+            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": origin})
             # The graph of learned tables has no parameters; only the rule's remain.
             of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
             kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
@@ -381,15 +358,14 @@ def run_held_out(
     n_blocks: int = N_BLOCKS,
     *,
     notes: Sequence[str] = (),
-    progress: bool | None = False,
 ) -> Result:
     """Infer each block of some drives with a fit (`fit.method`) to the other blocks."""
     begin, experiment = time.perf_counter(), drives[0].experiment
     method = experiment.fit.method
     check_labels(drives, method)
-    folds, fit = block_folds(drives, n_blocks), fit_by_name(method, trials=TRIALS_PER_FOLD)
+    folds, fit = block_folds(drives, n_blocks), fit_by_name(method)
     with noting() as found:
-        fitted = fit_folds(drives, fit, list(enumerate(folds)), progress=progress)
+        fitted = fit_folds(drives, fit, list(enumerate(folds)))
     return held_out_result(drives, folds, fitted, [*notes, *found], begin, method)
 
 
@@ -407,7 +383,6 @@ def run_study(
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> Study:
     """Fit to everything, and hold out each fold in turn.
 
@@ -441,9 +416,7 @@ def run_study(
     whole_fold = everything(drives, is_trusted_only=method == "learn")
     numbered = [(None, whole_fold), *enumerate(folds)]
     with noting() as of_fits:
-        whole, *fitted = fit_folds(
-            drives, fit, numbered, jobs=jobs, cluster=cluster, progress=progress
-        )
+        whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
     notes = [*notes, *of_fits]

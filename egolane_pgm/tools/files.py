@@ -103,15 +103,11 @@ def read_parquet(path: Path) -> pd.DataFrame:
     import pandas as pd
 
     try:
-        # Its error is clearer than pandas'.
-        path.stat()
         with path.open("rb") as file:
             return pd.read_parquet(file)
     except (OSError, ValueError) as error:
-        if why := getattr(error, "strerror", None):
-            raise InputError(f"{path}: cannot be read: {why}") from None
-        reason = " ".join(str(error).split())[:120]
-        raise InputError(f"{path}: is not a whole Parquet file ({reason})") from None
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: cannot be read as Parquet: {reason}") from None
 
 
 def to_jsonable(value: Any) -> Any:

@@ -22,8 +22,6 @@ from egolane_pgm.types import InputError
 T = TypeVar("T")
 R = TypeVar("R")
 
-_LOCAL = "local:"
-
 
 def parallel(
     work: Callable[[T], R], items: Sequence[T], *, jobs: int = 1, cluster: str | None = None
@@ -31,8 +29,8 @@ def parallel(
     """Yield the results of `work` for each item, in order.
 
     - jobs: number of processes; 1 for this one.
-    - cluster: a Dask cluster instead: the address of its scheduler, or `local:N` to start N
-      processes here. Dask repeats the work of a worker that died.
+    - cluster: the address of a Dask scheduler instead, which repeats the work of a worker that
+      died.
 
     Raises InputError if a process dies.
     """
@@ -78,23 +76,15 @@ def _begin() -> None:
 def _client(address: str) -> Iterator[Any]:
     """Connect to a Dask cluster."""
     with needed("a cluster", "cluster"):
-        from distributed import Client, LocalCluster
+        from distributed import Client
         from distributed.utils import silence_logging_cmgr
     # Dask logs a traceback for each lost worker.
     with silence_logging_cmgr(logging.CRITICAL), contextlib.ExitStack() as stack:
-        place: Any = address
         try:
-            if address.startswith(_LOCAL):
-                n_workers = max(1, int(address.removeprefix(_LOCAL)))
-                place = LocalCluster(  # type: ignore[no-untyped-call]
-                    n_workers=n_workers, threads_per_worker=1, silence_logs=logging.CRITICAL
-                )
-                stack.enter_context(place)
-            client = stack.enter_context(Client(place, timeout=10))  # type: ignore[no-untyped-call]
+            client = stack.enter_context(Client(address, timeout=10))  # type: ignore[no-untyped-call]
         except (OSError, ValueError) as error:
             raise InputError(
-                f"cluster {address}: no scheduler answers; `dask scheduler` starts one, local:4"
-                " starts four processes on this machine"
+                f"cluster {address}: no scheduler answers; `dask scheduler` starts one"
             ) from error
         print(f"Dask dashboard: {client.dashboard_link}", file=sys.stderr)
         yield client

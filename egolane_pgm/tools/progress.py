@@ -2,35 +2,26 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import sys
-import warnings
 from collections.abc import Iterable
 from typing import Any
 
-if "IPython" in sys.modules:
-    with warnings.catch_warnings():
-        # tqdm warns at its first import if ipywidgets is missing.
-        warnings.simplefilter("ignore")
-        import tqdm.auto  # noqa: F401
 
-
-def bar(items: Iterable[Any] | None = None, progress: bool | None = None, **settings: Any) -> Any:
-    """Make a bar of tqdm.
+def bar(items: Iterable[Any] | None = None, **settings: Any) -> Any:
+    """Make a bar of tqdm, which is shown in a terminal and in a notebook, but not by a worker.
 
     - items: counted as they are taken; without items call `update`.
-    - progress: whether it is shown; by default in a terminal and in a notebook.
     - settings: of tqdm.
     """
-    from tqdm import tqdm
+    from tqdm.auto import tqdm
 
-    kind: Any = tqdm
-    shown = {"disable": None if progress is None else not progress}
-    if hasattr(ipython(), "kernel"):
-        from tqdm.auto import tqdm as kind
-
-        # None would hide it.
-        shown = {} if progress is None else shown
-    return kind(items, leave=False, **shown, **settings)
+    if multiprocessing.parent_process() is not None:
+        settings["disable"] = True
+    elif not hasattr(ipython(), "kernel"):
+        # Outside of a terminal tqdm hides it.
+        settings["disable"] = None
+    return tqdm(items, leave=False, **settings)
 
 
 def ipython() -> Any:

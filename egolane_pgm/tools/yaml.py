@@ -1,9 +1,4 @@
-"""Read and write YAML 1.2, where it differs from PyYAML's 1.1.
-
-- Numbers are decimal (`010` is ten; `0o10`, `0x10` are octal, hexadecimal), `1e3` is a number,
-  `1:30` and dates are text.
-- Keys are text (`no: 1` has the key `no`) and unique.
-"""
+"""Read and write YAML by PyYAML, except that keys are text and unique, and `1e3` is a number."""
 
 from __future__ import annotations
 
@@ -17,32 +12,17 @@ from egolane_pgm.types import InputError
 
 _TAG = "tag:yaml.org,2002:"
 
-#: The pattern of the values of each type, in this order; others are text.
-_PLAIN = {
-    "null": r"~|null|Null|NULL|",
-    "bool": r"yes|Yes|YES|no|No|NO|true|True|TRUE|false|False|FALSE|on|On|ON|off|Off|OFF",
-    "int": r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+",
-    "float": r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"
-    r"|[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)",
-    "merge": r"<<",
-}
-
 
 def parse_yaml(text: str, source: str) -> Any:
     """Parse YAML. Raises InputError, starting with `source`, for bad YAML and repeated keys."""
     try:
-        loader = _Loader(text)
-        content = loader.get_single_data()
+        return yaml.load(text, _Loader)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         at = f"line {mark.line + 1}: " if mark is not None else ""
-        hint = "; indent with spaces" if "'\\t'" in str(error.problem) else ""
-        raise InputError(f"{source}: is not YAML: {at}{error.problem}{hint}") from error
+        raise InputError(f"{source}: is not YAML: {at}{error.problem}") from error
     except (yaml.YAMLError, ValueError) as error:
         raise InputError(f"{source}: is not YAML: {' '.join(str(error).split())}") from error
-    if loader.twice:
-        raise InputError(f"{source}: {loader.twice[0]}")
-    return content
 
 
 def dump_yaml(content: Mapping[str, Any]) -> str:
@@ -59,24 +39,19 @@ def dump_yaml(content: Mapping[str, Any]) -> str:
 
 
 class _Loader(yaml.SafeLoader):
-    """Takes keys as text and notes repeated ones."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(text)
-        self.twice: list[str] = []
+    """Takes keys as text and refuses repeated ones."""
 
     def compose_mapping_node(self, anchor: Any) -> Any:
         node = super().compose_mapping_node(anchor)
-        seen: dict[str, int] = {}
+        lines: dict[str, int] = {}
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode) or key.tag == f"{_TAG}merge":
                 continue
-            key.tag = f"{_TAG}str"
-            line = key.start_mark.line + 1
-            if key.value in seen:
-                first = seen[key.value]
-                self.twice.append(f"line {line}: key '{key.value}' was given in line {first}")
-            seen.setdefault(key.value, line)
+            key.tag, mark = f"{_TAG}str", key.start_mark
+            if key.value in lines:
+                problem = f"key '{key.value}' was given in line {lines[key.value]}"
+                raise yaml.MarkedYAMLError(problem=problem, problem_mark=mark)
+            lines[key.value] = mark.line + 1
         return node
 
 
@@ -84,16 +59,7 @@ class _Dumper(yaml.SafeDumper):
     """Quotes text that `_Loader` would read as another type."""
 
 
-_Loader.add_constructor(
-    f"{_TAG}int", lambda _, node: int(node.value, {"0o": 8, "0x": 16}.get(node.value[:2], 10))
-)
-_Loader.add_constructor(
-    f"{_TAG}float",
-    lambda _, node: float(node.value.lower().replace(".inf", "inf").replace(".nan", "nan")),
-)
-
 for _class in (_Loader, _Dumper):
-    # Without those of YAML 1.1.
-    _class.yaml_implicit_resolvers = {}
-    for _name, _pattern in _PLAIN.items():
-        _class.add_implicit_resolver(_TAG + _name, re.compile(rf"(?:{_pattern})\Z"), None)
+    _class.add_implicit_resolver(
+        f"{_TAG}float", re.compile(r"[-+]?[0-9]+(\.[0-9]*)?[eE][-+]?[0-9]+\Z"), [*"-+0123456789"]
+    )

@@ -3,31 +3,25 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
 from egolane_pgm.tools.files import check_place
-from egolane_pgm.tools.progress import bar
+from egolane_pgm.tools.options import Option, Target
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import Option, Progress, StrPath, several_of
-from egolane_pgm.vision.calibration.chessboard import (
-    calibrate_lens,
-    describe_lens,
-)
+from egolane_pgm.vision.calibration.chessboard import calibrate_lens, describe_lens
 from egolane_pgm.vision.calibration.road_lines import (
     ASSUMED_LENS,
     assumed_camera,
-    check_lane_width,
     describe_view,
     doubts_of,
     find_in_stills,
     view_from,
 )
-from egolane_pgm.vision.camera.model import Camera, write_camera
-from egolane_pgm.vision.camera.pictures import files_matching, read_images, size_of
+from egolane_pgm.vision.camera.model import Camera, read_camera, write_camera
+from egolane_pgm.vision.camera.pictures import picture_files, read_image, size_of
 
 EXAMPLES = (
     "egolane calibrate --stills 'road/*.jpg' --lane-width 3.7 -o cam.yaml",
@@ -35,66 +29,58 @@ EXAMPLES = (
     " -o cam.yaml",
 )
 
-Rectangle = tuple[int, int, int, int]
-
 
 def calibrate(
     *,
     stills: Annotated[str, Option("GLOB")],
     lane_width: Annotated[float, Option("M")],
     chessboards: Annotated[str | None, Option("GLOB")] = None,
-    board: Annotated[str, Option("COLUMNSxROWS")] = "9x6",
+    board: Annotated[tuple[int, int], Option("COLUMNS ROWS")] = (9, 6),
     roll: Annotated[float, Option("DEGREES")] = 0.0,
-    ignore: Annotated[str | Sequence[str], Option("LEFT,TOP,RIGHT,BOTTOM", many=True)] = (),
-    out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
-    progress: Progress = None,
+    ignore: Annotated[Sequence[tuple[int, int, int, int]], Option("LEFT TOP RIGHT BOTTOM")] = (),
+    out: Target = None,
 ) -> Camera:
     """Calibrate a camera: lens from chessboards, angles and height from the lines of a road.
 
     - stills: pictures of a straight road with lines.
     - lane_width: width of the lanes of that road, metres.
-    - chessboards: pictures of a chessboard, for the lens.
+    - chessboards: pictures of a chessboard, for the lens; or a camera file of ROS, OpenCV or
+      Kalibr.
     - board: inner corners of the chessboard.
     - roll: roll of the camera, clockwise.
     - ignore: pixels that never show road (mirror, dashboard); kept in the YAML. Repeatable.
     - out: the camera's YAML.
-    - progress: whether to show bars; by default in a terminal.
 
     Without chessboards a horizontal field of view of 62 degrees is assumed. Add `lateral_m`, and
-    `baseline_m` of a stereo pair, to the YAML. Returns the camera. Raises InputError for options
-    and pictures that cannot be used.
+    `baseline_m` of a stereo pair, to the YAML.
+
+    Returns the camera. Raises InputError for options and pictures that cannot be used.
     """
-    columns, rows = _numbers(board, "x", 2, "board", "two whole numbers, e.g. 9x6")
-    masks = tuple(_rectangle(each) for each in several_of(ignore))
     if out is not None:
         check_place(Path(out))
-    check_lane_width(lane_width)
 
-    def shown(what: str) -> Callable[[Iterable[Any]], Iterable[Any]]:
-        return partial(bar, progress=progress, desc=what, unit="picture")
-
-    pictures = files_matching(stills)
-    size = _size_of_road(stills, pictures)
-    if chessboards:
-        paths = shown("chessboards")(files_matching(chessboards))
-        lens = calibrate_lens(paths, columns, rows)
-        _warn_of(lens.skipped)
-        camera, comment = lens.camera, [describe_lens(lens, board)]
-        if (camera.width, camera.height) != size:
-            raise InputError(
-                f"the chessboards are {camera.width}x{camera.height}, the road's pictures"
-                f" {size[0]}x{size[1]}; both must come from one camera, uncropped"
-            )
-    else:
-        camera, comment = assumed_camera(*size), [ASSUMED_LENS]
-    for mask in masks:
+    pictures = picture_files(stills)
+    size = size_of(read_image(pictures[0]))
+    camera, comment = assumed_camera(*size), [ASSUMED_LENS]
+    if chessboards and Path(chessboards).suffix.lower() in (".yaml", ".yml", ".xml"):
+        camera, comment = read_camera(chessboards, height_m=1.0), [f"Lens: from {chessboards}."]
+    elif chessboards:
+        lens = calibrate_lens(picture_files(chessboards), *board)
+        for line in lens.skipped:
+            warnings.warn(f"skipped: {line}", UserWarning, stacklevel=2)
+        camera, comment = lens.camera, [describe_lens(lens, "x".join(map(str, board)))]
+    if (camera.width, camera.height) != size:
+        raise InputError(
+            f"the chessboards are {camera.width}x{camera.height}, the road's pictures"
+            f" {size[0]}x{size[1]}; both must come from one camera, uncropped"
+        )
+    for mask in ignore:
         if mask[0] >= camera.width or mask[1] >= camera.height:
-            text = ",".join(map(str, mask))
+            text = " ".join(map(str, mask))
             raise InputError(f"ignore: {text} is not in a picture of {size[0]}x{size[1]}")
-    camera = replace(camera, roll_deg=roll, ignore=masks)
-    found = find_in_stills(camera, pictures, shown("stills"))
-    _warn_of(found.skipped)
-    view = view_from(camera, found.ahead, found.each, found.fits, lane_width)
+    camera = replace(camera, roll_deg=roll, ignore=tuple(ignore), lane_width_m=lane_width)
+    found = find_in_stills(camera, pictures)
+    view = view_from(camera, found.ahead, found.each, found.fits)
     n_lines = sum(len(lines) for lines in found.lines)
     comment.append(describe_view(view, f"{n_lines} lines found in {len(found.lines)} stills"))
     if doubt := doubts_of(view):
@@ -110,29 +96,3 @@ def summary(done: Camera, given: Mapping[str, Any]) -> str:
     lines = Path(given["out"]).read_text(encoding="utf-8").splitlines()
     comment = [line.removeprefix("# ") for line in lines if line.startswith("# ")]
     return "\n".join([*comment[1:], f"written to {given['out']}"])
-
-
-def _numbers(text: str, separator: str, n: int, name: str, example: str) -> tuple[int, ...]:
-    parts = text.lower().split(separator)
-    if len(parts) != n or not all(part.strip().isdecimal() for part in parts):
-        raise InputError(f"{name}: '{text}' is not {example}")
-    return tuple(int(part) for part in parts)
-
-
-def _rectangle(text: str) -> Rectangle:
-    example = "left,top,right,bottom in pixels, e.g. 0,600,1280,720"
-    left, top, right, bottom = _numbers(text, ",", 4, "ignore", example)
-    return left, top, right, bottom
-
-
-def _size_of_road(stills: str, pictures: Sequence[Path]) -> tuple[int, int]:
-    """Return the width and height of the first still that can be read."""
-    skipped: list[str] = []
-    for _, image in read_images(pictures, skipped):
-        return size_of(image)
-    raise InputError(f"{stills}: no picture among {len(skipped)} files; {skipped[0]}")
-
-
-def _warn_of(skipped: Sequence[str]) -> None:
-    for line in skipped:
-        warnings.warn(f"skipped: {line}", UserWarning, stacklevel=3)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import pandas as pd
 
 from egolane_pgm.comparing import compare as compare_results
-from egolane_pgm.verbs.options import Option, StrPath, path_of, several_of
+from egolane_pgm.tools.options import Option, StrPath, several_of
 
 EXAMPLES = (
     "egolane compare results/a results/b",
@@ -17,7 +18,7 @@ EXAMPLES = (
 
 
 def compare(
-    results: Annotated[Any, Option("RESULT...", many=True)],
+    results: Annotated[Sequence[Any], Option("RESULT...")],
     *,
     of: Annotated[str | None, Option("KEY")] = None,
     by: Annotated[str | None, Option("KEY")] = None,
@@ -50,7 +51,7 @@ def compare(
         from egolane_pgm.views.comparisons import comparison_figure
         from egolane_pgm.views.style import write_figure
 
-        write_figure(lambda: comparison_figure(table), Path(path_of(out, "out")))
+        write_figure(lambda: comparison_figure(table), Path(out))
     return table
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,17 +12,9 @@ from egolane_pgm.experiment import DETECTOR
 from egolane_pgm.loading import load_experiment, parse_overrides
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.tools.files import check_place
-from egolane_pgm.tools.progress import bar
+from egolane_pgm.tools.options import Option, Overrides, StrPath, Target
 from egolane_pgm.types import InputError, LineLog
-from egolane_pgm.verbs.options import CameraFile, Option, Overrides, Progress, StrPath, path_of
-from egolane_pgm.vision.camera.pictures import (
-    camera_of_pictures,
-    note_assumed_rate,
-    read_pictures,
-)
-from egolane_pgm.vision.detectors.pictures import open_pictures
-from egolane_pgm.vision.detectors.runner import collect
-from egolane_pgm.vision.detectors.runner import detect as detect_lines
+from egolane_pgm.vision.detectors.pictures import detect_pictures
 
 EXAMPLES = (
     "egolane detect drive.mp4 --camera cam.yaml --detector ml -o lines.parquet",
@@ -39,11 +29,10 @@ TARGETS = (".parquet", ".csv")
 def detect(
     pictures: StrPath,
     *,
-    camera: CameraFile,
+    camera: Annotated[StrPath, Option("FILE")],
     detector: Annotated[StrPath, Option("NAME|FILE.py")] = "ml",
     overrides: Overrides = (),
-    out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
-    progress: Progress = None,
+    out: Target = None,
 ) -> LineLog:
     """Detect and follow lines in PICTURES: a video, a folder of pictures, a 'glob*.jpg' or a bag.
 
@@ -55,7 +44,6 @@ def detect(
     - overrides: a parameter of the detector, e.g. lri_frames=5, or a key of the recording: right,
       topic, frames, frame_rate, e.g. recording.frame_rate=25.
     - out: .parquet or .csv file for the lines.
-    - progress: whether to show a bar; by default in a terminal.
 
     Returns the lines, which `run` takes. Raises InputError for pictures, keys and parameters that
     cannot be used.
@@ -66,49 +54,26 @@ def detect(
     ...
     egolane_pgm.types.InputError: ...
     """
-    target = None if out is None else _target(Path(path_of(out, "out")))
+    if out is not None:
+        if Path(out).suffix.lower() not in TARGETS:
+            raise InputError(f"out: {out}: lines are written as {', '.join(TARGETS)}")
+        check_place(Path(out))
     keys = parse_overrides(overrides)
-    recording = {
-        **keys.pop("recording", {}),
-        "path": path_of(pictures, "pictures"),
-        "camera": path_of(camera, "camera"),
-        "detector": path_of(detector, "detector"),
-    }
+    recording = keys.pop("recording", {})
+    recording |= {"path": pictures, "camera": camera, "detector": detector}
     # The number of lanes has no effect on lines.
-    experiment = load_experiment(
-        {
-            "name": "detect",
-            "n_lanes": 1,
-            "recording": recording,
-            "parameters": {DETECTOR: keys},
-        }
-    )
-    frames = experiment.recording.frames
-    found, of_camera, left, right = open_pictures(experiment)
-    of_camera = camera_of_pictures(of_camera, left)
-    given_rate = experiment.recording.frame_rate if "frame_rate" in recording else None
-    rate = given_rate or left.frame_rate or experiment.recording.frame_rate
-    began, total = time.perf_counter(), None if frames else left.n_frames
-    images = read_pictures(left, of_camera, right, frames)
-    with bar(images, progress, desc=found.name, unit="frame", total=total) as shown:
-        lines = detect_lines(found, of_camera, shown)
-        done = collect(lines, rate, left.path, None if given_rate else left.time_s)
-    if done.log is None:
-        raise done.stopped or InputError(f"{left.path}: no frame")
-    if done.stopped is None and given_rate is None:
-        note_assumed_rate(left, rate, "recording.frame_rate")
-    if target is None:
-        if done.stopped is not None:
-            raise done.stopped
-        return done.log
-    write_table(target, done.log)
-    if isinstance(done.stopped, InputError):
-        raise InputError(f"{done.stopped}; the lines of the frames before are in {target}")
-    if done.stopped is not None:
-        raise KeyboardInterrupt(f"the lines of the frames before are in {target}")
-    speed = len(done.log) / max(time.perf_counter() - began, 1e-9)
-    sys.stderr.write(f"{found.name}: {speed:.0f} frames/s\n")
-    return done.log
+    content = {"name": "detect", "n_lanes": 1, "recording": recording}
+    experiment = load_experiment({**content, "parameters": {DETECTOR: keys}})
+    log, stopped, _ = detect_pictures(experiment, stamps=False)
+    if out is not None:
+        write_table(Path(out), log)
+        if isinstance(stopped, InputError):
+            raise InputError(f"{stopped}; the lines of the frames before are in {out}")
+        if stopped is not None:
+            raise KeyboardInterrupt(f"the lines of the frames before are in {out}")
+    elif stopped is not None:
+        raise stopped
+    return log
 
 
 def summary(done: LineLog, given: Mapping[str, Any]) -> str:
@@ -118,11 +83,3 @@ def summary(done: LineLog, given: Mapping[str, Any]) -> str:
         f"{given['out']}: {len(done)} frames, ids {done.frame_id[0]} to {done.frame_id[-1]};"
         f" {per_frame:.1f} lines per frame, {done.is_valid.sum(axis=1).mean():.1f} of them valid"
     )
-
-
-def _target(target: Path) -> Path:
-    """Check that lines can be written to a file. Raises InputError for another extension."""
-    if target.suffix.lower() not in TARGETS:
-        raise InputError(f"out: {target}: lines are written as {', '.join(TARGETS)}")
-    check_place(target)
-    return target

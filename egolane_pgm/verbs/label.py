@@ -12,32 +12,22 @@ from egolane_pgm.loading import ExperimentLike
 from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.result import check_writable
 from egolane_pgm.runs import open_input
-from egolane_pgm.verbs.options import (
-    ColumnNames,
-    Lines,
-    Option,
-    Overrides,
-    StrPath,
-    Truth,
-    place_of,
-)
+from egolane_pgm.tools import options
+from egolane_pgm.tools.options import Option, StrPath, place_of
 
 EXAMPLES = ("egolane label drive/lines.csv --n-lanes 4 --out labels",)
 
 
 def label(
-    given: Annotated[ExperimentLike | Lines, Option("EXPERIMENT|LINES")],
+    given: Annotated[ExperimentLike | options.Lines, Option("EXPERIMENT|LINES")],
     *,
-    experiment: Annotated[ExperimentLike | None, Option("X.yaml", shown="zero_label")] = None,
+    experiment: Annotated[ExperimentLike | None, Option("X.yaml")] = None,
     n_lanes: int | None = None,
-    overrides: Overrides = (),
+    overrides: options.Overrides = (),
     below: Annotated[float, Ge(0), Le(1)] = BELOW,
-    ground_truth: Annotated[Truth | None, Option("FILE|none")] = None,
-    columns: ColumnNames = None,
-    out: Annotated[
-        StrPath | None,
-        Option("DIR", default="results/*_labels", shown="results/NAME_labels"),
-    ] = None,
+    ground_truth: Annotated[options.Truth | None, Option("FILE|none")] = None,
+    columns: options.ColumnNames = None,
+    out: Annotated[StrPath | None, Option("DIR", default="results/*_labels")] = None,
 ) -> Labels:
     """Label the lanes of a recording, and list the segments in which labels are uncertain.
 
@@ -46,7 +36,8 @@ def label(
     `egolane run --ground-truth`; segments.csv lists the uncertain segments.
 
     - given: an experiment, or lines, as `run` takes them.
-    - experiment: the model for LINES. Its filter is replaced with the smoother.
+    - experiment: the model for LINES, by default zero_label. Its filter is replaced with the
+      smoother.
     - n_lanes: number of lanes of the road.
     - overrides: override a key of the experiment, e.g. recording.frame_rate=25.
     - below: labels with a smaller probability are uncertain.
@@ -75,7 +66,7 @@ def label(
         overrides=overrides,
         n_lanes=n_lanes,
         ground_truth=ground_truth,
-        recording={"columns": None if columns is None else column_keys(columns)},
+        recording={"columns": column_keys(columns or {})},
     )
     place = place_of(out, chosen.experiment.name)
     if place is not None:

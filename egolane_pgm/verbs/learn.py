@@ -6,24 +6,10 @@ from collections.abc import Sequence
 from typing import Annotated, Any
 
 from egolane_pgm.loading import ExperimentLike
-from egolane_pgm.studies.study import Study, run_study
-from egolane_pgm.verbs.options import (
-    ByTag,
-    Cluster,
-    Folds,
-    Graph,
-    Hidden,
-    Jobs,
-    Lines,
-    Option,
-    Overrides,
-    Progress,
-    StrPath,
-    TableOfRuns,
-    Truth,
-    place_of,
-)
-from egolane_pgm.verbs.studied import open_studied
+from egolane_pgm.studies.study import Study
+from egolane_pgm.tools import options
+from egolane_pgm.tools.options import Option, StrPath
+from egolane_pgm.verbs.studied import fit_study
 from egolane_pgm.verbs.studied import summary as summary
 
 EXAMPLES = (
@@ -33,21 +19,16 @@ EXAMPLES = (
 
 
 def learn(
-    experiments: Annotated[
-        ExperimentLike | Lines | Sequence[Any], Option("EXPERIMENT...", many=True)
-    ],
+    experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
-    n_lanes: Annotated[int | None, Hidden] = None,
-    ground_truth: Annotated[Truth | None, Hidden] = None,
-    graph: Graph = None,
-    overrides: Overrides = (),
+    graph: options.Graph = None,
+    overrides: options.Overrides = (),
     out: Annotated[StrPath | None, Option("DIR", default="results/learning/*")] = None,
-    folds: Folds = None,
-    table: TableOfRuns = None,
-    by_tag: ByTag = None,
-    jobs: Jobs = 1,
-    cluster: Cluster = None,
-    progress: Progress = None,
+    folds: options.Folds = None,
+    table: options.TableOfRuns = None,
+    by_tag: options.ByTag = None,
+    jobs: options.Jobs = 1,
+    cluster: options.Cluster = None,
 ) -> Study:
     """Fit a model to its recording; write the fitted experiment and its held-out scores.
 
@@ -55,18 +36,16 @@ def learn(
     other rule the tables of the graph are learned by EM, from lines and labels, or from lines alone
     (fit.labels=false). Each fold is scored with a fit to the frames of the other folds.
 
-    - experiments: one, or a list: experiments, results, or lines.
-    - n_lanes: number of lanes of the road, for lines.
-    - ground_truth: a DataFrame with frame_id, lane and crossing, or a file.
+    - experiments: one, or a list: experiments or results.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
     - out: directory of the study. A `*` in it is the experiment's name.
-    - folds: number of folds, 0 for none: blocks of each drive; with a table, groups of drives.
+    - folds: number of folds, by default 5, 0 for none: blocks of each drive; with a table, groups
+      of drives.
     - table: table of runs: columns are YAML keys (recording.path, n_lanes) and tag.X.
     - by_tag: with a table: a fold for each value of tag.NAME.
     - jobs: processes that share the fits.
     - cluster: Dask cluster for the fits.
-    - progress: whether to show a bar; by default in a terminal only.
 
     Returns a `Study`: `network` is the learned graph in pgmpy. Writes files only with `out`. Raises
     InputError for a model without learnable parameters or tables.
@@ -79,25 +58,15 @@ def learn(
     >>> sorted(study.fitted)[:1]
     ['tables.DetectorOutput']
     """
-    given = open_studied(
+    return fit_study(
+        "learn",
         experiments,
         overrides=overrides,
-        n_lanes=n_lanes,
-        ground_truth=ground_truth,
         graph=graph,
         table=table,
         by_tag=by_tag,
         folds=folds,
-    )
-    return run_study(
-        given.drives,
-        "learn",
-        given.folds,
-        name=given.name,
-        experiments=given.experiments,
-        directory=place_of(out, given.name),
-        notes=given.notes,
+        out=out,
         jobs=jobs,
         cluster=cluster,
-        progress=progress,
     )

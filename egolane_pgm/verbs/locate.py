@@ -14,9 +14,13 @@ from egolane_pgm.maps import road_table
 from egolane_pgm.maps.locating import locate as locate_on
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
+from egolane_pgm.recordings.columns import column_keys
 from egolane_pgm.tools.files import check_place
+from egolane_pgm.tools.options import ColumnNames, Option, StrPath, Target
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import Option, StrPath
+
+#: Later times are seconds since 1970.
+_DATES = 1e8
 
 EXAMPLES = ("egolane locate roads.osm.pbf drive.gpx -o road.parquet",)
 
@@ -25,12 +29,9 @@ def locate(
     map: StrPath,
     positions: StrPath,
     *,
-    out: Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)] = None,
+    out: Target = None,
     online: bool = False,
-    columns: Annotated[
-        Mapping[str, str] | None,
-        Option("OURS=THEIRS", names=("--column",), example="latitude=lat_gps"),
-    ] = None,
+    columns: ColumnNames = None,
     shift: Annotated[float, Option("SECONDS")] = 0.0,
 ) -> pd.DataFrame:
     """Find the road of a car: segment, place on it, number of lanes, and probability.
@@ -42,10 +43,10 @@ def locate(
 
     - out: the road table, .parquet.
     - online: use earlier positions only.
-    - columns: name of a table's column, e.g. latitude=lat_gps; topic=/fix of a bag.
+    - columns: names of a table's columns, e.g. t_s=when,latitude=lat_gps; topic=/fix of a bag.
     - shift: added to the positions' times, to have the clock of the recording of lines.
 
-    Returns the road table. Raises InputError, one line, for arguments that do not fit.
+    Returns the road table. Raises InputError for arguments that do not fit.
     """
     file = None if out is None else Path(out)
     if file is not None:
@@ -53,7 +54,7 @@ def locate(
             raise InputError(f"{file}: a road table is a .parquet file")
         check_place(file)
     graph = read_osm(Path(map))
-    named = {ours: str(theirs) for ours, theirs in (columns or {}).items()}
+    named = {ours: str(theirs) for ours, theirs in column_keys(columns or {}).items()}
     read = read_positions(Path(positions), columns=named)
     table = locate_on(graph, replace(read, t_s=read.t_s + shift), online=online)
     if file is not None:
@@ -67,8 +68,13 @@ def summary(done: pd.DataFrame, given: Mapping[str, Any]) -> str:
     off_by = np.abs(done.offset_m[np.isfinite(done.offset_m)])
     n_lanes = np.unique(done.n_lanes[on & (done.n_lanes > 0)])
     assumed = (on & (done.unknown_way > 0)).mean()
+    ends, unit = done.t_s.iloc[[0, -1]], "s"
+    first, last = (f"{t:g}" for t in ends)
+    if ends.iloc[0] > _DATES:
+        first, last = pd.to_datetime(ends, unit="s").dt.strftime("%Y-%m-%d %H:%M:%S")
+        unit = "UTC"
     return (
-        f"{given['out']}: {len(done)} rows, {done.t_s.iloc[0]:g} to {done.t_s.iloc[-1]:g} s,"
+        f"{given['out']}: {len(done)} rows, {first} to {last} {unit},"
         f" {on.mean():.1%} on the map\n"
         f"half of the positions lie within {np.median(off_by):.1f} m of the way's line;"
         f" lanes: {', '.join(str(n) for n in n_lanes) or 'unknown'}"

@@ -11,7 +11,7 @@ from egolane_pgm.loading import ExperimentLike, load_experiment
 from egolane_pgm.online import online as answers
 from egolane_pgm.online import read_messages
 from egolane_pgm.recordings.columns import column_keys
-from egolane_pgm.verbs.options import ColumnNames, Option, Overrides
+from egolane_pgm.tools.options import ColumnNames, Option, Overrides
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 
@@ -19,7 +19,7 @@ EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
 def online(
     experiment: ExperimentLike,
     *,
-    nodes: Annotated[Sequence[str], Option("NODE", names=("--node",), many=True)] = (),
+    nodes: Annotated[Sequence[str], Option("NODE", names=("--node",))] = (),
     columns: ColumnNames = None,
     overrides: Overrides = (),
 ) -> None:
@@ -39,9 +39,8 @@ def online(
     # Standard input as an iterator would be read ahead in blocks.
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")
-    wanted = [nodes] if isinstance(nodes, str) else nodes
     chosen = load_experiment(experiment, overrides)
     if columns is not None:
         chosen = load_experiment(chosen, {"recording": {"columns": column_keys(columns)}})
-    for answer in answers(chosen, read_messages(chosen, messages), wanted):
+    for answer in answers(chosen, read_messages(chosen, messages), nodes):
         print(json.dumps(answer), flush=True)

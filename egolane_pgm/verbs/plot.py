@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -12,8 +11,8 @@ from egolane_pgm.comparing import open_results
 from egolane_pgm.result import is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
+from egolane_pgm.tools.options import Option, StrPath, several_of
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import Option, StrPath, several_of
 from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.figures import (
     confusion_figure,
@@ -40,7 +39,7 @@ _FILES = (".html", ".mp4", ".mcap")
 
 
 def plot(
-    results: Annotated[StrPath | Sequence[StrPath], Option(many=True)],
+    results: StrPath | Sequence[StrPath],
     *,
     frames: Annotated[tuple[int, int] | None, Option("FIRST LAST")] = None,
     out: Annotated[StrPath | None, Option("DIR|FILE")] = None,
@@ -72,9 +71,10 @@ def plot(
     found = open_results(place for place in places if place not in studies)
     is_several = len(found) + len(studies) > 1
 
-    def target(place: Path | None) -> Path:
-        assert place is not None
+    def target(place: Path) -> Path:
         if out is None:
+            if (place / "figures").is_symlink():
+                raise InputError(f"{place}/figures: is a link; name a folder (--out)")
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 
@@ -87,7 +87,7 @@ def plot(
             for draw in (confusion_figure, reliability_figure, coverage_figure):
                 name = draw.__name__.removesuffix("_figure")
                 makes[name] = partial(draw, result.frames, title_of(result))
-        files += write_figures(makes, target(result.directory), style)
+        files += write_figures(makes, target(Path(str(result.directory))), style)
     if len(found) > 1:
         folder = places[0].parent if is_result(places[0]) else places[0]
         titled = [(title_of(result), result.frames) for result in found]
@@ -97,29 +97,23 @@ def plot(
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:
-    """Write a page, a video or an MCAP file."""
+    """Write a page, a video or an MCAP file. Their packages are extras, imported here."""
     check_place(file)
-    ending = file.suffix.lower()
-    if ending == ".html":
-        # Its packages are an extra, which `egolane plot --help` does not need.
+    if file.suffix.lower() == ".html":
         from egolane_pgm.page.document import write_page
 
         if frames:
             raise InputError("frames: does not go with a page, which shows all frames")
-        for line in write_page([load_result(place) for place in places], file):
-            warnings.warn(line, UserWarning, stacklevel=3)
+        write_page([load_result(place) for place in places], file)
         return file
     if len(places) > 1:
         raise InputError(f"out: {file}: shows one result; {len(places)} are named")
-    result = load_result(places[0])
-    if ending == ".mcap":
-        from egolane_pgm.export.mcap_file import write_mcap
-
-        write_mcap(file, result, frames)
+    write: Callable[..., Any]
+    if file.suffix.lower() == ".mcap":
+        from egolane_pgm.export.mcap_file import write_mcap as write
     else:
-        from egolane_pgm.export.video_file import write_video
-
-        write_video(file, result, frames)
+        from egolane_pgm.export.video_file import write_video as write
+    write(file, load_result(places[0]), frames)
     return file
 
 

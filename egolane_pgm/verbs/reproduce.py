@@ -8,9 +8,8 @@ from typing import Annotated, Literal
 import pandas as pd
 
 from egolane_pgm.paper import Reproduction, Runs, parse_runs, reproduce_run
-from egolane_pgm.recordings import catalog
+from egolane_pgm.tools.options import Option, StrPath
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.verbs.options import Option, Progress, StrPath, path_of
 from egolane_pgm.views.tables import page, table
 
 EXAMPLES = ("egolane reproduce --runs 1-5", "egolane reproduce --format latex > table.tex")
@@ -20,17 +19,13 @@ def reproduce(
     *,
     runs: Annotated[Runs, Option("TEXT")] = "1-10",
     parameters: Literal["recovered", "published"] = "recovered",
-    if_available: bool = False,
     out: Annotated[StrPath | None, Option("DIR")] = None,
-    progress: Progress = None,
-) -> Reproduction | None:
+) -> Reproduction:
     """Repeat the paper's ten runs and compare with the 20 published tables.
 
     - runs: e.g. 1-5,7.
     - parameters: recovered (by a search; run 5 from the authors' code), or as printed (truncated).
-    - if_available: without the recordings, print how to get them and succeed.
     - out: folder for a result directory per run.
-    - progress: whether to show a bar; by default in a terminal only.
 
     Returns a `Reproduction`; iterating gives the `Result` of each run. Raises InputError for a run
     that the paper does not have, and if a recording is missing.
@@ -43,21 +38,16 @@ def reproduce(
     ...
     egolane_pgm.types.InputError: run 11: the paper has runs 1 to 10
     """
-    numbers = parse_runs(runs)
-    if if_available and not _have_recordings():
-        return None
     done = []
-    for number in bar(numbers, progress, desc="runs", unit="run"):
+    for number in bar(parse_runs(runs), desc="runs", unit="run"):
         done.append(reproduce_run(number, parameters))
         if out is not None:
-            done[-1].run.save(Path(path_of(out, "out")) / done[-1].run.name)
+            done[-1].run.save(Path(out) / done[-1].run.name)
     return Reproduction(done, parameters)
 
 
-def text(done: Reproduction | None, style: str, wide: bool) -> str:
+def text(done: Reproduction, style: str, wide: bool) -> str:
     """The output of the command: accuracy, F1 and log-loss, with the paper's in parentheses."""
-    if done is None:
-        return ""
     scores = done.table()
     shown = pd.DataFrame({"off": scores["frames_off"]})
     for key, name in {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}.items():
@@ -68,17 +58,3 @@ def text(done: Reproduction | None, style: str, wide: bool) -> str:
         f" {done.parameters}; in-sample, as in the paper)"
     )
     return page([table(scores if style == "csv" else shown), last], style, wide)
-
-
-def _have_recordings() -> bool:
-    """Whether the paper's recordings are there; if not, print how to get them."""
-    files, folders = catalog.list_files(), catalog.data_folders()
-    if all(file.path.is_file() for file in files):
-        return True
-    places, size = " and ".join(map(str, folders)), sum(file.size for file in files) / 1e6
-    print(f"The paper's recordings (rle/*.bag) are not in {places}.")
-    print(
-        f"To get them: `egolane data fetch` ({size:.0f} MB), or set EGOLANE_DATA to the folder that"
-        " has rle/."
-    )
-    return False

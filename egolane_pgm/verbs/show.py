@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
 
 import click
-import yaml
 from annotated_types import Ge, Le
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.loading import experiment_path, experiments_folder, load_yaml
+from egolane_pgm.loading import experiments_folder, load_yaml
 from egolane_pgm.model import compile_graph, matching_evidence_rule
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.plugins import find_plugin, load_plugin, plugin_names
 from egolane_pgm.recordings import FORMATS, format_of
 from egolane_pgm.recordings.showing import show_recording
 from egolane_pgm.simulation import PRESETS
-from egolane_pgm.tools.files import check_not_read, to_jsonable
+from egolane_pgm.tools.files import check_not_read
+from egolane_pgm.tools.options import Option, StrPath
 from egolane_pgm.types import MAX_LANES, InputError, problems_in, suggestion
-from egolane_pgm.verbs.options import Option, StrPath, path_of, shown
 from egolane_pgm.views.description import (
     describe_detector,
     describe_graph,
     describe_rule,
     description_text,
 )
-from egolane_pgm.views.network import check_ending, write_network
-from egolane_pgm.views.tables import line_width, wrapped
+from egolane_pgm.views.network import write_network
+from egolane_pgm.views.tables import line_width
 from egolane_pgm.vision.detectors.networks.description import ready_networks
 
 EXAMPLES = (
@@ -41,8 +40,6 @@ EXAMPLES = (
     "egolane show lstr_360x640.onnx",
     "egolane show schema > experiment.schema.json",
 )
-
-NLanes = Annotated[int, Ge(1), Le(MAX_LANES)]
 
 #: The plugins that are described, and the folder of each kind.
 _PLUGINS = {"graph": "graphs", "evidence": "evidence", "detector": "detectors"}
@@ -63,17 +60,16 @@ _KINDS: dict[str, Callable[[], list[str] | dict[str, str]]] = {
 def show(
     name: Annotated[StrPath | None, Option("[NAME|FILE|KIND]")] = None,
     *,
-    n_lanes: NLanes = 3,
+    n_lanes: Annotated[int, Ge(1), Le(MAX_LANES)] = 3,
     tables: bool = False,
     out: Annotated[StrPath | None, Option("FILE")] = None,
 ) -> dict[str, Any]:
-    """List graphs, evidence rules, detectors and experiments, or describe one.
+    """List graphs, evidence rules, detectors and experiments, or describe a plugin or a file.
 
     Without NAME, or with a KIND (graphs, evidence, detectors, experiments, ...), the names are
-    listed. NAME is one of these or your own file: a graph, an evidence rule, a detector or an
-    experiment. Prefixes tell apart equal names: `graph:NAME`, `evidence:NAME`, `detector:NAME`,
-    `experiment:NAME`. `schema` and `schema:tuning` print the JSON Schemas of experiments and
-    tuning files.
+    listed. NAME is a graph, an evidence rule or a detector, or your own file. A prefix
+    distinguishes equal names: `graph:NAME`, `evidence:NAME`, `detector:NAME`. `schema` and
+    `schema:tuning` print the JSON Schemas of experiments and tuning files.
 
     For a recording (a table or a bag), print its content and, if names and signs are clear, the
     command that runs it. For a lane network (FILE.onnx), print its inputs, its outputs and the
@@ -86,15 +82,17 @@ def show(
 
     Returns the description. Raises InputError if the arguments do not fit.
     """
-    given = "" if name is None else path_of(name, "name")
-    if out is not None:
-        check_ending(path_of(out, "out"))
+    given = "" if name is None else str(name)
     if not given or given in _KINDS:
-        found: dict[str, Any] = {
-            kind: names() for kind, names in _KINDS.items() if given in ("", kind)
-        }
+        found: dict[str, Any] = {kind: _KINDS[kind]() for kind in ([given] if given else _KINDS)}
     elif given.partition(":")[0] == "schema":
-        found = _schema(given.partition(":")[2] or "experiment")
+        # Schemas import all rooms that have one.
+        from egolane_pgm.verbs.schema import KINDS, schema
+
+        kind = given.partition(":")[2] or "experiment"
+        if kind not in KINDS:
+            raise InputError(f"schema:{kind}: unknown kind{suggestion(kind, KINDS)}")
+        found = schema(kind)
     elif given.endswith(".onnx"):
         # OpenCV is imported only if it is needed.
         from egolane_pgm.vision.detectors.networks.checking import describe_onnx
@@ -102,8 +100,6 @@ def show(
         found = {"name": given, "text": describe_onnx(Path(given))}
     elif _is_recording(Path(given)):
         found = {"name": given, "text": show_recording(Path(given))}
-    elif _is_yaml(given):
-        found = _yaml(given.removeprefix("experiment:"))
     else:
         found = _plugin(given, n_lanes, tables, out)
     if out is not None and found.get("kind") != "graph":
@@ -119,43 +115,32 @@ def summary(done: Mapping[str, Any], given: Mapping[str, Any]) -> str:
         return str(done["text"])
     if "$schema" in done:
         return json.dumps(done, indent=1)
-    if "kind" not in done:
-        return _list_text(done)
-    if "keys" in done:
-        about = done["keys"].get("description")
-        keys = {k: v for k, v in done["keys"].items() if k not in ("name", "description")}
-        text = yaml.safe_dump(keys, sort_keys=False, allow_unicode=True, default_flow_style=None)
-        lines = [f"{done['kind']} {done['name']}", shown(done["file"])]
-        lines += ["", wrapped(str(about))] if about else []
-        return "\n".join([*lines, "", text.rstrip("\n")])
-    return description_text({**done, "file": shown(done["file"])})
-
-
-def _yaml_files() -> Iterator[Path]:
-    """The shipped experiments and tuning files."""
-    for path in sorted(experiments_folder().rglob("*.yaml")):
-        if path.name[0] != "_" and path.name != "published.yaml":
-            yield path
+    if "kind" in done:
+        return description_text({**done, "file": _shown(done["file"])})
+    text = click.HelpFormatter(width=line_width())
+    names = {f"{kind}:": ", ".join(each) for kind, each in done.items() if isinstance(each, list)}
+    if names:
+        text.write_dl([*names.items()])
+    for kind in sorted(kind for kind, each in done.items() if isinstance(each, dict)):
+        with text.section(kind):
+            text.write_dl([*done[kind].items()], col_max=4)
+    return text.getvalue().rstrip("\n")
 
 
 def _descriptions(kind: str) -> dict[str, str]:
-    """The description of each experiment, or of each tuning file, by its path."""
+    """The description of each shipped experiment, or of each tuning file, by its path."""
     return {
-        shown(path): load_yaml(path).get("description", "")
-        for path in _yaml_files()
+        _shown(path): load_yaml(path).get("description", "")
+        for path in sorted(experiments_folder().rglob("*.yaml"))
+        if path.name[0] != "_" and path.name != "published.yaml"
         if (path.parent.name == "tuning") == (kind == "tuning")
     }
 
 
-def _list_text(found: Mapping[str, Any]) -> str:
-    text = click.HelpFormatter(width=line_width())
-    names = {kind: each for kind, each in found.items() if isinstance(each, list)}
-    if names:
-        text.write_dl([(f"{kind}:", ", ".join(each)) for kind, each in names.items()])
-    for kind in sorted(found.keys() - names.keys()):
-        with text.section(kind):
-            text.write_dl([*found[kind].items()], col_max=4)
-    return text.getvalue().rstrip("\n")
+def _shown(path: str | Path) -> str:
+    """A path for printing: relative if it is below the current folder."""
+    here = Path.cwd()
+    return str(Path(path).relative_to(here) if Path(path).is_relative_to(here) else path)
 
 
 def _is_recording(path: Path) -> bool:
@@ -164,40 +149,6 @@ def _is_recording(path: Path) -> bool:
         return format_of(path) in ("table", "rosbag")
     except InputError:
         return False
-
-
-def _schema(kind: str) -> dict[str, Any]:
-    # Schemas import all rooms that have one.
-    from egolane_pgm.verbs.schema import KINDS, schema
-
-    if kind not in KINDS:
-        raise InputError(f"schema:{kind}: unknown kind{suggestion(kind, KINDS)}")
-    return schema(kind)
-
-
-def _is_yaml(name: str) -> bool:
-    """Whether a name is an experiment, or a YAML file without a graph."""
-    if name.startswith("experiment:"):
-        return True
-    if name.lower().endswith((".yaml", ".yml")):
-        path = experiment_path(name)
-        return path.is_file() and "nodes" not in load_yaml(path)
-    if any(name in plugin_names(folder) for folder in _PLUGINS.values()):
-        return False
-    return any(path.stem == name for path in _yaml_files())
-
-
-def _yaml(name: str) -> dict[str, Any]:
-    """The keys of an experiment or of a tuning file."""
-    path = experiment_path(name)
-    keys = load_yaml(path)
-    kind, own_name = "tuning file" if "experiments" in keys else "experiment", keys.get("name")
-    return {
-        "kind": kind,
-        "name": own_name or path.stem,
-        "file": str(path),
-        "keys": to_jsonable(keys),
-    }
 
 
 def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:
@@ -213,7 +164,7 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
         return found | describe_detector(module)
     compiled = compile_defaults(bare, module, n_lanes)
     if out is not None:
-        write_network(compiled, path_of(out, "out"))
+        write_network(compiled, Path(out))
     return found | describe_graph(module, compiled, numbers=tables)
 
 

@@ -12,19 +12,21 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from pydantic import Field
 
 from egolane_pgm.drives import Drive
-from egolane_pgm.experiment import Experiment, FitSettings, Section, validated
-from egolane_pgm.loading import experiment_path, load_experiment, load_yaml
+from egolane_pgm.experiment import FitSettings, Section, validated
+from egolane_pgm.loading import Overrides, experiment_path, load_experiment, load_yaml
+from egolane_pgm.paper import known_parameters
+from egolane_pgm.parameters import resolve_parameters
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.running import noting
-from egolane_pgm.runs import is_lines, open_input, table_inputs
-from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds
+from egolane_pgm.runs import Input, is_lines, open_input, table_inputs
+from egolane_pgm.studies.study import Fold, Study, block_folds, drive_folds, run_study
+from egolane_pgm.tools.options import StrPath, place_of, several_of
 from egolane_pgm.types import InputError
-from egolane_pgm.verbs.options import several_of
 
 
 class TuningFile(Section):
@@ -44,39 +46,27 @@ class TuningFile(Section):
     )
 
 
-class Studied(NamedTuple):
-    """Drives to fit to, and the folds.
+def fit_study(
+    method: str,
+    experiments: Any,
+    *,
+    overrides: Overrides,
+    graph: Any,
+    table: Any,
+    by_tag: str | None,
+    folds: int | None,
+    out: StrPath | None,
+    **options: Any,
+) -> Study:
+    """Read the drives of some experiments or of a table of runs, make the folds, and fit.
 
-    - experiments: as given; one with a road table has several drives.
-    - notes: warnings of reading the drives.
-    """
-
-    name: str
-    experiments: Sequence[Experiment]
-    drives: Sequence[Drive]
-    folds: Sequence[Fold]
-    notes: Sequence[str]
-
-
-def open_studied(
-    experiments: Any, *, table: Any, by_tag: str | None, folds: int | None, **options: Any
-) -> Studied:
-    """Read the drives of some experiments, or of a table of runs, and make the folds.
-
+    - method: learn or tune.
+    - experiments: as `open_input` takes them, or a file with a list of them.
     - folds: number of blocks of each drive, or of groups of a table's drives; 0 for no folds; by
       default `fit.folds` of the first experiment.
-    - options: as `runs.open_input` takes them.
+    - options: of `run_study`.
     """
-    given = several_of(experiments)
-    if not given:
-        raise InputError("experiments: name at least one")
-    listed = _list_of(given[0]) if len(given) == 1 else None
-    if listed is not None:
-        file, folder = listed
-        fit = file.fit.model_dump(exclude_unset=True)
-        given = [load_experiment(folder / name, {"fit": fit}) for name in file.experiments]
-    inputs = [open_input(each, **options) for each in given]
-    name = inputs[0].experiment.name if listed is None else listed[0].name
+    name, inputs = open_studied(experiments, overrides, graph)
     if by_tag is not None and table is None:
         raise InputError("by_tag: goes with a table of runs")
     if table is not None:
@@ -93,18 +83,50 @@ def open_studied(
         found = drive_folds(drives, n_folds, by_tag)
     elif n_folds:
         found = block_folds(drives, n_folds)
-    return Studied(name, [each.experiment for each in inputs], drives, found, notes)
+    return run_study(
+        drives,
+        method,
+        found,
+        starts=starting_points(drives),
+        name=name,
+        # An experiment with a road table has several drives.
+        experiments=[each.experiment for each in inputs],
+        directory=place_of(out, name),
+        pooled=table is not None,
+        notes=notes,
+        **options,
+    )
 
 
-def _list_of(given: Any) -> tuple[TuningFile, Path] | None:
-    """The list of experiments in a file, and its folder; None for anything else."""
-    if not isinstance(given, (str, os.PathLike)) or is_lines(given):
-        return None
-    path = experiment_path(given)
-    content = load_yaml(path)
-    if "experiments" not in content:
-        return None
-    return validated(TuningFile, content, str(path)), path.parent
+def open_studied(experiments: Any, overrides: Overrides, graph: Any) -> tuple[str, list[Input]]:
+    """The name of a study, and its experiments, which may be listed in a file."""
+    given, name = several_of(experiments), None
+    if not given:
+        raise InputError("experiments: name at least one")
+    if len(given) == 1 and isinstance(given[0], (str, os.PathLike)) and not is_lines(given[0]):
+        path = experiment_path(given[0])
+        content = load_yaml(path)
+        if "experiments" in content:
+            file = validated(TuningFile, content, str(path))
+            name, fit = file.name, file.fit.model_dump(exclude_unset=True)
+            given = [load_experiment(path.parent / each, {"fit": fit}) for each in file.experiments]
+    inputs = [open_input(each, overrides=overrides, graph=graph) for each in given]
+    return name or inputs[0].experiment.name, inputs
+
+
+def starting_points(drives: Sequence[Drive]) -> list[dict[str, Any]]:
+    """The parameter sets that a search tries first: the paper's, then the current ones."""
+    starts = []
+    for drive in drives:
+        model = drive.model
+        specs = declared_parameters(model.rule, model.graph)
+        known = {spec.name for spec in specs}
+        for values in known_parameters(drive.experiment):
+            kept = {name: value for name, value in values.items() if name in known}
+            merged = {**drive.experiment.parameters, **kept}
+            starts.append(resolve_parameters(specs, merged, model.n_lanes))
+        starts.append(dict(model.parameters))
+    return starts
 
 
 def summary(done: Study, given: Mapping[str, Any]) -> str:

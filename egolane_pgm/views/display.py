@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 from typing import Any
 
 import pandas as pd
@@ -23,13 +22,6 @@ from egolane_pgm.views.tables import (
     table,
     with_interval,
 )
-
-#: The parameters of a held-out block, by the experiment's `fit`.
-_FITS = {
-    "none": "the experiment's own parameters",
-    "learn": "parameters learned on the other blocks",
-    "tune": "parameters tuned on the other blocks",
-}
 
 #: The columns of a table of runs that are printed, and their names.
 _COLUMNS = {
@@ -64,17 +56,6 @@ def result_title(result: Result) -> str:
     return f"{', '.join(parts)}; {TUNED_ON_SHORT[run['tuned_on']]}, {causal}"
 
 
-def result_html(result: Result) -> str:
-    """The title and a table of the scores, for a notebook."""
-    parts = [f"<p>{html.escape(result_title(result))}</p>"]
-    scores = scores_by_side(result)
-    if scores:
-        found = score_table(scores)
-        parts.append(pd.DataFrame(found.rows, columns=found.header).to_html(index=False))
-    notes = [f"<p>{html.escape(note)}</p>" for note in result.notes]
-    return f"<div>{''.join([*parts, *notes])}</div>"
-
-
 def result_text(result: Result, style: str = "markdown", wide: bool = False) -> str:
     """The output of `egolane run`: the score, or the lane over time, then the lane changes.
 
@@ -87,7 +68,12 @@ def result_text(result: Result, style: str = "markdown", wide: bool = False) -> 
     most = None if wide else LISTED
     parts: list[str | Table] = ["\n".join(_head(result, sides))]
     if wide and sides:
-        parts += _score_parts(result, sides)
+        parts.append(score_table(sides))
+        every = result.scores.get("model_all_frames")
+        if every:
+            parts.append(f"the same with the frames of untrusted labels: {every['frames_scored']}")
+            parts.append(score_table({"model": every}))
+        parts += [confusion_table(each["confusion"], who) for who, each in sides.items()]
     if several:
         parts += drive_parts(result, most)
     if len(events) and (wide or not several):
@@ -137,7 +123,7 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     )
     lines += run["why_not_causal"]
     if "blocks" in run:
-        lines.append(f"held out, {run['blocks']} blocks: each with {_FITS[run['fit']]}")
+        lines.append(f"held out, {run['blocks']} blocks; fit.method: {run['fit']}")
     found, n_events = scores["events"], len(result.events)
     if "within" in found:
         within = found["within"]["1"]
@@ -150,33 +136,22 @@ def _head(result: Result, sides: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _score_parts(result: Result, sides: dict[str, Any]) -> list[str | Table]:
-    """All scores and the confusion matrices."""
-    parts: list[str | Table] = [score_table(sides)]
-    if "model_all_frames" in result.scores:
-        every = result.scores["model_all_frames"]
-        parts.append(f"the same with the frames of untrusted labels: {every['frames_scored']}")
-        parts.append(score_table({"model": every}))
-    return parts + [confusion_table(each["confusion"], who) for who, each in sides.items()]
-
-
 def drive_parts(result: Result, most: int | None = LISTED) -> list[str | Table]:
     """A table with a row per drive: its scores, or its lane at the end.
 
     - most: number of rows; None for all.
     """
-    is_scored = "model" in result.scores
     rows = []
     for name, frames in by_drive(result.frames):
         row: dict[str, Any] = {"drive": name, "frames": len(frames)}
         if "n_lanes" in frames:
             row["lanes"] = int(frames["n_lanes"].iloc[0])
-        if is_scored:
+        if "model" in result.scores:
             known = frames[is_known(frames)]
             row["scored"] = len(known)
             for who, column in (("detector", "detector_lane"), ("accuracy", "assigned_lane")):
                 if column in frames:
-                    row[who] = (known[column] == known["true_lane"]).mean() if len(known) else None
+                    row[who] = known[column].eq(known["true_lane"]).astype(float).mean()
         else:
             last = lanes_of(frames)[-1]
             row["lane at the end"] = str(last.argmax() + 1) if last.max() >= CONFIDENT else "-"

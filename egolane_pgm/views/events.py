@@ -14,9 +14,6 @@ from egolane_pgm.views.tables import Table, cell, table
 #: Number of rows of a table of drives or lane changes, and of segments in words.
 LISTED = 10
 
-#: The times of a shorter drive have a decimal, seconds.
-SHORT_S = 60.0
-
 
 def event_table(events: pd.DataFrame) -> Table:
     """A table of lane changes, a row each."""
@@ -46,23 +43,20 @@ def segments_text(segments: Sequence[tuple[int, float, float]]) -> str:
     """
     if not segments:
         return f"no lane has a probability of at least {CONFIDENT:.2f} in any frame"
-    digits = 1 if segments[-1][2] - segments[0][1] < SHORT_S else 0
     parts = [
-        f"lane {lane or 'unknown'} from {clock(start, digits)} to {clock(end, digits)}"
+        f"lane {lane or 'unknown'} from {clock(start)} to {clock(end)}"
         for lane, start, end in segments[:LISTED]
     ]
     more = [f"and {len(segments) - LISTED} more"] * (len(segments) > LISTED)
     return ", ".join([*parts, *more])
 
 
-def clock(seconds: float, digits: int = 0) -> str:
-    """A time as 1:02 or 1:00:02, with decimals; a time since 1970 as the time of day, UTC."""
-    seconds = round(seconds, digits)
-    minutes, rest = divmod(seconds % 86400 if seconds >= DATED_S else seconds, 60)
-    width = 3 + digits if digits else 2
+def clock(seconds: float) -> str:
+    """A time as 1:02.3 or 1:00:02.3; a time since 1970 as the time of day, UTC."""
+    seconds = round(seconds % 86400 if seconds >= DATED_S else seconds, 1)
+    minutes, rest = divmod(seconds, 60)
     hours, minutes = divmod(int(minutes), 60)
-    text = f"{minutes:02d}" if hours else str(minutes)
-    return f"{hours}:" * bool(hours) + f"{text}:{rest:0{width}.{digits}f}"
+    return f"{hours}:{minutes:02d}:{rest:04.1f}" if hours else f"{minutes}:{rest:04.1f}"
 
 
 def event_lines(scores: Mapping[str, Any]) -> list[str]:
@@ -78,10 +72,8 @@ def event_lines(scores: Mapping[str, Any]) -> list[str]:
     warning = scores["crossing"]
     if warning is not None:
         lines.append(
-            f"line crossing: AUC {cell(warning['auc'])}, precision {cell(warning['precision'])},"
-            f" recall {cell(warning['recall'])} of the crossing frames; {warning['warned']} of"
-            f" {warning['changes']} changes with a warning,"
-            f" {cell(warning['lead_s']['median'], 1)} s (median) before the label changes,"
+            f"line crossing: {warning['warned']} of {warning['changes']} changes with a warning,"
+            f" {cell(warning['lead_s'], 1)} s (median) before the label changes,"
             f" {cell(warning['false_per_hour'], 1)} false warnings per hour"
         )
     return lines

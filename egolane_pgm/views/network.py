@@ -1,12 +1,11 @@
-"""The structure of a network: as a picture of its two slices, or in a BIF file."""
+"""The structure of a network, as a picture of its two slices or in a BIF file."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,18 +13,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangle
 
-from egolane_pgm.graphs.cpds import SliceNode, ve_name
-from egolane_pgm.graphs.flat import bif
+from egolane_pgm.graphs.cpds import SliceNode, bif, ve_name
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.model import Model
 from egolane_pgm.tools.files import write_text
-from egolane_pgm.types import InputError
-from egolane_pgm.views.style import FORMATS, INK, inline_figure, new_figure, write_figure
+from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
 
-#: Extensions of the files that a network can be written to.
-ENDINGS = (*FORMATS, ".bif")
-
-Edge = tuple[SliceNode, SliceNode]
 Shape = Circle | Rectangle
 
 #: Fill of each kind of node. Kinds differ in lightness and shape too, so colour is not needed.
@@ -45,54 +38,41 @@ _BENDS = (0.0, 0.12, -0.12, 0.22, -0.22, 0.32, -0.32, 0.45, -0.45)
 _RADIUS, _SMALL, _STEP, _MARGIN, _GAP, _INCH = 0.52, 0.17, 1.5, 0.75, 1.3, 0.8
 
 
-@dataclass(frozen=True)
-class Structure:
+class Structure(NamedTuple):
     """Nodes and edges of a network of two slices.
 
     - kind: by node: "hidden", "function" (of its parents), "observed", "input", "virtual evidence".
-    - edges: the parent first; slice 0 is frame t, slice 1 is frame t + 1.
+    - within, across: edges inside a slice, and from one slice to the next, the parent first.
     """
 
     kind: Mapping[str, str]
-    edges: list[Edge]
-
-    @property
-    def within(self) -> list[tuple[str, str]]:
-        """The edges inside a slice, by name."""
-        return list(dict.fromkeys((a, b) for (a, s), (b, t) in self.edges if s == t))
-
-    @property
-    def across(self) -> list[tuple[str, str]]:
-        """The edges from one slice to the next, by name."""
-        return [(a, b) for (a, s), (b, t) in self.edges if s != t]
+    within: Sequence[tuple[str, str]]
+    across: Sequence[tuple[str, str]]
 
 
 def structure_of(compiled: Compiled) -> Structure:
     """The structure of a compiled network, with its virtual-evidence nodes."""
     kind = {name: "observed" for name, _ in compiled.tables}
-    kind |= dict.fromkeys(compiled.hidden, "hidden") | dict.fromkeys(compiled.functions, "function")
+    for name in compiled.hidden:
+        kind[name] = "hidden" if name in compiled.state_nodes else "function"
     kind |= dict.fromkeys(compiled.inputs, "input")
-    edges = [(parent, node) for node, table in compiled.tables.items() for parent in table.parents]
+    within: list[tuple[str, str]] = []
+    across: list[tuple[str, str]] = []
+    for (name, s), table in compiled.tables.items():
+        for parent, t in table.parents:
+            (within if s == t else across).append((parent, name))
     for key in compiled.observed:
         kind[ve_name(key)] = "virtual evidence"
-        names = (key,) if isinstance(key, str) else key
-        edges += [((name, s), (ve_name(key), s)) for s in (0, 1) for name in names]
-    return Structure(kind, edges)
+        within += [(name, ve_name(key)) for name in ((key,) if isinstance(key, str) else key)]
+    return Structure(kind, list(dict.fromkeys(within)), across)
 
 
-def check_ending(path: str | Path) -> None:
-    """Raise InputError for a file that a network cannot be written to."""
-    if Path(path).suffix.lower() not in ENDINGS:
-        raise InputError(f"{path}: unknown format; a network is written to {', '.join(ENDINGS)}")
+def write_network(compiled: Compiled, path: Path) -> None:
+    """Write a picture of a network, or both slices with their tables, as BIF (.bif).
 
-
-def write_network(compiled: Compiled, path: str | Path) -> None:
-    """Write a network as a picture, or both slices with their tables as BIF (.bif).
-
-    Virtual-evidence nodes, which have no numbers of their own, are not in a BIF file. Raises
-    InputError for a file that cannot be written.
+    Raises InputError for a file that cannot be written.
     """
-    if Path(path).suffix.lower() == ".bif":
+    if path.suffix.lower() == ".bif":
         write_text(path, bif(compiled.tables.values(), compiled.values))
     else:
         write_figure(lambda: network_figure(structure_of(compiled)), path)
@@ -145,7 +125,8 @@ def network_figure(structure: Structure) -> Figure:
         for name, (x, y) in places.items():
             nodes[name, s] = _draw_node(ax, name, structure.kind[name], s * shift + x, y)
             nodes[name, s].set_gid(f"node {name} {s}")
-    for edge in structure.edges:
+    edges = [((a, s), (b, s)) for s in (0, 1) for a, b in structure.within]
+    for edge in [*edges, *(((a, 0), (b, 1)) for a, b in structure.across)]:
         _draw_edge(ax, edge, nodes)
     entries: dict[str, Any] = {}
     for kind in [each for each in _FILL if each in structure.kind.values()]:
@@ -192,9 +173,9 @@ def _places(structure: Structure) -> dict[str, tuple[float, float]]:
 def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
     radius = _SMALL if kind == "virtual evidence" else _RADIUS
     look: dict[str, Any] = {"fc": _FILL[kind], "ec": INK, "lw": 1.2, "zorder": 3}
-    half = 0.85 * radius
     node: Shape = Circle((x, y), radius, **look)
     if kind == "input":
+        half = 0.85 * radius
         node = Rectangle((x - half, y - half), 2 * half, 2 * half, **look)
     ax.add_patch(node)
     if kind == "function":
@@ -203,14 +184,15 @@ def _draw_node(ax: Axes, name: str, kind: str, x: float, y: float) -> Shape:
         label = name.replace("+", "\n+ ")
         ax.text(x, y + radius + 0.08, label, fontsize=7, ha="center", va="top")
         return node
-    # One word per line, split at capitals and underscores.
-    words = re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z0-9]+|[^A-Za-z_]+", name) or [name]
+    words = re.sub("(?<=[a-z])(?=[A-Z])", "_", name).split("_")
     size = min(9.5, 78 / max(map(len, words)), 34 / len(words))
     ax.text(x, y, "\n".join(words), fontsize=size, ha="center", va="center", zorder=4)
     return node
 
 
-def _draw_edge(ax: Axes, edge: Edge, nodes: Mapping[SliceNode, Shape]) -> None:
+def _draw_edge(
+    ax: Axes, edge: tuple[SliceNode, SliceNode], nodes: Mapping[SliceNode, Shape]
+) -> None:
     """Draw an edge with the smallest bend that keeps it clear of all other nodes."""
     start, end = edge
     a, b, *others = np.array(

@@ -7,7 +7,6 @@ car driving from left to right (the paper's Figure `fig:lanetransition01`).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -38,7 +37,6 @@ from egolane_pgm.views.style import (
     PROBABILITY_RAMP,
     UNASSIGNED_COLOUR,
     new_figure,
-    write_figure,
 )
 
 #: The most frames in a row of strips, about a pixel each at 200 dpi; and the most rows. The rows of
@@ -49,11 +47,6 @@ _ERRORS = {"wrong": DETECTOR_COLOUR, "unassigned": UNASSIGNED_COLOUR}
 
 # Heights in inches; and the gap between two strips, in lanes.
 _HEAD, _FOOT, _LANE, _ROW_GAP, _GAP = 0.3, 0.4, 0.16, 0.45, 0.6
-
-
-def draw_strips(result: Result, file: str | Path) -> Path:
-    """Draw the strips of a whole result. Raises InputError as `write_figure`."""
-    return write_figure(lambda: result_strips(result), file)
 
 
 def result_strips(result: Result, first: int | None = None, last: int | None = None) -> Figure:
@@ -94,7 +87,7 @@ def result_strips(result: Result, first: int | None = None, last: int | None = N
         labels = [f"{x:.0f}" for x in at]
         if (np.diff(time_s) > 0).all():  # Clocks of drives differ.
             seconds = np.interp(at, frames.index, time_s).tolist()
-            labels = [f"{x}\n{clock(t, 1)}" for x, t in zip(labels, seconds, strict=True)]
+            labels = [f"{x}\n{clock(t)}" for x, t in zip(labels, seconds, strict=True)]
         ax.set_xticks(at, labels)
     axes[-1].set_xlabel("frame, time (minutes:seconds)", labelpad=1)
     _draw_legend(figure, cells, events[events["detected_frame_id"].between(low, high)])

@@ -51,24 +51,16 @@ FORMATS: dict[str, dict[str, Any]] = {
 _RC: dict[Any, Any] = {
     "font.size": 8.5,
     "axes.titlesize": 9,
-    "axes.labelsize": 8.5,
-    "figure.titlesize": 10,
-    "legend.fontsize": 8,
-    "legend.frameon": False,
-    "xtick.labelsize": 8,
-    "ytick.labelsize": 8,
     "axes.titlelocation": "left",
     "axes.edgecolor": INK,
-    "axes.linewidth": 0.7,
     "text.color": INK,
+    "legend.frameon": False,
     "axes.grid": True,
     "axes.axisbelow": True,
     "grid.color": GRID,
-    "grid.linewidth": 0.6,
     "text.parse_math": False,  # A name with two dollars is a name.
     "hatch.linewidth": 0.4,
     "savefig.dpi": 200,
-    "savefig.facecolor": "white",
     "pdf.fonttype": 42,  # Publishers ask for these fonts.
     "svg.hashsalt": "egolane",
 }
@@ -96,9 +88,6 @@ def text_colour(background: Any) -> str:
     """Return black or white, the one with the higher contrast (WCAG 2) on the background."""
     red, green, blue = (c**2.2 for c in to_rgb(background))
     return "black" if 0.2126 * red + 0.7152 * green + 0.0722 * blue > 0.179 else "white"
-
-
-# --- writing -------------------------------------------------------------------------------------
 
 
 def write_figure(make: Callable[[], Figure], path: str | Path) -> Path:

@@ -1,7 +1,7 @@
 """Pictures of a simulated drive: a flat, straight road with painted lines.
 
     road = simulated_road("a4", seed=0, frames=600)
-    write_drive(road, Path("drive"), "simulated_a4", range(600))
+    write_pictures(road, Path("drive"))
 
 The car keeps parallel to the lines, also in a lane change. The pictures need a camera, so this
 module belongs to `vision`; `simulation` makes the drive, without pictures.
@@ -9,16 +9,15 @@ module belongs to `vision`; `simulation` makes the drive, without pictures.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from egolane_pgm.recordings.ground_truth import write_ground_truth
 from egolane_pgm.simulation.world import Road
-from egolane_pgm.tools.files import make_directory, write_yaml
+from egolane_pgm.tools.files import make_directory
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, write_camera
 from egolane_pgm.vision.camera.picture import Image
@@ -104,33 +103,15 @@ def draw_frame(road: Road, frame: int, camera: Camera = CAMERA) -> Image:
     return draw_road(lines_at(road, frame), travelled_m, camera=camera, seed=frame)
 
 
-def check_folder(folder: Path) -> None:
-    """Raises InputError if there are pictures of another drive, which would be mixed with it."""
+def write_pictures(road: Road, folder: Path) -> None:
+    """Write the pictures of a simulated drive: images/ and camera.yaml.
+
+    Raises InputError if there are pictures of another drive, or if a file cannot be written.
+    """
     place = folder / "images"
     if place.is_dir() and any(place.iterdir()):
         raise InputError(f"{place}: is not empty; name another folder")
-
-
-def write_drive(road: Road, folder: Path, name: str, frames: Iterable[int]) -> None:
-    """Write images/, camera.yaml, ground_truth.txt, and experiment.yaml for the lines that
-    `egolane detect` writes to lines.parquet.
-
-    - name: of the experiment
-    - frames: the numbers of the frames, perhaps with a bar that shows how far it is
-
-    Raises InputError if something cannot be written.
-    """
-    check_folder(folder)
     make_directory(folder)
     write_camera(folder / "camera.yaml", CAMERA, "simulated drive")
-    write_ground_truth(folder / "ground_truth.txt", road.truth)
-    experiment = {
-        "name": name,
-        "recording": {"path": "lines.parquet", "frame_rate": road.frame_rate},
-        "ground_truth": {"path": "ground_truth.txt"},
-        "n_lanes": road.n_lanes,
-        "tuned_on": "not_tuned",
-    }
-    write_yaml(folder / "experiment.yaml", experiment)
-    for frame in frames:
-        write_picture(folder / "images" / f"{frame:06d}.jpg", draw_frame(road, frame))
+    for frame in range(len(road)):
+        write_picture(place / f"{frame:06d}.jpg", draw_frame(road, frame))

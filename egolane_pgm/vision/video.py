@@ -8,9 +8,8 @@ one frame is in memory at a time.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import tee
 from typing import Any
 
 import cv2
@@ -19,9 +18,8 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import UNASSIGNED, FloatArray
 from egolane_pgm.vision.camera.model import Camera, road_seen, scaled
-from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.picture import Image
 from egolane_pgm.vision.detectors import FrameLines, powers
-from egolane_pgm.vision.detectors.runner import Detector, detect
 
 Colour = tuple[int, int, int]
 
@@ -69,20 +67,15 @@ class Scene:
 
 @dataclass(frozen=True)
 class Layout:
-    """The places of the parts of a drawn frame, in pixels.
+    """The places of the parts of a drawn frame: the picture, the bird's-eye view to the right of it
+    and the panel below both.
 
     - camera: of the pictures, enlarged as they are drawn
-    - picture: width and height of the picture
-    - birdseye: width and height of the bird's-eye view, to the right of the picture
-    - panel: top and height of the panel below both
-    - size: width and height of the whole
+    - size: width and height of the whole, pixels
     - from_above: for each pixel of the bird's-eye view, the column and row of the picture
     """
 
     camera: Camera
-    picture: tuple[int, int]
-    birdseye: tuple[int, int]
-    panel: tuple[int, int]
     size: tuple[int, int]
     from_above: tuple[NDArray[np.float32], NDArray[np.float32]]
 
@@ -102,53 +95,26 @@ def layout(camera: Camera) -> Layout:
     u, v = road_seen(camera, x[:, None], y[None, :])
     # Points behind the camera are far outside the picture.
     columns, rows = (np.clip(np.nan_to_num(at, nan=-1e6), -1e6, 1e6) for at in (u, v))
-    panel, from_above = (
-        (height, size[1] - height),
-        (columns.astype(np.float32), rows.astype(np.float32)),
-    )
-    return Layout(camera, (width, height), (above, height), panel, size, from_above)
+    return Layout(camera, size, (columns.astype(np.float32), rows.astype(np.float32)))
 
 
 def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
     """Draws one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
     canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
-    width, height = places.picture
-    above = places.birdseye[0]
+    width, height = places.camera.width, places.camera.height
     # OpenCV only copies a picture of this size.
     shown = np.asarray(cv2.resize(picture, (width, height)), dtype=np.uint8)
     columns, rows = places.from_above
     from_above = np.asarray(cv2.remap(shown, columns, rows, cv2.INTER_LINEAR), dtype=np.uint8)
-    _lines_on_picture(places, shown, scene.lines)
-    _lines_from_above(places, from_above, scene.lines)
+    _draw_lines(places, shown, from_above, scene.lines)
     canvas[:height, :width] = shown
-    canvas[:height, width : width + above] = from_above
+    canvas[:height, width : width + from_above.shape[1]] = from_above
     _bars(places, canvas, scene)
     _legend(places, canvas, scene)
     return canvas
 
 
-# --- the frames of a drive ----------------------------------------------------------------------
-
-
-def with_detected_lines(
-    pictures: Iterable[Picture], detector: Detector, camera: Camera
-) -> Iterator[tuple[Picture, FrameLines]]:
-    """Yields each picture with the lines that a detector sees in it."""
-    # The detector takes one picture at a time, so no more than one is kept.
-    seen, given = tee(pictures)
-    for picture, (_, lines) in zip(seen, detect(detector, camera, given), strict=True):
-        yield picture, lines
-
-
 # --- lines ---------------------------------------------------------------------------------------
-
-
-def _style(lines: FrameLines, k: int) -> tuple[Colour, int, bool]:
-    """The colour and thickness of line k, and whether it is dashed."""
-    is_dashed = not lines.is_continuous[k]
-    if not lines.is_valid[k]:
-        return NOT_VALID, 1, is_dashed
-    return DASHED if is_dashed else CONTINUOUS, 3, is_dashed
 
 
 def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
@@ -158,22 +124,22 @@ def _pieces(is_dashed: bool, last: float) -> Iterator[FloatArray]:
         yield np.linspace(start, min(start + step, last), 12 if is_dashed else 80)
 
 
-def _lines_on_picture(places: Layout, picture: Image, lines: FrameLines) -> None:
-    for k in range(len(lines.is_valid)):
-        colour, thickness, is_dashed = _style(lines, k)
-        for x in _pieces(is_dashed, DRAWN_M):
-            u, v = road_seen(places.camera, x, powers(x) @ lines.shape[k])
+def _draw_lines(places: Layout, picture: Image, above: Image, lines: FrameLines) -> None:
+    """Draw the lines on the picture and on the bird's-eye view."""
+    height, width = above.shape[:2]
+    for shape, is_valid, is_continuous in zip(
+        lines.shape, lines.is_valid, lines.is_continuous, strict=True
+    ):
+        colour, thickness = (
+            (CONTINUOUS if is_continuous else DASHED, 3) if is_valid else (NOT_VALID, 1)
+        )
+        for x in _pieces(not is_continuous, DRAWN_M):
+            u, v = road_seen(places.camera, x, powers(x) @ shape)
             _stroke(picture, u, v, colour, thickness)
-
-
-def _lines_from_above(places: Layout, view: Image, lines: FrameLines) -> None:
-    width, height = places.birdseye
-    per_metre = height / (AHEAD_M[1] - AHEAD_M[0])
-    for k in range(len(lines.is_valid)):
-        colour, thickness, is_dashed = _style(lines, k)
-        for x in _pieces(is_dashed, AHEAD_M[1]):
-            u = (powers(x) @ lines.shape[k] + SIDE_M) * width / (2 * SIDE_M)
-            _stroke(view, u, (AHEAD_M[1] - x) * per_metre, colour, max(1, thickness - 1))
+        for x in _pieces(not is_continuous, AHEAD_M[1]):
+            u = (powers(x) @ shape + SIDE_M) * width / (2 * SIDE_M)
+            v = (AHEAD_M[1] - x) * height / (AHEAD_M[1] - AHEAD_M[0])
+            _stroke(above, u, v, colour, max(1, thickness - 1))
 
 
 def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
@@ -197,18 +163,15 @@ def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thicknes
 def bar_boxes(places: Layout, n_lanes: int) -> list[tuple[int, int, int, int]]:
     """The left, top, right and bottom of the boxes of the bars: lanes from left to right, then
     Unassigned."""
-    top, height = places.panel
-    width = places.picture[0]
-    edges = np.linspace(12, width - 12, n_lanes + 2)
+    top, bottom = places.camera.height + 26, places.size[1] - 42
+    edges = np.linspace(12, places.camera.width - 12, n_lanes + 2)
     sides = zip(np.rint(edges[:-1] + 4), np.rint(edges[1:] - 4), strict=True)
-    return [(int(left), top + 26, int(right), top + height - 42) for left, right in sides]
+    return [(int(left), top, int(right), bottom) for left, right in sides]
 
 
 def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
     n_lanes = len(scene.belief)
-    top, _ = places.panel
-    boxes = bar_boxes(places, n_lanes)
-    for k, (left, upper, right, lower) in enumerate(boxes):
+    for k, (left, upper, right, lower) in enumerate(bar_boxes(places, n_lanes)):
         is_answer = scene.assigned == (k + 1 if k < n_lanes else UNASSIGNED)
         share = float(scene.belief[k]) if k < n_lanes else float(is_answer)
         height = round(share * (lower - upper))
@@ -217,18 +180,20 @@ def _bars(places: Layout, canvas: Image, scene: Scene) -> None:
             cv2.rectangle(canvas, (left, lower - height), (right, lower), colour, -1)
         cv2.rectangle(canvas, (left, upper), (right, lower), FRAME, 1)
         name = f"lane {k + 1}" if k < n_lanes else "Unassigned"
-        _centred(canvas, name, (left + right) // 2, lower + 15, right - left, INK)
+        middle, room = (left + right) // 2, right - left
+        _write(canvas, name, (middle, lower + 15), room, INK, centred=True)
         if k < n_lanes:
             text = f"{100 * share:.0f} %"
-            _centred(canvas, text, (left + right) // 2, upper - 5, right - left, INK)
+            _write(canvas, text, (middle, upper - 5), room, INK, centred=True)
             if scene.truth == k + 1:
                 cv2.rectangle(canvas, (left - 3, upper - 1), (right + 3, lower + 2), TRUTH, 2)
-                _centred(canvas, "truth", (left + right) // 2, lower + 32, right - left, TRUTH)
+                _write(canvas, "truth", (middle, lower + 32), room, TRUTH, centred=True)
+    top = places.camera.height
     cv2.line(canvas, (0, top), (canvas.shape[1], top), FRAME, 1)
 
 
 def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
-    left, top = places.picture[0] + 10, places.panel[0]
+    left, top = places.camera.width + 10, places.camera.height
     answer = f"lane {scene.assigned}" if scene.assigned != UNASSIGNED else "Unassigned"
     rows: list[tuple[str, Colour | None]] = [
         (f"frame {scene.frame_id}, {scene.time_s:.1f} s", None),
@@ -238,23 +203,25 @@ def _legend(places: Layout, canvas: Image, scene: Scene) -> None:
         ("not valid", NOT_VALID),
     ]
     for k, (text, colour) in enumerate(rows):
-        start, baseline = left, top + 22 + k * ((places.panel[1] - 16) // len(rows))
+        start, baseline = left, top + 22 + k * ((places.size[1] - top - 16) // len(rows))
         if colour is not None:
             start = left + 24
             cv2.rectangle(canvas, (left, baseline - 8), (left + 16, baseline), colour, -1)
-        room = canvas.shape[1] - 6 - start
-        _write(canvas, text, (start, baseline), min(TEXT, TEXT * room / _text_width(text)), INK)
+        _write(canvas, text, (start, baseline), canvas.shape[1] - 6 - start, INK)
 
 
-def _text_width(text: str, scale: float = TEXT) -> int:
-    return int(cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, scale, 1)[0][0])
-
-
-def _centred(canvas: Image, text: str, middle: int, row: int, room: int, colour: Colour) -> None:
-    scale = min(TEXT, TEXT * room / _text_width(text))
-    _write(canvas, text, (middle - _text_width(text, scale) // 2, row), scale, colour)
-
-
-def _write(image: Image, text: str, at: tuple[int, int], scale: float, colour: Colour) -> None:
+def _write(
+    canvas: Image,
+    text: str,
+    at: tuple[int, int],
+    room: int,
+    colour: Colour,
+    *,
+    centred: bool = False,
+) -> None:
+    """Write text that begins (or has its middle) at a column and row, not wider than `room`."""
     font: Any = cv2.FONT_HERSHEY_SIMPLEX
-    cv2.putText(image, text, at, font, scale, colour, 1, cv2.LINE_AA)
+    width = cv2.getTextSize(text, font, TEXT, 1)[0][0]
+    share = min(1.0, room / width)
+    left = at[0] - round(share * width) // 2 if centred else at[0]
+    cv2.putText(canvas, text, (left, at[1]), font, TEXT * share, colour, 1, cv2.LINE_AA)

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.simulation import PRESETS, Road
-from egolane_pgm.simulation.detector import detect_lines, sensor_failures
-from egolane_pgm.simulation.world import slow_noise
+from egolane_pgm.simulation.detector import PRESETS, detect_lines, sensor_failures
+from egolane_pgm.simulation.world import Road, slow_noise
 from egolane_pgm.types import LineLog
 from makers._running import run_of
 

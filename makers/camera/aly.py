@@ -161,7 +161,6 @@ def measure() -> list[str]:
         "| | recall | precision | correct, paper | false | correct, Matlab | false |",
         "|---|---|---|---|---|---|---|",
         stills(labels).row("first 55 stills (in-sample)"),
-        stills(labels, grouping_type="hough").row("the same, Hough transform"),
         last_frames(folder, tracked=False).row("ten clips, last frame alone"),
         last_frames(folder, tracked=True).row("ten clips, tracked"),
     ]

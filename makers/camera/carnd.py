@@ -76,7 +76,7 @@ def camera_of(folder: Path) -> Camera:
             Path(place) / "camera.yaml",
             *("--chessboards", folder / "camera_cal" / "*.jpg"),
             *("--stills", folder / "test_images" / "straight_lines*.jpg"),
-            *("--lane-width", LANE_WIDTH_M, "--ignore", f"0,{BONNET},1280,720"),
+            *("--lane-width", LANE_WIDTH_M, "--ignore", 0, BONNET, 1280, 720),
         )
 
 

@@ -37,7 +37,7 @@ N_LANES = 3
 LANE_WIDTH_M = 3.5
 
 #: Mirror, the other camera, dashboard: left, top, right, bottom.
-HIDDEN = ("0,0,692,130", "120,300,400,480", "0,360,692,480")
+HIDDEN = ("0 0 692 130", "120 300 400 480", "0 360 692 480")
 
 SETTINGS = {
     "marking_width_m": 0.9,
@@ -73,7 +73,7 @@ def data() -> Path | None:
 @cache
 def camera_of(folder: Path) -> Camera:
     """Calibrated by the command from the lines it finds in the first pictures."""
-    masks = [word for hidden in HIDDEN for word in ("--ignore", hidden)]
+    masks = [word for hidden in HIDDEN for word in ("--ignore", *hidden.split())]
     with TemporaryDirectory() as place:
         return calibrate(
             Path(place) / "camera.yaml",

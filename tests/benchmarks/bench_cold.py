@@ -35,7 +35,7 @@ PARTS = (
     ("egolane_pgm.result", "score", "scores, with intervals"),
     ("egolane_pgm.result", "digest", "checksums"),
     ("egolane_pgm.result:Result", "save", "writing tables"),
-    ("egolane_pgm.views.strips", "draw_strips", "drawing strips.png"),
+    ("egolane_pgm.views.style", "write_figure", "drawing strips.png"),
 )
 
 

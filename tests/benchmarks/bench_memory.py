@@ -1,6 +1,6 @@
 """Memory against the length of a drive: `egolane run` with and without `--chunk-frames`.
 
-`python -m tests.benchmarks.bench_memory [FRAMES ...] [--only-chunks]` prints a table for drives of
+`python -m tests.benchmarks.bench_memory [FRAMES ...]` prints a table for drives of
 so many frames (10,000 and 100,000 by default; a day at 30 frames a second has 2,592,000). A drive
 is a simulated one over and over, with its ground truth, in a Parquet file that is itself written
 part after part. Each run is a process of its own, without figures; its peak is `VmHWM`, which
@@ -9,7 +9,6 @@ Linux tells, less that of Python alone.
 
 from __future__ import annotations
 
-import argparse
 import subprocess
 import sys
 import tempfile
@@ -42,7 +41,7 @@ RUNS = (("the paper's graph", "quickstart.yaml"), ("zero label", "zero_label.yam
 HEADER = ("frames", "`egolane run`", "whole: memory", "time", "chunks: memory", "time")
 
 
-def memory_lines(lengths: Sequence[int] = LENGTHS, only_chunks: bool = False) -> Iterator[str]:
+def memory_lines(lengths: Sequence[int] = LENGTHS) -> Iterator[str]:
     """The lines of a Markdown table."""
     yield f"| {' | '.join(HEADER)} |"
     yield "|---:|---|---:|---:|---:|---:|"
@@ -53,9 +52,6 @@ def memory_lines(lengths: Sequence[int] = LENGTHS, only_chunks: bool = False) ->
             for what, experiment in RUNS:
                 cells = []
                 for option in ((), ("--chunk-frames", CHUNK)):
-                    if only_chunks and not option:
-                        cells += ["", ""]
-                        continue
                     words = (recording, "--experiment", ROOT / "experiments" / experiment)
                     words += ("--ground-truth", truth, "--n-lanes", N_LANES, *option)
                     words += ("--no-figures",)
@@ -103,9 +99,5 @@ def peak(command: Sequence[str]) -> tuple[float, float]:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("frames", nargs="*", type=int, default=LENGTHS)
-    parser.add_argument("--only-chunks", action="store_true")
-    options = parser.parse_args()
-    for line in memory_lines(options.frames, options.only_chunks):
+    for line in memory_lines([*map(int, sys.argv[1:])] or LENGTHS):
         print(line, flush=True)

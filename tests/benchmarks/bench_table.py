@@ -64,7 +64,7 @@ def table_lines() -> list[Line]:
 
 def _run_table(folder: Path, way: dict[str, Any], n: int) -> None:
     with tempfile.TemporaryDirectory(dir=folder) as out:
-        ego.run(QUICKSTART, table=folder / f"{n}.csv", out=out, progress=False, **way)
+        ego.run(QUICKSTART, table=folder / f"{n}.csv", out=out, **way)
 
 
 def _do_nothing(way: dict[str, Any], n: int) -> None:

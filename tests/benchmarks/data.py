@@ -5,24 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.inference.compile import Compiled, compile, with_tables
+from egolane_pgm.inference.compile import Compiled, with_tables
+from egolane_pgm.model import make_evidence
+from egolane_pgm.paper import paper_experiment
 from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.recordings import read_lines
+from egolane_pgm.runs import open_input
 from egolane_pgm.types import Evidence, LineLog
 
 BAG = "rle/special.issue.italy.mono.noClothoid.yesLines.bag"
-TRUTH = "rle/GT-A4FULL.txt"
-FRAMES = (238, 10190)
 N_LANES = 4
-#: Run 1 of the paper, as published.
-PARAMETERS = {"sigma1": 0.336, "sigma2": 0.696, "p1": 0.895, "p2": 0.894, "p3": 0.69, "p4": 0.461}
-BONUS_VALUE = 7
+#: Where there is no recording.
+SIMULATED = {"recording": {"path": None, "frames": None, "simulate": "a4"}, "ground_truth": None}
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Data:
 
     log: LineLog
     truth: pd.DataFrame
-    counting: Parameters
+    parameters: Parameters
     evidence: Evidence
     compiled: Compiled
     source: str
@@ -39,30 +40,22 @@ class Data:
 
 
 def load() -> Data:
-    from egolane_pgm.recordings import read_lines
-    from egolane_pgm.recordings.ground_truth import read_ground_truth
-    from egolane_pgm.recordings.select import select_frames
-    from egolane_pgm.simulation import simulate
-
-    folder = Path(os.environ.get("EGOLANE_DATA", ""))
-    bag = folder / BAG
-    if os.environ.get("EGOLANE_DATA") and bag.exists():
-        log = select_frames(read_lines(bag), *FRAMES)
-        truth = read_ground_truth(folder / TRUTH)
-        log = log.take(np.isin(log.frame_id, truth.index))
-        truth = truth.loc[log.frame_id]
-        source = "run 1 of the paper"
-        read = lambda: read_lines(bag)  # noqa: E731
-    else:
-        drive = simulate("a4", seed=0, n_lanes=N_LANES)
-        log, truth, read = drive.log, drive.truth, None
-        source = "a simulated drive (preset a4; EGOLANE_DATA has no run 1)"
-    rule = resolve_parameters(counting.PARAMETERS, {"bonus_value": BONUS_VALUE}, N_LANES)
-    evidence = counting.evidence(log, N_LANES, rule)
-    given = resolve_parameters(sensor_failure.PARAMETERS, PARAMETERS, N_LANES)
-    network = sensor_failure.build(N_LANES, given)
-    compiled = compile(network, hidden=sensor_failure.HIDDEN, observed=sensor_failure.OBSERVED)
-    return Data(log, truth, rule, evidence, compiled, f"{source}, {len(log)} frames", read)
+    bag = Path(os.environ.get("EGOLANE_DATA", "")) / BAG
+    has_bag = bag.exists()
+    [drive] = open_input(paper_experiment(1), overrides={} if has_bag else SIMULATED).drives()
+    log, model = drive.log.take(drive.rows), drive.model
+    lane, is_crossing = drive.true_lane[drive.rows], drive.is_crossing[drive.rows]
+    truth = pd.DataFrame({"true_lane": lane, "is_crossing": is_crossing})
+    source = "run 1 of the paper" if has_bag else "a simulated drive (EGOLANE_DATA has no run 1)"
+    return Data(
+        log,
+        truth,
+        model.parameters,
+        make_evidence(model, log)[0],
+        model.compiled,
+        f"{source}, {len(log)} frames",
+        partial(read_lines, bag) if has_bag else None,
+    )
 
 
 def parameter_sets(compiled: Compiled, n_sets: int) -> list[Compiled]:

@@ -8,6 +8,7 @@ Left out of what is timed: fitting the arrays to the package's conventions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
@@ -54,8 +55,10 @@ def lanes_of(states: FloatArray, n_lanes: int) -> FloatArray:
     return places if half == n_lanes else places.reshape(len(states), n_lanes, -1).sum(axis=2)
 
 
-def hmmlearn_scaling(compiled: Compiled, evidence: Evidence, u: int = 0) -> Filter | None:
-    """hmmlearn's C++ forward pass on likelihoods (`implementation="scaling"`)."""
+def hmmlearn_filter(
+    compiled: Compiled, evidence: Evidence, u: int = 0, *, in_logs: bool
+) -> Filter | None:
+    """hmmlearn's C++ forward pass, on log likelihoods (its default) or with scaling."""
     try:
         from hmmlearn import _hmmc
     except ImportError:
@@ -64,32 +67,26 @@ def hmmlearn_scaling(compiled: Compiled, evidence: Evidence, u: int = 0) -> Filt
     emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
     n_lanes = compiled.cardinality["Lane"]
 
-    def run() -> FloatArray:
+    def scaling() -> FloatArray:
         likelihoods = state_likelihoods(emissions, blocks)
         # The lattice of this pass is scaled to a sum of one in each frame: it is the belief.
         return lanes_of(_hmmc.forward_scaling(prior, transition, likelihoods)[1], n_lanes)
 
-    return run
-
-
-def hmmlearn_log(compiled: Compiled, evidence: Evidence, u: int = 0) -> Filter | None:
-    """hmmlearn's C++ forward pass on log likelihoods (`implementation="log"`, its default)."""
-    try:
-        from hmmlearn import _hmmc
-    except ImportError:
-        return None
-    prior, transition = compiled.prior[u].copy(), compiled.transition[u].copy()
-    emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
-    n_lanes = compiled.cardinality["Lane"]
-
-    def run() -> FloatArray:
+    def logs() -> FloatArray:
         likelihoods = np.log(state_likelihoods(emissions, blocks))
         lattice = _hmmc.forward_log(prior, transition, likelihoods)[1]
         # Joint log probabilities; the largest is subtracted, or they would underflow.
         lanes = lanes_of(np.exp(lattice - lattice.max(axis=1, keepdims=True)), n_lanes)
         return lanes / lanes.sum(axis=1, keepdims=True)
 
-    return run
+    return logs if in_logs else scaling
+
+
+#: hmmlearn's two implementations.
+HMMLEARN = {
+    "hmmlearn, C++ forward pass on log likelihoods": partial(hmmlearn_filter, in_logs=True),
+    "hmmlearn, C++ forward pass with scaling": partial(hmmlearn_filter, in_logs=False),
+}
 
 
 def dynamax_filter(compiled: Sequence[Compiled], evidence: Evidence, u: int = 0) -> Filter | None:

@@ -11,13 +11,13 @@ import numpy as np
 
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.inference.compile import Compiled, compile
+from egolane_pgm.inference.compile import Compiled, compile_tables
 from egolane_pgm.inference.filtering import filter_beliefs, step
 from egolane_pgm.parameters import Parameters, resolve_parameters
 from egolane_pgm.types import Evidence, FloatArray
 from tests.benchmarks import peers
 from tests.benchmarks.data import N_LANES, Data
-from tests.benchmarks.timing import Row, largest_difference, take_turns
+from tests.benchmarks.timing import Row, duel, take_turns
 from tests.reference.line_geometry import plain
 
 #: Frames that are stepped through one by one.
@@ -41,9 +41,8 @@ class Position:
 def prepared(data: Data) -> Position:
     specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
     parameters = resolve_parameters(specs.values(), {}, N_LANES)
-    network = position_in_lane.build(N_LANES, parameters)
-    compiled = compile(
-        network,
+    compiled = compile_tables(
+        position_in_lane.tables(N_LANES, parameters),
         hidden=position_in_lane.HIDDEN,
         observed=position_in_lane.OBSERVED,
         inputs=position_in_lane.INPUTS,
@@ -75,25 +74,15 @@ def evidence_rows(data: Data, position: Position, rounds: int) -> list[Row]:
     for width in ("causal", "auto"):
         given = {**position.parameters, "lane_width_m": width}
 
-        def ours(given: Parameters = given) -> Evidence:
-            return made(data, given)
+        def ours(given: Parameters = given) -> FloatArray:
+            return made(data, given).likelihoods[line_geometry.NODES]
 
-        def plain_numpy(given: Parameters = given) -> Evidence:
+        def plain_numpy(given: Parameters = given) -> FloatArray:
             with plain():
-                return made(data, given)
+                return ours(given)
 
-        times = take_turns({"ours": ours, "plain": plain_numpy}, min(rounds, 10))
-        found, expected = (e.likelihoods[line_geometry.NODES] for e in (ours(), plain_numpy()))
-        rows.append(
-            Row(
-                f"line geometry evidence, lane width {width}",
-                times["ours"],
-                len(data.log),
-                "plain NumPy",
-                times["plain"],
-                largest_difference(found, expected),
-            )
-        )
+        what = f"line geometry evidence, lane width {width}"
+        rows.append(duel(what, ours, "plain NumPy", plain_numpy, len(data.log), min(rounds, 10)))
     return rows
 
 
@@ -107,25 +96,14 @@ def filter_rows(data: Data, position: Position, rounds: int) -> list[Row]:
         return filter_beliefs(compiled, position.evidence, "exact").lane
 
     others = {
-        "hmmlearn, C++ forward pass on log likelihoods": peers.hmmlearn_log(compiled, still, u),
-        "hmmlearn, C++ forward pass with scaling": peers.hmmlearn_scaling(compiled, still, u),
+        **{name: make(compiled, still, u) for name, make in peers.HMMLEARN.items()},
         "dynamax, jit": peers.dynamax_filter([compiled], still, u),
     }
-    installed = {name: run for name, run in others.items() if run is not None}
-    times = take_turns({"ours": ours, "moving": moving} | installed, max(3, rounds // 8))
-    rows = [Row(f"{WHAT}: filter, motion as measured", times["moving"], len(data.log))]
-    for name, run in others.items():
-        difference = largest_difference(ours(), run()) if run else ""
-        rows.append(
-            Row(
-                f"{WHAT}: filter, motion held still",
-                times["ours"],
-                len(data.log),
-                name,
-                times.get(name),
-                difference,
-            )
-        )
+    rounds = max(3, rounds // 8)
+    seconds = take_turns({"ours": moving}, rounds)["ours"]
+    rows = [Row(f"{WHAT}: filter, motion as measured", seconds, len(data.log))]
+    what = f"{WHAT}: filter, motion held still"
+    rows += [duel(what, ours, name, run, len(data.log), rounds) for name, run in others.items()]
     return rows
 
 

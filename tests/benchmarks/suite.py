@@ -16,23 +16,15 @@ import numpy as np
 
 from egolane_pgm.evidence import counting
 from egolane_pgm.graphs import sensor_failure
-from egolane_pgm.graphs.cpds import Table, quiet
-from egolane_pgm.graphs.flat import flat_network
+from egolane_pgm.graphs.cpds import Table, flat_network, quiet
 from egolane_pgm.inference.filtering import METHODS, filter_beliefs
-from egolane_pgm.parameters import resolve_parameters
 from egolane_pgm.scoring.confusion import assigned_lane, confusion
 from egolane_pgm.types import FloatArray, IntArray
-from tests.benchmarks import (
-    bench_camera,
-    bench_cold,
-    bench_memory,
-    bench_table,
-    peers,
-)
+from tests.benchmarks import bench_camera, bench_cold, bench_memory, bench_table, peers
 from tests.benchmarks.bench_tune import markdown, tune_lines
-from tests.benchmarks.data import N_LANES, PARAMETERS, Data, load, parameter_sets
+from tests.benchmarks.data import N_LANES, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
-from tests.benchmarks.timing import Row, largest_difference, machine, table, take_turns
+from tests.benchmarks.timing import Row, duel, largest_difference, machine, table, take_turns
 from tests.reference import counting as plain_counting
 from tests.reference import inference as reference
 
@@ -75,7 +67,6 @@ def _rows(data: Data, rounds: int) -> Iterator[Row]:
         filter_rows,
         exact_rows,
         many_rows,
-        scoring_rows,
         together_rows,
         position_rows,
         pgmpy_rows,
@@ -87,24 +78,14 @@ def _rows(data: Data, rounds: int) -> Iterator[Row]:
 
 def evidence_rows(data: Data, rounds: int) -> list[Row]:
     def ours() -> FloatArray:
-        made = counting.evidence(data.log, N_LANES, data.counting)
+        made = counting.evidence(data.log, N_LANES, data.parameters)
         return made.likelihoods["DetectorOutput"]
 
     def plain() -> FloatArray:
-        made = plain_counting.evidence(data.log, N_LANES, data.counting)
+        made = plain_counting.evidence(data.log, N_LANES, data.parameters)
         return made.likelihoods["DetectorOutput"]
 
-    times = take_turns({"ours": ours, "plain": plain}, rounds)
-    return [
-        Row(
-            "evidence",
-            times["ours"],
-            len(data.log),
-            "plain NumPy",
-            times["plain"],
-            largest_difference(ours(), plain()),
-        )
-    ]
+    return [duel("evidence", ours, "plain NumPy", plain, len(data.log), rounds)]
 
 
 def filter_rows(data: Data, rounds: int) -> list[Row]:
@@ -117,17 +98,8 @@ def filter_rows(data: Data, rounds: int) -> list[Row]:
         def plain(method: str = method) -> FloatArray:
             return reference.filter_beliefs(data.compiled, data.evidence, method).lane
 
-        times = take_turns({"ours": ours, "plain": plain}, min(rounds, 5))
-        rows.append(
-            Row(
-                f"filter, {method}",
-                times["ours"],
-                len(data.log),
-                "plain NumPy",
-                times["plain"],
-                largest_difference(ours(), plain()),
-            )
-        )
+        what = f"filter, {method}"
+        rows.append(duel(what, ours, "plain NumPy", plain, len(data.log), min(rounds, 5)))
     return rows
 
 
@@ -138,28 +110,11 @@ def exact_rows(data: Data, rounds: int) -> list[Row]:
         return filter_beliefs(data.compiled, data.evidence, "exact").lane
 
     others: dict[str, peers.Filter | None] = {
-        "hmmlearn, C++ forward pass on log likelihoods": peers.hmmlearn_log(
-            data.compiled, data.evidence
-        ),
-        "hmmlearn, C++ forward pass with scaling": peers.hmmlearn_scaling(
-            data.compiled, data.evidence
-        ),
+        **{name: make(data.compiled, data.evidence) for name, make in peers.HMMLEARN.items()},
         "dynamax, jit": peers.dynamax_filter([data.compiled], data.evidence),
     }
-    rows = []
-    for name, run in others.items():
-        times = take_turns({"ours": ours} | ({"theirs": run} if run else {}), rounds)
-        rows.append(
-            Row(
-                "filter, exact, 8 joint states",
-                times["ours"],
-                len(data.log),
-                name,
-                times.get("theirs"),
-                largest_difference(ours(), run()) if run else "",
-            )
-        )
-    return rows
+    what = "filter, exact, 8 joint states"
+    return [duel(what, ours, name, run, len(data.log), rounds) for name, run in others.items()]
 
 
 def many_rows(data: Data, rounds: int) -> list[Row]:
@@ -180,10 +135,7 @@ def many_rows(data: Data, rounds: int) -> list[Row]:
 
     ours: dict[str, Callable[[], object]] = {"confusions": to_confusions, "beliefs": to_beliefs}
     others: dict[str, Callable[[], object] | None] = {}
-    for name, make in (
-        ("hmmlearn, C++ forward pass on log likelihoods", peers.hmmlearn_log),
-        ("hmmlearn, C++ forward pass with scaling", peers.hmmlearn_scaling),
-    ):
+    for name, make in peers.HMMLEARN.items():
         runs = [make(model, data.evidence) for model in models]
         others[name] = None if runs[0] is None else one_after_the_other(runs)
     others["dynamax, jit of vmap"] = peers.dynamax_filter(models, data.evidence)
@@ -217,24 +169,11 @@ def one_after_the_other(runs: list[peers.Filter | None]) -> Callable[[], object]
     return lambda: [run() for run in runs if run is not None]
 
 
-def scoring_rows(data: Data, rounds: int) -> list[Row]:
-    belief = np.ascontiguousarray(
-        filter_beliefs(data.compiled, data.evidence, "assumed_density").lane
-    )
-    lane, is_crossing = data.truth["true_lane"], data.truth["is_crossing"]
-
-    def ours() -> IntArray:
-        return confusion(assigned_lane(belief), lane, is_crossing, N_LANES)
-
-    times = take_turns({"ours": ours}, rounds)
-    return [Row("confusion of one belief", times["ours"], len(belief))]
-
-
 def together_rows(data: Data, rounds: int) -> list[Row]:
     lane, is_crossing = data.truth["true_lane"], data.truth["is_crossing"]
 
     def run() -> float:
-        evidence = counting.evidence(data.log, N_LANES, data.counting)
+        evidence = counting.evidence(data.log, N_LANES, data.parameters)
         belief = filter_beliefs(data.compiled, evidence, "assumed_density").lane
         counts = confusion(assigned_lane(belief), lane, is_crossing, belief.shape[1])
         return float(np.trace(counts) / counts.sum())
@@ -245,8 +184,7 @@ def together_rows(data: Data, rounds: int) -> list[Row]:
 
 def pgmpy_rows(data: Data, rounds: int) -> list[Row]:
     evidence = data.evidence.take(slice(0, PGMPY_FRAMES))
-    given = resolve_parameters(sensor_failure.PARAMETERS, PARAMETERS, N_LANES)
-    tables = sensor_failure.tables(N_LANES, given)
+    tables = sensor_failure.tables(N_LANES, data.parameters)
     with quiet():
         from pgmpy.inference import VariableElimination
 

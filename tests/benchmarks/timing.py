@@ -45,6 +45,20 @@ def take_turns(contestants: Mapping[str, Callable[[], object]], rounds: int) -> 
     return {name: median(values) for name, values in times.items()}
 
 
+def duel(
+    what: str,
+    ours: Callable[[], np.ndarray],
+    against: str,
+    theirs: Callable[[], np.ndarray] | None,
+    frames: int,
+    rounds: int,
+) -> Row:
+    """Ours and another's, in turns. theirs: None for what is not installed."""
+    times = take_turns({"ours": ours} | ({"theirs": theirs} if theirs else {}), rounds)
+    difference = largest_difference(ours(), theirs()) if theirs else ""
+    return Row(what, times["ours"], frames, against, times.get("theirs"), difference)
+
+
 def table(rows: Iterable[Row]) -> Iterator[str]:
     """The rows as a Markdown table, each when it is there."""
     yield f"| {' | '.join(HEADER)} |"

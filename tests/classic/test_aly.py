@@ -59,28 +59,8 @@ def test_continuous_lines_are_found(
             assert np.abs(places(found, x) - true).min() < tolerance
 
 
-@needs_compiler
-@settings(max_examples=5, deadline=None)
-@given(st.floats(-2.5, -1.0), st.floats(-0.02, 0.02), st.integers(0, 2**31))
-def test_a_mirrored_picture_has_mirrored_lines(offset: float, heading: float, seed: int) -> None:
-    image = road(parallel(offset, heading, dash_m=6.0, period_m=9.0), camera=CAMERA, seed=seed)
-    there = places(found_in(image), 10)
-    back = places(found_in(np.ascontiguousarray(image[:, ::-1])), 10)
-    # Random samples are not mirrored, so what they find differs a little.
-    assert len(there) == len(back)
-    np.testing.assert_allclose(there, -back[::-1], atol=0.25)
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"grouping_type": "hough", "detection_threshold": 1.0},
-        {},
-    ],
-    ids=str,
-)
-def test_each_way_finds_three_lines(given: dict[str, Any]) -> None:
-    found = found_in(road(parallel(-1.7), camera=CAMERA), **given)
+def test_three_lines_are_found() -> None:
+    found = found_in(road(parallel(-1.7), camera=CAMERA))
     for true in (-1.7 - WIDTH, -1.7, -1.7 + WIDTH):
         assert np.abs(places(found, 10) - true).min() < 0.15
 

@@ -42,7 +42,7 @@ def graph_inputs(module: ModuleType) -> tuple[str, ...]:
 
 
 def compiled_graph(module: ModuleType, n_lanes: int, parameters: Parameters) -> Compiled:
-    network = module.build(n_lanes, parameters)
+    network = declare(module.tables(n_lanes, parameters), module.OBSERVED)
     return compile(
         network, hidden=module.HIDDEN, observed=module.OBSERVED, inputs=graph_inputs(module)
     )

@@ -19,14 +19,12 @@ from egolane_pgm.command import egolane
 from egolane_pgm.verbs.schema import schema
 from egolane_pgm.vision.detectors.networks.description import Network
 from tests.kits.doc_examples import (
-    NOT_RUN,
     PAGES,
     ROOT,
     Block,
     blocks_of,
     commands_of,
     is_run,
-    quicker,
     run_line,
     write_world,
     yaml_kind,
@@ -135,22 +133,3 @@ def test_commands_and_options_exist() -> None:
         known = {option for one in each for p in one.params for option in p.opts}
         said = set(re.findall(r"--[a-z][a-z-]*", rest))
         assert known | {"--help"} >= said, (name, rest, place)
-
-
-def test_what_is_not_run_is_somewhere_and_has_a_reason() -> None:
-    lines = [line for page in PAGES for block in blocks_of(page) for line in commands_of(block)]
-    assert sum(map(is_run, lines)) > 10
-    assert all(NOT_RUN.values())
-
-
-def test_commands_are_told_from_what_a_page_shows() -> None:
-    def lines(text: str, language: str = "") -> list[str]:
-        return commands_of(Block(language, text, 1))
-
-    assert lines("egolane show   # all of them\n") == ["egolane show"]
-    assert lines("egolane run a \\\n  --out b\n") == ["egolane run a --out b"]
-    assert lines("echo '{}' |\n  egolane online x\n") == ["echo '{}' | egolane online x"]
-    assert lines("frame_id,line\n0,1\n") == []
-    assert lines("egolane show\n", "text") == []
-    assert not is_run("make run")
-    assert quicker("egolane reproduce") == "egolane reproduce --runs 5"

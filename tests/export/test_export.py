@@ -59,8 +59,7 @@ def pictures(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def file(result: Result, pictures: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("written") / "out.mcap"
-    counts = write_mcap(path, with_detector(result, pictures))
-    assert {topic: len(each) for topic, each in messages(path).items()} == counts
+    write_mcap(path, with_detector(result, pictures))
     return path
 
 
@@ -98,10 +97,8 @@ def test_each_frame_is_a_message_on_the_clock_of_the_recording(result: Result, f
     table = table[expected.columns].astype(expected.dtypes)
     pd.testing.assert_frame_equal(table, expected, check_index_type=False)
     assert "true_lane" not in found["/frame"][7][1]
-    texts = [text["message"] for _, text in found["/changes"]]
-    assert len(texts) == len(result.events)
-    first = result.events.iloc[0]
-    assert f"from {first['from_lane']:.0f} to {first['to_lane']:.0f}" in texts[0]
+    changes = pd.DataFrame([content for _, content in found["/changes"]])
+    pd.testing.assert_frame_equal(changes, result.events, check_dtype=False, check_like=True)
     at = [now for now, _ in found["/changes"]]
     assert at == [times[int(k)] for k in result.events["detected_frame_id"]]
 
@@ -155,8 +152,8 @@ def test_what_is_missing_is_left_out_with_a_warning(result: Result, tmp_path: Pa
         pytest.warns(UserWarning, match="has no lines"),
         pytest.warns(UserWarning, match="shown without pictures"),
     ):
-        counts = write_mcap(tmp_path / "out.mcap", gone)
-    assert set(counts) == {"/frame", "/birdseye", "/changes"}
+        write_mcap(tmp_path / "out.mcap", gone)
+    assert set(messages(tmp_path / "out.mcap")) == {"/frame", "/birdseye", "/changes"}
 
 
 @pytest.mark.parametrize(
@@ -164,7 +161,6 @@ def test_what_is_missing_is_left_out_with_a_warning(result: Result, tmp_path: Pa
     [
         ({}, (500, 600), "no frame from 500 to 600; the result has 0 to 199"),
         ({"drive": "a"}, None, "has several drives"),
-        ({"time_s": 3.0}, None, "frame 1 is at 3 s, before 0 or not after"),
     ],
 )
 def test_a_result_that_cannot_be_shown_is_refused(
@@ -224,7 +220,7 @@ def test_a_video_shows_lines_and_truth_on_the_pictures(tmp_path: Path) -> None:
     }
     given = open_input(tmp_path / "pictures", n_lanes=3, ground_truth=truth, recording=recording)
     result = run_input(given)
-    assert write_video(tmp_path / "a.mp4", result) == 6
+    write_video(tmp_path / "a.mp4", result)
     found = frames_of(tmp_path / "a.mp4")
     assert len(found) == 6
     assert cv2.VideoCapture(str(tmp_path / "a.mp4")).get(cv2.CAP_PROP_FPS) == 20
@@ -235,9 +231,10 @@ def test_a_video_shows_lines_and_truth_on_the_pictures(tmp_path: Path) -> None:
     assert any(is_colour(pixel, video.CONTINUOUS, 70) for pixel in near)
     left, upper, _, lower = bar_boxes(places, 3)[1]
     assert is_colour(found[-1][(upper + lower) // 2, left - 3], video.TRUTH, 70)
-    assert write_video(tmp_path / "b.mp4", result, (11, 13)) == 3
+    write_video(tmp_path / "b.mp4", result, (11, 13))
+    assert len(frames_of(tmp_path / "b.mp4")) == 3
     cv2.imwrite(str(tmp_path / "pictures" / "img_0012.png"), road()[:-8])
-    with pytest.raises(InputError, match="frame 12: the picture has 640x392 pixels"):
+    with pytest.raises(InputError, match="frame 12: a picture of 640x392 pixels"):
         write_video(tmp_path / "c.mp4", result)
     assert len(frames_of(tmp_path / "c.mp4")) == 2
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -148,6 +149,21 @@ def test_a_file_gives_the_tables_and_the_names_of_the_values(
     assert_right(read_network(str(path)))
 
 
+def test_intervals_and_dots_as_r_writes_them_are_read(tmp_path: Path) -> None:
+    """bnlearn names the values of a node that was cut into intervals by these."""
+    path = tmp_path / "network.bif"
+    names = {"left": "[-9,-1.5]", "middle": "(-1.5,1.5]", "right": "(1.5,9]"}
+    with quiet():
+        BIFWriter(static(underscored)).write(path)
+    text = path.read_text()
+    for plain, interval in names.items():
+        text = text.replace(plain, interval)
+    path.write_text(re.sub(r"(\w)_([01])\b", r"\1.\2", text))
+    declared = read_network(path)
+    assert_right(declared)
+    assert declared.values["Lane"] == ("-9_to_-1.5", "-1.5_to_1.5", "1.5_to_9")
+
+
 @pytest.mark.parametrize(
     "names",
     [
@@ -244,12 +260,12 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "one CPD missing": (lambda: dynamic(without(*FIRST, *LATER)), "Seen: has no table (a Tab"),
     "prior missing": (
         lambda: dynamic(without(("Lane", 0))),
-        "Lane: no table for slice 0, where its edges come from nothing; that of slice 1 is given"
-        " Lane[t]",
+        "Lane at t: has no table, and its edges come from nothing; the table of the other slice is"
+        " given Lane at t",
     ),
     "another parent": (
         lambda: changed(halves(("WOR", 1), ("Lane", 1))),
-        "WOR in slice 1: its table is given Lane[t+1], its edges come from Sensor[t+1]",
+        "WOR at t+1: its table is given Lane at t+1, its edges come from Sensor at t+1",
     ),
     "too many rows": (
         lambda: changed(halves(("WOR", 1), ("Sensor", 1), sizes=(3,))),

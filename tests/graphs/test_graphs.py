@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.graphs import position_in_lane
+from egolane_pgm.graphs.cpds import declare
 from egolane_pgm.inference.compile import Compiled, compile, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters, resolve_parameters
@@ -18,7 +19,6 @@ from egolane_pgm.types import Evidence
 from tests.conformance.networks import (
     METHODS,
     assert_filters_agree,
-    assert_same_beliefs,
     brute_force,
     compiled_graph,
     draw_evidence,
@@ -52,7 +52,8 @@ def test_a_graph_compiles_to_the_same_from_its_tables_as_from_its_network(
         "inputs": graph_inputs(module),
         "values": getattr(module, "VALUES", {}),
     }
-    of_network = compile(module.build(n_lanes, parameters), **roles)
+    network = declare(module.tables(n_lanes, parameters), module.OBSERVED)
+    of_network = compile(network, **roles)
     of_tables = compile_tables(module.tables(n_lanes, parameters), **roles)
     for part in ("state_nodes", "inputs", "cardinality", "values", "observed"):
         assert getattr(of_tables, part) == getattr(of_network, part), part
@@ -165,29 +166,6 @@ def mirrored_input(name: str, index: np.ndarray, parameters: Parameters) -> np.n
     bins, n = int(parameters["motion_bins"]), len(position_in_lane.COASTING)  # type: ignore[arg-type]
     gap, coasted = np.divmod(index - bins, n)
     return np.where(index < bins, bins - 1 - index, bins + gap * n + n - 1 - coasted)
-
-
-@pytest.mark.parametrize("n_lanes", [1, 2, 3, 4])
-def test_wor_on_lane_with_equal_numbers_for_all_lanes_is_sensor_failure(n_lanes: int) -> None:
-    rng = np.random.default_rng(n_lanes)
-    parameters = draw_parameters(graph("sensor_failure").PARAMETERS, n_lanes, rng)
-    plain = compiled_graph(graph("sensor_failure"), n_lanes, parameters)
-    per_lane = {
-        **parameters,
-        "p3": (parameters["p3"],) * n_lanes,
-        "p4": (parameters["p4"],) * n_lanes,
-    }
-    one = compiled_graph(graph("wor_on_lane"), n_lanes, resolve("wor_on_lane", parameters, n_lanes))
-    many = compiled_graph(graph("wor_on_lane"), n_lanes, resolve("wor_on_lane", per_lane, n_lanes))
-    evidence = draw_evidence(plain, 30, rng)
-    for method in METHODS:
-        right = filter_beliefs(plain, evidence, method)
-        assert_same_beliefs(filter_beliefs(one, evidence, method), right, 1e-12)
-        assert_same_beliefs(filter_beliefs(many, evidence, method), right, 1e-12)
-
-
-def resolve(name: str, given: Parameters, n_lanes: int) -> Parameters:
-    return resolve_parameters(graph(name).PARAMETERS, given, n_lanes)
 
 
 def test_the_papers_tables_are_the_papers_rows() -> None:

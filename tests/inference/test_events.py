@@ -114,41 +114,6 @@ def test_events_are_those_of_the_definition(beliefs: Beliefs, rate: float) -> No
     assert (events.late_s >= 0).all()
 
 
-@given(drives(), st.data())
-def test_later_frames_never_change_an_event_that_was_told(
-    beliefs: Beliefs, data: st.DataObject
-) -> None:
-    n = data.draw(st.integers(0, len(beliefs)))
-    whole, early = lane_events(beliefs, 10.0), lane_events(beliefs.take(slice(0, n)), 10.0)
-    is_told = np.isin(whole.detected_frame_id, beliefs.frame_id[:n])
-    pd.testing.assert_frame_equal(early, whole[is_told].reset_index(drop=True), check_dtype=False)
-
-
-@given(drives())
-def test_a_mirrored_road_has_mirrored_events(beliefs: Beliefs) -> None:
-    n_lanes = beliefs.lane.shape[1]
-    events = lane_events(beliefs, 10.0)
-    other = lane_events(believed(beliefs.lane[:, ::-1], beliefs.frame_id), 10.0)
-    np.testing.assert_array_equal(other.from_lane, n_lanes + 1 - events.from_lane)
-    np.testing.assert_array_equal(other.to_lane, n_lanes + 1 - events.to_lane)
-    for name in ("frame_id", "detected_frame_id", "probability"):
-        np.testing.assert_array_equal(other[name], events[name])
-
-
-@given(drives())
-def test_each_event_is_a_change_of_what_is_believed_and_begins_where_the_last_one_ended(
-    beliefs: Beliefs,
-) -> None:
-    events = lane_events(beliefs, 10.0)
-    sure = beliefs.lane.max(axis=1) >= CONFIDENT
-    changes = sum(a != b for a, b in pairwise(beliefs.lane[sure].argmax(axis=1)))
-    assert len(events) <= changes
-    assert (events.from_lane != events.to_lane).all()
-    assert (events.from_lane[1:].to_numpy() == events.to_lane[:-1].to_numpy()).all()
-    assert (events.probability >= CONFIDENT).all()
-    assert (events.detected_frame_id[:-1].to_numpy() < events.frame_id[1:].to_numpy()).all()
-
-
 def test_a_change_is_told_once_believed_and_dated_from_where_the_new_lane_leads() -> None:
     drive = between((0.1, 10), (0.5, 2), (0.6, 3), (0.7, 10))
     assert told(lane_events(drive, 10.0)) == [(12, 15, 1, 2)]

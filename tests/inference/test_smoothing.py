@@ -135,54 +135,25 @@ def test_frame_by_frame_equals_the_whole_sequence(seed: int, lag: int) -> None:
     )
 
 
-@few
-@given(seed=seeds, n_lanes=st.integers(1, 5))
-def test_the_mirrored_road_gives_the_mirrored_belief(seed: int, n_lanes: int) -> None:
-    rng = np.random.default_rng(seed)
-    parameters = small_parameters("sensor_dynamics", n_lanes, rng)
-    mirrored = {k: tuple(reversed(v)) if isinstance(v, tuple) else v for k, v in parameters.items()}
-    module = graph("sensor_dynamics")
-    compiled = template("sensor_dynamics", n_lanes)
-    here = with_tables(compiled, module.tables(n_lanes, parameters))
-    there = with_tables(compiled, module.tables(n_lanes, mirrored))
-    evidence = draw_evidence(compiled, 8, rng)
-    seen = {
-        **evidence.likelihoods,
-        "DetectorOutput": evidence.likelihoods["DetectorOutput"][:, ::-1],
-    }
-    belief = smooth_beliefs(here, evidence)
-    other = smooth_beliefs(there, Evidence(seen))
-    np.testing.assert_allclose(other.lane, belief.lane[:, ::-1], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(
-        other.marginals["SensorState"], belief.marginals["SensorState"], rtol=0, atol=1e-9
-    )
-
-
-def smoothed_where_nothing_moves(filtered: FloatArray, likelihood: FloatArray) -> FloatArray:
-    """The recursion backwards alone, with a transition that keeps every state."""
-    n_frames, n_states = filtered.shape
-    smoothed = np.empty_like(filtered)
-    index = np.zeros(n_frames, dtype=np.int64)
-    begins = np.arange(n_frames) == 0
-    still = np.eye(n_states)[None]
+@pytest.mark.parametrize(
+    ("filtered", "likelihood"),
+    [
+        # A state that cannot be sets no scale, however well it would explain the rest.
+        ([[0.25, 0.75, 0.0]] * 4, [[2e-200, 2e-200, 1.0]] * 4),
+        # Later evidence that is zero for every state is ignored; nothing becomes NaN.
+        ([[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]], [[1.0, 1.0, 1.0], [0.0, 0.0, 1.0]]),
+    ],
+)
+def test_where_nothing_moves_the_smoother_keeps_the_filtered_belief(
+    filtered: FloatArray, likelihood: FloatArray
+) -> None:
+    filtered, likelihood = np.array(filtered), np.array(likelihood)
+    n_frames = len(filtered)
+    smoothed, index = np.empty_like(filtered), np.zeros(n_frames, dtype=np.int64)
+    begins, still = np.arange(n_frames) == 0, np.eye(3)[None]
     smooth_frames(filtered, likelihood, still, index, begins, smoothed, np.zeros((0, 0)))
     right = reference.smooth(filtered, likelihood, still, index, n_frames)
     np.testing.assert_allclose(smoothed, right, rtol=1e-9)
-    return smoothed
-
-
-def test_a_state_that_cannot_be_sets_no_scale_however_well_it_would_explain_the_rest() -> None:
-    filtered = np.tile([0.25, 0.75, 0.0], (4, 1))
-    likelihood = np.tile([2e-200, 2e-200, 1.0], (4, 1))
-    smoothed = smoothed_where_nothing_moves(filtered, likelihood)
-    np.testing.assert_allclose(smoothed, filtered)
-
-
-def test_what_comes_later_is_ignored_where_all_numbers_have_run_out() -> None:
-    """Here it is zero for every state; the filtered belief is what is left, not NaN."""
-    filtered = np.array([[0.75, 0.25, 0.0], [0.0, 0.0, 1.0]])
-    likelihood = np.array([[1.0, 1.0, 1.0], [0.0, 0.0, 1.0]])
-    smoothed = smoothed_where_nothing_moves(filtered, likelihood)
     np.testing.assert_allclose(smoothed, filtered)
 
 

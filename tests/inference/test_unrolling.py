@@ -103,7 +103,7 @@ def test_nodes_and_values_have_their_names_and_frames_their_ids() -> None:
     rng = np.random.default_rng(0)
     evidence = Evidence({"DetectorOutput": rng.random((4, 4)), "WOR": rng.random((4, 2))})
     # Frame 18 is missing: a step is from one recorded frame to the next.
-    some = unrolled(model, evidence, 17, 19, frame_id=np.array([15, 17, 19, 20]))
+    some = unrolled(model.compiled, evidence, 17, 19, frame_id=np.array([15, 17, 19, 20]))
     nodes = {"Lane", "SensorState", "DetectorOutput", "WOR", "DetectorOutput_ve", "WOR_ve"}
     past = {"Lane@15", "SensorState@15"}
     assert set(some.network.nodes()) == past | {f"{n}@{t}" for n in nodes for t in (17, 19)}

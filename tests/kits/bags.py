@@ -19,8 +19,6 @@ PLAIN_BODY = (
     "float64 naive_width # full road width\n#int32 oneway\nint64 way_id\nmsg_lineInfo[] lines\n"
 )
 PLAIN_LINE = "bool isValid\nbool continuous\nint32 counter\nfloat32 offset\n"
-#: What ROS has for the two.
-PLAIN_CHECKSUM = "fb0fde59be0f1a54cd7c266cd726d126"
 
 #: One line of a message: valid, continuous, counter, offset.
 Line = tuple[bool, bool, int, float]

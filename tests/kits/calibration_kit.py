@@ -17,7 +17,6 @@ from egolane_pgm.vision.camera.model import (
     undistorted,
     vanishing_point,
 )
-from tests.kits.drives import command
 
 LENS = (-0.25, 0.02, -0.0006, 0.0002, 0.0)
 TRUE = Camera(
@@ -70,7 +69,8 @@ def view_of_lines(true: Camera, camera: Camera, frames, lane_width_m=3.6):
         if (fit := fit_frame([to_level(camera, *line.T) for line in lines], about)) is not None
     ]
     each = np.stack([fit.vanishing_point for fit in fits])
-    return view_from(camera, np.median(each, axis=0), each, fits, lane_width_m)
+    known = replace(camera, lane_width_m=lane_width_m)
+    return view_from(known, np.median(each, axis=0), each, fits)
 
 
 @cache
@@ -106,10 +106,6 @@ def draw_road(camera: Camera, offsets, heading=0.0, seed=0):
     grey = np.where(np.isfinite(x), 90.0, 40.0) + np.random.default_rng(seed).normal(0, 3, x.shape)
     grey = np.clip(np.where(paint, 210.0, grey), 0, 255).astype(np.uint8)
     return cv2.cvtColor(cv2.GaussianBlur(grey, (0, 0), 0.7), cv2.COLOR_GRAY2BGR)
-
-
-def calibrate(*arguments):
-    return command("calibrate", *arguments)
 
 
 def write_boards(folder: Path) -> Path:

@@ -18,12 +18,11 @@ from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.simulation import simulate
 from egolane_pgm.vision.camera.model import write_camera
-from tests.kits.bags import PLAIN_CHECKSUM, definition, plain_message
 from tests.kits.calibration_kit import TRUE, draw_road
 from tests.kits.drives import command, rewritten, write_drive
 from tests.kits.image_bags import write_images
 from tests.kits.image_line_files import entry, tusimple
-from tests.kits.rosbag_writer import write_lines
+from tests.kits.rosbag_writer import write_lines, write_rosbag
 from tests.kits.sensor_files import foreign_table, own_bag, polynomials_table
 from tests.kits.synthetic_road import write_video
 from tests.kits.tiny_network import write_known, write_top_hat
@@ -148,7 +147,8 @@ def write_world(folder: Path, boards: Path) -> None:
     rewritten(ROOT / "experiments/quickstart.yaml", folder / "X.yaml", name="X")
     rows = (ROOT / "experiments/paper/recordings.csv").read_text().splitlines(keepends=True)
     (folder / "examples/two_runs.csv").write_text("".join([rows[0], rows[1], rows[6]]))
-    _write_bag(folder / "drive.bag")
+    log = simulate("quickstart", seed=3, frames=300, n_lanes=4).log
+    write_rosbag(folder / "drive.bag", log, topics=(TOPICS[0], "/lanes"))
     foreign_table(folder / "foreign.csv")
     polynomials_table(folder / "polynomials.csv")
     own_bag(folder / "own.bag")
@@ -174,26 +174,6 @@ def write_world(folder: Path, boards: Path) -> None:
         cv2.imwrite(str(folder / "boards" / f"{file.stem}.jpg"), cv2.imread(str(file)))
     tusimple(folder / "tusimple_labels.json", [entry(k) for k in range(12)])
     write_positions(folder)
-
-
-def _write_bag(path: Path) -> None:
-    """A bag with the paper's topic and one of another name."""
-    from rosbags.rosbag1 import Writer
-
-    log = simulate("quickstart", seed=3, frames=300, n_lanes=4).log
-    with Writer(path) as bag:
-        for topic in (TOPICS[0], "/lanes"):
-            connection = bag.add_connection(
-                topic, "pkg/msg/msg_lines", msgdef=definition(), md5sum=PLAIN_CHECKSUM
-            )
-            for k in range(len(log)):
-                there = np.flatnonzero(log.is_valid[k])
-                lines = [
-                    (True, bool(log.is_continuous[k, j]), 9, float(log.offset_m[k, j]))
-                    for j in there
-                ]
-                raw = plain_message(int(log.frame_id[k]), lines, seq=k)
-                bag.write(connection, k, raw)
 
 
 def write_positions(folder: Path) -> None:

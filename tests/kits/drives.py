@@ -113,9 +113,9 @@ def run_json(drive: Path, folder: Path, *words: object) -> dict[str, object]:
     return content
 
 
-def refused(*words: object) -> str:
+def refused(*words: object, given: str | None = None) -> str:
     """What `egolane words...` says on standard error: exit code 2 and one line, nothing else."""
-    result = command(*words)
+    result = command(*words, given=given)
     assert result.exit_code == 2, (result.exit_code, result.output)
     (line,) = result.stderr.splitlines()
     assert line.startswith("egolane: "), line

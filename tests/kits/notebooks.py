@@ -16,7 +16,11 @@ FOLDER = Path(__file__).parents[2] / "notebooks"
 NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 
 #: pgmpy warns of its own deprecated modules when it is imported; a bar is nothing to keep.
-QUIET = {"PYTHONWARNINGS": "ignore::FutureWarning:pgmpy.estimators", "TQDM_DISABLE": "1"}
+#: So is tqdm's advice to install the widgets of a bar.
+QUIET = {
+    "PYTHONWARNINGS": "ignore::FutureWarning:pgmpy.estimators,ignore:IProgress not found",
+    "TQDM_DISABLE": "1",
+}
 
 
 #: The searches of a notebook, and shorter ones for a test.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from egolane_pgm.recordings.table import write_table
 from egolane_pgm.recordings.topics import TOPICS
 from egolane_pgm.tools.files import atomic
-from egolane_pgm.types import BoolArray, InputError, LineLog
+from egolane_pgm.types import BoolArray, LineLog
 
 #: The published definitions. ROS tells types apart by a checksum of these.
 LINES_TYPE, LINE_TYPE = (
@@ -57,25 +57,15 @@ def write_lines(path: str | Path, log: LineLog) -> None:
     (write_rosbag if is_bag else write_table)(path, log)
 
 
-def write_rosbag(path: str | Path, log: LineLog) -> None:
+def write_rosbag(path: str | Path, log: LineLog, topics: Sequence[str] = TOPICS[:1]) -> None:
     """Write a log as a ROS 1 bag of the published message type, or (.mcap) as an MCAP file of the
-    same type in ROS 2, stamped with the log's times.
+    same type in ROS 2, stamped with the log's times, once for each topic.
 
-    Offsets are stored in single precision, as the type has them. Frames put in by
+    Offsets are stored in single precision, the LRI as a whole number. Frames put in by
     `missing_frames: predict` are left out.
-
-    Raises InputError for what the type cannot hold, naming the frame: a line whose LRI is unknown
-    or no whole number; and for a file that cannot be written.
     """
     path = Path(path)
     listed = ~(np.isnan(log.offset_m) & np.isnan(log.lri))
-    bad = listed & ~(np.isfinite(log.lri) & (np.abs(log.lri) < 2**31) & (log.lri % 1 == 0))
-    if bad.any():
-        frame, line = np.argwhere(bad)[0]
-        raise InputError(
-            f"{path}: frame {int(log.frame_id[frame])}: line {int(line) + 1} has the LRI"
-            f" {log.lri[frame, line]}, a bag holds whole numbers; write a .csv or .parquet"
-        )
     is_ros2 = path.suffix.lower() == ".mcap"
     store = get_typestore(Stores.ROS2_HUMBLE if is_ros2 else Stores.ROS1_NOETIC)
     for name, definition in (DEFINITIONS_2 if is_ros2 else DEFINITIONS).items():
@@ -84,14 +74,15 @@ def write_rosbag(path: str | Path, log: LineLog) -> None:
     if is_ros2:
         lines_type, serialised = LINES_TYPE_2, store.serialize_cdr
     with atomic(path) as temporary, (_mcap if is_ros2 else Writer)(temporary) as bag:
-        connection = bag.add_connection(TOPICS[0], lines_type, typestore=store)
+        connections = [bag.add_connection(name, lines_type, typestore=store) for name in topics]
         for t in np.flatnonzero(~log.is_missing):
             # Nanoseconds since 1970 have more digits than a float.
             seconds = np.floor(max(0.0, log.time_s[t]))
             stamp_ns = int(seconds) * 10**9 + round(max(0.0, log.time_s[t] - seconds) * 1e9)
             message = _message(store.types, log, int(t), listed[t], stamp_ns, is_ros2)
             # The stamp of a message in a bag must be greater than zero.
-            bag.write(connection, max(1, stamp_ns), bytes(serialised(message, lines_type)))
+            for connection in connections:
+                bag.write(connection, max(1, stamp_ns), bytes(serialised(message, lines_type)))
 
 
 @contextlib.contextmanager

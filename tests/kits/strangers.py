@@ -17,7 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.special import ndtri
 
-from egolane_pgm.evidence.line_geometry.lane_width import lane_width
+from egolane_pgm.evidence.line_geometry.lane_width import LaneWidth, gap_counts, width_of_gaps
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.loading import experiments_folder
 from egolane_pgm.model import make_evidence
@@ -343,6 +343,11 @@ class Drive:
         """Some of the frames, with the ids that they have."""
         log = self.log.take(frames)
         return replace(self, log=log, lane=self.lane[frames], position=self.position[frames])
+
+
+def lane_width(log: LineLog, fallback_m: float) -> LaneWidth:
+    """The lane width of a whole recording. fallback_m: the expected width."""
+    return width_of_gaps(gap_counts(log), fallback_m, log.source)
 
 
 @functools.cache

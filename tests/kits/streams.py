@@ -27,21 +27,3 @@ def messages(log: LineLog) -> Iterator[str]:
                 line["lri"] = float(log.lri[t, k])
             lines.append(line)
         yield json.dumps({"frame_id": int(log.frame_id[t]), "lines": lines}) + "\n"
-
-
-def over_and_over(log: LineLog, n_frames: int, frame_rate: float) -> Iterator[LineLog]:
-    """So many frames, one by one: those of a log, again and again, with ids that go on."""
-    length = int(log.frame_id[-1] - log.frame_id[0]) + 1
-    is_line = ~(np.isnan(log.offset_m) & np.isnan(log.lri))
-    for number in range(n_frames):
-        lap, t = divmod(number, len(log))
-        here = is_line[t]
-        yield LineLog.from_rows(
-            log.frame_id[[t]] + lap * length,
-            frame_rate,
-            np.zeros(here.sum(), dtype=int),
-            log.offset_m[t, here],
-            log.is_valid[t, here],
-            log.is_continuous[t, here],
-            log.lri[t, here],
-        )

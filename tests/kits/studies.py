@@ -16,15 +16,12 @@ from egolane_pgm.parameters import Parameter
 from egolane_pgm.runs import open_input
 from egolane_pgm.studies.sampler import from_unit
 from egolane_pgm.studies.search import new_study, search
-from egolane_pgm.studies.space import Point, SearchSpace, distributions, make_space
+from egolane_pgm.studies.space import Point, SearchSpace, make_space
 from egolane_pgm.types import FloatArray, IntArray
 from tests.kits.drives import simulated
 
 EXPERIMENTS = experiments_folder()
 QUICKSTART = EXPERIMENTS / "quickstart.yaml"
-
-#: Blocks of the simulated drive without any of which every lane is left.
-BLOCKS = 7
 
 
 @functools.cache
@@ -70,10 +67,10 @@ def plain_space(n: int = 3) -> SearchSpace:
     return make_space(specs, {s.name: s.default for s in specs}, {}, 1, "plain")
 
 
-def bowl(point: Point) -> list[float]:
+def bowl(point: Point) -> float:
     """Best, 1, where all are 0.3; in steps, as accuracy is."""
     values = np.array([float(v) for v in point.values()])
-    return [float(np.round(1 - np.abs(values - 0.3).mean(), 3))]
+    return float(np.round(1 - np.abs(values - 0.3).mean(), 3))
 
 
 def search_in_memory(space: SearchSpace, score: Any, settings: FitSettings) -> Any:
@@ -85,9 +82,8 @@ def search_in_memory(space: SearchSpace, score: Any, settings: FitSettings) -> A
 
 def points_at(space: SearchSpace, units: FloatArray) -> list[dict[str, Any]]:
     """Points of the space from rows of the unit cube."""
-    ranges = distributions(space)
     return [
-        {key: from_unit(d, u) for (key, d), u in zip(ranges.items(), row, strict=True)}
+        {key: from_unit(d, u) for (key, d), u in zip(space.distributions.items(), row, strict=True)}
         for row in units.tolist()
     ]
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from egolane_pgm.maps.osm import join_ways, read_osm, read_ways, with_joins
+from egolane_pgm.maps.osm import join_ways, read_osm, with_joins
 from tests.kits.lane_maps import lane_map
 from tests.kits.osm_files import write_osm
 
@@ -23,7 +23,7 @@ def test_no_car_turns_back_where_a_road_for_both_directions_ends(tmp_path: Path)
     nodes = {1: (0.0, 0.0), 2: (500.0, 0.0), 3: (1000.0, 0.0)}
     trunk = {"highway": "trunk", "lanes": 2}
     ways = [(10, [1, 2], trunk), (11, [2, 3], {**trunk, "lanes": 4})]
-    graph = read_ways(write_osm(tmp_path / "both.osm", nodes, ways))
+    graph = read_osm(write_osm(tmp_path / "both.osm", nodes, ways))
     assert len(graph) == 4
     assert sorted(zip(graph.before.tolist(), graph.after.tolist(), strict=True)) == [(0, 2), (3, 1)]
 

@@ -95,10 +95,3 @@ def test_gross_outliers_in_a_recorded_drive_are_rejected() -> None:
     found = match(road, spoilt)
     assert found.is_outlier[wrong].all()
     assert found.is_outlier.sum() == len(wrong)
-    # The place on the road is bridged.
-    table, whole = (locate(road, p) for p in (spoilt, drove))
-    at = np.searchsorted(table.t_s, drove.t_s[wrong])
-    as_it_was = np.searchsorted(whole.t_s, drove.t_s[wrong])
-    one, other = table.iloc[at], whole.iloc[as_it_was]
-    np.testing.assert_array_equal(one.segment, other.segment)
-    assert np.median(np.abs(one.along_m.to_numpy() - other.along_m.to_numpy())) < 2

@@ -44,9 +44,7 @@ def test_frames_have_the_lanes_known_last(
     [
         ([3, 3], [100.0, 101.0], "has the times 10 to 11 s, and .* has 100 to 101 s: they do not"),
         ([3, 3], [1.0, 2.0], "has 1 to 2 s: they do not overlap"),
-        ([3, 3], [], "has no frames: they do not overlap"),
         ([0, 0], [10.0, 11.0], "no row has a number of lanes"),
-        ([3, 51], [10.0, 11.0], "row 1: a road of 51 lanes; at most 50 are supported"),
     ],
 )
 def test_a_table_that_does_not_fit_is_refused_in_one_line(
@@ -61,8 +59,7 @@ def test_frames_without_a_number_of_lanes_in_the_map_are_reported() -> None:
     road = road_rows([3, 0, 0, 4], 0.0, off=[2], unknown_way={1: 7, 3: 9})
     said = unknown_lanes(road, log_of([0, 1, 2, 3, 3.5]))
     assert [line.partition(": ")[2] for line in said] == [
-        "in 2 of 5 frames the road has no number of lanes in the map (way 9); the number is"
-        " assumed",
-        "in 1 of 5 frames the road has no number of lanes in the map; the number before is kept",
-        "in 1 of 5 frames the car is off the map; the number before is kept",
+        "in 4 of 5 frames the number of lanes is not in the map (first ways without it: 7, 9); it"
+        " is assumed, or the number before is kept"
     ]
+    assert unknown_lanes(road, log_of([0])) == []

@@ -11,9 +11,7 @@ from egolane_pgm.maps.tags import KEYS, read_lanes
 
 def read(**tags: object) -> tuple[tuple[int, int], list[str]]:
     """Tags with _ for : in their keys."""
-    given = {
-        key.replace("_", ":").replace("both:", "both_"): str(value) for key, value in tags.items()
-    }
+    given = {key.replace("_", ":"): str(value) for key, value in tags.items()}
     given = {"highway": "motorway", **given}
     assert set(given) <= set(KEYS)
     found, problems = read_lanes(tuple(given.get(key) for key in KEYS))
@@ -26,16 +24,15 @@ def read(**tags: object) -> tuple[tuple[int, int], list[str]]:
         # A motorway is a oneway, and so is its link without lanes against it.
         ({"lanes": 3}, (3, -1)),
         ({"oneway": "-1", "lanes": 2}, (-1, 2)),
+        # Which way the lanes lead changes with the time of day.
+        ({"oneway": "reversible", "lanes": 2}, (0, 0)),
         ({"highway": "motorway_link", "lanes": 1}, (1, -1)),
         ({"highway": "motorway_link", "lanes_backward": 1}, (0, 1)),
         ({"highway": "motorway_link", "oneway": "no"}, (0, 0)),
         ({"highway": "trunk", "junction": "roundabout"}, (0, -1)),
-        # Lists of lanes give their number if no tag does.
-        ({"turn_lanes": "none|none|slight_right"}, (3, -1)),
         # Of an even number alone, half goes in each direction.
         ({"highway": "trunk", "lanes": 4}, (2, 2)),
         ({"highway": "trunk", "lanes": 3}, (0, 0)),
-        ({"highway": "trunk", "lanes": 3, "lanes_both_ways": 1}, (1, 1)),
         ({"highway": "trunk", "lanes": 5, "lanes_forward": 3}, (3, 2)),
         ({"highway": "trunk", "lanes": 3, "lanes_forward": 2, "lanes_backward": 1}, (2, 1)),
         ({"highway": "trunk"}, (0, 0)),
@@ -47,15 +44,9 @@ def test_lanes_forward_and_backward(tags: dict[str, object], lanes: tuple[int, i
 
 @pytest.mark.parametrize("lanes", ["two", "3;4", "0", "40", "-1", "2.5"])
 def test_a_number_of_lanes_that_makes_no_sense_is_unknown_and_said(lanes: str) -> None:
-    found, problems = read(lanes=lanes, turn_lanes="none|none|slight_right")
+    found, problems = read(lanes=lanes)
     assert found == (0, -1)
     assert problems == [f"lanes={lanes} is not a number from 1 to 30"]
-
-
-def test_a_list_of_another_length_is_ignored() -> None:
-    found, problems = read(lanes=2, change_lanes="yes|no|no")
-    assert found == (2, -1)
-    assert problems == ["change:lanes lists 3 lanes of 2"]
 
 
 @given(

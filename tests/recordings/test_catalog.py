@@ -84,7 +84,7 @@ def test_wrong_content_is_refused_and_replaces_no_file(mirror: Path, tmp_path: P
     assert statuses() == ["bad", "missing", "missing"]
     (problem,) = fetch()
     assert "one.bag: not downloaded" in problem
-    assert "wrong checksum" in problem
+    assert "does not match the known hash" in problem
     assert files_in(tmp_path) == {**CONTENT, "one.bag": b"my own notes"}
 
 

@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-import egolane_pgm as ego
 from egolane_pgm.recordings import read_lines
 from egolane_pgm.recordings.table import write_table
-from egolane_pgm.result import Result
 from egolane_pgm.types import InputError, LineLog, clip_slices
 from tests.kits.image_line_files import (
     OFFSETS,
@@ -96,38 +94,8 @@ def test_numbered_folders_are_frames_or_clips(
     assert clips_of(log) == clips
 
 
-def test_every_clip_is_run_as_if_it_were_alone(tmp_path: Path) -> None:
-    """The second car is half a lane to the left of the first, the third on the first's road again:
-    a posterior that went on from clip to clip would show."""
-    camera = saved_camera(tmp_path)
-
-    def run(labels: Path) -> Result:
-        return ego.run(labels, n_lanes=4, camera=camera)
-
-    drives = []
-    for clip, shift in zip(OFFICIAL, (0.0, -1.7, 0.0), strict=True):
-        moved = tuple(offset - shift * 0.9 for offset in OFFSETS)
-        drives.append(
-            [entry(0, moved, raw_file=f"{clip}/{n}.jpg", classes=[4, 1, 1]) for n in range(1, 16)]
-        )
-    together = run(tusimple(tmp_path / "all.json", [row for drive in drives for row in drive]))
-    assert together.frames["drive"].unique().tolist() == OFFICIAL
-    lanes = [column for column in together.frames if column.startswith("Lane_")]
-    for k, drive in enumerate(drives):
-        alone = run(tusimple(tmp_path / f"{k}.json", drive)).frames
-        mine = together.frames.iloc[15 * k : 15 * k + 15]
-        np.testing.assert_allclose(mine[lanes], alone[lanes], atol=1e-12)
-    # No change is found from one clip to the next.
-    assert len(together.events) == 0
-    assert together.scores["events"]["detected"] == 0
-
-
 def test_clips_are_refused_where_one_drive_is_needed(tmp_path: Path) -> None:
     labels = tusimple(tmp_path / "a.json", [p for c in OFFICIAL for p in pictures(c, range(12))])
     camera = saved_camera(tmp_path)
     with pytest.raises(InputError, match="has several clips; a written file holds one drive"):
         write_table(tmp_path / "a.csv", read_lines(labels, camera=camera))
-    (tmp_path / "truth.txt").write_text("0;1;0\n")
-    options = {"n_lanes": 4, "camera": camera, "ground_truth": tmp_path / "truth.txt"}
-    with pytest.raises(InputError, match="clips have no ground truth; leave out ground_truth"):
-        ego.run(labels, **options)

@@ -87,7 +87,7 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
     words = ("--n-lanes", 3, "--columns", FOREIGN, "--no-figures", "--out", tmp_path / "out")
     done("run", tmp_path / "a.csv", *words)
     result = ego.load_result(tmp_path / "out")
-    assert result.value("recording.columns") == column_keys(FOREIGN)
+    assert result.experiment.recording.columns == column_keys(FOREIGN)
     assert np.mean(result.frames["assigned_lane"][20:] == 2) > 0.9
     again = ego.run(tmp_path / "out" / "experiment.yaml")
     np.testing.assert_array_equal(again.node("Lane"), result.node("Lane"))
@@ -98,7 +98,7 @@ def test_the_keys_stand_in_the_yaml_of_the_result_as_they_were_said(tmp_path: Pa
     [
         ("ofset_m=y", "columns: unknown key 'ofset_m' (did you mean 'offset_m'?)"),
         ("offset_m=z", "columns: offset_m: there is no column 'z'; there are frame_id, y, quality"),
-        ("offset_m=y,unit=feet", "columns: unit: 'feet' is not one of m, cm, mm"),
+        ("offset_m=y,unit=feet", "columns: unit: input should be 'm', 'cm' or 'mm' (got 'feet')"),
         (
             "offset_m=[y, y],is_valid=quality",
             "columns: is_valid: needs as many columns as offset_m",

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of, write_ground_truth
-from egolane_pgm.types import InputError, lane_truth
+from egolane_pgm.types import InputError, LineLog, lane_truth
 
 
 def write(path: Path, text: str) -> Path:
@@ -51,8 +51,8 @@ def test_separators_headings_and_blank_lines_do_not_matter(tmp_path: Path, text:
     ("line", "said"),
     [
         *((x, f"line 3: {x!r} is not") for x in ("3;1", "3;1;0;0", "3;x;0", "3;1;2", "lane")),
-        ("1;2;0", "frame id 1 occurs more than once"),
-        ("0;2;0", "frame ids decrease, 1 is followed by 0"),
+        ("1;2;0", "frame ids must increase, 1 is followed by 1"),
+        ("0;2;0", "frame ids must increase, 1 is followed by 0"),
     ],
 )
 def test_a_bad_line_is_refused_with_its_number(tmp_path: Path, line: str, said: str) -> None:
@@ -75,8 +75,8 @@ def test_extra_rows_are_put_in_where_they_belong(tmp_path: Path) -> None:
     np.testing.assert_array_equal(truth.index, [0, 1, 2, 5, 9])
     np.testing.assert_array_equal(truth["true_lane"], [1, 1, 1, 2, 2])
     np.testing.assert_array_equal(truth["is_crossing"], [False, False, False, True, False])
-    assert "frame id 2 occurs more" in refused(path, extra_rows=[(2, 1, 0)])
-    assert "frame id 7 occurs more" in refused(path, extra_rows=[(7, 1, 0), (7, 1, 0)])
+    assert "2 is followed by 2" in refused(path, extra_rows=[(2, 1, 0)])
+    assert "7 is followed by 7" in refused(path, extra_rows=[(7, 1, 0), (7, 1, 0)])
 
 
 @given(
@@ -118,3 +118,46 @@ def test_what_is_no_frame_of_lanes_is_refused(given: Any, said: str) -> None:
     with pytest.raises(InputError) as info:
         truth_of(pd.DataFrame(given) if isinstance(given, dict) else given)
     assert str(info.value).startswith(said)
+
+
+TIMED = LineLog.from_rows(
+    np.arange(5, 9), 10.0, np.zeros(0, int), np.zeros(0), *np.zeros((2, 0), bool), np.zeros(0)
+)
+
+
+@pytest.mark.parametrize(
+    ("rows", "frames"),
+    [
+        ("time_s,lane\n0.5,1\n0.62,2\n0.8,3\n", {5: 1, 6: 2, 8: 3}),
+        ("time_s;lane;crossing\n0.54;1;1\n", {5: 1}),
+        # The nearest of several.
+        ("time_s,lane\n0.56,1\n0.59,2\n0.64,3\n", {6: 2}),
+    ],
+)
+def test_rows_by_time_belong_to_the_nearest_frame(
+    tmp_path: Path, rows: str, frames: dict[int, int]
+) -> None:
+    path = tmp_path / "truth.csv"
+    path.write_text(rows)
+    truth = read_ground_truth(path, log=TIMED)
+    assert truth["true_lane"].to_dict() == frames
+    assert truth["is_crossing"].any() == ("crossing" in rows)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        (
+            "time_s,lane\n7,1\n8,1\n",
+            "no time_s is that of a frame; the frames are from 0.5 to",
+        ),
+        ("time_s,lane\n0.6,1\n0.5,1\n", "row 2: time_s must increase, 0.6 is followed by 0.5"),
+        ("time_s,lan\n0.5,1\n", "no column lane"),
+    ],
+)
+def test_rows_by_time_that_fit_no_frame_are_refused(tmp_path: Path, rows: str, said: str) -> None:
+    path = tmp_path / "truth.csv"
+    path.write_text(rows)
+    with pytest.raises(InputError) as info:
+        read_ground_truth(path, log=TIMED)
+    assert str(info.value).startswith(f"{path}: {said}")

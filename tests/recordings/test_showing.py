@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import egolane_pgm as ego
-from tests.kits.drives import done, refused, short_drive
+from tests.kits.drives import done, short_drive
 from tests.kits.rosbag_writer import write_lines
 from tests.kits.sensor_files import foreign_table, json_mcap, own_bag
 
@@ -44,7 +44,3 @@ def test_lines_of_ones_own_are_described_with_what_is_missing(
     assert all(each in shown for each in said)
     assert "egolane run" not in shown
     assert "  to run it, name the columns with --columns: no column " in shown
-
-
-def test_a_missing_file_is_refused(tmp_path: Path) -> None:
-    assert "a.csv: no such file" in refused("show", tmp_path / "a.csv")

@@ -54,48 +54,6 @@ def test_the_most_probable_lane_is_assigned(belief: Any, lanes: list[int]) -> No
     assert assigned_lane(belief).tolist() == lanes
 
 
-@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e6])
-def test_the_tie_tolerance_is_relative_to_the_larger_value(scale: float) -> None:
-    within, beyond = 0.5 * (1 - 0.9e-9), 0.5 * (1 - 1.1e-9)
-    belief = np.array([[0.5, within], [within, 0.5], [0.5, beyond], [beyond, 0.5]]) * scale
-    assert assigned_lane(belief).tolist() == [0, 0, 1, 2]
-
-
-def test_each_frame_falls_into_the_row_it_is_assigned_and_the_column_it_is_in() -> None:
-    assigned = [1, 1, 2, 0, 3, 3, 2]
-    lane = [1, 2, 2, 3, 3, 3, 1]
-    is_crossing = [False, False, False, False, False, True, True]
-    expected = [[1, 1, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1]]
-    assert confusion(assigned, lane, is_crossing, 3).tolist() == expected
-
-
-def test_the_label_of_a_crossing_frame_is_not_looked_at() -> None:
-    assert confusion([1, 2], [1, 9], [False, True], 2).tolist() == [[1, 0], [0, 0], [0, 0]]
-
-
-def test_the_scores_of_a_small_matrix_are_those_worked_out_by_hand() -> None:
-    # Lane 1: 3 right of 4 predicted and 6 actual; lane 2: 2 right of 3 predicted and 4 actual.
-    scores = scores_from_confusion([[3, 1], [1, 2], [2, 1]])
-    assert scores["per_lane"]["precision"].tolist() == [3 / 4, 2 / 3]
-    assert scores["per_lane"]["recall"].tolist() == [3 / 6, 2 / 4]
-    np.testing.assert_allclose(scores["per_lane"]["f1"], [0.6, 4 / 7])
-    assert scores["precision"] == pytest.approx(17 / 24)
-    assert scores["recall"] == 0.5
-    assert scores["f1"] == pytest.approx(41 / 70)
-    assert scores["accuracy"] == 5 / 10
-    assert scores["coverage"] == 7 / 10
-    assert scores["frames_scored"] == 10
-
-
-def test_zero_over_zero_is_zero() -> None:
-    # Lane 2 is never predicted and never driven; lane 3 is driven but never predicted.
-    scores = scores_from_confusion([[4, 0, 1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
-    assert scores["per_lane"]["precision"].tolist() == [4 / 5, 0, 0]
-    assert scores["per_lane"]["recall"].tolist() == [1, 0, 0]
-    np.testing.assert_allclose(scores["per_lane"]["f1"], [8 / 9, 0, 0])
-    assert scores["recall"] == pytest.approx(1 / 3)
-
-
 @given(drives())
 def test_the_scores_equal_those_of_plain_loops(
     drive: tuple[np.ndarray, np.ndarray, np.ndarray, int],

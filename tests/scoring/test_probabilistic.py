@@ -65,16 +65,6 @@ def test_a_tie_counts_as_wrong_in_the_calibration_whichever_lane_is_true() -> No
         assert expected_calibration_error([[0.5, 0.5]], [lane], [False]) == 0.5
 
 
-def test_crossing_frames_count_in_the_log_loss_and_not_in_the_others() -> None:
-    belief = np.array([[0.9, 0.1], [0.2, 0.8]])
-    lane, is_crossing = np.array([1, 1]), np.array([False, True])
-    assert log_loss_per_frame(belief, lane) == pytest.approx([-math.log(0.9), -math.log(0.2)])
-    assert brier(belief, lane, is_crossing) == brier(belief[:1], lane[:1], is_crossing[:1])
-    error = expected_calibration_error(belief, lane, is_crossing)
-    assert error == pytest.approx(0.1)
-    assert calibration_curve(belief, lane, is_crossing)["count"].sum() == 1
-
-
 def test_without_a_frame_to_score_the_scores_are_nan_and_not_perfect() -> None:
     assert math.isnan(brier([[0.5, 0.5]], [1], [True]))
     assert math.isnan(expected_calibration_error([[0.5, 0.5]], [1], [True]))

@@ -10,7 +10,6 @@ import pytest
 from optuna.distributions import IntDistribution
 
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.simulation import simulate
 from egolane_pgm.studies.black_box import objective
 from egolane_pgm.studies.fits import fit_tune, trials_of
 from egolane_pgm.studies.sampler import Shade
@@ -40,21 +39,6 @@ def test_values_that_are_left_out_are_the_experiments() -> None:
     sigma1 = load_experiment(QUICKSTART).parameters["sigma1"]
     assert score({}) == score({"sigma1": np.float64(sigma1)}) != score({"sigma1": 2.5})
     assert score.distributions["bonus_value"] == IntDistribution(0, 9)
-
-
-def test_a_part_of_the_frames_counts_and_lines_may_be_in_memory() -> None:
-    drive = simulate("quickstart", seed=0, n_lanes=4)
-    experiment = load_experiment(
-        QUICKSTART, {"recording.frame_rate": 10}, lines=drive.log, n_lanes=4
-    )
-    whole, first, last = (
-        objective(experiment, frames=frames, lines=drive.log, ground_truth=drive.truth)(
-            {"sigma1": 1.5}
-        )
-        for frames in ((None, None), (0, 500), (500, None))
-    )
-    assert objective(QUICKSTART)({"sigma1": 1.5}) == whole
-    assert min(first, last) < whole < max(first, last)
     switches = objective(QUICKSTART, overrides={"fit.objective": "false_switches_per_minute"})
     assert switches.direction == "minimize"
 
@@ -78,7 +62,6 @@ def test_what_is_out_of_the_space_is_refused(parameters: dict[str, Any], said: s
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"frames": (5000, None)}, "frames (5000, None): contain no frame to score"),
         (
             {"overrides": {"fit.objective": "acuracy"}},
             "fit.objective: unknown score 'acuracy'",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +19,6 @@ from egolane_pgm.studies.fits import (
     apply_fit,
     fit_learn,
     fit_tables,
-    kept_though_tuned,
     start_of_learning,
     training_of,
 )
@@ -34,13 +31,6 @@ from tests.kits.studies import drive_of, quickstart, scrambled, two_drives
 pytestmark = needs_compiler
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture(autouse=True)
-def _some_frames_lack_a_lane() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "(?s).*no frame to learn from has lane", UserWarning)
-        yield
 
 
 def drive(**keys: Any) -> Drive:
@@ -123,17 +113,14 @@ def test_a_rule_that_looks_back_has_the_frames_before_the_training_frames(tmp_pa
 # --- what is learned -----------------------------------------------------------------------------
 
 
-def test_a_lane_without_a_label_keeps_its_start_and_is_named() -> None:
+def test_a_lane_without_a_label_keeps_its_start() -> None:
     one = drive()
     lane, crossing = one.true_lane[one.rows], one.is_crossing[one.rows]
-    some = np.flatnonzero((lane != 4) & ~crossing)
-    with pytest.warns(UserWarning, match="no frame to learn from has lane 4; it keeps its start"):
-        found = learned(one, some)
-    start = start_of_learning(one.model).compiled.tables
-    after = apply_fit(one.model, found).compiled.tables
-    before = start["Lane", 1].values
-    np.testing.assert_allclose(after["Lane", 1].values[3], before[3], atol=1e-9)
-    assert np.abs(after["Lane", 1].values[:3] - before[:3]).max() > 0.01
+    found = learned(one, np.flatnonzero((lane != 4) & ~crossing))
+    before = start_of_learning(one.model).compiled.tables["Lane", 1].values
+    after = apply_fit(one.model, found).compiled.tables["Lane", 1].values
+    np.testing.assert_allclose(after[3], before[3], atol=1e-9)
+    assert np.abs(after[:3] - before[:3]).max() > 0.01
 
 
 def test_tables_of_several_drives_do_not_depend_on_their_order() -> None:
@@ -151,8 +138,6 @@ def test_tables_that_may_have_been_tuned_on_the_frames_are_not_started_from() ->
     start = start_of_learning(same.model).compiled.tables["Lane", 1].values
     np.testing.assert_array_equal(start, lane_normals(sigma1, 4))
     assert start_of_learning(not_tuned.model).compiled.tables["Lane", 1].values[0, 0] > 0.999
-    assert kept_though_tuned(not_tuned.model) == []
-    assert kept_though_tuned(same.model) == ["bonus_value"]
 
 
 def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path: Path) -> None:
@@ -184,12 +169,12 @@ def test_a_learned_experiment_is_run_from_its_files(tmp_path: Path, labels: bool
     np.testing.assert_allclose(theirs.transition, ours.transition, rtol=1e-9)
 
 
-def test_a_network_that_was_learned_has_its_origin() -> None:
-    one = drive()
-    network = run_study([one], "learn", []).network
-    assert run(simulated(), graph=network).run["tuned_on"] == "same_frames"
+def test_a_learned_graph_has_its_origin(tmp_path: Path) -> None:
+    run_study([drive()], "learn", [], directory=tmp_path / "out")
+    graph = tmp_path / "out" / "best.graph.yaml"
+    assert run(simulated(), graph=graph).run["tuned_on"] == "same_frames"
     other = simulated(recording=quickstart(3))
-    assert run(other, graph=network).run["tuned_on"] == "other_frames"
+    assert run(other, graph=graph).run["tuned_on"] == "other_frames"
 
 
 def test_without_ground_truth_the_evidence_alone_is_learned_from(tmp_path: Path) -> None:

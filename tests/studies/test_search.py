@@ -12,6 +12,7 @@ from egolane_pgm.experiment import FitSettings
 from egolane_pgm.studies.search import (
     SAMPLERS,
     best_trial,
+    make_sampler,
     new_study,
     search,
     settings_of,
@@ -46,7 +47,7 @@ def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> No
     study = new_study(settings)
     for stop in stops:
 
-        def interrupted(point: Any, stop: int = stop) -> list[float]:
+        def interrupted(point: Any, stop: int = stop) -> float:
             if len(complete(study)) == stop:
                 raise KeyboardInterrupt
             return bowl(point)
@@ -67,6 +68,28 @@ def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str
     search(study, SPACE, bowl, settings.model_copy(update={"trials": 30}))
     points = [tuple(t.params.values()) for t in study.trials]
     assert len(points) == len(set(points)) == 30
+
+
+def test_workers_that_begin_at_the_same_moment_draw_other_points(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    settings = FitSettings(objective=("accuracy",), sampler="random", trials=12, seed=0)
+    study = new_study(settings)
+    ask, own = study.ask, make_sampler(settings, SPACE, 0)
+
+    def late(*given: Any) -> optuna.Trial:
+        if not study.trials:
+            # Another worker with the same seed is a little faster.
+            mine, study.sampler = study.sampler, own
+            trial = ask(*given)
+            study.tell(trial, bowl(trial.params))
+            study.sampler = mine
+        return ask(*given)
+
+    monkeypatch.setattr(study, "ask", late)
+    search(study, SPACE, bowl, settings)
+    points = [tuple(params.values()) for params, _ in complete(study)]
+    assert len(points) == len(set(points)) == 12
 
 
 def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:

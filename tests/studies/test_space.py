@@ -13,7 +13,6 @@ from egolane_pgm.parameters import Parameter, not_searched, resolve_parameters
 from egolane_pgm.plugins import declared_parameters, load_plugin, plugin_names
 from egolane_pgm.studies.space import (
     SearchSpace,
-    distributions,
     make_space,
     to_parameters,
     to_point,
@@ -21,7 +20,8 @@ from egolane_pgm.studies.space import (
 from egolane_pgm.types import InputError
 from tests.kits.studies import points_at
 
-SPECS = declared_parameters(counting, sensor_failure)
+CHOICE = Parameter("noise", "choice", "even", "", search=None, choices=("even", "ignore"))
+SPECS = (*declared_parameters(counting, sensor_failure), CHOICE)
 CURRENT = resolve_parameters(SPECS, {}, 3)
 
 
@@ -41,10 +41,8 @@ SEARCHED: dict[str, set[str]] = {
     "sensor_failure": PAPER,
     "three_sensor_states": PAPER | {"sigma2_worn", "p_worn", "p3_worn"},
     "wor_direct": {"sigma1", "sigma2", "p_wor"},
-    "wor_levels": PAPER,
     "wor_on_lane": PAPER,
     "counting": {"bonus_value"},
-    "counting_levels": {"bonus_value"},
     "line_geometry": {"alpha", "beta"},
     **{key: set() for key in ("ml", "mc", "sl", "sc")},
 }
@@ -94,14 +92,14 @@ def test_a_graph_of_ones_own_is_searched_without_saying_so() -> None:
         Parameter("kept", "positive", 2.0, "not searched", search=None),
     ]
     found = make_space(specs, resolve_parameters(specs, {}, 3), {}, 3, "x")
-    assert tuple(distributions(found)) == ("stay", "width", "p3[1]", "p3[2]", "p3[3]")
+    assert tuple(found.distributions) == ("stay", "width", "p3[1]", "p3[2]", "p3[3]")
     assert found.fixed == {"kept": 2.0}
-    width = distributions(found)["width"]
+    width = found.distributions["width"]
     assert (width.low, width.high, width.log) == (0.2, 20, True)  # type: ignore[attr-defined]
     middle = points_at(found, np.full((1, 5), 0.5))[0]
     assert middle["width"] == pytest.approx(2)
     given = make_space(specs, resolve_parameters(specs, {}, 3), {"width": [1, 3]}, 3, "x")
-    assert not distributions(given)["width"].log  # type: ignore[attr-defined]
+    assert not given.distributions["width"].log  # type: ignore[attr-defined]
 
 
 def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
@@ -115,9 +113,9 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
     assert to_parameters(found, point)["p3"] == (0.2, 0.4, 0.6)
     fixed = make_space(specs, current, {"p3": [0.2, 0.4, 0.6]}, 3, "x")
     assert fixed.fixed["p3"] == (0.2, 0.4, 0.6)
-    assert not any(key.startswith("p3") for key in distributions(fixed))
+    assert not any(key.startswith("p3") for key in fixed.distributions)
     narrow = make_space(specs, current, {"p3": [0.2, 0.4]}, 3, "x")
-    assert [d.ends[1] for d in narrow.dimensions if d.parameter == "p3"] == [0.4] * 3
+    assert [narrow.distributions[f"p3[{k}]"].high for k in (1, 2, 3)] == [0.4] * 3  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
@@ -125,14 +123,14 @@ def test_the_lanes_of_a_parameter_keep_their_order_there_and_back() -> None:
     [
         ({"sigma_1": [0, 1]}, "unknown parameter 'sigma_1' \\(did you mean 'sigma1'\\?\\)"),
         ({"sigma1": [1, 1]}, "sigma1: .* is empty"),
-        ({"sigma1": [2, 1]}, "sigma1: .* is inverted"),
+        ({"sigma1": [2, 1]}, "sigma1: .* is empty"),
         ({"p1": [0.5, 1.5]}, "p1: 1.5 is not a probability"),
         ({"sigma1": [-1, 1]}, "sigma1: -1 must be greater than 0"),
         ({"p1": [0.1, 0.2, 0.3]}, "p1: .* must be \\[low, high\\]"),
         ({"p1": ["a", "b"]}, "p1: 'a' is not a number"),
         ({"bonus_value": [0.5, 3]}, "bonus_value: .* whole numbers"),
-        ({"no_valid_line": ["ignore"]}, "no_valid_line: .* leaves nothing to search"),
-        ({"no_valid_line": ["ignore", "ignor"]}, "did you mean 'ignore'"),
+        ({"noise": ["ignore"]}, "noise: .* leaves nothing to search"),
+        ({"noise": ["ignore", "ignor"]}, "did you mean 'ignore'"),
         (dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4", "bonus_value"), 0.5), "to"),
     ],
 )
@@ -150,6 +148,6 @@ def test_a_point_outside_of_the_bounds_is_none() -> None:
     assert to_point(space(), parameters) is not None
     assert to_point(space(sigma1=[0.1, 1.0]), parameters) is None
     assert to_point(space(), {**CURRENT, "bonus_value": 2.5}) is None
-    names = space(normal=["density", "integral"])
-    assert to_point(names, {**CURRENT, "normal": "integral"}) is not None
-    assert to_point(names, {**CURRENT, "normal": "neither"}) is None
+    names = space(noise=["even", "ignore"])
+    assert to_point(names, {**CURRENT, "noise": "ignore"}) is not None
+    assert to_point(names, {**CURRENT, "noise": "neither"}) is None

@@ -56,7 +56,7 @@ def test_optuna_reads_the_journal_and_copies_it_to_a_database(tmp_path: Path) ->
         ("nosuch://h/d", "storage: nosuch://h/d: "),
         ("sqlite:////no/such/place/x.db", "storage: sqlite:////no/such/place/x.db: "),
         ("{folder}/damaged/x", "damaged: cannot be created: File exists"),
-        ("oracle+oracledb://h/d", "needs the package oracledb: pip install oracledb"),
+        ("oracle+oracledb://h/d", "cannot be used: No module named 'oracledb'"),
     ],
 )
 def test_a_storage_that_cannot_be_opened_is_one_line(

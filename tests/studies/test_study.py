@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -42,13 +40,6 @@ FITS = pytest.mark.parametrize(
     [{"fit": {"method": "learn"}}, {"fit": {"method": "tune", **FEW}}],
     ids=["tables", "tune"],
 )
-
-
-@pytest.fixture(autouse=True)
-def _some_blocks_lack_a_lane() -> Iterator[None]:
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "(?s).*no frame to learn from has lane", UserWarning)
-        yield
 
 
 def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any) -> Study:
@@ -149,16 +140,6 @@ def test_one_of_several_drives_may_have_untrusted_labels() -> None:
         assert int((~frames["is_trusted"]).sum()) == int((~odd.is_trusted).sum())
 
 
-def test_a_held_out_result_is_saved_as_any_other(tmp_path: Path) -> None:
-    path = write_drive(tmp_path, 600, fit={"method": "learn"})
-    found = run_input(open_input(path), n_blocks=3)
-    again = load_result(found.save(tmp_path / "out"))
-    assert_frame_equal(again.frames, found.frames)
-    assert (again.run, again.scores) == (found.run, found.scores)
-    # Its experiment can be run and learned from again; the fit is that of the run.
-    assert run(again).scores["model"] == run(path).scores["model"]
-
-
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
@@ -214,19 +195,6 @@ def _journal(out: Path) -> Any:
     from egolane_pgm.studies.storage import open_storage
 
     return open_storage(str(out / "study.journal"))
-
-
-def test_six_trials_and_six_more_are_the_twelve(tmp_path: Path) -> None:
-    drive = drive_of(simulated())
-    folds = block_folds([drive], 2)
-    whole = tuned([drive], folds, trials=12)
-    for trials in (6, 12):
-        parts = tuned([drive], folds, trials=trials, directory=tmp_path / "out")
-    assert_frame_equal(parts.trials, whole.trials)
-    assert parts.held_out is not None
-    assert whole.held_out is not None
-    assert parts.held_out.run["fitted"] == whole.held_out.run["fitted"]
-    assert parts.fitted == whole.fitted
 
 
 def test_another_study_in_the_same_storage_is_refused(tmp_path: Path) -> None:

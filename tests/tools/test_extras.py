@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -33,7 +34,11 @@ def sampler(_: Path) -> None:
 
 
 def cluster(_: Path) -> None:
-    list(parallel(abs, [1], cluster="local:2"))
+    list(parallel(abs, [1], cluster="nowhere"))
+
+
+def page(place: Path) -> None:
+    import_module("egolane_pgm.page.document").write_page([a_result()], place)
 
 
 def position(_: Path) -> None:
@@ -43,7 +48,7 @@ def position(_: Path) -> None:
 @pytest.mark.parametrize(
     ("module", "file", "call", "words"),
     [
-        ("bokeh", "a.html", a_result().report, "a page of results needs bokeh|page"),
+        ("bokeh", "a.html", page, "a page of results needs bokeh|page"),
         ("mcap", "a.mcap", exported, "an .mcap file needs mcap|export"),
         ("osmium", "a.osm", read_osm, "{} needs osmium|maps"),
         ("gpxpy", "a.gpx", read_positions, "{} needs gpxpy|maps"),

@@ -1,4 +1,4 @@
-"""YAML as the package means it, and what is refused of it in one line."""
+"""YAML is written as it is read."""
 
 from __future__ import annotations
 
@@ -13,25 +13,16 @@ from egolane_pgm.tools.yaml import dump_yaml, parse_yaml
 @pytest.mark.parametrize(
     ("text", "means"),
     [
-        ("010", 10),
-        ("0o10", 8),
-        ("0x1F", 31),
         ("1e3", 1000.0),
         (".5", 0.5),
         ("-.inf", float("-inf")),
-        ("1:30", "1:30"),
-        ("1_000", "1_000"),
-        ("2020-01-01", "2020-01-01"),
-        ("2020-99-99", "2020-99-99"),
         ("yes", True),
         ("~", None),
         ("{1: 2, no: 3, ~: 4}", {"1": 2, "no": 3, "~": 4}),
         ("[&x [1, 2], *x]", [[1, 2], [1, 2]]),
     ],
 )
-def test_yaml_is_read_as_version_1_2_means_it_and_written_so_that_it_stays(
-    text: str, means: object
-) -> None:
+def test_yaml_is_read_and_written_so_that_it_stays(text: str, means: object) -> None:
     assert parse_yaml(f"a: {text}", "x.yaml") == {"a": means}
     assert parse_yaml(dump_yaml({"a": means}), "x.yaml") == {"a": means}
     # A text with these letters stays a text.

@@ -9,17 +9,16 @@ import numpy as np
 import pytest
 
 from egolane_pgm.vision.camera.model import read_camera
-from tests.kits.calibration_kit import TRUE, calibrate
-from tests.kits.drives import refused
+from tests.kits.calibration_kit import TRUE
+from tests.kits.drives import done, refused
 
 
 def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_path):
     out = tmp_path / "a" / "cam.yaml"
-    done = calibrate(
-        "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
-        "--ignore", "0,700,1280,720", "-o", out,
-    )  # fmt: skip
-    assert done.exit_code == 0, done.output
+    said = done(
+        "calibrate", "--chessboards", boards / "*.png", "--stills", stills, "--lane-width", 3.7,
+        "--ignore", 0, 700, 1280, 720, "-o", out,
+    ).output  # fmt: skip
     camera = read_camera(out)
     assert camera.height_m == pytest.approx(TRUE.height_m, rel=0.03)
     assert camera.ignore == ((0, 700, 1280, 720),)
@@ -27,42 +26,59 @@ def test_the_command_calibrates_from_chessboards_and_stills(boards, stills, tmp_
     text = "\n".join(comment)
     for word in ("chessboards (9x6 inner corners) of 10", "px RMS", "meet at", "3.7 m"):
         assert word in text
-    assert done.output.count("px RMS\n") >= 8
+    assert said.count("px RMS\n") >= 8
 
 
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
         (["--lane-width", "3.7"], "Missing option '--stills'"),
-        (["--lane-width", "3.7", "--stills", "nowhere/*.jpg"], "nowhere/*.jpg: no file matches"),
-        (["--lane-width", "3700", "--stills", "x"], "lane width 3700: lanes are 2 to 6 m"),
-        (["--lane-width", "3.7", "--stills", "x", "--ignore", "1,2"], "--ignore: '1,2' is not"),
+        (["--lane-width", "3.7", "--stills", "nowhere/*.jpg"], "nowhere/*.jpg: has no pictures"),
+        (
+            ["--lane-width", "3.7", "--stills", "x", "--ignore", "1", "2"],
+            "'--ignore': '-o'",
+        ),
     ],
 )
 def test_bad_options_are_one_line(tmp_path, arguments, said):
-    done = calibrate(*arguments, "-o", tmp_path / "cam.yaml")
-    assert done.exit_code == 2
-    assert said in done.output
-    assert len(done.output.strip().splitlines()) == 1
+    assert said in refused("calibrate", *arguments, "-o", tmp_path / "cam.yaml")
     assert not (tmp_path / "cam.yaml").exists()
 
 
 def test_boards_and_road_of_different_sizes_are_refused(boards, tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((480, 640, 3), np.uint8))
-    done = calibrate(
-        "--chessboards", boards, "--stills", tmp_path / "a.png", "--lane-width", 3.7,
-        "-o", tmp_path / "c.yaml",
-    )  # fmt: skip
-    assert done.exit_code == 2
-    assert "the chessboards are 1280x720, the road's pictures 640x480" in done.output
+    words = ("--chessboards", boards, "--stills", tmp_path / "a.png", "--lane-width", 3.7)
+    said = refused("calibrate", *words, "-o", tmp_path / "c.yaml")
+    assert "the chessboards are 1280x720, the road's pictures 640x480" in said
 
 
-@pytest.mark.parametrize("ignore", ["0,720,480,900", "1280,0,1300,90"])
-def test_a_rectangle_outside_of_the_pictures_is_refused(
-    stills: Path, tmp_path: Path, ignore: str
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("--ignore 0 720 480 900", "--ignore: 0 720 480 900 is not in a picture of 1280x720"),
+        ("--ignore 1280 0 1300 90", "--ignore: 1280 0 1300 90 is not in a picture of 1280x720"),
+        ("--lane-width 3700", "lane_width_m: 3700.0 is not between 2 and 6 (metres)"),
+    ],
+)
+def test_what_does_not_fit_the_pictures_or_a_road_is_refused(
+    stills: Path, tmp_path: Path, given: str, said: str
 ) -> None:
     target = tmp_path / "cam.yaml"
-    words = ("--lane-width", 3.7, "--stills", stills, "--ignore", ignore, "-o", target)
-    said = refused("calibrate", *words)
-    assert said == f"--ignore: {ignore} is not in a picture of 1280x720"
+    words = ("--lane-width", 3.7, "--stills", stills, *given.split(), "-o", target)
+    assert refused("calibrate", *words) == said
     assert not target.exists()
+
+
+def test_the_lens_may_come_from_a_camera_file(stills: Path, tmp_path: Path) -> None:
+    lens = tmp_path / "ros.yaml"
+    matrix = [TRUE.fx, 0, TRUE.cx, 0, TRUE.fy, TRUE.cy, 0, 0, 1]
+    lens.write_text(
+        f"image_width: {TRUE.width}\nimage_height: {TRUE.height}\n"
+        f"camera_matrix: {{rows: 3, cols: 3, data: {matrix}}}\ndistortion_model: plumb_bob\n"
+        f"distortion_coefficients: {{rows: 1, cols: 5, data: {list(TRUE.distortion)}}}\n"
+    )
+    words = ("--chessboards", lens, "--stills", stills, "--lane-width", 3.7)
+    done("calibrate", *words, "-o", tmp_path / "cam.yaml")
+    camera = read_camera(tmp_path / "cam.yaml")
+    assert camera.height_m == pytest.approx(TRUE.height_m, rel=0.03)
+    assert (camera.fx, camera.distortion) == (TRUE.fx, TRUE.distortion)

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 import pytest
 
-from egolane_pgm.command import COMMANDS, command_of, egolane
+from egolane_pgm.command import COMMANDS, egolane
 from tests.kits.drives import done
 
 HELP = Path(__file__).with_name("help.txt")
@@ -27,9 +27,6 @@ def test_the_help_is_the_one_that_is_kept(monkeypatch: pytest.MonkeyPatch) -> No
     """`EGOLANE_REMAKE_HELP=1 pytest tests/verbs/test_help.py` keeps the help as it is now."""
     monkeypatch.setenv("COLUMNS", "80")
     commands = [(), *((name,) for name in COMMANDS)]
-    for each in map(command_of, COMMANDS):
-        if isinstance(each, click.Group):
-            commands += [(str(each.name), name) for name in each.commands]
     shown = "\n".join(done(*words, "--help").stdout for words in commands)
     if os.environ.get("EGOLANE_REMAKE_HELP"):
         HELP.write_text(shown)

@@ -7,7 +7,6 @@ import io
 import json
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -52,14 +51,6 @@ def test_it_writes_the_labels_and_the_segments(lines: Path) -> None:
     assert again.to_list() == found.truth["true_lane"].to_list()
 
 
-def test_its_labels_are_a_ground_truth_for_run(lines: Path, tmp_path: Path) -> None:
-    truth = lines.parent / "labels" / "labels.txt"
-    words = ("--experiment", "zero_label", "--n-lanes", 3, "--ground-truth", truth)
-    said = done("run", lines, *words, "--no-figures", "--out", tmp_path / "out").stdout
-    is_crossing = read_ground_truth(truth)["is_crossing"]
-    assert f"of {np.count_nonzero(~is_crossing)} frames" in said
-
-
 def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) -> None:
     mine = lines.parent / "labels" / "labels.txt"
     truth = read_ground_truth(mine)
@@ -70,15 +61,6 @@ def test_with_ground_truth_the_labels_are_scored(lines: Path, tmp_path: Path) ->
         found = json.loads((tmp_path / "x" / "scores.json").read_text())
         assert found["model"]["accuracy"] == accuracy
         assert f"accuracy {accuracy:.4f}" in said
-
-
-def test_a_lower_threshold_leaves_fewer_frames_unsure(lines: Path, tmp_path: Path) -> None:
-    count = {}
-    for below in (0, 0.5, 0.99999):
-        done("label", lines, "--n-lanes", 3, "--below", below, "--out", tmp_path / "x")
-        count[below] = sum(int(row["frames"]) for row in table(tmp_path / "x" / "segments.csv"))
-    assert count[0] == 0
-    assert count[0] <= count[0.5] < count[0.99999]
 
 
 @pytest.mark.parametrize(

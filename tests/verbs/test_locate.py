@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 pytest.importorskip("osmium")
 
-from egolane_pgm.command import egolane
 from egolane_pgm.maps import road_table
+from tests.kits.drives import done, refused
 from tests.kits.osm_files import EAST_M, LATITUDE, LONGITUDE, write_osm
 
 
@@ -33,27 +32,22 @@ def files(tmp_path: Path) -> tuple[str, str, str]:
     return tuple(str(tmp_path / name) for name in ("roads.osm", "drive.csv", "road.parquet"))
 
 
-def run(*words: str) -> Result:
-    return CliRunner().invoke(egolane, ["locate", *words])
-
-
-NAMED = ("--column", "t_s=when", "--column", "latitude=lat_gps")
+NAMED = ("--columns", "t_s=when,latitude=lat_gps")
 
 
 @pytest.mark.parametrize("more", [(), ("--online",)])
 def test_a_road_table_is_written(files: tuple[str, str, str], more: tuple[str, ...]) -> None:
     a_map, drive, out = files
-    done = run(a_map, drive, "-o", out, *NAMED, "--shift", "100", *more)
-    assert done.exit_code == 0, done.output
-    assert "200 rows, 100 to 299 s, 100.0% on the map" in done.output
-    assert "lanes: 2, 3" in done.output
+    said = done("locate", a_map, drive, "-o", out, *NAMED, "--shift", "100", *more).output
+    assert "200 rows, 100 to 299 s, 100.0% on the map" in said
+    assert "lanes: 2, 3" in said
     table = road_table.load(out)
     assert set(table.n_lanes) == {2, 3}
 
 
 def test_an_assumed_number_of_lanes_is_reported(files: tuple[str, str, str]) -> None:
     write_map(Path(files[0]), {})
-    assert "lanes: 2 (assumed in " in run(*files[:2], "-o", files[2], *NAMED).output
+    assert "lanes: 2 (assumed in " in done("locate", *files[:2], "-o", files[2], *NAMED).output
 
 
 @pytest.mark.parametrize(
@@ -70,7 +64,5 @@ def test_bad_files_are_refused_in_one_line(
 ) -> None:
     folder = Path(files[0]).parent
     words = [str(folder / change[k]) if k in change else file for k, file in enumerate(files)]
-    done = run(words[0], words[1], "-o", words[2], *(NAMED if 1 not in change else ()))
-    assert done.exit_code == 2
-    assert said in done.output
-    assert done.output.count("\n") == 1
+    named = NAMED if 1 not in change else ()
+    assert said in refused("locate", words[0], words[1], "-o", words[2], *named)

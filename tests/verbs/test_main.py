@@ -38,7 +38,6 @@ def test_a_road_of_more_lanes_than_there_are_is_refused_at_once(verb: str, tmp_p
         ("run {0}/experiment.yaml --out=", "--out: is empty"),
         ("run {0}/experiment.yaml --ground-truth=", "--ground-truth: is empty"),
         ("run {0}/experiment.yaml --camera=", "--camera: is empty"),
-        ("reproduce --runs 11", "run 11: the paper has runs 1 to 10"),
     ],
 )
 def test_a_command_line_that_makes_no_sense_is_one_line(
@@ -74,7 +73,8 @@ def test_below_the_verbs_no_message_names_an_option_of_the_command_line() -> Non
     begins with a parameter's name shows it as an option on the command line."""
     package = Path(str(egolane_pgm.__file__)).parent
     # The texts that commands print: the description of a recording ends with a command.
-    others = {package / "command.py", package / "recordings" / "showing.py"}
+    others = {package / "command.py", package / "tools" / "options.py"}
+    others |= {package / "recordings" / "showing.py"}
     others |= {package / "views" / f"{name}.py" for name in ("description", "display")}
     found = []
     for path in {*package.rglob("*.py")} - {*others, *(package / "verbs").iterdir()}:

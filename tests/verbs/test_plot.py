@@ -58,6 +58,7 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
         ("{0} {0} --out {1}/x.mcap", "--out: {1}/x.mcap: shows one result; 2 are named"),
         ("{0} --out {1}/x.mp4", "pictures"),
         ("{1}/study --frames 0 9", "--frames: goes with results; the figures of a study have no"),
+        ("{1}/linked", "{1}/linked/figures: is a link; name a folder"),
         ("{1}/study --out {1}/page.html", "{1}/study: is not a result directory"),
     ],
 )
@@ -67,6 +68,8 @@ def test_what_cannot_be_drawn_is_refused_in_one_line(
     shutil.copytree(saved, tmp_path / "half")
     (tmp_path / "half" / "beliefs.parquet").unlink()
     (tmp_path / "study").mkdir()
+    shutil.copytree(saved, tmp_path / "linked", ignore=shutil.ignore_patterns("figures"))
+    (tmp_path / "linked" / "figures").symlink_to(tmp_path / "study")
     (tmp_path / "study" / "study.json").write_text("{}")
     places = (saved, tmp_path)
     assert said.format(*places) in refused("plot", *words.format(*places).split())

@@ -28,7 +28,7 @@ def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(experiments_folder().parent)
     shown = done("show").stdout
     words = " ".join(shown.split())
-    assert "wor_direct, wor_levels, wor_on_edge, wor_on_lane" in words
+    assert "wor_direct, wor_on_edge, wor_on_lane" in words
     assert "simulations: a2, a4, quickstart" in words
     assert "experiments/quickstart.yaml simulated drive of two minutes" in words
     assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
@@ -62,16 +62,6 @@ def test_whatever_is_listed_or_one_writes_is_shown(name: str, kind: str) -> None
     assert "\nparameters" in shown
 
 
-def test_an_experiment_is_shown_with_what_it_includes(drive: Path, tmp_path: Path) -> None:
-    shown = done("show", "run01_italy_ml").stdout
-    assert shown.startswith("experiment run01_italy_ml\n")
-    assert "ground_truth:" in shown
-    keys = json.loads(done("show", drive, "--json", "-").stdout)["keys"]
-    assert keys["recording"]["path"].endswith("lines.csv")
-    shown = done("show", experiments_folder() / "tuning" / "all_italy.yaml").stdout
-    assert shown.startswith("tuning file all_italy\n")
-
-
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
     target = tmp_path / "graph.json"
     assert "OK, 4" not in done("show", "sensor_failure", "--n-lanes", 4).stdout
@@ -95,7 +85,7 @@ def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
         ("lane_only --json {0}/both.py/x.json", "cannot be written"),
         ("{0}/both.py --json {0}/both.py", "is read here; name another file"),
         ("{0}/g.py --out {0}/g.svg", "g.py, line 3: AttributeError"),
-        ("no_wor --out {0}/g.txt", "g.txt: unknown format; a network is written to .png, .svg, "),
+        ("no_wor --out {0}/g.txt", "g.txt: unknown format; a figure ends in .png, .svg, "),
         ("{0}/own.bif --out {0}/own.bif", "own.bif: is read here"),
         ("ml --out {0}/g.png", "only a graph"),
     ],

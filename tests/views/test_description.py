@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from egolane_pgm.inference.compile import compile
+from egolane_pgm.inference.compile import compile_tables
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_names
 from egolane_pgm.tools.files import to_jsonable
@@ -24,8 +24,8 @@ from tests.conformance.networks import graph, graph_inputs, graph_names, templat
 def described(name: str, *, numbers: bool = False, n_lanes: int = 3) -> dict[str, Any]:
     module = graph(name)
     parameters = resolve_parameters(module.PARAMETERS, {}, n_lanes)
-    compiled = compile(
-        module.build(n_lanes, parameters),
+    compiled = compile_tables(
+        module.tables(n_lanes, parameters),
         hidden=module.HIDDEN,
         observed=module.OBSERVED,
         inputs=graph_inputs(module),

@@ -20,13 +20,10 @@ def result() -> Result:
     return run_input(open_input("quickstart", overrides={"recording.frames": [0, 300]}))
 
 
-def test_a_result_is_named_in_one_line_and_shown_in_a_notebook(result: Result) -> None:
+def test_a_result_is_named_in_one_line(result: Result) -> None:
     assert repr(result) == (
         "Result('quickstart': 300 frames, accuracy 0.877, detector 0.558; not tuned, causal)"
     )
-    html = result._repr_html_()
-    assert "<th>detector</th>" in html
-    assert "&#x27;quickstart&#x27;: 300 frames" in html
 
 
 def test_the_text_of_a_result_starts_with_the_score(result: Result) -> None:
@@ -72,12 +69,12 @@ def test_a_lane_change_is_a_row() -> None:
 def test_the_lane_over_time_in_words() -> None:
     segments = [(3, 0.0, 71.6), (0, 71.6, 3700.2)]
     assert segments_text(segments) == (
-        "lane 3 from 0:00 to 1:12, lane unknown from 1:12 to 1:01:40"
+        "lane 3 from 0:00.0 to 1:11.6, lane unknown from 1:11.6 to 1:01:40.2"
     )
-    assert segments_text([(1, 0.04, 59.98)]) == "lane 1 from 0:00.0 to 1:00.0"
     assert segments_text([(1, k, k + 1.0) for k in range(30)]).endswith(f", and {30 - LISTED} more")
     assert segments_text([]) == "no lane has a probability of at least 0.67 in any frame"
-    assert clock(1.5e9 + 1) == "2:40:01"
+    assert clock(59.98) == "1:00.0"
+    assert clock(1.5e9 + 1) == "2:40:01.0"
 
 
 def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> None:

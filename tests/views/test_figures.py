@@ -10,12 +10,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-from egolane_pgm.scoring.probabilistic import calibration_curve
 from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.result import lanes_of
-from egolane_pgm.scoring.confusion import scores_from_confusion
+from egolane_pgm.scoring.confusion import calibration_curve, scores_from_confusion
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (

@@ -63,6 +63,17 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     ]
 
 
+@pytest.mark.parametrize(
+    ("score", "delay"), [("delay", {"median_frames": 4}), ("share_missed", {"share_missed": 0.5})]
+)
+def test_the_held_out_score_of_lane_changes_is_drawn(score: str, delay: dict[str, float]) -> None:
+    trials = pd.DataFrame({"number": range(3), "score": [1.0, 2.0, 3.0]})
+    held_out = {"model": {"delay": delay}}
+    document = {"settings": {"objectives": [score]}, "held_out": held_out}
+    line = history_figure(trials, document, "").axes[0].lines[-1]
+    assert set(np.asarray(line.get_ydata())) == set(delay.values())
+
+
 def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
     rng = np.random.default_rng(0)
     x, y = rng.random((2, 300))

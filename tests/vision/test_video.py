@@ -30,8 +30,8 @@ def test_a_frame_has_the_picture_the_birds_eye_view_and_a_panel() -> None:
     image = drawn(scene([1, 0], 1))
     assert image.shape == (places.size[1], places.size[0], 3)
     assert places.size[0] % 2 == places.size[1] % 2 == 0
-    assert places.picture == (640, 400)
-    assert places.birdseye == (200, 400)
+    assert (places.camera.width, places.camera.height) == (640, 400)
+    assert places.from_above[0].shape == (400, 200)
     assert image.shape[0] >= 400 + 150
     # The sky is as it was, the paper below is white.
     assert is_colour(image[5, 5], (90, 90, 90), 0)

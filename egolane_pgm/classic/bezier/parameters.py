@@ -1,6 +1,7 @@
 """The parameters of Aly's detector, named as in its public configuration (`Lanes.conf`):
 `lowerQuantile` there is `lower_quantile` here. What else that file has are constants of the modules
-that use them, or it is not listed here: stop lines, colours and lane widths are off there; a spline
+that use them, or it is not listed here: the Hough
+transform, stop lines, colours and lane widths are off there; a spline
 is continued in the picture only, checked in the view only, and judged by its score alone; the
 camera and metres take the place of what describes the view.
 
@@ -24,13 +25,6 @@ PARAMETERS = (
         "probability",
         0.975,
         "weaker ridges than this quantile are 0 (.985 for the two lines of the own lane only)",
-    ),
-    Parameter(
-        "grouping_type",
-        "choice",
-        "columns",
-        "how first lines are found: sums of columns, or the Hough transform",
-        choices=("columns", "hough"),
     ),
     Parameter("detection_threshold", "non_negative", 0.1, "least score of a first line"),
     Parameter("lines", "integer", 4, "most lines per picture", lowest=1, highest=4),

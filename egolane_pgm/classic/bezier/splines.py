@@ -1,6 +1,6 @@
 """From ridges in a view to cubic Bezier splines (Aly 2008, sections II C to II E).
 
-First lines come from sums of columns or from the Hough transform. In a box around each, RANSAC fits
+First lines come from sums of columns. In a box around each, RANSAC fits
 a line; in a box around that, a spline. Points are (column, row) of the view, pixels.
 """
 
@@ -18,10 +18,6 @@ from egolane_pgm.types import FloatArray, IntArray
 
 #: Sums of columns: length and standard deviation of their smoothing, columns.
 _SCORE_TAPS, _SCORE_SIGMA = 21, 2.0
-
-#: The Hough transform: least, largest distance from the corner and its step, pixels; the largest
-#: angle and its step, degrees.
-_R, _THETA_MAX, _THETA_STEP = (20.0, 300.0, 2.0), 10.0, 1.0
 
 #: First lines nearer than this are one, columns.
 _GROUP = 30.0
@@ -42,10 +38,6 @@ _SCORING = (2, 0.01, 1.2, 1.5)
 #: (radians) and distances (pixels), and their middles than this.
 _MERGE, _MERGE_CENTROID = ((0.1, 5.0), (0.2, 10.0)), 15.0
 
-#: Finds splines: takes ridges (R, C).
-Finder = Callable[[FloatArray], "Splines"]
-
-
 #: Boxes that share more than this are one.
 _OVERLAP = 0.5
 
@@ -59,18 +51,9 @@ class Splines:
     score: FloatArray
 
 
-@dataclass(frozen=True)
-class _Lines:
-    """K lines through all rows: columns in the first and in the last row, and score, (K,) each."""
-
-    top: FloatArray
-    bottom: FloatArray
-    score: FloatArray
-
-
-def spline_finder(parameters: Parameters) -> Finder:
-    """Makes the function that finds splines. Each call takes the same random numbers, drawn here,
-    so that a picture's splines do not depend on the pictures before."""
+def spline_finder(parameters: Parameters) -> Callable[[FloatArray], Splines]:
+    """Makes the function that finds splines in ridges (R, C). Each call takes the same random
+    numbers, drawn here, so that a picture's splines do not depend on the pictures before."""
     rng = np.random.default_rng(0)
     line_draw, spline_draw = (rng.random((_SAMPLES, _POINTS)) for _ in range(2))
 
@@ -81,9 +64,9 @@ def spline_finder(parameters: Parameters) -> Finder:
         point = np.stack([columns, rows], axis=1).astype(np.float64)
         value = ridge[rows, columns]
         lines = _first_lines(ridge, point, value, parameters)
-        boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1], _OVERLAP)
+        boxes = _boxes(lines, _LINE_WINDOW, ridge.shape[1])
         lines = _fitted_lines(boxes, point, value, line_draw, ridge.shape[0])
-        boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1], _OVERLAP)
+        boxes = _boxes(lines, _SPLINE_WINDOW, ridge.shape[1])
         return _checked(_fitted_splines(boxes, point, value, spline_draw, ridge))
 
     return find
@@ -91,18 +74,14 @@ def spline_finder(parameters: Parameters) -> Finder:
 
 def _first_lines(
     ridge: FloatArray, point: FloatArray, value: FloatArray, parameters: Parameters
-) -> _Lines:
-    """The lines that the most ridges lie on, near ones made one."""
-    least = number(parameters, "detection_threshold")
-    if parameters["grouping_type"] == "columns":
-        total = np.bincount(point[:, 0].astype(np.int64), value, ridge.shape[1]).astype(np.float64)
-        edge = cv2.BORDER_CONSTANT
-        total = cv2.GaussianBlur(total[None], (_SCORE_TAPS, 1), _SCORE_SIGMA, borderType=edge)[0]
-        column, score = column_peaks(total, least)
-        lines = _Lines(column, column, score)
-    else:
-        lines = _hough_lines(point, value, ridge.shape[0], least)
-    return _grouped(lines, _GROUP)
+) -> FloatArray:
+    """The columns with the most ridges, near ones made one: lines (K, 3) through all rows, their
+    columns in the first and in the last row, and score."""
+    total = np.bincount(point[:, 0].astype(np.int64), value, ridge.shape[1]).astype(np.float64)
+    edge = cv2.BORDER_CONSTANT
+    total = cv2.GaussianBlur(total[None], (_SCORE_TAPS, 1), _SCORE_SIGMA, borderType=edge)[0]
+    column, score = column_peaks(total, number(parameters, "detection_threshold"))
+    return _grouped(np.column_stack([column, column, score]))
 
 
 def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
@@ -115,53 +94,37 @@ def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArra
     return peak + (left[peak] - right[peak]) / (2 * bend), middle[peak]
 
 
-def _hough_lines(point: FloatArray, weight: FloatArray, n_rows: int, least: float) -> _Lines:
-    theta = np.deg2rad(np.arange(-_THETA_MAX, _THETA_MAX + 1e-9, _THETA_STEP))
-    r_min, r_max, r_step = _R
-    n_r = int((r_max - r_min) / r_step) + 1
-    away = np.outer(point[:, 0], np.cos(theta)) + np.outer(point[:, 1], np.sin(theta))
-    at = np.floor((away - r_min) / r_step + 0.5).astype(np.int64)
-    i, j = np.nonzero((at >= 0) & (at < n_r))
-    total = np.bincount(at[i, j] * len(theta) + j, weight[i], n_r * len(theta))
-    votes: FloatArray = total.astype(np.float64).reshape(n_r, len(theta))
-    around = cv2.dilate(votes, np.ones((3, 3), dtype=np.uint8))
-    k, t = np.nonzero((votes >= around) & (votes >= max(least, 1e-9)))
-    r = r_min + k * r_step
-    across, along = np.cos(theta[t]), np.sin(theta[t])
-    return _Lines(r / across, (r - (n_rows - 1) * along) / across, votes[k, t])
-
-
-def _grouped(lines: _Lines, threshold: float) -> _Lines:
+def _grouped(lines: FloatArray) -> FloatArray:
     """Makes one of the two nearest lines, by their mean weighted by score, until none are nearer
-    than `threshold` columns on the average of both ends."""
-    end, score = np.stack([lines.top, lines.bottom], axis=1), lines.score.copy()
+    than `_GROUP` columns on the average of both ends."""
+    end, score = lines[:, :2].copy(), lines[:, 2].copy()
     while len(score) > 1:
         away = np.abs(end[:, None] - end).mean(axis=2)
         away[np.diag_indices(len(score))] = np.inf
         i, j = np.unravel_index(int(np.argmin(away)), away.shape)
-        if away[i, j] >= threshold:
+        if away[i, j] >= _GROUP:
             break
         end[i] = (score[i] * end[i] + score[j] * end[j]) / (score[i] + score[j])
         score[i] += score[j]
         end, score = np.delete(end, j, axis=0), np.delete(score, j)
-    return _Lines(end[:, 0], end[:, 1], score)
+    return np.column_stack([end, score])
 
 
-def _boxes(lines: _Lines, window: float, n_columns: int, overlap: float) -> FloatArray:
+def _boxes(lines: FloatArray, window: float, n_columns: int) -> FloatArray:
     """The first and last columns (B, 2) of boxes around lines, those made one that share more than
-    `overlap` of the smaller."""
-    left = np.maximum(np.minimum(lines.top, lines.bottom) - window, 0)
-    right = np.minimum(np.maximum(lines.top, lines.bottom) + window, n_columns - 1)
+    `_OVERLAP` of the smaller."""
+    left = np.maximum(lines[:, :2].min(axis=1) - window, 0)
+    right = np.minimum(lines[:, :2].max(axis=1) + window, n_columns - 1)
     inside = left < right
     order = np.argsort(left[inside], kind="stable")
     boxes: list[list[float]] = []
-    for box in np.stack([left[inside], right[inside]], axis=1)[order]:
+    for box in np.stack([left[inside], right[inside]], axis=1)[order].tolist():
         if boxes:
             shared = min(boxes[-1][1], box[1]) - box[0]
-            if shared > overlap * min(boxes[-1][1] - boxes[-1][0], box[1] - box[0]):
-                boxes[-1][1] = max(boxes[-1][1], float(box[1]))
+            if shared > _OVERLAP * min(boxes[-1][1] - boxes[-1][0], box[1] - box[0]):
+                boxes[-1][1] = max(boxes[-1][1], box[1])
                 continue
-        boxes.append([float(box[0]), float(box[1])])
+        boxes.append(box)
     return np.array(boxes).reshape(-1, 2)
 
 
@@ -179,8 +142,8 @@ def _fitted_lines(
     value: FloatArray,
     draw: FloatArray,
     n_rows: int,
-) -> _Lines:
-    """The RANSAC line of each box that has one."""
+) -> FloatArray:
+    """The RANSAC line of each box that has one, (K, 3) as in `_first_lines`."""
     most_turn = float(np.tan(np.deg2rad(_MOST_TURN_DEG)))
     found = []
     for left, right in boxes:
@@ -199,8 +162,7 @@ def _fitted_lines(
             turn = line[2] / line[3]
             ends = line[0] + turn * (np.array([0.0, n_rows - 1]) - line[1])
             found.append((*ends, score))
-    top, bottom, score = np.array(found).reshape(-1, 3).T
-    return _Lines(top, bottom, score)
+    return np.array(found).reshape(-1, 3)
 
 
 def _fitted_splines(

@@ -97,7 +97,7 @@ def road_of(camera: Camera, reach_m: float, narrowest_m: float, widest_m: float)
 
 def flattened(road: Road, v: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
     """t and the column, (N,) each, of points in row v and column u, without lens distortion."""
-    if any(road.camera.distortion):
+    if road.camera.is_distorted:
         u, v = undistorted(road.camera, u, v)
     return (v - road.middle) / road.half, u
 

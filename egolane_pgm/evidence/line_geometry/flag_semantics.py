@@ -12,7 +12,6 @@ one. Then all lines are valid, or all are not continuous.
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -26,7 +25,7 @@ from egolane_pgm.types import BoolArray, FloatArray, IntArray, LineLog
 #: now and then report larger numbers, from uninitialised memory.
 FULL_SHARE = 0.95
 
-#: The shares of lines with a flag between which the flag is used. In the paper's recordings at
+#: A flag is used if its share of the lines is between these. In the paper's recordings at
 #: least two thirds of the lines are valid, and at most a fifth of these are continuous.
 LEAST_VALID, LEAST_CONTINUOUS, MOST_CONTINUOUS = 0.1, 0.01, 0.9
 
@@ -78,7 +77,7 @@ PAPER = FlagSemantics(FULL_LRI, uses_valid=True, uses_continuous=True)
 
 
 def is_placed(offset_m: FloatArray) -> BoolArray:
-    """Return whether each offset is a line, not padding or a placeholder."""
+    """Return True for offsets of lines, False for padding and placeholders."""
     with np.errstate(invalid="ignore"):
         return np.asarray(np.isfinite(offset_m) & (np.abs(offset_m) > PLACEHOLDER_M))
 
@@ -169,14 +168,3 @@ def translated(log: LineLog, detector: FlagSemantics) -> LineLog:
     if not detector.uses_continuous and log.is_continuous.any():
         changes["is_continuous"] = np.zeros(log.is_continuous.shape, dtype=bool)
     return replace(log, **changes) if changes else log
-
-
-def translated_recording(log: LineLog) -> tuple[LineLog, FlagSemantics]:
-    """Return a whole recording on the paper's scale (`translated`), and its flag semantics.
-
-    Warns of unusual semantics.
-    """
-    detector = flag_semantics_of(count_lines([columns(log)]), log.source)
-    for note in detector.notes:
-        warnings.warn(note, stacklevel=2)
-    return translated(log, detector), detector

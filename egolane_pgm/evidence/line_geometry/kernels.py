@@ -341,7 +341,7 @@ def _learn(visibility: FloatArray, known: FloatArray, mean: FloatArray, alpha: f
     n_lanes, n_kinds = visibility.shape
     place = np.exp(mean - mean.max())
     place /= place.sum()
-    says = np.empty(visibility.shape)
+    support = np.empty(visibility.shape)
     for lane in range(n_lanes):
         for k in range(n_kinds):
             top = known[:, k, lane].max()
@@ -349,8 +349,8 @@ def _learn(visibility: FloatArray, known: FloatArray, mean: FloatArray, alpha: f
             for u in range(len(mean)):
                 total += place[u] * math.exp(known[u, k, lane] - top)
             # The best place may have no share that is a number.
-            says[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
-    visibility *= np.exp(says - says.max())
+            support[lane, k] = alpha * (top + math.log(max(total, 1e-300)))
+    visibility *= np.exp(support - support.max())
     visibility /= visibility.sum()
 
 

@@ -16,8 +16,8 @@ report metres.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -33,7 +33,7 @@ from egolane_pgm.evidence.line_geometry.scale import (
     PAIR_WITHIN,
     line_classes,
 )
-from egolane_pgm.types import BoolArray, FloatArray, LineLog
+from egolane_pgm.types import FloatArray, LineLog
 
 #: Gaps are counted in logarithmic bins of one per cent, from the smallest to the largest, any unit.
 _STEP = 0.01
@@ -58,13 +58,11 @@ _N_WINDOW = _N_CANDIDATES + math.ceil(math.log(MOST_LANES + 0.5) / _STEP) - _BEL
 _APART = math.ceil(math.log(1.15) / _STEP)
 
 
-@dataclass(frozen=True)
-class LaneWidth:
+class LaneWidth(NamedTuple):
     """An estimate of the lane width.
 
     - width_m: the answer; the fallback if it is not sure
     - found_m: the best candidate; NaN without gaps
-    - gaps: number of gaps
     - odds: log odds (natural) of the best candidate against the better one of the runner-up and no
       lattice
     - message: all of this in one line
@@ -73,18 +71,12 @@ class LaneWidth:
     width_m: float
     is_sure: bool
     found_m: float
-    gaps: int
     odds: float
     message: str
 
 
-def lane_width(log: LineLog, fallback_m: float) -> LaneWidth:
-    """Estimates the lane width of a whole recording. fallback_m: the expected width."""
-    return width_of_gaps(gap_counts(log), fallback_m, log.source)
-
-
 def gap_counts(log: LineLog) -> FloatArray:
-    """Counts gaps per bin, (3, B): those between neighbouring strong lines of a frame, those
+    """Count gaps per bin, (3, B): those between neighbouring strong lines of a frame, those
     between every other line, and the largest gap between neighbours of each frame.
 
     Counts of several logs may be added before `width_of_gaps`.
@@ -115,13 +107,18 @@ def gap_counts(log: LineLog) -> FloatArray:
     return counts
 
 
-def rounded(width_m: float) -> float:
-    """A width rounded to centimetres; in another unit, to three digits."""
-    return float(f"{width_m:.3g}") if width_m < 1 or width_m >= 10 else round(width_m, 2)
-
-
 def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWidth:
-    """Estimates the lane width from the counts (3, B) of all gaps."""
+    """Estimate the lane width from the counts (3, B) of all gaps.
+
+    - fallback_m: the expected width, which is the answer if the estimate is not sure
+    - source: for the message
+    """
+    gaps = counts[:2].sum(axis=0)
+    n_gaps = int(gaps.sum())
+    if not n_gaps:
+        message = f"{source}: no two lines in one frame, so the lane width is unknown"
+        message += f"; {fallback_m:g} m is assumed"
+        return LaneWidth(fallback_m, False, math.nan, 0.0, message)
     frames = counts[2].cumsum()
     middle = int(np.argmax(frames >= max(frames[-1] / 2, 0.5)))
     # The bin of the narrowest candidate.
@@ -130,40 +127,10 @@ def width_of_gaps(counts: FloatArray, fallback_m: float, source: str) -> LaneWid
     is_bin = (bins >= 0) & (bins < _N_BINS)
     near = np.where(is_bin, counts[:2, np.clip(bins, 0, _N_BINS - 1)], 0.0)
     of_gap, is_pair = _tables()
+    # The log likelihood of each candidate relative to no lattice, in independent gaps.
     fit = (near.sum(axis=0) @ of_gap).reshape(len(OFF_LATTICE), -1).max(axis=0) / ALIKE
     n_pairs = counts[1].sum()
     may_be = (n_pairs < ENOUGH_PAIRS) | (near[1] @ is_pair >= LEAST_PAIRS * n_pairs)
-    return _answer(counts[:2].sum(axis=0), first, fit, may_be, fallback_m, source)
-
-
-def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
-    """The gaps between sorted lines `apart` places apart, (T, L - apart); 0 where there is none."""
-    is_there = np.isfinite(offsets[:, apart:])
-    return np.subtract(
-        offsets[:, apart:], offsets[:, :-apart], out=np.zeros(is_there.shape), where=is_there
-    )
-
-
-def _answer(
-    counts: FloatArray,
-    first: int,
-    fit: FloatArray,
-    may_be: BoolArray,
-    fallback_m: float,
-    source: str,
-) -> LaneWidth:
-    """Chooses a candidate.
-
-    - counts: (B,) gaps per bin
-    - first: bin of the narrowest candidate
-    - fit: log likelihood of each candidate relative to no lattice, in independent gaps
-    - may_be: whether two lanes of the candidate's width are seen at once
-    """
-    n_gaps = int(counts.sum())
-    if not n_gaps:
-        message = f"{source}: no two lines in one frame, so the lane width is unknown"
-        message += f"; {fallback_m:g} m is assumed"
-        return LaneWidth(fallback_m, False, math.nan, n_gaps, 0.0, message)
     log_width = math.log(_SMALLEST) + _STEP * (first + np.arange(_N_CANDIDATES) + 0.5)
     away = (log_width - math.log(fallback_m)) / EXPECTED_WITHIN
     # Excluded candidates come after all others, in their order.
@@ -172,23 +139,31 @@ def _answer(
     others = np.abs(np.arange(_N_CANDIDATES) - best) > _APART
     odds = float(min(fit[best], score[best] - score[others].max()))
     width = math.exp(log_width[best] + _peak(fit, best) * _STEP)
-    gaps = np.exp(math.log(_SMALLEST) + _STEP * (np.arange(_N_BINS) + 0.5)) / width
-    is_on = np.abs(gaps - np.clip(np.round(gaps), 1, MOST_LANES)) < 2 * GAP_SIGMA
-    share = float(counts[is_on].sum() / n_gaps)
+    lanes = np.exp(math.log(_SMALLEST) + _STEP * (np.arange(_N_BINS) + 0.5)) / width
+    is_on = np.abs(lanes - np.clip(np.round(lanes), 1, MOST_LANES)) < 2 * GAP_SIGMA
+    share = float(gaps[is_on].sum() / n_gaps)
     found = (
         f"{width:.{2 if width < 20 else 0}f} m from {n_gaps} gaps between lines,"
         f" {100 * share:.0f} % of them on the lattice"
     )
     if odds >= LEAST_ODDS and may_be[best] and 0 < best < _N_CANDIDATES - 1:
-        return LaneWidth(width, True, width, n_gaps, odds, f"{source}: lane width {found}")
+        return LaneWidth(width, True, width, odds, f"{source}: lane width {found}")
     message = f"{source}: lane width unsure ({found}); {fallback_m:g} m is assumed"
-    return LaneWidth(fallback_m, False, width, n_gaps, odds, message)
+    return LaneWidth(fallback_m, False, width, odds, message)
+
+
+def _gaps(offsets: FloatArray, apart: int) -> FloatArray:
+    """Return the gaps between sorted lines `apart` places apart, (T, L - apart); 0 if none."""
+    is_there = np.isfinite(offsets[:, apart:])
+    return np.subtract(
+        offsets[:, apart:], offsets[:, :-apart], out=np.zeros(is_there.shape), where=is_there
+    )
 
 
 @lru_cache(maxsize=1)
 def _tables() -> tuple[FloatArray, FloatArray]:
-    """The log likelihood of a gap in each bin of the window, relative to a uniform one, (window,
-    shares * candidates); and whether the gap is two lanes, (window, candidates)."""
+    """Return tables of a gap in each bin of the window: its log likelihood relative to a uniform
+    one, (window, shares * candidates), and whether it is two lanes, (window, candidates)."""
     gap = np.exp((np.arange(-(_N_CANDIDATES - 1), _N_WINDOW) + _BELOW) * _STEP)
     lanes = np.maximum(1, np.round(gap))
     normal = np.exp(-0.5 * ((gap - lanes) / GAP_SIGMA) ** 2) / (GAP_SIGMA * math.sqrt(2 * math.pi))
@@ -204,7 +179,7 @@ def _tables() -> tuple[FloatArray, FloatArray]:
 
 
 def _peak(score: FloatArray, best: int) -> float:
-    """The place of a maximum between its neighbours, in steps, from a parabola through them."""
+    """Return the offset of a maximum in steps, from a parabola through it and its neighbours."""
     if best in (0, len(score) - 1):
         return 0.0
     left, middle, right = score[best - 1 : best + 2]

@@ -99,7 +99,7 @@ class Kind:
     edge_continuous: float = 0.25
 
 
-#: The kind if none is learned.
+#: The default kind.
 GENERIC = Kind()
 
 #: The parameters that a fit gives: fields of the model.
@@ -136,11 +136,14 @@ def line_model(n_lanes: int, parameters: Mapping[str, Value], kind: Kind = GENER
 
 
 def without_flags(model: LineModel) -> LineModel:
-    """The model for a detector without a continuous flag: class 0 becomes part of class 1."""
+    """The model for a detector without a continuous flag: class 0 is divided among the others, so
+    that lines differ in their places only."""
     shares, clutter = model.class_shares.copy(), model.clutter.copy()
-    shares[:, 1] += shares[:, 0]
+    shares[:, 1] += np.where(shares[:, 0] < 1, 0, shares[:, 0])
+    shares[:, 0] = 0
+    shares /= shares.sum(axis=1, keepdims=True)
     clutter[1] += clutter[0]
-    shares[:, 0] = clutter[0] = 0
+    clutter[0] = 0
     return replace(model, class_shares=shares, clutter=clutter)
 
 

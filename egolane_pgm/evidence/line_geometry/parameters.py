@@ -16,9 +16,9 @@ PARAMETERS = (
         "lane_width_m",
         "positive",
         "causal",
-        "lane width in the detector's metres: a number, `causal` (that, and what the detector's"
-        " flags and LRI mean, from the frames so far) or `auto` (from the whole recording, the"
-        " default where the filter is `smoothed`)",
+        "lane width in the detector's metres: a number, `causal` (estimated, like the semantics of"
+        " the detector's flags and LRI, from the frames so far) or `auto` (from the whole"
+        " recording; the default of the filter `smoothed`)",
         choices=("auto", "causal"),
         smoothed="auto",
         lowest=_NARROWEST_M,
@@ -28,7 +28,7 @@ PARAMETERS = (
         "fallback_width_m",
         "positive",
         3.5,
-        "lane width that is expected before the lines show it, in the detector's metres",
+        "expected lane width before there are lines, in the detector's metres",
         search=None,
         lowest=_NARROWEST_M,
         highest=_WIDEST_M,
@@ -37,9 +37,9 @@ PARAMETERS = (
         "width_wanders",
         "non_negative",
         0.0,
-        "share by which the lane width may differ now and then from that of the whole recording,"
-        " because pitch and hills change the scale; far lines then count as no less exact than near"
-        " ones. With `causal` the width follows the lines",
+        "largest relative deviation of the lane width from its estimate for the whole recording,"
+        " because pitch and hills change the scale; far lines then count as exactly as near ones."
+        " With `causal` the width follows the lines",
         search=None,
         smoothed=0.07,
         highest=0.5,
@@ -48,8 +48,8 @@ PARAMETERS = (
         "alpha",
         "non_negative",
         0.035,
-        "weight of the evidence on the lane in a tenth of a second. Half of it where the filter is"
-        " `smoothed`: what is wrong for ten seconds then counts before and after them",
+        "weight of the evidence on the lane in a tenth of a second. Half of it with the filter"
+        " `smoothed`, where an error of ten seconds counts before and after them",
         search=(0.01, 0.2),
         smoothed=0.0175,
     ),

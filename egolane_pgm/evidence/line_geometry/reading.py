@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from egolane_pgm.evidence.line_geometry import kernels
-from egolane_pgm.evidence.line_geometry.flag_semantics import is_placed, translated_recording
+from egolane_pgm.evidence.line_geometry import flag_semantics, kernels
 from egolane_pgm.evidence.line_geometry.kernels import DOUBLE, LastFrame
-from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, rounded, width_of_gaps
+from egolane_pgm.evidence.line_geometry.lane_width import gap_counts, width_of_gaps
 from egolane_pgm.evidence.line_geometry.model import LANE_M, REACH_M
 from egolane_pgm.evidence.line_geometry.scale import line_classes
 from egolane_pgm.graphs.position_in_lane import KEPT_VELOCITY, MOTION_RANGE, motion_index
@@ -57,7 +56,12 @@ def read_recording(recorded: LineLog, parameters: Parameters) -> tuple[LineLog, 
 
     Warns of the lane width found and of anything unusual about the lines.
     """
-    log, detector = translated_recording(recorded)
+    detector = flag_semantics.flag_semantics_of(
+        flag_semantics.count_lines([flag_semantics.columns(recorded)]), recorded.source
+    )
+    for note in detector.notes:
+        warnings.warn(note, stacklevel=2)
+    log = flag_semantics.translated(recorded, detector)
     width = recording_width(log, parameters)
     warn_of_offsets(log, width)
     kind, _ = line_classes(log.offset_m, log.is_valid, log.is_continuous, log.lri)
@@ -90,8 +94,8 @@ def recording_width(log: LineLog, parameters: Parameters) -> float:
     is_sure = first.is_sure and second.is_sure and min(first.odds, second.odds) >= SURE_OF_HALF
     if is_sure and change > math.log1p(ANOTHER_SCALE):
         warnings.warn(
-            f"{log.source}: lane width {rounded(first.width_m):g} m in the first half of the"
-            f" recording, {rounded(second.width_m):g} m in the second: does its unit change?",
+            f"{log.source}: lane width {first.width_m:.3g} m in the first half of the"
+            f" recording, {second.width_m:.3g} m in the second: does its unit change?",
             stacklevel=2,
         )
     return width_m
@@ -101,7 +105,7 @@ def warn_of_offsets(log: LineLog, width_m: float) -> None:
     """Warn if most lines are out of reach, or if the vehicle seems to be off the middle of its
     lane all the time."""
     reach_m = width_m * REACH_M / LANE_M
-    placed = is_placed(log.offset_m)
+    placed = flag_semantics.is_placed(log.offset_m)
     n_placed, n_far = int(placed.sum()), int((np.abs(log.offset_m[placed]) >= reach_m).sum())
     if 2 * n_far > n_placed:
         warnings.warn(
@@ -124,12 +128,6 @@ def warn_of_offsets(log: LineLog, width_m: float) -> None:
             " reported early or late",
             stacklevel=2,
         )
-
-
-def as_metres(width_m: float, parameters: Parameters) -> float:
-    """The lane width, or the expected one if no lane has that in metres."""
-    is_metres = NARROWEST_M <= width_m <= WIDEST_M
-    return width_m if is_metres else number(parameters, "fallback_width_m")
 
 
 #: Before the first frame.

@@ -149,8 +149,8 @@ def _online(
             log, kind, middle, parameters, detector.repeats_are_held, last
         )
         weights, last_s = kernels.weigh_frames(recorded.time_s, recorded.is_missing, last_s)
-        told = tables[has_flags]
-        return _evidence(seen, widths, weights, log.is_missing, told, visibility, parameters)
+        used = tables[has_flags]
+        return _evidence(seen, widths, weights, log.is_missing, used, visibility, parameters)
 
     def evidence_of(recorded: LineLog) -> Evidence:
         if len(recorded) <= 1:
@@ -228,7 +228,9 @@ def fit(
             # The evidence of the recording warns of the same.
             warnings.simplefilter("ignore")
             log, seen, width = reading.read_recording(recorded, parameters)
-        first_width = first_width or reading.as_metres(width, parameters)
+        is_metres = reading.NARROWEST_M <= width <= reading.WIDEST_M
+        fallback = number(parameters, "fallback_width_m")
+        first_width = first_width or (width if is_metres else fallback)
         used = np.flatnonzero(is_used & ~log.is_missing)
         offsets.append(seen.offset_m[used] * (LANE_M / width))
         kinds.append(seen.kind[used])

@@ -114,8 +114,8 @@ _HALF = round(3 * WANDERS / _STEP)
 _AROUND = np.exp(-0.5 * (np.arange(-_HALF, _HALF + 1) * _STEP / WANDERS) ** 2)
 _SPREAD = _AROUND / _AROUND.sum()
 
-#: Lines farther away, in lane widths, do not count for the place: an error of the width moves them
-#: the more.
+#: Lines farther away, in lane widths, do not count for the place: an error of the width moves far
+#: lines more.
 REACH = 1.5
 
 #: The place is a mean over about this time, seconds. A car that changes lane in 5 s goes a tenth of
@@ -189,7 +189,7 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
     lines = np.empty(n_lines)
     moved = np.empty(n_widths)
     around = np.empty(n_widths)
-    says = np.empty(n_widths)
+    support = np.empty(n_widths)
     off_table = _LOG_LIKELIHOOD[0]
     for t in range(n_frames):
         # Predict.
@@ -253,7 +253,7 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
                 single += 1
         for j in range(n_widths):
             pairs[j] *= KEPT_PAIRS
-            says[j] = 0.0
+            support[j] = 0.0
         counts[1] *= KEPT_PAIRS
         n_gaps = 0
         for apart in (1, 2):
@@ -267,23 +267,23 @@ def follow(belief: WidthBelief, offset_m: FloatArray, is_strong: BoolArray) -> F
                 start = round((math.log(gap) - _LOG_NARROWEST) / _STEP) - _FIRST
                 # Widths whose gap is off the table are alike.
                 for j in range(max(0, start - n_table + 1), min(n_widths, start + 1)):
-                    says[j] += _LOG_LIKELIHOOD[start - j] - off_table
+                    support[j] += _LOG_LIKELIHOOD[start - j] - off_table
                     if apart == 2:
                         pairs[j] += _IS_TWO_LANES[start - j]
         if n_gaps == 0:
             continue
         most = 0.0
         for j in range(n_widths):
-            most = max(most, says[j])
+            most = max(most, support[j])
         of_steady = 0.0
         of_wandering = 0.0
         total = 0.0
         total_wandering = 0.0
         for j in range(n_widths):
             # Most neighbours have equal gaps, and exp takes longer than the rest.
-            if j == 0 or says[j] != says[j - 1]:
-                likelihood = math.exp((says[j] - most) / ALIKE)
-                quick = math.exp((says[j] - most) / ALIKE_WANDERING)
+            if j == 0 or support[j] != support[j - 1]:
+                likelihood = math.exp((support[j] - most) / ALIKE)
+                quick = math.exp((support[j] - most) / ALIKE_WANDERING)
             of_steady += moved[j] * quick
             of_wandering += wandering[j] * quick
             steady[j] *= likelihood

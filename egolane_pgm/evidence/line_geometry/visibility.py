@@ -78,7 +78,7 @@ FAR_WIDTHS, FAR_SHARE = 1.2, 0.1
 
 #: The probability in a tenth of a second that the car goes to the lane on either side, as far as
 #: the belief over kinds is concerned, and that the detector or the road becomes of another kind.
-LANE_CHANGES, KIND_CHANGES = 0.002, 0.003
+LANE_CHANGES, KIND_CHANGES = 0.002, 0.0013
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,8 @@
 """The forward recursion for networks in which one node moves only to values near its own.
 
-The joint transition of such a network is, for each value of the inputs, the product of the wide
-node's table (a band around the diagonal, and outside of it one small number for each value that is
-moved to) and the other nodes' table. The cost of a frame is then the number of states times the
-width of the band.
+For each value of the inputs, the joint transition is the product of the wide node's table (a band
+around the diagonal, and outside of it one small number per column) and the other nodes' table. The
+cost of a frame is the number of states times the width of the band.
 """
 
 from __future__ import annotations
@@ -30,10 +29,9 @@ class Band(NamedTuple):
     """A banded transition, of R values of the wide node, Q of the others and U of the inputs. Joint
     state q R + r has value r of the wide node.
 
-    others (U, Q, Q): the transition of the other nodes, row is the value before.
+    others (U, Q, Q): the transition of the other nodes, row is the previous value.
     half (U,): the half-width of the band.
-    floor (U, R): what the wide node's transition to r has outside of the band; left out of the
-        band.
+    floor (U, R): the wide node's transition to r outside of the band; subtracted from the band.
     band (U, 2 max(half) + 1, R): entry [u, max(half) + d, r] is the transition to r from r - d.
     """
 
@@ -61,7 +59,6 @@ def find_band(compiled: Compiled) -> Band | None:
     to = np.arange(n_wide)
     distance = np.abs(to[:, None] - to)
     floor = own.min(axis=1)
-    # A share of what is moved there: nothing but the floor may be in the frame's evidence.
     is_more = own - floor[:, None, :] > _EQUAL * floor[:, None, :]
     half = np.array([distance[each].max(initial=0) for each in is_more], dtype=np.int64)
     widest = int(half.max())

@@ -22,7 +22,7 @@ LEAST, MOST = 2.0**-1022, 2.0**1022
 def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     """The forward recursion.
 
-    columns: `Layout.columns` of the network that it is compiled for; empty for any network.
+    columns: `Compiled.column` of the network that it is compiled for; empty for any network.
     """
     known = np.array(columns, dtype=np.int64, ndmin=2)
     n_states = known.shape[1]
@@ -46,16 +46,15 @@ def forward_kernel(columns: tuple[tuple[int, ...], ...] = ()) -> Any:
     ) -> None:
         """Filter T frames (Rabiner 1989, section III.A, scaled frame by frame).
 
-        joint (S,): the belief after the frame before; overwritten by that after the last frame.
-        begins (T,): True where a sequence begins: the frame takes `prior` (U, S) and what was
-            before it does not matter.
-        is_factored: the product of the marginals of the state's nodes is carried on, not the joint
-            belief. column (N, S): the value of each node in each state, as in `Layout`.
-        transition (U, S, S), row is the state before; index (T,): which of the U holds in a frame.
+        joint (S,): the belief before the first frame; overwritten by the one after the last.
+        begins (T,): True in the first frame of a sequence, whose prediction is `prior` (U, S).
+        is_factored: propagate the product of the marginals of the state's nodes, not the joint
+            belief. column (N, S): as in `Compiled`.
+        transition (U, S, S): row is the previous state; index (T,): its entry in each frame.
         likelihood (T, S): of each frame's evidence given the joint state, any scale.
-        beliefs (T, S): written, the joint belief after each frame.
-        total (T,): written, the likelihood of each frame given those before.
-        is_impossible (T,): written, True where that is zero and the prediction was kept.
+        beliefs (T, S): output, the joint belief after each frame.
+        total (T,): output, the likelihood of each frame given the previous ones.
+        is_impossible (T,): output, True if it is zero, so that the prediction is kept.
         """
         n = n_states if n_states else joint.shape[0]
         n_nodes = n_known if n_states else column.shape[0]

@@ -35,9 +35,9 @@ def _look_back(
 ) -> None:
     """One frame back. filtered (S,): the belief after it. transition (S, S): out of it.
 
-    ahead (S,): P(evidence after the later frame | its state), over the largest one; overwritten by
-        that of the earlier frame.
-    likelihood (S,): of the later frame's evidence, which comes after the earlier one.
+    ahead (S,): P(evidence after the later frame | its state), divided by the largest one;
+        overwritten by the values of the earlier frame.
+    likelihood (S,): of the later frame's evidence.
     weight, onward (S,): room for intermediate results.
     moves (S, S): P(state before, state now | all evidence) is added, unless it is (0, 0).
 
@@ -62,7 +62,7 @@ def _look_back(
 
 @kernel()
 def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> None:
-    """smoothed (S,): filtered times ahead, normalised; filtered where that is zero."""
+    """smoothed (S,): filtered times ahead, normalised; filtered if the product is zero."""
     total = 0.0
     for s in range(filtered.shape[0]):
         smoothed[s] = filtered[s] * ahead[s]
@@ -84,12 +84,11 @@ def smooth_frames(
     """Smooth T frames backwards, given all frames of their sequence.
 
     filtered (T, S): the joint belief after each frame. likelihood (T, S): of each frame's evidence,
-        any scale; one in frames whose evidence is left out.
+        any scale; one in frames whose evidence is ignored.
     transition (U, S, S); index (T,): which of the U leads into a frame.
     begins (T,): True where a sequence begins.
     smoothed (T, S): written, the joint belief about each frame.
-    moves (S, S): the expected number of moves from one state to the next is added to it; nothing
-        is counted where it is (0, 0).
+    moves (S, S): the expected number of moves between states is added; (0, 0) to count none.
     """
     n_frames, n_states = filtered.shape
     ahead, weight, onward = np.ones(n_states), np.empty(n_states), np.empty(n_states)

@@ -4,7 +4,7 @@ OpenCV)."""
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,7 +14,7 @@ import numpy as np
 from egolane_pgm.types import FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.camera.pictures import read_images, size_of
+from egolane_pgm.vision.camera.pictures import read_image, size_of
 
 #: With fewer boards the distortion would be left to chance.
 MIN_BOARDS = 5
@@ -31,20 +31,13 @@ class Lens:
     """The lens of a camera.
 
     - camera: has this lens, and is 1 m above the road
-    - boards: names of the B pictures that were used
-    - rms_px: (B,) root mean square reprojection error of each board, pixels
+    - rms_px: root mean square reprojection error of each board, pixels, by its picture
     - skipped: one line for each picture that was not used, with the reason
     """
 
     camera: Camera
-    boards: tuple[str, ...]
-    rms_px: tuple[float, ...]
+    rms_px: dict[Path, float]
     skipped: tuple[str, ...]
-
-    @property
-    def overall_rms_px(self) -> float:
-        """Root mean square error over all boards, pixels."""
-        return float(np.sqrt(np.mean(np.square(self.rms_px))))
 
 
 def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
@@ -66,76 +59,57 @@ def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
 def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Lens:
     """Finds the lens of the camera that took these pictures of a chessboard.
 
-    - paths: the pictures. A file that is no picture, a picture of another size than most, and one
-      that does not show the whole board are left out and reported in `skipped`.
+    - paths: the pictures. One of another size than most, and one that does not show the whole board
+      are left out and reported in `skipped`.
     - columns, rows: inner corners of the board
 
-    Raises InputError for fewer than MIN_BOARDS boards.
+    Raises InputError for a file that is no picture, and for fewer than MIN_BOARDS boards.
     """
-    paths = list(paths)
     skipped: list[str] = []
-    found = [
-        (path, size_of(image), find_board(image, columns, rows))
-        for path, image in read_images(paths, skipped)
-    ]
-    sizes = Counter(size for _, size, _ in found).most_common(1)
-    usual = sizes[0][0] if sizes else (0, 0)
-    boards: list[tuple[Path, FloatArray]] = []
+    images = ((path, read_image(path)) for path in paths)
+    found = [(path, size_of(image), find_board(image, columns, rows)) for path, image in images]
+    usual = Counter(size for _, size, _ in found).most_common(1)[0][0]
+    boards: dict[Path, FloatArray] = {}
     for path, size, corners in found:
         if size != usual:
             skipped.append(f"{path}: {size[0]}x{size[1]}, most are {usual[0]}x{usual[1]}")
         elif corners is None:
             skipped.append(f"{path}: no chessboard of {columns}x{rows} inner corners found")
         else:
-            boards.append((path, corners))
+            boards[path] = corners
     if len(boards) < MIN_BOARDS:
         first = f"; {skipped[0]}" if skipped else ""
         raise InputError(
-            f"{len(boards)} of {len(paths)} pictures show the whole chessboard of {columns}x{rows}"
+            f"{len(boards)} of {len(found)} pictures show the whole chessboard of {columns}x{rows}"
             f" inner corners, needs {MIN_BOARDS} (check `board`){first}"
         )
-    return _solve(boards, usual, columns, rows, skipped)
-
-
-def _solve(
-    boards: Sequence[tuple[Path, FloatArray]],
-    size: tuple[int, int],
-    columns: int,
-    rows: int,
-    skipped: Sequence[str],
-) -> Lens:
     flat = np.zeros((columns * rows, 3), dtype=np.float32)
     flat[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
-    seen = [corners.astype(np.float32).reshape(-1, 1, 2) for _, corners in boards]
+    seen = [corners.astype(np.float32).reshape(-1, 1, 2) for corners in boards.values()]
 
     def solve(flags: int) -> tuple[FloatArray, ...]:
         _, pinhole, bend, _, _, errors, _, rms = cv2.calibrateCameraExtended(
-            [flat] * len(seen), seen, size, np.eye(3), np.zeros(5), flags=flags
+            [flat] * len(seen), seen, usual, np.eye(3), np.zeros(5), flags=flags
         )
         return tuple(np.asarray(x, dtype=np.float64) for x in (pinhole, bend, errors, rms))
 
     pinhole, bend, errors, rms = solve(0)
     if abs(bend.flat[4]) < K3_ERRORS * errors.flat[8]:
         pinhole, bend, errors, rms = solve(cv2.CALIB_FIX_K3)
-    k1, k2, p1, p2, k3 = (float(value) for value in bend.flat[:5])
-    fx, fy, cx, cy = (float(pinhole[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return Lens(
-        Camera(*size, fx, fy, cx, cy, height_m=1.0, distortion=(k1, k2, p1, p2, k3)),
-        boards=tuple(path.name for path, _ in boards),
-        rms_px=tuple(float(value) for value in rms.flat),
-        skipped=tuple(skipped),
-    )
+    k1, k2, p1, p2, k3 = bend.ravel()[:5].tolist()
+    (fx, _, cx), (_, fy, cy), _ = pinhole.tolist()
+    camera = Camera(*usual, fx, fy, cx, cy, height_m=1.0, distortion=(k1, k2, p1, p2, k3))
+    return Lens(camera, dict(zip(boards, rms.ravel().tolist(), strict=True)), tuple(skipped))
 
 
 def describe_lens(lens: Lens, board: str) -> str:
     """Describe a lens in some lines. board: its inner corners, e.g. "9x6"."""
-    best, worst = min(lens.rms_px), max(lens.rms_px)
-    each = zip(lens.boards, lens.rms_px, strict=True)
+    rms = list(lens.rms_px.values())
     return "\n".join(
         [
-            f"Lens: {len(lens.boards)} chessboards ({board} inner corners) of"
-            f" {len(lens.boards) + len(lens.skipped)} pictures, {lens.overall_rms_px:.2f} px RMS",
-            f"  ({best:.2f} to {worst:.2f} px from board to board).",
-            *(f"  {name}: {rms:.2f} px RMS" for name, rms in each),
+            f"Lens: {len(rms)} chessboards ({board} inner corners) of"
+            f" {len(rms) + len(lens.skipped)} pictures, {np.sqrt(np.mean(np.square(rms))):.2f} px"
+            f" RMS\n  ({min(rms):.2f} to {max(rms):.2f} px from board to board).",
+            *(f"  {path.name}: {one:.2f} px RMS" for path, one in lens.rms_px.items()),
         ]
     )

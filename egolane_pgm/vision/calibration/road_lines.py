@@ -21,7 +21,7 @@ curvature times the height; it is the same for all lines, so that a bend does no
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -29,9 +29,8 @@ import cv2
 import numpy as np
 from scipy.optimize import minimize_scalar
 
-from egolane_pgm.types import BoolArray, FloatArray, InputError
+from egolane_pgm.types import BoolArray, FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.model import (
-    RANGES,
     USUAL_HEIGHTS,
     Camera,
     distorted,
@@ -41,8 +40,8 @@ from egolane_pgm.vision.camera.model import (
     undistorted,
     with_vanishing_point,
 )
-from egolane_pgm.vision.camera.picture import Image
-from egolane_pgm.vision.camera.pictures import read_image, read_images, size_of
+from egolane_pgm.vision.camera.picture import Image, check_size
+from egolane_pgm.vision.camera.pictures import read_image
 
 #: The horizontal field of view that is assumed for a lens that was not measured, degrees.
 ASSUMED_FIELD_OF_VIEW = 62.0
@@ -80,12 +79,10 @@ class FrameFit:
 
     - vanishing_point: (2,) a0, b0
     - slope: (L,) s of each line, ascending
-    - bend: c
     """
 
     vanishing_point: FloatArray
     slope: FloatArray
-    bend: float
 
 
 @dataclass(frozen=True)
@@ -133,13 +130,6 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
-def check_lane_width(lane_width_m: float) -> None:
-    """Raises InputError for a width that no lane has, for instance in other units."""
-    low, high, _ = RANGES["lane_width_m"]
-    if not low <= lane_width_m <= high:
-        raise InputError(f"lane width {lane_width_m:g}: lanes are {low:g} to {high:g} m wide")
-
-
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
     """Fits a0, the s of each line and c with the horizon at b0. Returns them with the loss, which
     grows linearly for outliers."""
@@ -185,7 +175,7 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
     slope = np.sort(solved[1:-1])
     if slope[-1] - slope[0] < 0.3:
         return None
-    return FrameFit(np.array([solved[0], b0]), slope, float(solved[-1]))
+    return FrameFit(np.array([solved[0], b0]), slope)
 
 
 def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
@@ -203,18 +193,19 @@ def view_from(
     ahead: FloatArray,
     each: FloatArray,
     fits: Sequence[FrameFit],
-    lane_width_m: float,
 ) -> RoadView:
     """Finds the pitch, yaw and height of a camera from fitted lines of the road.
 
-    - camera: gives the pinhole, distortion and roll; pitch, yaw and height are replaced
+    - camera: gives the pinhole, distortion, roll and width of lanes; pitch, yaw and height are
+      replaced
     - ahead: (2,) a, b of the vanishing point of all frames
     - each: (F, 2) a, b of the vanishing points of single frames
     - fits: the fits of single frames
-    - lane_width_m: the width of the road's lanes
 
     Raises InputError if the lines do not meet or do not give a height.
     """
+    lane_width_m = camera.lane_width_m
+    assert lane_width_m is not None
     pixels = np.stack(from_level(camera, each), axis=-1)
     u, v = (float(value) for value in from_level(camera, ahead))
     spread = np.diff(np.percentile(pixels, [16, 84], axis=0), axis=0)[0] / 2
@@ -246,7 +237,7 @@ def view_from(
             f" camera {_HEIGHTS[0]:g} to {_HEIGHTS[1]:g} m above the road; check the lane width"
         )
     height_m = lane_width_m / float(np.average(gaps[lanes], weights=weights[lanes]))
-    seen = replace(turned, height_m=height_m, lateral_m=camera.lateral_m, lane_width_m=lane_width_m)
+    seen = replace(turned, height_m=height_m, lateral_m=camera.lateral_m)
     return RoadView(seen, len(each), np.array([u, v]), spread, gaps * height_m, lanes)
 
 
@@ -257,9 +248,9 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
 
 
 def doubts_of(view: RoadView) -> str:
-    """What speaks against a view, in one line, or nothing: a height that cars' cameras do not have,
-    or gaps of twice a lane's width that outnumber the lanes, where half the height is usual; else a
-    width that lanes do not have."""
+    """What speaks against a view, in one line, or nothing: a height that cars and lorries do not
+    have, or gaps of twice a lane's width that outnumber the lanes, where half the height is usual;
+    else a width that lanes do not have."""
     assert view.camera.lane_width_m is not None
     high, (low, most), one = view.camera.height_m, USUAL_HEIGHTS, view.camera.lane_width_m
     n_lanes = int(view.is_lane.sum())
@@ -558,47 +549,34 @@ class FoundLines:
 
     - ahead: (2,) the point a, b where the edges of all stills meet
     - each: (F, 2) the same for single stills, if found
-    - paths: the stills that were used
-    - lines: for each of these, the points (N, 2) of its lines, pixels
+    - lines: for each still, the points (N, 2) of its lines, pixels
     - fits: the fits of the stills with at least two lines
-    - skipped: one line for each still that was not used, with the reason
     """
 
     ahead: FloatArray
     each: FloatArray
-    paths: tuple[Path, ...]
-    lines: tuple[list[FloatArray], ...]
-    fits: tuple[FrameFit, ...]
-    skipped: tuple[str, ...]
+    lines: list[list[FloatArray]]
+    fits: list[FrameFit]
 
 
-def find_in_stills(
-    camera: Camera,
-    paths: Iterable[Path],
-    progress: Callable[[Iterable[Path]], Iterable[Path]] = iter,
-) -> FoundLines:
+def find_in_stills(camera: Camera, paths: Sequence[Path]) -> FoundLines:
     """Finds the lines in stills that one camera took of a road.
 
     - paths: the stills; `camera.ignore` are the parts that never show road
-    - progress: wraps the stills while they are read, e.g. tqdm
 
-    Raises InputError if no still can be used, or if the edges do not meet in one point.
+    Raises InputError, naming the still, for one that cannot be read or has another size than the
+    camera, and if the edges do not meet in one point.
     """
     mask = seen_mask(camera)
-    skipped: list[str] = []
-    used, straight = [], []
-    for path, image in read_images(progress(paths), skipped):
-        width, height = size_of(image)
-        if (width, height) != (camera.width, camera.height):
-            skipped.append(f"{path}: {width}x{height}, needs {camera.width}x{camera.height}")
-            continue
-        used.append(path)
+    straight = []
+    for path in paths:
+        image = read_image(path)
+        with problems_in(str(path)):
+            check_size(image, camera.width, camera.height)
         straight.append(edges(camera, image, mask))
-    if not used:
-        raise InputError(f"stills: none of them can be used; {skipped[0]}")
     ahead, each = meeting_of_stills(straight)
     fits, lines = [], []
-    for path, point in zip(progress(used), each, strict=True):
+    for path, point in zip(paths, each, strict=True):
         about = point if np.isfinite(point).all() else ahead
         found = find_lines(camera, read_image(path), mask, about)
         lines.append(found)
@@ -606,5 +584,4 @@ def find_in_stills(
         fit = fit_frame(rays, float(ahead[1]))
         if fit and (np.abs(fit.vanishing_point - ahead) < _STILLS_DIFFER).all():
             fits.append(fit)
-    each = each[np.isfinite(each).all(axis=1)]
-    return FoundLines(ahead, each, tuple(used), tuple(lines), tuple(fits), tuple(skipped))
+    return FoundLines(ahead, each[np.isfinite(each).all(axis=1)], lines, fits)

@@ -14,8 +14,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from egolane_pgm.tools.files import read_yaml, write_yaml
+from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
+from egolane_pgm.vision.camera.lens import read_keys
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
@@ -23,6 +24,9 @@ _ROUNDS = 20
 #: The largest error, in pixels, of distorting a point and removing the distortion again. If it is
 #: larger, the distortion formula has folded over and would show the picture a second time.
 _FOLD_PX = 1.0
+
+#: The smallest divisor, and the largest angle, radians, of a ray to the axis of a fisheye.
+_TINY, _MOST_ANGLE = 1e-12, math.radians(89)
 
 #: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
 RANGES = {
@@ -41,8 +45,12 @@ RANGES = {
     "lane_width_m": (2, 6, "metres"),
 }
 
-#: The lowest and the highest camera on usual cars and vans, and the usual width of lanes, metres.
-USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 2.2), 3.66
+#: The lowest camera on usual cars, the highest on lorries, and the usual width of lanes, metres.
+USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 3.2), 3.66
+
+
+#: The distortion models and how many coefficients they have.
+_COEFFICIENTS = {"plumb_bob": 5, "equidistant": 4}
 
 
 @dataclass(frozen=True)
@@ -55,7 +63,8 @@ class Camera:
     - pitch_deg, yaw_deg, roll_deg: turn of the camera against the direction of travel; positive
       is upwards, to the right and clockwise
     - lateral_m: distance to the right of the vehicle's middle
-    - distortion: OpenCV's k1, k2, p1, p2, k3
+    - lens: the distortion model, "plumb_bob" or "equidistant" (a fisheye)
+    - distortion: OpenCV's k1, k2, p1, p2, k3 of plumb_bob, or k1 to k4 of equidistant
     - baseline_m: for a rectified stereo pair, how far the second camera is to the right of this
       one; None for a single camera
     - lane_width_m: the width of the lanes that the height follows from, which detectors then
@@ -78,7 +87,8 @@ class Camera:
     yaw_deg: float = 0.0
     roll_deg: float = 0.0
     lateral_m: float = 0.0
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    lens: str = "plumb_bob"
+    distortion: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
     baseline_m: float | None = None
     lane_width_m: float | None = None
     ignore: tuple[tuple[int, int, int, int], ...] = ()
@@ -92,12 +102,25 @@ class Camera:
             _check_numbers(name, (value,), 1)
             if not low <= value <= high:
                 raise InputError(f"{name}: {value} is not between {low} and {high} ({unit})")
-        _check_numbers("distortion", self.distortion, 5)
+        if self.lens not in _COEFFICIENTS:
+            raise InputError(f"lens: {self.lens!r} is not one of {', '.join(_COEFFICIENTS)}")
+        _check_numbers("distortion", self.distortion, _COEFFICIENTS[self.lens])
         for box in self.ignore:
             _check_numbers("ignore", box, 4)
         if any(box[0] >= box[2] or box[1] >= box[3] for box in self.ignore):
             raise InputError("ignore: needs rectangles left, top, right, bottom, in pixels")
 
+    @property
+    def is_distorted(self) -> bool:
+        """Whether the lens differs from a pinhole."""
+        return self.lens == "equidistant" or any(self.distortion)
+
+
+#: What is wanted besides the lens.
+_MOUNTING = (
+    "; the file has the lens only: add the line `height_m: 1.3` (metres above the road), and"
+    " pitch_deg, yaw_deg and roll_deg if they are not 0"
+)
 
 #: The keys of a camera's YAML file.
 _KEYS = [f.name for f in fields(Camera) if f.name != "name"]
@@ -119,9 +142,9 @@ def _check_numbers(name: str, values: object, n: int) -> None:
 
 
 def said_height(camera: Camera) -> str:
-    """Compare the height of the camera with cameras of cars."""
+    """Compare the height of the camera with cameras of cars and lorries."""
     usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
-    return f"the camera is {high:.2f} m above the road, where those of cars are at {usual}"
+    return f"the camera is {high:.2f} m above the road, those of cars and lorries {usual}"
 
 
 def axes(camera: Camera) -> FloatArray:
@@ -169,7 +192,7 @@ def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, F
     """Pixels u, v of points x, y of the road, as `road_to_image`; NaN also for points far outside
     the picture that the distortion formula folds back into it."""
     u, v = road_to_image(camera, x, y)
-    if any(camera.distortion):
+    if camera.is_distorted:
         free_u, free_v = road_to_image(camera, x, y, undistorted=True)
         back_u, back_v = undistorted(camera, u, v)
         with np.errstate(invalid="ignore"):
@@ -273,6 +296,11 @@ def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, F
 
 
 def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    if camera.lens == "equidistant":
+        radius = np.hypot(a, b)
+        angle = np.arctan(radius)
+        scale = _bent(camera, angle) / np.maximum(radius, _TINY)
+        return a * scale, b * scale
     k1, k2, p1, p2, k3 = camera.distortion
     square = a * a + b * b
     radial = 1 + square * (k1 + square * (k2 + square * k3))
@@ -283,8 +311,15 @@ def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, 
 
 
 def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    if not any(camera.distortion):
+    if not camera.is_distorted:
         return a, b
+    if camera.lens == "equidistant":
+        radius = np.hypot(a, b)
+        angle = radius
+        for _ in range(_ROUNDS):
+            angle = angle * radius / np.maximum(_bent(camera, angle), _TINY)
+        scale = np.tan(np.clip(angle, 0, _MOST_ANGLE)) / np.maximum(radius, _TINY)
+        return a * scale, b * scale
     k1, k2, p1, p2, k3 = camera.distortion
     free_a, free_b = a, b
     for _ in range(_ROUNDS):
@@ -296,16 +331,30 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
     return free_a, free_b
 
 
-def read_camera(path: str | Path) -> Camera:
-    """The camera of a YAML file. Raises InputError, one line that names file and key, for a key
-    that is missing, unknown or has a wrong value."""
-    values = dict(read_yaml(Path(path), "height_m: 1.3"))
+def _bent(camera: Camera, angle: FloatArray) -> FloatArray:
+    """The distance from the principal point, in focal lengths, of rays at an angle to the axis."""
+    k1, k2, k3, k4 = camera.distortion
+    s = angle * angle
+    return angle * (1 + s * (k1 + s * (k2 + s * (k3 + s * k4))))
+
+
+def read_camera(path: str | Path, height_m: float | None = None) -> Camera:
+    """The camera of a YAML file, ours or one of ROS, OpenCV or Kalibr with our keys of the mounting
+    added.
+
+    - height_m: that of a file without one; by default it must be there.
+
+    Raises InputError, one line that names file and key, for a key that is missing, unknown or has a
+    wrong value."""
+    values, is_lens = read_keys(Path(path))
+    values = values if height_m is None else {"height_m": height_m, **values}
     for key in values:
         if key not in _KEYS:
             raise InputError(f"{path}: unknown key '{key}'{suggestion(str(key), _KEYS)}")
     for key in ("width", "height", "fx", "fy", "cx", "cy", "height_m"):
         if key not in values:
-            raise InputError(f"{path}: {key}: is missing")
+            hint = _MOUNTING if is_lens and key == "height_m" else ""
+            raise InputError(f"{path}: {key}: is missing{hint}")
     if isinstance(values.get("distortion"), list):
         values["distortion"] = tuple(values["distortion"])
     if isinstance(boxes := values.get("ignore"), list):
@@ -321,5 +370,7 @@ def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
     content["distortion"] = list(camera.distortion)
     content["ignore"] = [list(rectangle) for rectangle in camera.ignore] or None
     above = "".join(f"# {line}\n" for line in comment.splitlines())
+    if camera.lens == "plumb_bob":
+        content["lens"] = None
     kept = {key: value for key, value in content.items() if value is not None}
     write_yaml(Path(path), kept, above)

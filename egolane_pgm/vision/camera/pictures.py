@@ -18,7 +18,7 @@ import math
 import os
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise, zip_longest
 from pathlib import Path
@@ -27,13 +27,13 @@ from typing import Any
 import cv2
 import numpy as np
 
-from egolane_pgm.recordings import FORMATS, files_of
+from egolane_pgm.recordings import FORMATS
 from egolane_pgm.recordings.select import rate_of
 from egolane_pgm.recordings.topics import messages, topics_of
 from egolane_pgm.tools.extras import needed
-from egolane_pgm.types import NOTE, FloatArray, InputError, problems_in
+from egolane_pgm.types import FloatArray, InputError, problems_in
 from egolane_pgm.vision.camera.model import USUAL_HEIGHTS, Camera, said_height, scaled
-from egolane_pgm.vision.camera.picture import Image, Picture
+from egolane_pgm.vision.camera.picture import Image, Picture, check_size
 from egolane_pgm.vision.camera.writing import silent
 
 #: Extensions of picture files; any other file is read as a video.
@@ -46,25 +46,26 @@ _KINDS = ("Image", "CompressedImage", "RawImage")
 _RATES = (0.5, 500.0)
 
 
+#: Reads the pictures with frame ids from the first number to before the second, one at a time:
+#: frame id, file (for messages) and image of each.
+Reader = Callable[[int, float], Iterator[tuple[int, str, Image]]]
+
+
 @dataclass(frozen=True)
 class Source:
     """The pictures of one camera.
 
     - path: as the user gave it
-    - files: the video, the files of the bag, or the picture files in order
-    - frame_id: frame id of each picture; None for a video
+    - read: the reader of its pictures
     - n_frames: None if the video lacks it
     - frame_rate: Hz; None for picture files and for a video without one
-    - topic: of the pictures in a bag; None for other sources
     - time_s (n_frames,): when each picture in a bag was taken, seconds; None for other sources
     """
 
     path: str
-    files: tuple[Path, ...]
-    frame_id: tuple[int, ...] | None
+    read: Reader
     n_frames: int | None
-    frame_rate: float | None
-    topic: str | None = None
+    frame_rate: float | None = None
     time_s: FloatArray | None = None
 
 
@@ -81,86 +82,51 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
     Raises InputError, naming the path, if there are none or the file is no video.
     """
     path = str(path)
-    if is_pattern(path):
-        return _picture_files(path, [Path(p) for p in glob.glob(path, recursive=True)])
     place = Path(path)
     if is_bag(place):
         return _pictures_in_bag(place, topic)
     if topic is not None:
         raise InputError(f"{path}: topic: only a bag has topics")
-    if place.is_dir():
-        return _picture_files(path, list(place.iterdir()))
-    if not place.is_file():
-        raise InputError(f"{path}: no such video, folder or pictures")
-    if place.suffix.lower() in PICTURES:
-        return _picture_files(path, [place])
-    video = open_video(place)
-    count, rate = video.get(cv2.CAP_PROP_FRAME_COUNT), video.get(cv2.CAP_PROP_FPS)
-    video.release()
-    known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
-    return Source(path, (place,), None, int(count) if count > 0 else None, known_rate)
+    if place.is_file() and place.suffix.lower() not in PICTURES:
+        return _pictures_in_video(place)
+    files = picture_files(path)
+    ids = _frame_ids(files)
 
+    def read(first: int, stop: float) -> Iterator[tuple[int, str, Image]]:
+        for frame_id, file in zip(ids, files, strict=True):
+            if first <= frame_id < stop:
+                yield frame_id, str(file), read_image(file)
 
-def is_bag(place: Path) -> bool:
-    """Whether a path is a bag or an MCAP file."""
-    is_folder = place.is_dir() and (place / "metadata.yaml").is_file()
-    return is_folder or (place.is_file() and place.suffix.lower() in FORMATS["rosbag"][0])
-
-
-def _pictures_in_bag(place: Path, topic: str | None) -> Source:
-    chosen = image_topic(place, topic)
-    time_s = stamps_of(place, chosen)
-    files = files_of(place) if place.is_dir() else [place]
-    ids = tuple(range(len(time_s)))
-    if (np.diff(time_s) <= 0).any():
-        # Stamps that do not increase are ignored.
-        return Source(str(place), tuple(files), ids, len(ids), None, chosen)
-    rate = rate_of(np.array(ids), time_s)
-    return Source(str(place), tuple(files), ids, len(ids), rate, chosen, time_s)
+    return Source(path, read, len(ids))
 
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
     """The camera as it takes the pictures of a source. If these have another size than it was
     calibrated for, and the same aspect ratio, it is scaled with a warning. Another warns of
-    a height that cars' cameras do not have.
+    a height that no car and no lorry has.
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
     if not USUAL_HEIGHTS[0] <= camera.height_m <= USUAL_HEIGHTS[1]:
         warnings.warn(
-            f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; if this is a car,"
-            " calibrate it again",
+            f"{camera.name or 'the camera'}: doubtful: {said_height(camera)}; calibrate it again",
             UserWarning,
             stacklevel=2,
         )
     _, _, first = next(images_of(source, None))
-    if size_of(first) == (camera.width, camera.height):
+    width, height = size_of(first)
+    if (width, height) == (camera.width, camera.height):
         return camera
     with problems_in(source.path):
-        resized = scaled(camera, *size_of(first))
+        resized = scaled(camera, width, height)
     warnings.warn(
-        f"{source.path}: its pictures have {_size(first)} pixels, {camera.name or 'the camera'} was"
-        f" calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were cut"
-        " instead of resized, calibrate again",
+        f"{source.path}: its pictures have {width}x{height} pixels, {camera.name or 'the camera'}"
+        f" was calibrated for {camera.width}x{camera.height}: it is scaled to them; if they were"
+        " cut instead of resized, calibrate again",
         UserWarning,
         stacklevel=2,
     )
     return resized
-
-
-def note_assumed_rate(source: Source, rate: float, key: str) -> None:
-    """Warn that the frame rate of a source is unknown.
-
-    - rate: what is assumed, Hz
-    - key: the key that sets another
-    """
-    if source.frame_rate is None:
-        warnings.warn(
-            f"{NOTE}{source.path}: does not say its pictures per second: {rate:g} are assumed"
-            f" ({key} says another)",
-            UserWarning,
-            stacklevel=3,
-        )
 
 
 def read_pictures(
@@ -180,28 +146,17 @@ def read_pictures(
     """
     if right is None:
         for frame_id, file, image in images_of(source, frames):
-            _check_size(file, frame_id, image, camera)
+            with problems_in(f"{file}: frame {frame_id}"):
+                check_size(image, camera.width, camera.height)
             yield Picture(frame_id, image)
         return
-    for first, second in zip_longest(images_of(source, frames), images_of(right, frames)):
-        if first is None or second is None:
+    pairs = zip_longest(read_pictures(source, camera, None, frames), images_of(right, frames))
+    for one, other in pairs:
+        if one is None or other is None:
             raise InputError(f"{source.path} and {right.path} have not equally many pictures")
-        frame_id, file, image = first
-        _check_size(file, frame_id, image, camera)
-        _check_size(second[1], frame_id, second[2], camera)
-        yield Picture(frame_id, image, second[2])
-
-
-def _check_size(file: str, frame_id: int, image: Image, camera: Camera) -> None:
-    if size_of(image) != (camera.width, camera.height):
-        raise InputError(
-            f"{file}: frame {frame_id}: the picture has {_size(image)} pixels, the camera was"
-            f" calibrated for {camera.width}x{camera.height}; calibrate with pictures of this size"
-        )
-
-
-def _size(image: Image) -> str:
-    return "x".join(map(str, size_of(image)))
+        with problems_in(f"{other[1]}: frame {one.frame_id}"):
+            check_size(other[2], camera.width, camera.height)
+        yield Picture(one.frame_id, one.image, other[2])
 
 
 def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[int, str, Image]]:
@@ -210,28 +165,41 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     frames: as for `read_pictures`. Raises InputError, naming the file, for a picture that cannot be
     read, and where there is none.
     """
-    images: Iterator[tuple[int, str, Image]]
-    if source.topic is not None:
-        found = bag_images(Path(source.path), source.topic, frames)
-        images = ((frame_id, source.path, image) for frame_id, image in found)
-    elif source.frame_id is None:
-        found = video_images(source.path, source.files[0], source.n_frames, frames)
-        images = ((frame_id, source.path, image) for frame_id, image in found)
-    else:
-        images = _file_images(source, frames)
     is_empty = True
-    for each in images:
+    for each in source.read(*(frames or (0, math.inf))):
         is_empty = False
         yield each
     if is_empty:
         asked = "" if frames is None else f" from {frames[0]} to before {frames[1]}"
-        there = f"it has {source.n_frames or 'no'} frames"
-        if source.frame_id:
-            there = f"its frames are {source.frame_id[0]} to {source.frame_id[-1]}"
-        raise InputError(f"{source.path}: no frame{asked}; {there}")
+        known = f"it has {source.n_frames or 'no'} frames (pictures are numbered as in their names)"
+        raise InputError(f"{source.path}: no frame{asked}; {known}")
 
 
 # --- bags ------------------------------------------------------------------------------------
+
+
+def is_bag(place: Path) -> bool:
+    """Whether a path is a bag or an MCAP file."""
+    is_folder = place.is_dir() and (place / "metadata.yaml").is_file()
+    return is_folder or (place.is_file() and place.suffix.lower() in FORMATS["rosbag"][0])
+
+
+def _pictures_in_bag(place: Path, topic: str | None) -> Source:
+    chosen = image_topic(place, topic)
+    time_s = np.array([time_s for time_s, _ in messages(place, chosen)])
+
+    def read(first: int, stop: float) -> Iterator[tuple[int, str, Image]]:
+        for at, (_, message) in enumerate(messages(place, chosen)):
+            if at >= stop:
+                return
+            if at >= first:
+                yield at, str(place), _decoded(message, f"{place}: picture {at} on {chosen}")
+
+    if (np.diff(time_s) <= 0).any():
+        # Stamps that do not increase are ignored.
+        return Source(str(place), read, len(time_s))
+    rate = rate_of(np.arange(len(time_s)), time_s)
+    return Source(str(place), read, len(time_s), rate, time_s)
 
 
 def image_topic(path: Path, topic: str | None) -> str:
@@ -248,24 +216,6 @@ def image_topic(path: Path, topic: str | None) -> str:
         wrong = "name one as topic" if asked else f"no pictures{f' on {topic}' if topic else ''}"
         raise InputError(f"{path}: {wrong}; topics of pictures: {listed}")
     return asked.pop()
-
-
-def stamps_of(path: Path, topic: str) -> FloatArray:
-    """When each picture of a topic was taken, (T,), seconds."""
-    return np.array([time_s for time_s, _ in messages(path, topic)])
-
-
-def bag_images(
-    path: Path, topic: str, frames: tuple[int, int] | None
-) -> Iterator[tuple[int, Image]]:
-    """The positions and pictures of a topic, as `video_images`. Raises InputError for
-    a picture that cannot be read."""
-    first, stop = frames or (0, None)
-    for at, (_, message) in enumerate(messages(path, topic)):
-        if stop is not None and at >= stop:
-            return
-        if at >= first:
-            yield at, _decoded(message, f"{path}: picture {at} on {topic}")
 
 
 def _decoded(value: Mapping[str, Any], where: str) -> Image:
@@ -316,47 +266,56 @@ def open_video(path: Path) -> cv2.VideoCapture:
     return cv2.VideoCapture(absolute)
 
 
-def video_images(
-    name: str, path: Path, n_frames: int | None, frames: tuple[int, int] | None
-) -> Iterator[tuple[int, Image]]:
-    """The positions and pictures of a video.
-
-    - name: how messages name the video
-    - n_frames: as stated by the file; None if it is not
-    - frames: the first position to read and the one after the last; None for all
-
-    Warns of a video with fewer pictures than stated.
-    """
-    first, stop = frames or (0, None)
+def _pictures_in_video(path: Path) -> Source:
+    """The pictures of a video; reading warns of fewer than the file states."""
     video = open_video(path)
-    at = 0
-    try:
-        while (stop is None or at < stop) and video.grab():
-            if at >= first:
-                is_there, image = video.retrieve()
-                if not is_there:
-                    break
-                yield at, image  # type: ignore[misc]
-            at += 1
-    finally:
-        video.release()
-    if n_frames is not None and first < at < min(n_frames, stop or n_frames):
-        warnings.warn(
-            f"{name}: has {at} of the {n_frames} frames that it should have (cut off, damaged, or"
-            " dropped when it was recorded): after such a place the frame ids are too low",
-            UserWarning,
-            stacklevel=2,
-        )
+    count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
+    video.release()
+    known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
+
+    def read(first: int, stop: float) -> Iterator[tuple[int, str, Image]]:
+        video = open_video(path)
+        at = 0
+        try:
+            while at < stop and video.grab():
+                if at >= first:
+                    is_there, image = video.retrieve()
+                    if not is_there:
+                        break
+                    yield at, str(path), image  # type: ignore[misc]
+                at += 1
+        finally:
+            video.release()
+        if first < at < min(count, stop):
+            warnings.warn(
+                f"{path}: has {at} of the {count} frames that it should have (cut off, damaged,"
+                " or dropped when it was recorded): after such a place the frame ids are too low",
+                UserWarning,
+                stacklevel=2,
+            )
+
+    return Source(str(path), read, count if count > 0 else None, known_rate)
 
 
 # --- picture files -------------------------------------------------------------------------------
 
 
-def _picture_files(path: str, found: list[Path]) -> Source:
+def picture_files(path: str) -> list[Path]:
+    """The picture files that a path names, in natural order: a file, a folder or a glob.
+
+    Raises InputError if there are none.
+    """
+    place = Path(path)
+    if is_pattern(path):
+        found = [Path(name) for name in glob.glob(path, recursive=True)]
+    elif place.exists():
+        found = list(place.iterdir()) if place.is_dir() else [place]
+    else:
+        raise InputError(f"{path}: no such video, folder or pictures")
     files = sorted((p for p in found if p.suffix.lower() in PICTURES and p.is_file()), key=_natural)
     if not files:
         raise InputError(f"{path}: has no pictures ({', '.join(PICTURES)})")
-    return Source(path, tuple(files), tuple(_frame_ids(files)), len(files), None)
+    return files
 
 
 def _natural(path: Path) -> list[tuple[int, int | str]]:
@@ -375,16 +334,6 @@ def _frame_ids(files: list[Path]) -> list[int]:
     return list(range(len(files)))
 
 
-def _file_images(
-    source: Source, frames: tuple[int, int] | None
-) -> Iterator[tuple[int, str, Image]]:
-    assert source.frame_id is not None
-    first, stop = frames or (-math.inf, math.inf)
-    for frame_id, path in zip(source.frame_id, source.files, strict=True):
-        if first <= frame_id < stop:
-            yield frame_id, str(path), read_image(path)
-
-
 def read_image(path: Path) -> Image:
     """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
 
@@ -397,31 +346,6 @@ def read_image(path: Path) -> Image:
             f"{path}: is no picture that can be read (missing, another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
-
-
-def files_matching(pattern: str) -> list[Path]:
-    """The files that match a pattern such as `boards/*.jpg`, or all files of a folder, sorted.
-
-    Raises InputError if there are none.
-    """
-    if Path(pattern).is_file():
-        return [Path(pattern)]
-    whole = str(Path(glob.escape(pattern)) / "*") if Path(pattern).is_dir() else pattern
-    found = [Path(name) for name in sorted(glob.glob(whole, recursive=True))]
-    files = [path for path in found if path.is_file()]
-    if not files:
-        raise InputError(f"{pattern}: no file matches; give a folder or a pattern such as '*.jpg'")
-    return files
-
-
-def read_images(paths: Iterable[Path], skipped: list[str]) -> Iterator[tuple[Path, Image]]:
-    """Reads picture files in turn; a file that is no picture is left out and reported in
-    `skipped`."""
-    for path in paths:
-        try:
-            yield path, read_image(path)
-        except InputError as error:
-            skipped.append(str(error))
 
 
 def size_of(image: Image) -> tuple[int, int]:

@@ -23,12 +23,12 @@ def write_picture(file: Path, image: Image) -> None:
     write_bytes(file, cv2.imencode(file.suffix, image)[1].tobytes())
 
 
-def as_jpeg(image: Image, height: int, quality: int = 80) -> bytes:
-    """A picture as a JPEG file, not higher than `height` pixels; quality: per cent."""
+def as_jpeg(image: Image, height: int) -> bytes:
+    """A picture as a JPEG file, not higher than `height` pixels."""
     if image.shape[0] > height:
         size = max(1, round(image.shape[1] * height / image.shape[0])), height
         image = cv2.resize(image, size, interpolation=cv2.INTER_AREA).astype(image.dtype)
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes())
+    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 80])[1].tobytes())
 
 
 @contextlib.contextmanager

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from egolane_pgm.experiment import DETECTOR, Experiment
 from egolane_pgm.loading import existing
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import InputError, LineLog, problems_in
+from egolane_pgm.types import NOTE, InputError, LineLog, problems_in
 from egolane_pgm.vision.camera.model import Camera, read_camera
+from egolane_pgm.vision.detectors import FrameLines, as_log
 from egolane_pgm.vision.detectors.runner import (
     Detector,
     check_pair,
-    collect,
     detect,
     find_detector,
     start,
@@ -56,7 +57,31 @@ def open_pictures(
 
 def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
     """Return the lines that the detector finds, and the frame rate of a video."""
-    from egolane_pgm.vision.camera.pictures import camera_of_pictures, note_assumed_rate
+    log, stopped, left = detect_pictures(experiment)
+    if stopped is not None:
+        raise stopped
+    rate = experiment.recording.frame_rate
+    is_given = "frame_rate" in experiment.recording.model_fields_set
+    if is_given and left.frame_rate is not None and left.frame_rate != rate:
+        warnings.warn(
+            f"{left.path}: has {left.frame_rate:g} frames per second, recording.frame_rate is"
+            f" {rate:g}; times and delays are counted with the latter",
+            UserWarning,
+            stacklevel=2,
+        )
+    return log, left.frame_rate
+
+
+def detect_pictures(
+    experiment: Experiment, *, stamps: bool = True
+) -> tuple[LineLog, KeyboardInterrupt | InputError | None, PictureFiles]:
+    """Return the lines that the detector finds, the reason for an early end, and the pictures.
+
+    - stamps: whether the times of a bag are kept if a frame rate is given.
+
+    Ctrl-C and a bad picture keep the frames before; before the first frame they are raised.
+    """
+    from egolane_pgm.vision.camera.pictures import camera_of_pictures
     from egolane_pgm.vision.camera.pictures import read_pictures as read
 
     recording = experiment.recording
@@ -72,21 +97,25 @@ def read_pictures(experiment: Experiment) -> tuple[LineLog, float | None]:
         unit="frame",
         total=left.n_frames if recording.frames is None else None,
     )
-    lines = detect(detector, camera, pictures)
-    done = collect(lines, frame_rate, left.path, left.time_s)
-    if done.stopped is not None:
-        raise done.stopped
-    if left.frame_rate is not None and left.frame_rate != frame_rate:
+    found: list[tuple[int, FrameLines]] = []
+    stopped: KeyboardInterrupt | InputError | None = None
+    try:
+        found.extend(detect(detector, camera, pictures))
+    except (KeyboardInterrupt, InputError) as reason:
+        if not found:
+            raise
+        stopped = reason
+    log = as_log(found, frame_rate, left.path)
+    if left.time_s is not None and (stamps or not is_given):
+        log = replace(log, time_s=left.time_s[log.frame_id])
+    if stopped is None and left.frame_rate is None and not is_given:
         warnings.warn(
-            f"{left.path}: has {left.frame_rate:g} frames per second, recording.frame_rate is"
-            f" {frame_rate:g}; times and delays are counted with the latter",
+            f"{NOTE}{left.path}: does not say its pictures per second: {frame_rate:g} are assumed"
+            " (recording.frame_rate says another)",
             UserWarning,
             stacklevel=2,
         )
-    if not is_given:
-        note_assumed_rate(left, frame_rate, "recording.frame_rate")
-    assert done.log is not None
-    return done.log, left.frame_rate
+    return log, stopped, left
 
 
 def detector_of(experiment: Experiment, key: str) -> Detector:
@@ -110,8 +139,8 @@ def pictures_of(experiment: Experiment, key: str) -> PictureFiles:
     from egolane_pgm.vision.camera.pictures import is_bag, is_pattern, open_source
 
     path = getattr(experiment.recording, key)
-    if not is_pattern(path):
-        place = existing(experiment, f"recording.{key}")
-        return open_source(place, experiment.recording.topic if is_bag(place) else None)
-    with problems_in(f"{experiment.source}: recording.{key}"):
-        return open_source(path)
+    if is_pattern(path):
+        with problems_in(f"{experiment.source}: recording.{key}"):
+            return open_source(path)
+    place = existing(experiment, f"recording.{key}")
+    return open_source(place, experiment.recording.topic if is_bag(place) else None)

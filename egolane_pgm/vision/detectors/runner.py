@@ -1,21 +1,20 @@
-"""Run a detector over the pictures of a drive: find the plugin, check its answers and collect its
-lines."""
+"""Run a detector over the pictures of a drive: find the plugin, check its answers."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from egolane_pgm.parameters import Value, resolve_parameters
 from egolane_pgm.plugins import load_plugin, plugin_errors
-from egolane_pgm.types import FloatArray, InputError, LineLog
+from egolane_pgm.types import InputError
 from egolane_pgm.vision.camera.model import Camera
 from egolane_pgm.vision.camera.picture import Picture
-from egolane_pgm.vision.detectors import FrameLines, Step, as_log
+from egolane_pgm.vision.detectors import FrameLines, Step
 
 
 @dataclass(frozen=True)
@@ -94,36 +93,3 @@ def detect(
         if not isinstance(lines, FrameLines):
             raise InputError(f"{where}: gave {type(lines).__name__}, not FrameLines")
         yield picture.frame_id, lines
-
-
-@dataclass(frozen=True)
-class Collected:
-    """The lines of a drive, None without a frame, and the reason for an early end, or None."""
-
-    log: LineLog | None
-    stopped: KeyboardInterrupt | InputError | None
-
-
-def collect(
-    frames: Iterable[tuple[int, FrameLines]],
-    frame_rate: float,
-    source: str,
-    time_s: FloatArray | None = None,
-) -> Collected:
-    """Collect the lines of a drive into one log. Ctrl-C or a bad picture keeps the frames before.
-
-    - frames: pairs of frame id and lines, as `detect` yields them
-    - frame_rate: Hz
-    - source: origin of the lines, for messages
-    - time_s: time of the frame of each id, seconds; None for frame id over frame rate
-    """
-    found: list[tuple[int, FrameLines]] = []
-    stopped: KeyboardInterrupt | InputError | None = None
-    try:
-        found.extend(frames)
-    except (KeyboardInterrupt, InputError) as reason:
-        stopped = reason
-    if not found:
-        return Collected(None, stopped)
-    log = as_log(found, frame_rate, source)
-    return Collected(log if time_s is None else replace(log, time_s=time_s[log.frame_id]), stopped)

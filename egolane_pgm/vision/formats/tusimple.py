@@ -9,17 +9,16 @@ Results as the benchmark takes them have no `h_samples`: the rows are then its o
 continuous. (6, a double white line, is not: another lane lies beyond it, and the flag is evidence
 of the road's edge.)
 
-What is a drive follows from the folders. `clips/0313-1/6040/20.jpg` and others whose folder is a
-count and has one picture of the file are frames of one drive: frame 6040 of 0313-1. Any other
-folder is a clip of its own, and the frame number is then the last number in the picture's name
-(`frame_00042.jpg`: 42). The frame ids of a clip continue those of the clip before, and no line
-is followed from one into the next.
+A folder that is a count and has one picture is a frame of the drive in the folder above it:
+`clips/0313-1/6040/20.jpg` is frame 6040 of 0313-1. Any other folder is a clip, in which the last
+number of a picture's name is the frame (`frame_00042.jpg`: 42). The frame ids of a clip continue
+those of the clip before, and no line is followed from one into the next.
 
 The points of a line are put on the road by the camera, and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
-to them; the offset is s0. The fit trusts a point as far as a pixel is wide on the road where it
-lies, and expects the heading and curvature of a motorway, so that a line of which only a far piece
-is seen does not get an absurd offset. A line is followed from frame to frame by the nearest offset;
-its LRI counts in how many of the last ten pictures it was seen (the paper's k).
+to them; the offset is s0. Points are weighted by the width of a pixel on the road; a prior on the
+heading and curvature of a motorway keeps the offset of a far piece of a line sane. A line is
+followed from frame to frame by the nearest offset; its LRI counts in how many of the last ten
+pictures it was seen (the paper's k).
 """
 
 from __future__ import annotations
@@ -37,14 +36,9 @@ import numpy as np
 
 from egolane_pgm.recordings import known_formats
 from egolane_pgm.tools.files import read_text
-from egolane_pgm.types import (
-    BoolArray,
-    FloatArray,
-    InputError,
-    LineLog,
-    clip_slices,
-)
+from egolane_pgm.types import BoolArray, FloatArray, InputError, LineLog, clip_slices
 from egolane_pgm.vision.camera.model import Camera, image_to_road, read_camera
+from egolane_pgm.vision.detectors.simple.tracking import closest
 
 #: The rows of the benchmark's pictures (1280 x 720), by their number; its results lack h_samples.
 _ROWS = {48: list(range(240, 720, 10)), 56: list(range(160, 720, 10))}
@@ -236,18 +230,20 @@ def _log(
         lri += counts
         is_valid += flag
     all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
-    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
+    doubt, apart = "", float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
     if len(clips) > 1 and max(map(len, clips.values())) < LRI_FRAMES:
         all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
-        _warn(
-            f"{source}: its {len(clips)} clips have fewer than {LRI_FRAMES} pictures, too few to"
-            " follow a line: every line counts as valid"
+        doubt = (
+            f"its {len(clips)} clips have fewer than {LRI_FRAMES} pictures, too few to follow a"
+            " line: every line counts as valid"
         )
     elif apart > LONGEST_GAP_S:
-        _warn(
-            f"{source}: the pictures are {apart:.1f} s apart, too far to follow a line: none"
-            " becomes valid (is recording.frame_rate right?)"
+        doubt = (
+            f"the pictures are {apart:.1f} s apart, too far to follow a line: none becomes valid"
+            " (is recording.frame_rate right?)"
         )
+    if doubt:
+        warnings.warn(f"{source}: {doubt}", UserWarning, stacklevel=3)
     log = LineLog.from_rows(
         ids,
         frame_rate,
@@ -259,10 +255,6 @@ def _log(
         source=source,
     )
     return replace(log, clip=names if len(clips) > 1 else None)
-
-
-def _warn(message: str) -> None:
-    warnings.warn(message, UserWarning, stacklevel=4)
 
 
 # --- lines ---------------------------------------------------------------------------------------
@@ -284,13 +276,6 @@ def offset_of(line: ImageLine, camera: Camera) -> float:
     return float(np.linalg.lstsq(np.concatenate([rows, prior]), values, rcond=None)[0][0])
 
 
-@dataclass
-class _Track:
-    offset: float
-    history: list[bool]
-    is_valid: bool = False
-
-
 def persistence(
     offsets: Sequence[FloatArray], time_s: FloatArray
 ) -> tuple[list[FloatArray], list[BoolArray]]:
@@ -299,41 +284,25 @@ def persistence(
     - offsets: per frame (L,) in ascending order, metres.
     - time_s (T,): the times of the frames.
     """
-    tracks: list[_Track] = []
+    place, flag = np.zeros(0), np.zeros(0, dtype=bool)
+    seen = np.zeros((0, LRI_FRAMES), dtype=bool)
     lri, valid = [], []
     for t, offset in enumerate(offsets):
         gap = float(time_s[t] - time_s[t - 1]) if t else 0.0
         if gap > LONGEST_GAP_S + 1e-9:
-            tracks = []
-        matched = _nearest([track.offset for track in tracks], offset, GATE_M + GATE_M_PER_S * gap)
-        for k, track in enumerate(tracks):
-            track.history = [*track.history, k in matched.values()][-LRI_FRAMES:]
-        own = []
-        for line, value in enumerate(offset):
-            if line in matched:
-                own.append(tracks[matched[line]])
-                own[-1].offset = float(value)
-            else:
-                own.append(_Track(float(value), [True]))
-                tracks.append(own[-1])
-        for track in tracks:
-            seen = sum(track.history)
-            # In the first frames of a drive too few pictures were seen to trust a line.
-            track.is_valid = seen == LRI_FRAMES or (track.is_valid and seen >= RELEASE_LRI)
-        tracks = [track for track in tracks if any(track.history)]
-        lri.append(np.array([float(sum(track.history)) for track in own]))
-        valid.append(np.array([track.is_valid for track in own], dtype=bool))
+            place, flag, seen = place[:0], flag[:0], seen[:0]
+        away = np.abs(np.subtract.outer(offset, place))
+        track = closest(np.where(away <= GATE_M + GATE_M_PER_S * gap, away, np.inf))
+        is_new = track < 0
+        track[is_new] = len(place) + np.arange(is_new.sum())
+        place = np.append(place, offset[is_new])
+        place[track] = offset
+        seen = np.pad(seen, ((0, is_new.sum()), (0, 0)))
+        seen = np.column_stack([seen[:, 1:], np.isin(np.arange(len(place)), track)])
+        count = seen.sum(axis=1)
+        # In the first frames of a drive too few pictures were seen to trust a line.
+        flag = np.append(flag, is_new[is_new]) & (count >= RELEASE_LRI) | (count == LRI_FRAMES)
+        lri.append(count[track].astype(np.float64))
+        valid.append(flag[track])
+        place, flag, seen = place[count > 0], flag[count > 0], seen[count > 0]
     return lri, valid
-
-
-def _nearest(before: Sequence[float], now: FloatArray, gate: float) -> dict[int, int]:
-    """Line -> track for the pairs nearer than the gate, nearest first, each used once."""
-    distance = np.abs(np.subtract.outer(np.asarray(now), np.asarray(before)))
-    pairs: dict[int, int] = {}
-    for flat in np.argsort(distance, axis=None, kind="stable"):
-        line, track = divmod(int(flat), len(before))
-        if distance[line, track] > gate:
-            break
-        if line not in pairs and track not in pairs.values():
-            pairs[line] = track
-    return pairs

@@ -155,16 +155,3 @@ def test_a_drawn_lane_change_is_followed_line_by_line() -> None:
         turned.append(true < 0)
     assert any(turned)
     assert not all(turned)
-
-
-@needs_compiler
-def test_offsets_as_recorded_are_in_steps_and_zero_until_a_line_is_shown() -> None:
-    metres, recorded = run(pictures()), run(pictures(), units="as_recorded")
-    for ours, theirs in zip(metres, recorded, strict=True):
-        assert len(ours.lri) == len(theirs.lri)
-        assert (np.abs(theirs.offset_m * 80 - np.round(theirs.offset_m * 80)) < 1e-9).all()
-        assert (theirs.offset_m[theirs.lri <= 3] == 0).all()
-        assert theirs.is_valid.all()
-        shown = ours.offset_m[ours.is_valid]
-        np.testing.assert_allclose(theirs.offset_m[theirs.lri > 3], shown, atol=1 / 160 + 1e-9)
-    assert any((lines.lri <= 3).any() for lines in recorded)

@@ -3,21 +3,16 @@ rate: the rule finds the same in their lines."""
 
 from __future__ import annotations
 
-import re
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, reduce
 from itertools import pairwise
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.evidence import line_geometry
 from egolane_pgm.evidence.line_geometry import kernels
 from egolane_pgm.evidence.line_geometry.flag_semantics import (
@@ -34,14 +29,10 @@ from egolane_pgm.evidence.line_geometry.model import CLUTTER_PER_M
 from egolane_pgm.evidence.line_geometry.reading import read_lines
 from egolane_pgm.evidence.line_geometry.rule import NODES
 from egolane_pgm.evidence.line_geometry.scale import line_classes
-from egolane_pgm.graphs import position_in_lane
-from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import Model, compile_model, make_evidence
-from egolane_pgm.paper import paper_experiment
-from egolane_pgm.parameters import Parameters, resolve_parameters
+from egolane_pgm.parameters import Parameters
 from egolane_pgm.simulation import SimulatedDrive, simulate
-from egolane_pgm.types import FloatArray, LineLog, lane_truth
-from tests.conftest import needs_compiler
+from egolane_pgm.types import FloatArray, LineLog
+from tests.kits import line_logs
 from tests.reference import line_geometry as _line_geometry_numpy
 
 
@@ -49,18 +40,14 @@ def counted(log: LineLog) -> LineCounts:
     return count_lines([columns(log)])
 
 
-ROOT = Path(__file__).parents[3]
-
-
 @cache
 def drive() -> SimulatedDrive:
     return simulate("quickstart", seed=1, frames=900)
 
 
-def resolved(n_lanes: int = 3, **given: object) -> Parameters:
+def resolved(**given: object) -> Parameters:
     """Unless `lane_width_m` is given, what is unusual is found in the whole recording."""
-    specs = {p.name: p for p in (*line_geometry.PARAMETERS, *position_in_lane.PARAMETERS)}
-    return resolve_parameters(specs.values(), {"lane_width_m": "auto", **given}, n_lanes)
+    return line_logs.resolved(**{"lane_width_m": "auto", **given})
 
 
 def read(log: LineLog, **given: object) -> tuple[FloatArray, list[str]]:
@@ -161,17 +148,6 @@ def test_a_valid_flag_that_hardly_any_line_has_says_nothing(share: float) -> Non
     )
 
 
-def test_not_a_single_valid_line_and_no_lri_still_tell_the_lane() -> None:
-    log = drive().log
-    bare = replace(
-        log,
-        is_valid=np.zeros(log.is_valid.shape, dtype=bool),
-        is_continuous=np.zeros(log.is_valid.shape, dtype=bool),
-        lri=np.full(log.lri.shape, np.nan),
-    )
-    assert accuracy(bare, zero_label(3)) > accuracy(log, zero_label(3)) - 0.05
-
-
 @pytest.mark.parametrize("flagged", ["one", "all"])
 def test_a_continuous_flag_that_one_line_has_or_all_says_nothing(flagged: str) -> None:
     log = drive().log
@@ -270,19 +246,6 @@ def test_of_two_lines_close_together_the_better_one_is_kept(seed: int, n_lines: 
     (ours, lines), (twin, of_twin) = found
     np.testing.assert_array_equal(ours, twin)
     np.testing.assert_array_equal(lines, of_twin)
-    for t in range(30):
-        lines = [
-            (int(k), abs(o), i) for i, (o, k) in enumerate(zip(offset[t], kind[t], strict=True))
-        ]
-        for k, _, i in lines:
-            better = [
-                line
-                for line in lines
-                if line[0] >= 0
-                and abs(offset[t, line[2]] - offset[t, i]) < near[t]
-                and line < lines[i]
-            ]
-            assert ours[t, i] == (k >= 0 and bool(better))
 
 
 # --- frame rates ---------------------------------------------------------------------------------
@@ -370,76 +333,3 @@ def test_what_is_learned_does_not_depend_on_how_the_detector_fills_its_columns()
         ]
     for name in found[0]:
         np.testing.assert_allclose(found[1][name], found[0][name], rtol=1e-6)
-
-
-# --- the lane, in the end ------------------------------------------------------------------------
-
-
-@cache
-def zero_label(n_lanes: int, width: str = "auto") -> Model:
-    file = ROOT / "experiments/zero_label.yaml"
-    words = [f"n_lanes={n_lanes}", f"parameters.lane_width_m={width}"]
-    return compile_model(load_experiment(file, words))
-
-
-def accuracy(log: LineLog, model: Model, truth: Any = None) -> float:
-    from egolane_pgm.inference.filtering import filter_beliefs
-    from egolane_pgm.scoring.confusion import assigned_lane
-
-    truth = drive().truth if truth is None else truth
-    given, _ = make_evidence(model, log)
-    beliefs = filter_beliefs(model.compiled, given, "exact", frame_id=log.frame_id)
-    _, here, there = np.intersect1d(log.frame_id, truth.index, return_indices=True)
-    scored = ~truth["is_crossing"].to_numpy()[there]
-    lane = assigned_lane(beliefs.lane[here][scored])
-    return float((lane == truth["true_lane"].to_numpy()[there][scored]).mean())
-
-
-STRANGERS: dict[str, Callable[[LineLog], LineLog]] = {
-    "lri 0 to 1": lambda log: replace(log, lri=log.lri / 10),
-    "lri always 0": lambda log: replace(log, lri=np.where(is_placed(log.offset_m), 0.0, np.nan)),
-    "never valid": lambda log: replace(log, is_valid=np.zeros_like(log.is_valid)),
-    "all continuous": lambda log: replace(log, is_continuous=is_placed(log.offset_m)),
-    "feet": lambda log: replace(log, offset_m=log.offset_m / 0.3048),
-    "centimetres": lambda log: replace(log, offset_m=100 * log.offset_m),
-    "half the lane width": lambda log: replace(log, offset_m=0.5 * log.offset_m),
-    "every fifth frame": lambda log: log.take(log.frame_id % 5 == 0),
-}
-
-
-@cache
-def paper_drive(run: int) -> Drive:
-    [found] = read_drives(load_experiment(paper_experiment(run)))
-    return found
-
-
-@needs_compiler
-@pytest.mark.parametrize("run", [5])
-@pytest.mark.parametrize("how", STRANGERS)
-@pytest.mark.parametrize(("width", "lost"), [("auto", 0.08), ("causal", 0.13)])
-def test_a_strangers_recording_of_the_papers_drives(
-    recordings: object, run: int, how: str, width: str, lost: float
-) -> None:
-    """Without a label. Lines filled in another way cost under eight points, and thirteen if what
-    is unusual has to be found out on the way; each of these once cost up to 65 on one of the
-    drives."""
-    found, model = paper_drive(run), zero_label(4, width)
-    truth = lane_truth(found.log.frame_id, found.true_lane, found.is_crossing).iloc[found.rows]
-    usual = accuracy(found.log, model, truth)
-    assert accuracy(STRANGERS[how](found.log), model, truth) > usual - lost
-
-
-def test_a_strangers_recording_on_the_command_line(tmp_path: Path) -> None:
-    """A table of frame, line and offset in feet alone."""
-    from tests.kits.drives import done
-
-    log = drive().log
-    rows = [
-        f"{log.frame_id[t]},{i + 1},{log.offset_m[t, i] / 0.3048:.2f}"
-        for t, i in np.argwhere(log.is_valid & is_placed(log.offset_m))
-    ]
-    (tmp_path / "feet.csv").write_text("\n".join(["frame_id,line,offset_m", *rows]) + "\n")
-    words = ("--n-lanes", 3, "--out", tmp_path / "result", "--no-figures")
-    result = done("run", tmp_path / "feet.csv", *words)
-    assert re.search(r"lane width 12\.[23]\d m from", result.stderr)
-    assert "offsets are taken to be in another unit" in result.stderr

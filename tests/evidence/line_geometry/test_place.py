@@ -15,6 +15,7 @@ from egolane_pgm.evidence.line_geometry.scale import place_finder
 from egolane_pgm.scoring.events import Reported, score_events
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import FloatArray, LineLog
+from tests.kits.line_logs import line_log
 
 
 def places_of(log: LineLog, **parameters: float) -> FloatArray:
@@ -55,25 +56,18 @@ def test_mirrored_lines_have_mirrored_places(seed: int) -> None:
     # No two are so near that they count as one, of which the left one tells the lane width.
     lattice = 3.5 * (np.arange(-2, 2) - car[:, None] % 1) + rng.normal(0, 0.1, (200, 4))
     is_seen = rng.random((200, 4)) < rng.choice([0.1, 0.8])
-    log = as_log(np.where(is_seen, lattice, np.nan))
+    log = line_log(np.where(is_seen, lattice, np.nan), lri=np.nan)
     place, mirrored = places_of(log), places_of(replace(log, offset_m=-log.offset_m))
     np.testing.assert_array_equal(np.isnan(mirrored), np.isnan(place))
     known = ~np.isnan(place)
     np.testing.assert_allclose(apart(mirrored[known], -place[known]), 0, atol=1e-9)
 
 
-def as_log(offset_m: FloatArray, lri: float = np.nan) -> LineLog:
-    """Valid dashed lines, ten frames a second."""
-    frame_id, is_line = np.arange(len(offset_m)), np.isfinite(offset_m)
-    continuous, index = np.zeros_like(is_line), np.full(offset_m.shape, lri)
-    return LineLog(frame_id, frame_id / 10, offset_m, is_line, continuous, index)
-
-
 def steady(n_seen: int, n_blind: int, lri: float = np.nan) -> LineLog:
     """A car in the middle of its lane, which sees its two lines and then none."""
     offset_m = np.tile([-1.75, 1.75], (n_seen + n_blind, 1))
     offset_m[n_seen:] = np.nan
-    return as_log(offset_m, lri)
+    return line_log(offset_m, lri=lri)
 
 
 def test_a_place_is_kept_for_about_a_second_without_lines() -> None:

@@ -222,13 +222,6 @@ def test_weak_lines_do_not_count() -> None:
     np.testing.assert_array_equal(widths_of(both, strong=strong)[0], widths_of(offset)[0])
 
 
-def test_a_width_is_known_before_its_frame_only() -> None:
-    """The first frame's lines do not change the first frame's width."""
-    widths, _ = widths_of(road(5.0, 50))
-    np.testing.assert_array_equal(widths[0], widths_of(np.empty((1, 0)))[0][0])
-    assert not np.array_equal(widths[1], widths[0])
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_no_later_frame_changes_the_width_before(seed: int) -> None:
     offset = road(2.7, 500, seed, n_lines=5)
@@ -255,17 +248,6 @@ def test_one_frame_after_the_other_is_the_same_as_all_at_once(n_lines: int) -> N
         np.testing.assert_array_equal(np.concatenate(parts), whole)
         for name in ("steady", "wandering", "pairs", "counts"):
             np.testing.assert_array_equal(getattr(belief, name), getattr(after, name))
-
-
-@settings(max_examples=20, deadline=None)
-@given(seed=st.integers(0, 2**32 - 1), width=st.floats(1.5, 6), n_lines=st.integers(2, 6))
-def test_the_mirrored_lines_have_the_same_width(seed: int, width: float, n_lines: int) -> None:
-    offset = road(width, 200, seed, n_lines=n_lines)
-    here, belief = widths_of(offset)
-    there, mirrored = widths_of(-offset[:, ::-1])
-    np.testing.assert_allclose(mirrored.steady, belief.steady, rtol=1e-9)
-    np.testing.assert_allclose(mirrored.wandering, belief.wandering, rtol=1e-9)
-    np.testing.assert_array_equal(there, here)
 
 
 # --- roads whose scale is known ------------------------------------------------------------------
@@ -359,37 +341,3 @@ def test_a_scale_that_always_wanders_is_known_to_do_so() -> None:
     assert belief.counts[0] > 0.95
     _, belief = widths_of(road(3.6, 3000))
     assert belief.counts[0] < 0.05
-
-
-@pytest.mark.parametrize("apart", [0.0, 0.05, 0.2])
-def test_lines_that_are_reported_twice_do_not_change_the_width(apart: float) -> None:
-    lanes = road(3.0, 1000, missed=0.02)
-    assert (median_error(np.hstack([lanes, lanes + apart]), 3.0)[100:] < 0.06).all()
-
-
-@pytest.mark.parametrize("width", [2.0, 3.4, 4.1])
-def test_lines_that_are_none_among_the_others_do_not_hide_the_width(width: float) -> None:
-    anywhere = np.random.default_rng(0).uniform(-10, 10, (1000, 2))
-    offset = np.hstack([road(width, 1000, n_lines=5), anywhere])
-    assert (median_error(offset, width)[150:] < 0.05).all()
-
-
-def test_lines_anywhere_leave_the_expected_width() -> None:
-    anywhere = np.random.default_rng(0).uniform(-9, 9, (3000, 4))
-    widths, _ = widths_of(anywhere)
-    assert (np.abs(np.log(widths[:, MEDIAN] / EXPECTED)) < 0.25).all()
-
-
-def test_twice_the_width_is_not_taken_where_every_other_line_is_often_missed() -> None:
-    offset = road(2.0, 2000, n_lines=5, missed=0.5)
-    assert (median_error(offset, 2.0)[150:] < 0.05).all()
-
-
-@pytest.mark.parametrize("share", [0.5, 0.6])
-def test_a_line_half_a_lane_beside_the_road_does_not_halve_the_width(share: float) -> None:
-    """The edge of a hard shoulder that is always seen, while each of three lane lines is missed
-    half of the time."""
-    lanes = road(3.6, 8000, n_lines=3, missed=0.5)
-    edge = road(3.6, 8000, n_lines=3, missed=0)[:, -1:]
-    error = median_error(np.hstack([lanes, edge + share * 3.6]), 3.6)
-    assert (error[-2000:] < 0.05).all()

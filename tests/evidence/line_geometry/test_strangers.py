@@ -26,6 +26,7 @@ from tests.kits.strangers import (
 
 #: What the share of right lanes is at least, on runs 1 and 6.
 LEVELS = {
+    "no line valid, LRI unknown": (0.99, 0.99),
     "scale x 0.6 from the middle on": (0.74, 0.70),
     "half of the lines mirrored": (0.30, 0.65),
     "the nearest line only": (0.80, 0.90),
@@ -100,15 +101,6 @@ def test_a_clock_that_jumps_changes_no_belief_before_it_and_hardly_one_after(
         found = beliefs_of(jumps).lane
         np.testing.assert_array_equal(found[:half], expected[:half])
         assert np.mean(assigned_lane(found) != assigned_lane(expected)) < 0.002
-
-
-@needs_compiler
-def test_after_standing_still_the_lane_is_the_one_before(recordings: Path) -> None:
-    (drive,) = STRANGERS["stands still for ten minutes"](paper_drive(1))
-    lane = assigned_lane(beliefs_of(drive).lane)
-    still = np.flatnonzero(np.abs(np.diff(drive.position)) == 0)
-    assert len(still) >= 5999
-    assert (lane[still] == drive.lane[still[0]]).all()
 
 
 @needs_compiler

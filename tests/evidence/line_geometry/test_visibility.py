@@ -18,7 +18,8 @@ from egolane_pgm.evidence.line_geometry.visibility import (
     visibility_tables,
 )
 from egolane_pgm.types import FloatArray, LineLog
-from tests.evidence.line_geometry.test_rule import line_log, resolved
+from tests.evidence.line_geometry.test_rule import resolved
+from tests.kits.line_logs import line_log
 from tests.reference import line_geometry as reference
 
 #: A car in the middle of a lane: its own lines, and those with the next ones on either side.

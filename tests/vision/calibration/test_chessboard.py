@@ -17,8 +17,6 @@ from egolane_pgm.vision.camera.model import (
 )
 from tests.kits.calibration_kit import TRUE, cameras, lines_of, unturned, view_of_lines
 
-# --- the lens ---
-
 
 def test_a_lens_is_recovered_from_drawn_chessboards(boards):
     lens = calibrate_lens(sorted(boards.iterdir()))
@@ -26,8 +24,8 @@ def test_a_lens_is_recovered_from_drawn_chessboards(boards):
     assert (found.width, found.height) == (1280, 720)
     assert (found.fx, found.fy) == pytest.approx((TRUE.fx, TRUE.fy), rel=0.01)
     assert (found.cx, found.cy) == pytest.approx((TRUE.cx, TRUE.cy), abs=12)
-    assert len(lens.rms_px) == len(lens.boards) >= 8
-    assert max(lens.rms_px) < 0.3
+    assert len(lens.rms_px) >= 8
+    assert max(lens.rms_px.values()) < 0.3
     # The bend at the picture's border matters, its coefficients trade with each other.
     edge = np.array([100.0, 1180.0]), np.array([360.0, 360.0])
     rays = [(undistorted(c, *edge)[0] - c.cx) / c.fx for c in (found, TRUE)]
@@ -37,7 +35,6 @@ def test_a_lens_is_recovered_from_drawn_chessboards(boards):
 def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tmp_path):
     for path in sorted(boards.iterdir())[:6]:
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    (tmp_path / "x_text.jpg").write_text("no picture")
     cv2.imwrite(str(tmp_path / "x_empty.png"), np.full((720, 1280, 3), 128, np.uint8))
     cv2.imwrite(str(tmp_path / "x_small.png"), np.full((480, 640, 3), 128, np.uint8))
     part = cv2.imread(str(tmp_path / "0.png"))
@@ -46,11 +43,10 @@ def test_pictures_that_cannot_be_used_are_left_out_with_one_line_each(boards, tm
     cv2.imwrite(str(tmp_path / "x_part.png"), part)
     lens = calibrate_lens(sorted(tmp_path.iterdir()))
     said = {line.split(": ")[0].rsplit("/", 1)[1]: line for line in lens.skipped}
-    assert "no picture" in said["x_text.jpg"]
     assert "no chessboard of 9x6" in said["x_empty.png"]
     assert "640x480, most are 1280x720" in said["x_small.png"]
     assert "no chessboard of 9x6" in said["x_part.png"]
-    assert "x_part.png" not in lens.boards
+    assert tmp_path / "x_part.png" not in lens.rms_px
 
 
 def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
@@ -60,9 +56,6 @@ def test_too_few_chessboards_are_refused_with_the_first_reason(boards, stills):
         calibrate_lens(sorted(boards.iterdir())[:6], columns=8)
     with pytest.raises(InputError, match=r"0 of 3 pictures.*no chessboard of 9x6"):
         calibrate_lens(sorted(stills.iterdir()))
-
-
-# --- lines of the road ---
 
 
 @settings(deadline=None, max_examples=25)

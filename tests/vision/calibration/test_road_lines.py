@@ -19,7 +19,7 @@ from egolane_pgm.vision.calibration.road_lines import (
     view_from,
 )
 from egolane_pgm.vision.camera.model import image_to_road, vanishing_point
-from egolane_pgm.vision.camera.pictures import files_matching
+from egolane_pgm.vision.camera.pictures import picture_files
 from tests.kits.calibration_kit import TRUE, draw_road, unturned
 from tests.kits.synthetic_road import CAMERA, Paint, road
 
@@ -62,43 +62,34 @@ def test_the_lines_of_a_still_are_where_they_were_painted() -> None:
 
 def test_a_camera_is_recovered_from_lines_found_in_stills(stills):
     found = find_in_stills(unturned(TRUE), sorted(stills.iterdir()))
-    view = view_from(unturned(TRUE), found.ahead, found.each, found.fits, 3.7)
+    view = view_from(replace(unturned(TRUE), lane_width_m=3.7), found.ahead, found.each, found.fits)
     assert view.vanishing_point == pytest.approx(vanishing_point(TRUE), abs=4)
     assert view.camera.height_m == pytest.approx(TRUE.height_m, rel=0.02)
     assert min(len(lines) for lines in found.lines) >= 3
 
 
-def test_stills_of_another_size_and_no_pictures_are_left_out_with_a_line_each(stills, tmp_path):
-    small = tmp_path / "small.png"
-    cv2.imwrite(str(small), np.zeros((100, 100, 3), np.uint8))
-    low = tmp_path / "low.png"
-    cv2.imwrite(str(low), np.zeros((600, 1280, 3), np.uint8))
-    text = tmp_path / "text.png"
-    text.write_text("no picture")
-    found = find_in_stills(unturned(TRUE), [small, low, text, *sorted(stills.iterdir())])
-    assert len(found.paths) == 3
-    assert found.skipped == (
-        f"{small}: 100x100, needs 1280x720",
-        f"{low}: 1280x600, needs 1280x720",
-        f"{text}: is no picture that can be read (missing, another kind of file, or cut off)",
-    )
-    with pytest.raises(InputError, match=r"none of them can be used.*100x100"):
-        find_in_stills(unturned(TRUE), [small])
+def test_a_still_of_another_size_or_no_picture_is_named(stills, tmp_path):
+    cv2.imwrite(str(tmp_path / "low.png"), np.zeros((600, 1280, 3), np.uint8))
+    (tmp_path / "text.png").write_text("no picture")
+    for name, said in (("low", "a picture of 1280x600"), ("text", "is no picture that can be")):
+        path = tmp_path / f"{name}.png"
+        with pytest.raises(InputError, match=f"{path}: {said}"):
+            find_in_stills(unturned(TRUE), [*sorted(stills.iterdir()), path])
 
 
 def test_the_camera_of_the_real_chessboards_and_straight_stills(real_pictures, tmp_path):
     folder = real_pictures / "carnd"
     if not folder.is_dir():
         pytest.skip("real pictures: EGOLANE_DATA has no folder camera/carnd")
-    lens = calibrate_lens(files_matching(str(folder / "camera_cal" / "*.jpg")))
+    lens = calibrate_lens(picture_files(str(folder / "camera_cal" / "*.jpg")))
     assert (lens.camera.fx, lens.camera.fy) == pytest.approx((1156, 1151), abs=8)
     assert (lens.camera.cx, lens.camera.cy) == pytest.approx((672, 389), abs=8)
-    assert len(lens.boards) >= 15
-    assert len(lens.boards) + len(lens.skipped) == 20
+    assert len(lens.rms_px) >= 15
+    assert len(lens.rms_px) + len(lens.skipped) == 20
     camera = replace(lens.camera, ignore=((0, 670, 1280, 720),))
-    stills = files_matching(str(folder / "test_images" / "straight_lines*.jpg"))
+    stills = picture_files(str(folder / "test_images" / "straight_lines*.jpg"))
     found = find_in_stills(camera, stills)
-    view = view_from(camera, found.ahead, found.each, found.fits, 3.7)
+    view = view_from(replace(camera, lane_width_m=3.7), found.ahead, found.each, found.fits)
     assert view.vanishing_point == pytest.approx((639.5, 419.6), abs=3)
     assert view.camera.height_m == pytest.approx(1.25, abs=0.03)
     for lines in found.lines:
@@ -113,8 +104,8 @@ def test_the_camera_of_the_real_lane_change_from_found_lines_only(real_pictures)
         pytest.skip("real pictures: EGOLANE_DATA has no folder camera/lane_change_right")
     masks = ((0, 0, 692, 130), (120, 300, 400, 480), (0, 360, 692, 480))
     camera = replace(assumed_camera(692, 480), ignore=masks)
-    found = find_in_stills(camera, files_matching(str(folder))[::5])
-    view = view_from(camera, found.ahead, found.each, found.fits, 3.5)
+    found = find_in_stills(camera, picture_files(str(folder))[::5])
+    view = view_from(replace(camera, lane_width_m=3.5), found.ahead, found.each, found.fits)
     assert view.vanishing_point == pytest.approx((470, 214), abs=5)
     assert view.camera.height_m == pytest.approx(1.2, abs=0.08)
 
@@ -126,6 +117,8 @@ def test_the_road_between_two_tar_seams_is_no_line(tmp_path) -> None:
         image = road((Paint(-1.8, 4, 12), Paint(1.8, 4, 12), *seams), 3.1 * k, seed=k)
         cv2.imwrite(str(tmp_path / f"{k}.png"), image)
     lens = unturned(CAMERA)
-    found = find_in_stills(lens, files_matching(str(tmp_path)))
-    view = road_lines.view_from(lens, found.ahead, found.each, found.fits, 3.6)
+    found = find_in_stills(lens, picture_files(str(tmp_path)))
+    view = road_lines.view_from(
+        replace(lens, lane_width_m=3.6), found.ahead, found.each, found.fits
+    )
     assert view.camera.height_m == pytest.approx(CAMERA.height_m, rel=0.05)

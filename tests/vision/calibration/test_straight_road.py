@@ -12,19 +12,13 @@ from egolane_pgm.types import InputError
 from egolane_pgm.vision.calibration.road_lines import (
     FrameFit,
     RoadView,
-    check_lane_width,
     doubts_of,
     view_from,
 )
 from egolane_pgm.vision.camera.model import Camera
 from tests.kits.calibration_kit import TRUE, lines_of, unturned, view_of_lines
 
-PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25)
-
-
-def test_a_width_of_no_lane_is_refused() -> None:
-    with pytest.raises(InputError, match="lanes are 2 to 6 m wide"):
-        check_lane_width(0.36)
+PLAIN = replace(unturned(TRUE), distortion=(0.0,) * 5, lateral_m=0.25, lane_width_m=3.6)
 
 
 def view_of(
@@ -33,8 +27,8 @@ def view_of(
     ahead: tuple[float, float] = (0.0, 0.0),
     camera: Camera = PLAIN,
 ) -> RoadView:
-    fits = [FrameFit(np.array(ahead), np.array(s), 0.0) for s in slopes]
-    return view_from(camera, np.array(ahead), np.array(each, dtype=float), fits, 3.6)
+    fits = [FrameFit(np.array(ahead), np.array(s)) for s in slopes]
+    return view_from(camera, np.array(ahead), np.array(each, dtype=float), fits)
 
 
 def test_the_height_is_the_lane_width_over_the_gap_of_slopes() -> None:
@@ -73,18 +67,22 @@ def test_points_that_scatter_sideways_or_up_and_down_are_no_vanishing_point(
 
 
 @pytest.mark.parametrize(
-    ("width", "said"),
+    ("height", "width", "said"),
     [
-        (3.6, ""),
-        (2.1, "two lanes were taken"),
-        (5.9, "half a lane was taken"),
-        # The height, 1.75 to 2.1 m, is possible: only the width is strange.
-        (4.6, "2.5 to 4.5 m wide almost everywhere, not 4.6 m"),
+        (1.4, 3.6, ""),
+        (2.8, 3.6, ""),
+        (1.4, 2.1, "two lanes were taken"),
+        (2.1, 5.9, "half a lane was taken"),
+        # The heights are possible: only the widths are strange.
+        (1.4, 4.6, "2.5 to 4.5 m wide almost everywhere, not 4.6 m"),
+        (1.4, 5.9, "2.5 to 4.5 m wide almost everywhere, not 5.9 m"),
     ],
 )
-def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(width: float, said: str) -> None:
-    """The lanes are 3.6 m wide, the camera is 1.4 m above the road."""
-    true = replace(PLAIN, height_m=1.4, pitch_deg=-2.0)
+def test_a_height_of_no_car_and_a_width_of_no_lane_are_doubted(
+    height: float, width: float, said: str
+) -> None:
+    """The lanes are 3.6 m wide."""
+    true = replace(PLAIN, height_m=height, pitch_deg=-2.0)
     view = view_of_lines(true, PLAIN, [lines_of(true, (-5.4, -1.8, 1.8, 5.4))] * 3, width)
     assert view.camera.lane_width_m == width
     doubt = doubts_of(view)

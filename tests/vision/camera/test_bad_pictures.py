@@ -50,6 +50,6 @@ def test_among_pictures_of_one_size_another_is_named(tmp_path: Path, odd: Image,
     with pytest.raises(InputError) as caught:
         read_all(folder)
     assert str(caught.value).startswith(
-        f"{folder / '2.png'}: frame 2: the picture has {size} pixels, the camera was calibrated for"
-        " 480x270"
+        f"{folder / '2.png'}: frame 2: a picture of {size} pixels, but the camera was calibrated"
+        " for 480x270"
     )

@@ -3,7 +3,6 @@ contract: they give lines, or one line of text that says what is wrong."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -36,12 +35,6 @@ def start(camera, parameters):
 """
 
 
-def lines(count: int, lri: float = 1.0) -> FrameLines:
-    shape, flags = np.zeros((count, 4)), np.zeros(count, dtype=bool)
-    shape[:, 0] = 3.5 * np.arange(count)
-    return FrameLines(shape, flags, flags, np.full(count, lri))
-
-
 @pytest.mark.parametrize(
     ("name", "value", "said"),
     [
@@ -62,7 +55,7 @@ def test_lines_of_another_kind_are_refused(name: str, value: Any, said: str) -> 
     ("more", "lri", "said"),
     [
         ("", "np.nan", "frame 0: lines: lri is not finite"),
-        ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS has {'contrast': 8}, not a"),
+        ("PARAMETERS = ({'contrast': 8},)", "1.0", "PARAMETERS is not a tuple of Parameter"),
     ],
 )
 def test_an_own_detector_that_keeps_no_promise_is_named(
@@ -76,19 +69,6 @@ def test_an_own_detector_that_keeps_no_promise_is_named(
     assert said in message
     assert "own.py" in message
     assert not target.exists()
-
-
-@pytest.mark.parametrize("reason", [KeyboardInterrupt(), InputError("picture 4: is torn")])
-def test_what_was_detected_before_a_drive_ends_early_is_kept(reason: BaseException) -> None:
-    def frames() -> Iterator[tuple[int, FrameLines]]:
-        for frame_id in (3, 4, 6):
-            yield frame_id, lines(2)
-        raise reason
-
-    found = runner.collect(frames(), 10.0, "here")
-    assert found.stopped is reason
-    assert found.log is not None
-    assert found.log.frame_id.tolist() == [3, 4, 6]
 
 
 def test_a_stereo_detector_needs_two_cameras_and_how_far_they_are_apart() -> None:

@@ -34,21 +34,15 @@ def describe_onnx(onnx: Path) -> str:
 
 
 def _fits(layout: str, declared: Mapping[str, Shape]) -> bool:
-    """Return whether some of the outputs of a file fit a layout."""
+    """Return whether some of the outputs of a file fit a layout, and not another one with the same
+    number of axes."""
     roles = OUTPUTS[layout]
-    for shapes in permutations(declared.values(), len(roles)):
-        sizes = lengths(layout, dict(zip(roles, shapes, strict=True)), {})
-        if sizes is not None and not _is_another(layout, sizes, declared):
-            return True
-    return False
-
-
-def _is_another(layout: str, sizes: dict[str, int], declared: Mapping[str, Shape]) -> bool:
-    """Return whether outputs are of another layout with the same number of axes."""
+    every = permutations(declared.values(), len(roles))
+    found = [lengths(layout, dict(zip(roles, shapes, strict=True)), {}) for shapes in every]
     if layout == "row_anchors":
         # Several such outputs are hybrid anchors with another number of lines.
         short = [s for s in declared.values() if s and len(s) == 4 and (s[3] or 99) <= _MOST_LINES]
-        return len(short) > 1 or sizes.get("n", 0) > _MOST_LINES
+        return len(short) < 2 and any(s is not None and s.get("n", 0) <= _MOST_LINES for s in found)
     if layout == "polylines":
-        return sizes.get("k") not in _CANDIDATES
-    return sizes.get("w", 99) <= _MOST_LINES
+        return any(s is not None and s.get("k") in _CANDIDATES for s in found)
+    return any(s is not None and s.get("w", 99) > _MOST_LINES for s in found)

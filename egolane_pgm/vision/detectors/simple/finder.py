@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -44,23 +45,9 @@ OnRoad = Callable[[Picture], tuple[BirdsEye, BoolArray]]
 Finder = Callable[[BirdsEye, Picture, FloatArray | None], Found]
 
 
-def start(
-    camera: Camera,
-    parameters: Parameters,
-    *,
-    curve: str,
-    on_road: Callable[[BirdsEye, Parameters], OnRoad] | None = None,
-    finder: Finder | None = None,
-) -> Step:
-    """Start a drive, as the `start` of a detector.
-
-    - curve: "line", "parabola" or "clothoid"
-    - on_road: makes the separation of the road from the objects on it; by default all is road
-    - finder: finds the lines of a frame; by default the search in its markings
-
-    Raises InputError if the camera does not show the region that the parameters ask for.
-    """
-    follow, rule = follower(camera, parameters, curve=curve, on_road=on_road, finder=finder)
+def start(camera: Camera, parameters: Parameters, **given: Any) -> Step:
+    """Start a drive, as the `start` of a detector; `given` as in `follower`."""
+    follow, rule = follower(camera, parameters, **given)
     tracks = no_tracks(rule)
 
     def step(picture: Picture) -> FrameLines:
@@ -79,7 +66,14 @@ def follower(
     on_road: Callable[[BirdsEye, Parameters], OnRoad] | None = None,
     finder: Finder | None = None,
 ) -> tuple[Callable[[Tracks, Picture], Tracks], Rules]:
-    """As `start`, but return the function from tracks and a picture to tracks, and its rules."""
+    """Return the function from the tracks and the next picture to the tracks, and its rules.
+
+    - curve: "line", "parabola" or "clothoid"
+    - on_road: makes the separation of the road from the objects on it; by default all is road
+    - finder: finds the lines of a frame; by default the search in its markings
+
+    Raises InputError if the camera does not show the region that the parameters ask for.
+    """
     parameters = {**parameters, "curve": curve}
     rule = rules(parameters, curve=curve)
     view = view_for(camera, parameters)

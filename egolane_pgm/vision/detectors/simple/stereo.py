@@ -56,7 +56,7 @@ _SCALE, _NEAREST_M = 2, 4.0
 #: Least height of objects above or below the plane, metres.
 _OFF_PLANE_M = 0.25
 
-#: Frames in a row without a plane before a warning.
+#: Frames in a row without a plane for a warning.
 _UNSURE_AFTER = 20
 
 #: From two small grey pictures (H, W) and the number of searched disparities to the disparity of
@@ -130,13 +130,13 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
     Raises InputError for a camera with lens distortion.
     """
     camera = view.camera
-    if any(camera.distortion):
+    if camera.is_distorted:
         raise InputError(
             "distortion: a stereo pair must be rectified, and then has none: rectify the pictures"
             " and set all five numbers to 0"
         )
     pair = make_pair(camera, parameters)
-    turned, n_unsure, is_warned = turned_up(view), 0, False
+    turned, n_unsure = turned_up(view), 0
 
     @lru_cache(maxsize=VIEWS)
     def pitched(steps: int) -> tuple[BirdsEye, IntArray]:
@@ -148,12 +148,11 @@ def on_road(view: BirdsEye, parameters: Parameters) -> OnRoad:
         return seen, row * width + np.clip(u // _SCALE, 0, width - 1)
 
     def look(picture: Picture) -> tuple[BirdsEye, BoolArray]:
-        nonlocal n_unsure, is_warned
+        nonlocal n_unsure
         disparity = disparities(pair, picture)
         plane = find_plane(pair, disparity)
         n_unsure = n_unsure + 1 if plane is None else 0
-        if n_unsure == _UNSURE_AFTER and not is_warned:
-            is_warned = True
+        if n_unsure == _UNSURE_AFTER:
             warnings.warn(
                 f"frame {picture.frame_id}: no road plane found in {_UNSURE_AFTER} frames in a row"
                 " (do the two pictures show the same? are left and right swapped? is the pair"

@@ -251,23 +251,24 @@ def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
 
 
 def _match(tracks: Tracks, rule: Rules, shape: FloatArray) -> IntArray:
-    """Match each line with the found line that continues it: its index, (L,), or -1. The closest
-    pairs are matched first."""
-    taken = np.full(len(tracks), -1, dtype=np.int64)
-    if not len(tracks) or not len(shape):
-        return taken
+    """Match each line with the found line that continues it: its index, (L,), or -1."""
     gap = (shape[None, :, :] - tracks.mean[:, None, :]) @ rule.at.T
     spread = rule.at @ tracks.covariance @ rule.at.T + rule.noise
     variance = np.diagonal(spread, axis1=1, axis2=2)[:, None, :]
     sigmas = np.sqrt((gap**2 / variance).mean(axis=2))
     # The gate in metres uses the nearer half, because far ahead a small turn makes a large gap.
     metres = np.abs(gap[..., : _PLACES // 2]).mean(axis=2)
-    cost = np.where((metres <= rule.gate_m) & (sigmas <= _GATE_SIGMAS), metres, np.inf)
+    return closest(np.where((metres <= rule.gate_m) & (sigmas <= _GATE_SIGMAS), metres, np.inf))
+
+
+def closest(cost: FloatArray) -> IntArray:
+    """Match rows with columns by their cost (R, C), infinite if they do not match, the cheapest
+    pairs first: the column of each row, (R,), or -1. `cost` is changed."""
+    taken = np.full(len(cost), -1, dtype=np.int64)
     while np.isfinite(cost).any():
-        line, found = np.unravel_index(int(np.argmin(cost)), cost.shape)
-        taken[line] = found
-        cost[line, :] = np.inf
-        cost[:, found] = np.inf
+        row, column = np.unravel_index(int(np.argmin(cost)), cost.shape)
+        taken[row] = column
+        cost[row, :] = cost[:, column] = np.inf
     return taken
 
 

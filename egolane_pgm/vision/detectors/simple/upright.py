@@ -43,16 +43,22 @@ _SKY, _LIT, _DAYLIGHT = 0.9, 0.75, 0.5
 def is_daylight(camera: Camera, image: Image) -> bool:
     """Return whether the sky in a picture, (H, W, 3) or (H, W), is about as bright as the road.
 
-    A picture without sky counts as taken by day.
+    A picture without sky counts as taken by day, one that is black all over as taken by night. The
+    camera's `ignore` rectangles are left out.
     """
-    horizon = math.floor(vanishing_point(camera)[1])
+    horizon = max(math.floor(vanishing_point(camera)[1]), 0) // 8
     red = (image if image.ndim == 2 else image[:, :, 2])[::8, ::8]
-    sky, below = red[: max(horizon, 0) // 8], red[max(horizon, 0) // 8 :]
+    shown = np.ones(red.shape, dtype=bool)
+    for left, top, right, bottom in camera.ignore:
+        shown[max(top, 0) // 8 : -(-bottom // 8), max(left, 0) // 8 : -(-right // 8)] = False
     # The part that headlights light most: neither the bonnet nor far ahead.
-    road = below[len(below) // 4 : 3 * len(below) // 4, red.shape[1] // 4 : 3 * red.shape[1] // 4]
+    rows, columns = len(red) - horizon, red.shape[1]
+    middle = slice(columns // 4, 3 * columns // 4)
+    lit = slice(horizon + rows // 4, horizon + 3 * rows // 4)
+    sky, road = red[:horizon][shown[:horizon]], red[lit, middle][shown[lit, middle]]
     if not sky.size or not road.size:
         return True
-    return bool(np.quantile(sky, _SKY) >= _DAYLIGHT * np.quantile(road, _LIT))
+    return bool(np.quantile(sky, _SKY) > _DAYLIGHT * np.quantile(road, _LIT))
 
 
 def free_road(view: BirdsEye, above: Image, parameters: Parameters) -> BoolArray:

@@ -26,7 +26,7 @@ def folder(tmp_path: Path) -> Path:
     ("keys", "said"),
     [
         ({"sise": [1, 2]}, "unknown key 'sise' (did you mean 'size'?)"),
-        ({"layout": "lane"}, "layout: 'lane' is not one of lanes, instances,"),
+        ({"layout": "lane"}, "layout: input should be 'lanes', 'instances'"),
         ({"classes": None}, "layout lanes needs classes"),
         ({"rows": "culane"}, "rows: goes with layout row_anchors or hybrid_anchors only"),
         ({"layout": "row_anchors"}, "layout row_anchors needs rows"),

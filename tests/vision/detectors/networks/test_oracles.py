@@ -6,7 +6,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 
@@ -110,68 +109,3 @@ def test_lstr(tmp_path: Path, seed: int) -> None:
     found = lines_of(write_answers(tmp_path, outputs, layout="lstr_curves", output=names))
     check(found, wanted)
     np.testing.assert_allclose([line.probability for line in found], likely, rtol=1e-5)
-
-
-# --- segments ---------------------------------------------------------------------------------
-
-
-def row_middles(mask: FloatArray) -> dict[int, float]:
-    """The middle of each row of the picture of a mask of the input, 80 x 40."""
-    whole = cv2.resize(mask, (WIDTH, HEIGHT)) > 0.5
-    return {v: float(np.flatnonzero(row).mean()) for v, row in enumerate(whole) if row.any()}
-
-
-def drawn_masks(rng: np.random.Generator) -> FloatArray:
-    """Four strips across the input, (4, 40, 80), as logits."""
-    masks = np.full((4, 40, 80), -8.0)
-    for k, (first, slope) in enumerate(
-        zip((8, 26, 44, 62), rng.uniform(-0.2, 0.2, 4), strict=True)
-    ):
-        for row in range(10, 36):
-            middle = first + slope * row
-            masks[k, row] = 8 * np.clip(3 - np.abs(np.arange(80) - middle), -1, 1)
-    return masks
-
-
-def check_middles(lines: list[Line], masks: list[FloatArray]) -> None:
-    assert len(lines) == len(masks)
-    for line, mask in zip(lines, masks, strict=True):
-        middles = row_middles(mask)
-        inside = [(u, v) for u, v in line.points if round(v) in middles and 65 < v < 235]
-        assert len(inside) > 15
-        # Pixels of the input are six of the picture's wide.
-        for u, v in inside:
-            assert abs(u - middles[round(v)]) < 4
-
-
-@seeds
-def test_yolo_with_prototypes(tmp_path: Path, seed: int) -> None:
-    """`process_mask` and the suppression of Ultralytics: sigmoid of coefficients times prototypes
-    inside the box; of boxes of one class, the best. Class 0 is no line, 1 is dashed, 2 solid."""
-    rng = np.random.default_rng(seed)
-    common = drawn_masks(rng)
-    boxes = np.zeros((60, 4 + 3 + 4))
-    boxes[:, :4] = rng.uniform(10, 30, (60, 4))
-    for k, kind in enumerate((1, 2, 0, 2)):
-        x, score = (8, 26, 44, 62)[k], 0.9 - 0.1 * k
-        boxes[10 * k, :4] = (x, 22, 20, 30)
-        # A worse one of the same line.
-        boxes[10 * k + 3, :4] = (x + 0.5, 22, 20, 30)
-        for row, less in ((10 * k, 0.0), (10 * k + 3, 0.2)):
-            boxes[row, 4 + kind] = score - less
-            boxes[row, 7 + k] = 1
-    keys: dict[str, Any] = {"layout": "prototypes", "threshold": 0.25}
-    keys |= {"output": {"boxes": "output0", "prototypes": "output1"}}
-    outputs = {"output0": boxes.T[None], "output1": common[None]}
-    every = lines_of(write_answers(tmp_path, outputs, **keys))
-    assert [line.kind for line in every] == [1, 2, 0, 2]
-    classes = {"dashed": [1], "solid": [2]}
-    found = lines_of(write_answers(tmp_path, outputs, classes=classes, **keys))
-    assert [line.kind for line in found] == [1, 2, 2]
-    np.testing.assert_allclose([line.probability for line in found], [0.9, 0.8, 0.6], rtol=1e-6)
-    masks = [sigmoid(common[k]) for k in (0, 1, 3)]
-    columns = np.arange(80)
-    for mask, x in zip(masks, (8, 26, 62), strict=True):
-        mask[:, (columns < x - 10) | (columns >= x + 10)] = 0
-        mask[:7] = mask[37:] = 0
-    check_middles(found, masks)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,8 +104,29 @@ def test_the_shade_of_a_bridge_and_a_dark_seam_are_road() -> None:
     assert free_road(VIEW, seam, DEFAULTS).all()
 
 
-@pytest.mark.parametrize("sky", [150, 10])
+@pytest.mark.parametrize("sky", [150, 10, 0])
 def test_a_road_under_a_dark_sky_is_no_daylight(sky: int) -> None:
     image = road(LANE, camera=CAMERA)
     image[: int(_horizon(CAMERA))] = sky
     assert is_daylight(CAMERA, image) == (sky == 150)
+
+
+def test_lines_are_found_on_a_black_road_at_night() -> None:
+    image = road(LANE, camera=CAMERA)
+    noise = np.random.default_rng(0).random(image.shape) < 0.2
+    image = np.where(image < 150, noise, image).astype(np.uint8)
+    image[: int(_horizon(CAMERA))] = 0
+    assert not is_daylight(CAMERA, image)
+    found = find_lines(VIEW, image, DEFAULTS)
+    for line in (-2.4, 2.4):
+        assert len(inside(found, line - 0.1, line + 0.1)) == 1
+
+
+def test_what_is_no_road_does_not_count_as_light() -> None:
+    image = road(LANE, camera=CAMERA)
+    top = int(_horizon(CAMERA))
+    image[:top] = 10
+    # A lit mirror in the sky.
+    image[: top // 2, 200:700] = 250
+    assert is_daylight(CAMERA, image)
+    assert not is_daylight(replace(CAMERA, ignore=((200, 0, 700, top // 2),)), image)
