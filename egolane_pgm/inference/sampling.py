@@ -56,8 +56,7 @@ def sample(
     """
     compiled, rng = compiled_of(model), np.random.default_rng(seed)
     drawn = sampled_states(compiled, n_frames, 1, rng, inputs)[0]
-    nodes = dict.fromkeys((*compiled.state_nodes, *compiled.functions))
-    columns = {name: compiled.node_value[name][drawn] for name in nodes}
+    columns = {name: value[drawn] for name, value in compiled.node_value.items()}
     for group in compiled.groups:
         emission = group.emission.cumsum(axis=1)[drawn]
         goal = rng.random(n_frames)[:, None] * emission[:, -1:]
@@ -117,7 +116,9 @@ def posterior_paths(
     passed = pass_forward(compiled, evidence, is_first=is_first)
     uniform = np.random.default_rng(seed).random((n, len(evidence)))
     paths = np.empty(uniform.shape, dtype=np.int64)
-    draw_backward(passed.filtered, compiled.transition, passed.index, passed.begins, uniform, paths)
+    draw_backward(
+        passed.filtered, compiled.transition, passed.input_index, passed.begins, uniform, paths
+    )
     return {name: compiled.node_value[name][paths] for name in compiled.hidden}
 
 
@@ -139,9 +140,9 @@ def predicted(
     compiled = compiled_of(model)
     passed = pass_forward(compiled, evidence, is_first=is_first)
     before = np.roll(passed.filtered, 1, axis=0)
-    states = compiled.prior[passed.index]
+    states = compiled.prior[passed.input_index]
     for u in range(len(compiled.transition)):
-        rows = ~passed.begins & (passed.index == u)
+        rows = ~passed.begins & (passed.input_index == u)
         states[rows] = before[rows] @ compiled.transition[u]
     found: dict[str, FloatArray] = {}
     for group in compiled.groups:

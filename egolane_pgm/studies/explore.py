@@ -151,6 +151,8 @@ def make_problem(
         raise InputError("explore: the drives differ in n_lanes; explore them apart")
     if judge != "bic" and not folds:
         raise InputError(f"judge: {judge} needs held-out frames (folds); without them take bic")
+    if judge in ("log_loss", "accuracy") and not all(drive.has_truth for drive in drives):
+        raise InputError(f"judge: {judge} needs ground truth; without it take log_evidence or bic")
     learnable_nodes(model)
     start = start_of_learning(model).compiled
     tables = list(start.tables.values())
@@ -217,7 +219,9 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     free numbers.
     """
     compiled = compiled_of(problem, structure)
-    assert compiled is not None
+    if compiled is None:
+        changed = ", ".join(map(str, sorted(structure)))
+        raise InputError(f"explore: {changed}: no network that can be filtered")
     _, bases = with_structure(problem.tables, structure, problem.seed)
     options = problem.model.experiment.fit
     parts = [
@@ -287,16 +291,13 @@ class _Tried:
         self.problem, self.jobs, self.cluster = problem, jobs, cluster
         self.found: dict[Structure, Judged] = {}
         memory = Memory(None if directory is None else directory / "tried", verbose=0)
-        self.judge: Callable[[Structure], Judged] = partial(
-            memory.cache(judged, ignore=[]), problem
-        )
+        self.judge: Callable[[Structure], Judged] = partial(memory.cache(judged), problem)
 
-    def __call__(self, structures: Sequence[Structure], progress: bool | None) -> None:
+    def __call__(self, structures: Sequence[Structure]) -> None:
         new = [each for each in dict.fromkeys(structures) if each not in self.found]
         done = parallel(self.judge, new, jobs=self.jobs, cluster=self.cluster)
-        for each, result in zip(
-            new, bar(done, progress, total=len(new), unit="graph"), strict=True
-        ):
+        counted = bar(done, total=len(new), unit="graph")
+        for each, result in zip(new, counted, strict=True):
             self.found[each] = result
 
 
@@ -310,7 +311,6 @@ def explore(
     directory: Path | None = None,
     jobs: int = 1,
     cluster: str | None = None,
-    progress: bool | None = False,
 ) -> Exploration:
     """Try each edge alone, then search the best set of edges.
 
@@ -325,9 +325,9 @@ def explore(
     for k in range(max(1, searches)):
         tried = _Tried(replace(problem, seed=problem.seed + k), jobs, cluster, directory)
         start: Structure = frozenset()
-        tried([start, *(frozenset({edge}) for edge in edges)], progress)
+        tried([start, *(frozenset({edge}) for edge in edges)])
         search = partial(_optuna, trials=trials) if trials else _greedy
-        chosen.append(search(tried, edges, most_parents=most_parents, progress=progress))
+        chosen.append(search(tried, edges, most_parents=most_parents))
         if k == 0:
             first = tried
     rows = [_edge_row(first, edge, chosen) for edge in edges]
@@ -366,9 +366,7 @@ def _edge_row(tried: _Tried, edge: Edge, chosen: Sequence[Structure]) -> dict[st
     }
 
 
-def _greedy(
-    tried: _Tried, edges: Sequence[Edge], *, most_parents: int, progress: bool | None
-) -> Structure:
+def _greedy(tried: _Tried, edges: Sequence[Edge], *, most_parents: int) -> Structure:
     """Change the edge that gains most, as long as the mean gain is positive."""
     now: Structure = frozenset()
     while True:
@@ -377,16 +375,14 @@ def _greedy(
             for edge in edges
             if edge not in now and _is_allowed(tried.problem, now | {edge}, most_parents)
         ]
-        tried(allowed, progress)
+        tried(allowed)
         best = max(allowed, key=lambda each: tried.found[each].mean, default=now)
         if best == now or tried.found[best].mean <= tried.found[now].mean:
             return now
         now = best
 
 
-def _optuna(
-    tried: _Tried, edges: Sequence[Edge], *, trials: int, most_parents: int, progress: bool | None
-) -> Structure:
+def _optuna(tried: _Tried, edges: Sequence[Edge], *, trials: int, most_parents: int) -> Structure:
     """Search with each edge on or off; a set that is no network is pruned."""
     problem = tried.problem
     sampler = optuna.samplers.TPESampler(seed=problem.seed, multivariate=True)
@@ -397,10 +393,10 @@ def _optuna(
         on = frozenset(e for e in edges if trial.suggest_categorical(str(e), [False, True]))
         if not _is_allowed(problem, on, most_parents):
             raise optuna.TrialPruned
-        tried([on], False)
+        tried([on])
         return tried.found[on].mean
 
-    for _ in bar(range(trials), progress, unit="trial"):
+    for _ in bar(range(trials), unit="trial"):
         study.optimize(score, n_trials=1)
     return frozenset(edge for edge in edges if study.best_params[str(edge)])
 

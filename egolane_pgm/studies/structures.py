@@ -156,7 +156,8 @@ def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode]) 
     compact form those without repetition, and one."""
     bases, total = set(bases), 0
     for node, table in tables.items():
-        values = table.values[..., 0, :] if node in bases else table.values
+        # Repetition adds to one value of each row only.
+        values = table.values.min(axis=-2) if node in bases else table.values
         total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
     return total
 
