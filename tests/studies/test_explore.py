@@ -1,0 +1,130 @@
+"""The search of edges: on drives drawn from a known network, and its numbers by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import egolane_pgm as ego
+from egolane_pgm.drives import Drive
+from egolane_pgm.graphs.cpds import Table
+from egolane_pgm.inference.compile import compile_tables
+from egolane_pgm.studies import explore as module
+from egolane_pgm.studies import structures
+from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
+from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
+from egolane_pgm.studies.study import block_folds, everything
+from tests.kits.line_logs import line_log
+from tests.kits.studies import drive_of
+
+KEYS = {"recording.frames": [0, 300], "fit.strength": 1.0}
+DRIVE = drive_of(ego.load_experiment("quickstart", KEYS))
+FIVE_LANES = drive_of(ego.load_experiment("quickstart", {**KEYS, "n_lanes": 5}))
+UNLABELLED = replace(DRIVE, true_lane=np.zeros(300, np.int64))
+WHOLE, BIC = everything([DRIVE]), make_problem([DRIVE], [], judge="bic")
+START = DRIVE.model.compiled
+ADDED = [Edge("WOR", "Lane", 0), Edge("WOR", "WOR", 1)]
+REPEATS = Edge("WOR", "WOR", 1, repeats=True)
+REMOVED = Edge("DetectorOutput", "SensorState", 0)
+
+
+def drawn_from(truth: Edge, n_frames: int) -> Problem:
+    """A drive of the network with an edge more, whose new table is random."""
+    tables = {table.node: table for table in with_structure(BIC.tables, frozenset({truth}), 0)[0]}
+    shape = tables[truth.child, 1].values.shape[:-1]
+    ok = np.random.default_rng(101).uniform(0.1, 0.9, shape)
+    for node in ((truth.child, s) for s in range(truth.lag, 2)):
+        tables[node] = replace(tables[node], values=np.stack([ok, 1 - ok], axis=-1))
+    roles = {"observed": START.observed, "hidden": START.hidden, "values": START.values}
+    frames = ego.sample(compile_tables(list(tables.values()), **roles), n_frames, seed=1)
+    lane = frames["Lane"].cat.codes.to_numpy(np.int64) + 1
+    nothing = np.zeros((n_frames, 0))
+    drive = Drive("drawn", DRIVE.model, line_log(nothing), lane, nothing.any(axis=1))
+    evidence = ego.Evidence.hard(frames[["DetectorOutput", "WOR"]], START)
+    return replace(make_problem([drive], [], judge="bic"), evidence=(evidence,))
+
+
+@pytest.mark.parametrize("truth", ADDED, ids=str)
+def test_an_edge_is_found_again(truth: Edge) -> None:
+    others = [REMOVED, Edge("WOR", "DetectorOutput", 0), Edge("SensorState", "Lane", 1)]
+    found = explore(drawn_from(truth, 4000), [*others, *ADDED])
+    assert found.best == {truth}
+    assert found.edges["chosen"].tolist() == [1, 0, 0, 0, 0]
+    assert found.gain.estimate == found.edges["gain"][0] > 0.01
+
+
+def test_a_study_keeps_what_it_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On disk: a repeated call fits nothing but the best structure."""
+    problem = make_problem([DRIVE], block_folds([DRIVE], 2), nodes=[("Rain", 2)])
+    edges, fits = [Edge("WOR", "Rain", 0), REPEATS], []
+    first = explore(problem, edges, trials=4, searches=2, directory=tmp_path)
+    monkeypatch.setattr(module, "fitted", lambda *a: fits.append(a[1]) or fitted(*a))
+    again = explore(problem, edges, trials=4, searches=2, directory=tmp_path)
+    assert again.edges.equals(first.edges)
+    assert fits == [first.best]
+    scores = first.structures.set_index("edges")["score"]
+    assert scores[", ".join(map(str, sorted(first.best)))] == scores.max()
+
+
+@pytest.mark.parametrize("edge", [*ADDED, REPEATS, REMOVED], ids=str)
+def test_a_changed_table_says_as_much_as_before(edge: Edge) -> None:
+    tables, bases = with_structure(BIC.tables, frozenset({edge}), 0)
+    [now] = [table for table in tables if table.node == (edge.child, 1)]
+    np.testing.assert_allclose(now.values.sum(axis=-1), 1)
+    before = START.tables[edge.child, 1].values
+    if edge == REMOVED:
+        np.testing.assert_array_equal(now.values, before.mean(axis=0))
+    elif edge.repeats:
+        np.testing.assert_array_equal(bases[now.node], before)
+        np.testing.assert_allclose(now.values, 0.5 * np.eye(2) + 0.5 * before[..., None, :])
+    else:
+        ratio = now.values / before[..., None, :]
+        assert 1 / 1.2 <= ratio.min() < 1 < ratio.max() <= 1.2
+
+
+def test_repetition_is_found_from_its_counts() -> None:
+    counts = 1000 * structures.repetition(np.array([[0.2, 0.3, 0.5], [0.6, 0.3, 0.1]]), 0.7)
+    step, posterior = structures.repetition_step(np.full((2, 3), 1 / 3), strength=5), []
+    for _ in range(300):
+        values, log_prior = step(counts)
+        posterior.append(float((counts * np.log(values)).sum()) + log_prior)
+    assert (np.diff(posterior) > -1e-8).all()
+    np.testing.assert_allclose(values, counts / 1000, atol=0.01)
+
+
+def test_free_numbers_and_bic_by_hand() -> None:
+    repeated = structures.repetition(np.array([0.0, 0.4, 0.6]), 0.5)
+    plain = np.array([[0.5, 0.5], [1.0, 0.0], [0.9, 0.1]])
+    tables = [Table(("A", 1), (("A", 0),), repeated), Table(("B", 1), (("A", 1),), plain)]
+    assert structures.free_numbers({t.node: t for t in tables}, [("A", 1)]) == (1 + 1) + (1 + 0 + 1)
+    found, [evidence] = judged(BIC, frozenset()), BIC.evidence
+    lane = np.where(DRIVE.is_crossing, -1, DRIVE.true_lane - 1)
+    fit = ego.fit_tables(START, evidence, {"Lane": lane}, strength=1.0, iterations=50)
+    log_evidence = ego.filter_beliefs(fit.compiled, evidence).log_evidence.sum()
+    # SensorState and Lane in the first frame and later, DetectorOutput, WOR.
+    numbers = 1 + 2 + 3 + 4 * 3 + 8 * 3 + 2
+    assert found.bic == pytest.approx(log_evidence - numbers / 2 * np.log(300))
+
+
+def test_edges_are_read_as_they_are_written() -> None:
+    found = module.candidates(BIC, most_parents=2)
+    assert [parse_edge(str(edge), START.values) for edge in found] == found
+
+
+REFUSED = {
+    "no node 'Rain'": lambda: parse_edge("Rain -> WOR", START.values),
+    "'best' is not one of": lambda: make_problem([DRIVE], [], judge="best"),
+    "log_loss needs held-out frames": lambda: make_problem([DRIVE], []),
+    "log_loss needs ground truth": lambda: make_problem([UNLABELLED], [WHOLE]),
+    "differ in n_lanes": lambda: make_problem([DRIVE, FIVE_LANES], [WHOLE]),
+    "no network": lambda: judged(BIC, frozenset({Edge("SensorState", "WOR", 0)})),
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_what_does_not_fit_is_refused(message: str) -> None:
+    with pytest.raises(ego.InputError, match=message):
+        REFUSED[message]()
