@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from egolane_pgm.types import LineLog as LineLog
     from egolane_pgm.verbs.compare import compare as compare
     from egolane_pgm.verbs.detect import detect as detect
+    from egolane_pgm.verbs.explore import explore as explore
     from egolane_pgm.verbs.label import label as label
     from egolane_pgm.verbs.learn import learn as learn
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
@@ -64,6 +65,7 @@ _PUBLIC = {
     "run": "runs",
     "tune": "verbs.tune",
     "learn": "verbs.learn",
+    "explore": "verbs.explore",
     "compare": "verbs.compare",
     "reproduce": "verbs.reproduce",
     "detect": "verbs.detect",

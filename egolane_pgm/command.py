@@ -40,6 +40,7 @@ GROUPS = {
     "Search": {
         "tune": "Search parameters; score them on held-out frames.",
         "learn": "Fit a model to its recording; score it on held-out frames.",
+        "explore": "Search the edges of a graph: which one helps?",
     },
     "Look": {
         "plot": "Draw results and studies: figures, a page, a video, an MCAP file.",

@@ -29,6 +29,7 @@ from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.studies.fits import learnable_nodes, start_of_learning, training_of
+from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.structures import (
     Edge,
     Structure,
@@ -39,6 +40,7 @@ from egolane_pgm.studies.structures import (
     with_structure,
 )
 from egolane_pgm.studies.study import Fold, everything
+from egolane_pgm.tools.files import make_directory, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import Evidence, FloatArray, InputError
@@ -118,16 +120,53 @@ class Exploration:
       `bic`.
     - best: the edges in which the best structure differs from the start.
     - gain: of the best structure over the start, with its interval.
-    - compiled: the best structure, fitted to all frames.
+    - model: the best structure, fitted to all frames.
     - judge: one of JUDGES.
+    - directory: where it is saved; None in memory.
     """
 
     edges: pd.DataFrame
     structures: pd.DataFrame
     best: Structure
     gain: Interval
-    compiled: Compiled
+    model: Model
     judge: str
+    directory: Path | None = None
+
+    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+        """Return what `egolane explore` prints: each edge with its gain, and the best graph."""
+        from egolane_pgm.views.studies import exploration_text
+
+        return exploration_text(self, style, wide)
+
+    def save(self, directory: Path) -> None:
+        """Write edges.csv, structures.csv, and the best graph: best.graph.yaml, best.bif, best.png
+        with edges as wide as their gain."""
+        from egolane_pgm.views.network import write_network
+
+        make_directory(directory)
+        self.edges.to_csv(directory / "edges.csv", index=False)
+        self.structures.to_csv(directory / "structures.csv", index=False)
+        content = graph_yaml(self.model, f"edges chosen by {self.judge}: {self.changes}")
+        write_yaml(directory / "best.graph.yaml", content)
+        write_network(self.model.compiled, directory / "best.bif")
+        names = {str(edge): edge for edge in self.best}
+        gains = {
+            (edge.parent, edge.child, edge.lag): row.gain
+            for row in self.edges.itertuples()
+            if (edge := names.get(str(row.edge))) is not None and row.change == "add"
+        }
+        write_network(self.model.compiled, directory / "best.png", gains)
+
+    @property
+    def meaning(self) -> str:
+        """What the judge says."""
+        return JUDGES[self.judge]
+
+    @property
+    def changes(self) -> str:
+        """The edges in which the best structure differs from the start, as text."""
+        return ", ".join(map(str, sorted(self.best))) or "none"
 
 
 def make_problem(
@@ -320,6 +359,12 @@ def explore(
     - searches: with another seed each; `chosen` counts over them.
     - directory: structures that were tried are kept there, so that a repeated call goes on.
     """
+    for edge in edges:
+        if compiled_of(problem, frozenset({edge})) is None:
+            raise InputError(
+                f"edge '{edge}': with it the graph has a circle, or more joint states or numbers"
+                " than can be filtered"
+            )
     chosen: list[Structure] = []
     tried = _Tried(problem, jobs, cluster, directory)
     for k in range(max(1, searches)):
@@ -346,8 +391,11 @@ def explore(
     ).sort_values("score", ascending=False, ignore_index=True)
     best, nothing = chosen[0], first.found[frozenset()]
     compiled, *_ = fitted(problem, best, everything(problem.drives))
-    gain = gain_of(first.found[best], nothing)
-    return Exploration(table, structures, best, gain, compiled, problem.judge)
+    gain, model = gain_of(first.found[best], nothing), replace(problem.model, compiled=compiled)
+    done = Exploration(table, structures, best, gain, model, problem.judge, directory)
+    if directory is not None:
+        done.save(directory)
+    return done
 
 
 def _edge_row(tried: _Tried, edge: Edge, chosen: Sequence[Structure]) -> dict[str, Any]:

@@ -21,9 +21,10 @@ from egolane_pgm.views.style import (
     new_figure,
     write_figures,
 )
-from egolane_pgm.views.tables import Table, cell, page, score_table, table
+from egolane_pgm.views.tables import Table, cell, page, score_table, table, with_interval
 
 if TYPE_CHECKING:
+    from egolane_pgm.studies.explore import Exploration
     from egolane_pgm.studies.study import Study
 
 #: Importances of fewer trials would be mostly chance.
@@ -82,6 +83,28 @@ def _range(values: Sequence[Any]) -> str:
     if all(isinstance(each, (int, float)) for each in values):
         return " to ".join(dict.fromkeys(cell(end) for end in (min(values), max(values))))
     return ", ".join(dict.fromkeys(map(str, values)))
+
+
+def exploration_text(found: Exploration, style: str, wide: bool) -> str:
+    """The output of `egolane explore`: which edge helps."""
+    shown = found.edges.set_index("edge")
+    shown["gain"] = [
+        with_interval(row.gain, None if row.low is None else [row.low, row.high], "+.4f")
+        for row in shown.itertuples()
+    ]
+    shown = shown.drop(columns=["low", "high"])
+    low, high = found.gain.low, found.gain.high
+    best = with_interval(found.gain.estimate, None if low is None else [low, high], "+.4f")
+    return page(
+        [
+            f"{len(found.structures)} graphs were tried; {found.meaning}",
+            "each edge alone, and in how many searches it was chosen:",
+            table(shown),
+            f"best: {found.changes}\n  gain {best}, {found.structures['numbers'][0]} free numbers",
+        ],
+        style,
+        wide,
+    )
 
 
 # --- figures -------------------------------------------------------------------------------------
