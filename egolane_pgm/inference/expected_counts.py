@@ -16,6 +16,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, Group
 from egolane_pgm.inference.filtering import (
     evidence_blocks,
+    first_frames,
     forward,
     joint_input,
     state_likelihood,
@@ -83,8 +84,7 @@ def expected_counts(
             meant = suggestion(node, compiled.hidden)
             raise InputError(f"known values of {node}, which is no hidden node{meant}")
         likelihood *= (value[:, None] == compiled.node_value[node]) | (value == FREE)[:, None]
-    begins = np.zeros(n_frames, dtype=bool) if is_first is None else is_first.copy()
-    begins[:1] = True
+    begins = first_frames(n_frames, is_first)
     filtered, log_evidence, is_impossible = forward(compiled, likelihood, index, begins)
     likelihood[is_impossible] = 1.0
     smoothed, moves = np.empty((n_frames, n_states)), np.zeros((n_states, n_states))

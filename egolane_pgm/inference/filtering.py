@@ -94,8 +94,7 @@ def step(
     n_frames = len(evidence)
     ids = np.arange(n_frames)
     joint = np.zeros(compiled.n_states) if state is None else state.copy()
-    begins = np.zeros(n_frames, dtype=bool) if is_first is None else is_first.copy()
-    begins[:1] = state is None
+    begins = first_frames(n_frames, is_first, starts=state is None)
     index = joint_input(compiled, evidence)
     done = []
     # A drive that is cut at a multiple of this size gives bit-identical beliefs. A last chunk of
@@ -111,6 +110,20 @@ def step(
         marginals = {name: rows[:, columns] for name, columns in compiled.parts.items()}
         done.append(Beliefs(ids[piece], marginals, log_evidence, is_impossible, compiled.values))
     return joint, Beliefs.concat(done)
+
+
+def first_frames(n_frames: int, is_first: BoolArray | None, *, starts: bool = True) -> BoolArray:
+    """Return where sequences begin, (T,).
+
+    - starts: whether one begins with the first frame in any case.
+
+    Raises InputError for an array of another length.
+    """
+    begins = np.zeros(n_frames, dtype=bool) if is_first is None else np.array(is_first, dtype=bool)
+    if begins.shape != (n_frames,):
+        raise InputError(f"is_first: shape {begins.shape}, the evidence has {n_frames} frames")
+    begins[:1] |= starts
+    return begins
 
 
 def harden(evidence: Evidence) -> Evidence:

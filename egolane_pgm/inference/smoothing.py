@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.filtering import forward, joint_input, state_likelihood
+from egolane_pgm.inference.filtering import first_frames, forward, joint_input, state_likelihood
 from egolane_pgm.inference.kernels.sweeps import fixed_lag_frames, smooth_frames
 from egolane_pgm.types import Beliefs, BoolArray, Evidence, FloatArray, InputError, IntArray
 
@@ -52,8 +52,7 @@ def pass_forward(
     Raises InputError for evidence that does not fit the network.
     """
     index = joint_input(compiled, evidence)
-    begins = np.zeros(len(evidence), dtype=bool) if is_first is None else is_first.copy()
-    begins[:1] = before is None
+    begins = first_frames(len(evidence), is_first, starts=before is None)
     likelihood = state_likelihood(compiled, evidence)
     filtered, log_evidence, is_impossible = forward(
         compiled, likelihood, index, begins, None if before is None else before.copy()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import chisquare
 
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.inference.sampling import posterior_paths, predicted, sample, sampled_states
 from egolane_pgm.inference.smoothing import smooth_beliefs
 from egolane_pgm.types import Evidence, InputError
@@ -87,7 +88,7 @@ def test_what_is_predicted_ignores_the_evidence_of_its_frame(seed: int) -> None:
             np.testing.assert_allclose(found[name][t], right / right.sum(), atol=1e-9)
 
 
-def test_sequences_are_drawn_apart() -> None:
+def test_sequences_are_drawn_and_filtered_apart() -> None:
     compiled = template("sensor_failure", 3)
     evidence = draw_evidence(compiled, 40, np.random.default_rng(3), zeros=0)
     is_first = np.isin(np.arange(40), (0, 25))
@@ -98,6 +99,10 @@ def test_sequences_are_drawn_apart() -> None:
         np.testing.assert_allclose(share, alone.lane, atol=0.02)
         ours = predicted(compiled, evidence, is_first=is_first)["WOR"][part]
         np.testing.assert_array_equal(ours, predicted(compiled, evidence.take(part))["WOR"])
+        for method in METHODS:
+            ours = filter_beliefs(compiled, evidence, method, is_first=is_first).lane[part]
+            right = filter_beliefs(compiled, evidence.take(part), method).lane
+            np.testing.assert_array_equal(ours, right)
 
 
 def test_a_seed_gives_the_same_draws_and_another_seed_others() -> None:
@@ -115,3 +120,5 @@ def test_wrong_numbers_are_refused() -> None:
         sampled_states(compiled, 3, 0, np.random.default_rng(0))
     with pytest.raises(InputError, match="posterior_paths: n: 0 is not a positive number"):
         posterior_paths(compiled, evidence, 0, 0)
+    with pytest.raises(InputError, match=r"is_first: shape \(3,\), the evidence has 2 frames"):
+        predicted(compiled, evidence, is_first=np.zeros(3, dtype=bool))
