@@ -133,30 +133,20 @@ class Exploration:
     judge: str
     directory: Path | None = None
 
-    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
-        """Return what `egolane explore` prints: each edge with its gain, and the best graph."""
-        from egolane_pgm.views.studies import exploration_text
-
-        return exploration_text(self, style, wide)
-
     def save(self, directory: Path) -> None:
-        """Write edges.csv, structures.csv, and the best graph: best.graph.yaml, best.bif, best.png
-        with edges as wide as their gain."""
-        from egolane_pgm.views.network import write_network
-
+        """Write edges.csv, structures.csv and the best graph, best.graph.yaml."""
         make_directory(directory)
         self.edges.to_csv(directory / "edges.csv", index=False)
         self.structures.to_csv(directory / "structures.csv", index=False)
         content = graph_yaml(self.model, f"edges chosen by {self.judge}: {self.changes}")
         write_yaml(directory / "best.graph.yaml", content)
-        write_network(self.model.compiled, directory / "best.bif")
-        names = {str(edge): edge for edge in self.best}
-        gains = {
-            (edge.parent, edge.child, edge.lag): row.gain
-            for row in self.edges.itertuples()
-            if (edge := names.get(str(row.edge))) is not None and row.change == "add"
-        }
-        write_network(self.model.compiled, directory / "best.png", gains)
+
+    @property
+    def gains(self) -> dict[tuple[str, str, int], float]:
+        """What each edge that was added gains alone, by parent, child and lag."""
+        alone = self.edges[self.edges["change"] == "add"].set_index("edge")["gain"]
+        added = [edge for edge in self.best if str(edge) in alone]
+        return {(e.parent, e.child, e.lag): float(alone[str(e)]) for e in added}
 
     @property
     def meaning(self) -> str:

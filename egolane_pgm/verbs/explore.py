@@ -16,6 +16,7 @@ from egolane_pgm.tools import options
 from egolane_pgm.tools.options import Option, StrPath, place_of
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.studied import open_studied
+from egolane_pgm.views.studies import exploration_text
 
 EXAMPLES = (
     "egolane explore experiments/paper/run01_italy_ml.yaml --jobs 2",
@@ -31,18 +32,16 @@ def explore(
     judge: Literal["log_loss", "accuracy", "log_evidence", "bic"] = "log_loss",
     edge: Annotated[Sequence[str], Option("EDGE")] = (),
     node: Annotated[Sequence[str], Option("NAME=SIZE")] = (),
-    most_parents: Annotated[int, Ge(1)] = 3,
-    trials: Annotated[int, Ge(0)] = 0,
     searches: Annotated[int, Ge(1)] = 1,
-    folds: options.Folds = None,
     out: Annotated[StrPath | None, Option("DIR", default="results/exploring/*")] = None,
     jobs: options.Jobs = 1,
     cluster: options.Cluster = None,
 ) -> Exploration:
     """Search the edges of a graph: which one helps?
 
-    Each graph is fitted by EM (`fit.labels`, `fit.strength`). First each edge is tried alone, then
-    the best set of edges is searched.
+    Each graph is fitted by EM (`fit.labels`, `fit.strength`) and judged on held-out blocks
+    (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
+    `fit.trials` by an Optuna study in which each edge is on or off.
 
     - experiments: one, or a list: experiments or results, of the same number of lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
@@ -50,10 +49,7 @@ def explore(
     - judge: log_loss or accuracy of Lane, or log_evidence of the lines, in held-out frames; or bic.
     - edge: a candidate, e.g. 'Lane(t-1) -> WOR'; by default all that can be compiled. Repeatable.
     - node: a hidden node to add, e.g. Occlusion=2. Repeatable.
-    - most_parents: parents that a node may get.
-    - trials: 0 for a greedy search, else trials of an Optuna study with each edge on or off.
     - searches: number of searches, each with another seed of the new edges.
-    - folds: number of blocks of each drive, by default 5, 0 for none.
     - out: directory of the answer. A `*` in it is the experiment's name.
     - jobs: processes that share the graphs.
     - cluster: Dask cluster for the graphs.
@@ -62,35 +58,47 @@ def explore(
     `out`. Raises InputError for an edge or node that is not there and for drives that do not fit.
 
     >>> import egolane_pgm as ego
-    >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 600]})
-    >>> found = ego.explore(experiment, edge=["WOR repeats itself", "Lane -> WOR"], folds=2)
+    >>> changes = {"recording.frames": [0, 600], "fit.folds": 2}
+    >>> experiment = ego.load_experiment("quickstart", changes)
+    >>> found = ego.explore(experiment, edge=["WOR repeats itself", "Lane -> WOR"])
     >>> found.edges.columns[:3].tolist()
     ['edge', 'change', 'gain']
     """
     name, inputs = open_studied(experiments, overrides, graph)
     drives = [drive for each in inputs for drive in each.drives()]
-    n_folds = inputs[0].experiment.fit.folds if folds is None else folds
-    nodes = []
+    fit, nodes = inputs[0].experiment.fit, []
     for text in node:
         added, equals, size = text.partition("=")
         if not equals or not size.isdecimal():
             raise InputError(f"node: '{text}' is not NAME=SIZE, e.g. Occlusion=2")
         nodes.append((added.strip(), int(size)))
     problem = make_problem(
-        drives, block_folds(drives, n_folds) if n_folds else (), judge=judge, nodes=nodes
+        drives, block_folds(drives, fit.folds) if fit.folds else (), judge=judge, nodes=nodes
     )
     known = list(dict.fromkeys(table.node[0] for table in problem.tables))
-    edges = [parse_edge(each, known) for each in edge] or candidates(problem, most_parents)
-    return search(
+    edges = [parse_edge(each, known) for each in edge] or candidates(problem)
+    place = place_of(out, name)
+    found = search(
         problem,
         edges,
-        trials=trials,
+        trials=fit.trials or 0,
         searches=searches,
-        most_parents=most_parents,
-        directory=place_of(out, name),
+        directory=place,
         jobs=jobs,
         cluster=cluster,
     )
+    if place is not None:
+        # Pictures are slow to import.
+        from egolane_pgm.views.network import write_network
+
+        write_network(found.model.compiled, place / "best.bif")
+        write_network(found.model.compiled, place / "best.png", found.gains)
+    return found
+
+
+def text(done: Exploration, style: str = "markdown", wide: bool = False) -> str:
+    """Which edge helps."""
+    return exploration_text(done, style, wide)
 
 
 def summary(done: Exploration, given: Any) -> str:

@@ -107,8 +107,8 @@ def network_figure(structure: Structure, gains: Gains | None = None) -> Figure:
     Hidden nodes are white circles, functions have a double outline, observed nodes are blue-grey,
     inputs are squares, and virtual-evidence nodes are small and dark.
 
-    - gains: by parent, child and lag (0 or 1) what an edge gains; these are drawn up to five times as
-      wide.
+    - gains: by parent, child and lag (0 or 1) what an edge gains; these are drawn up to five times
+      as wide.
     """
     gains, most = gains or {}, max([1e-9, *(gains or {}).values()])
     places = _places(structure)

@@ -1,0 +1,54 @@
+"""The command `egolane explore`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tests.kits.drives import command, done
+
+WORDS = ("explore", "quickstart", "--set", "recording.frames=[0,600]")
+
+
+def test_edges_are_judged_and_the_best_graph_runs(tmp_path: Path) -> None:
+    out = tmp_path / "found"
+    said = done(
+        *WORDS,
+        "--set",
+        "fit.folds=2",
+        "--edge",
+        "Lane -> WOR",
+        "--edge",
+        "WOR repeats itself",
+        "--out",
+        out,
+    )
+    edges = pd.read_csv(out / "edges.csv")
+    assert set(edges["edge"]) == {"Lane -> WOR", "WOR repeats itself"}
+    assert edges["gain"].is_monotonic_decreasing
+    assert "gain in held-out log-loss of Lane" in said.stdout
+    for name in ("best.png", "best.bif", "structures.csv"):
+        assert (out / name).stat().st_size
+    for graph in ("best.graph.yaml", "best.bif"):
+        words = ("--graph", out / graph, "--no-figures", "--out", tmp_path / graph)
+        assert "right in" in done("run", *WORDS[1:4], *words).stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--edge", "Foo -> Lane"), "edge 'Foo -> Lane': no node 'Foo'"),
+        (("--edge", "DetectorOutput -> Lane"), "with it the graph has a circle, or more joint"),
+        (("--node", "Occlusion"), "--node: 'Occlusion' is not NAME=SIZE, e.g. Occlusion=2"),
+        (("--node", "Lane=3"), "node Lane=3: needs a new name and two values or more"),
+        (("--set", "fit.folds=0"), "--judge: log_loss needs held-out frames (folds)"),
+    ],
+)
+def test_what_cannot_be_explored_is_refused_in_one_line(
+    tmp_path: Path, words: tuple[str, ...], said: str
+) -> None:
+    result = command(*WORDS, *words, "--out", tmp_path / "x")
+    assert result.exit_code == 2
+    assert said in result.stderr.splitlines()[-1]
