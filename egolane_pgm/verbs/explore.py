@@ -46,7 +46,8 @@ def explore(
     - experiments: one, or a list: experiments or results, of the same number of lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
-    - judge: log_loss or accuracy of Lane, or log_evidence of the lines, in held-out frames; or bic.
+    - judge: what counts: log_loss or accuracy of Lane, or log_evidence of the lines, in held-out
+      frames; or bic of all frames.
     - edge: a candidate, e.g. 'Lane(t-1) -> WOR'; by default all that can be compiled. Repeatable.
     - node: a hidden node to add, e.g. Occlusion=2. Repeatable.
     - searches: number of searches, each with another seed of the new edges.
