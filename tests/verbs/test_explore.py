@@ -14,17 +14,8 @@ WORDS = ("explore", "quickstart", "--set", "recording.frames=[0,600]")
 
 def test_edges_are_judged_and_the_best_graph_runs(tmp_path: Path) -> None:
     out = tmp_path / "found"
-    said = done(
-        *WORDS,
-        "--set",
-        "fit.folds=2",
-        "--edge",
-        "Lane -> WOR",
-        "--edge",
-        "WOR repeats itself",
-        "--out",
-        out,
-    )
+    given = ("--edge", "Lane -> WOR", "--edge", "WOR repeats itself", "--out", out)
+    said = done(*WORDS, "--set", "fit.folds=2", *given)
     found = pd.read_csv(out / "edges.csv")
     assert set(found["edge"]) == {"Lane -> WOR", "WOR repeats itself"}
     assert found["gain"].is_monotonic_decreasing
