@@ -100,7 +100,8 @@ def exploration_text(found: Exploration, style: str, wide: bool) -> str:
             f"{len(found.structures)} graphs were tried; {found.meaning}",
             "each edge alone, and in how many searches it was chosen:",
             table(shown),
-            f"best: {found.changes}\n  gain {best}, {found.structures['numbers'][0]} free numbers",
+            f"best: {found.changes}\n  gain {best}, {found.structures['numbers'][0]} free numbers\n"
+            "  (chosen by its score on these frames, which is therefore optimistic)",
         ],
         style,
         wide,
