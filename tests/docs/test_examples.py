@@ -31,7 +31,7 @@ from tests.kits.doc_examples import (
 )
 
 #: What a page needs that not everybody has.
-_RECORDINGS = re.compile(r"ten_runs|reproduce|experiments/paper/|egolane data")
+_RECORDINGS = re.compile(r"ten_runs|reproduce|experiments/(?:paper|tuning)/|egolane data")
 _MAPS = re.compile(r"roads\.osm|drive\.gpx")
 
 
