@@ -356,7 +356,6 @@ def explore(
                 " than can be filtered"
             )
     chosen: list[Structure] = []
-    tried = _Tried(problem, jobs, cluster, directory)
     for k in range(max(1, searches)):
         tried = _Tried(replace(problem, seed=problem.seed + k), jobs, cluster, directory)
         start: Structure = frozenset()

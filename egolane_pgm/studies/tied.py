@@ -17,13 +17,11 @@ from scipy.optimize import minimize
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.inference.expected_counts import expected_counts
+from egolane_pgm.studies.em import TOLERANCE
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 #: The smallest probability whose logarithm counts, so that a bound is not out of reach.
 _TINY = 1e-300
-
-#: The iterations end when the log posterior grows by less than this, nats per frame.
-TOLERANCE = 1e-6
 
 #: From numbers (D,) to the tables of the network, of both slices.
 TablesOf = Callable[[FloatArray], Sequence[Table]]

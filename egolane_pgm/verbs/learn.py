@@ -47,8 +47,8 @@ def learn(
     - jobs: processes that share the fits.
     - cluster: Dask cluster for the fits.
 
-    Returns a `Study`: `network` is the learned graph in pgmpy. Writes files only with `out`. Raises
-    InputError for a model without learnable parameters or tables.
+    Returns a `Study`: `model.network` is the learned graph in pgmpy. Writes files only with
+    `out`. Raises InputError for a model without learnable parameters or tables.
 
     >>> import egolane_pgm as ego
     >>> experiment = ego.load_experiment("quickstart", {"recording.frames": [0, 600]})
