@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import json
 import os
 import pkgutil
@@ -70,13 +72,17 @@ def test_the_examples_of_a_page_run_in_their_order(
     shutil.copytree(world, folder, symlinks=True)
     monkeypatch.chdir(folder)
     names: dict[str, Any] = {}
-    for block in blocks_of(page):
+    blocks = blocks_of(page)
+    for block, after in zip(blocks, [*blocks[1:], None], strict=True):
         for line in filter(is_run, commands_of(block)):
             run_line(line)
         if block.language == "python":
             code = compile(block.text, f"{page}:{block.line}", "exec")
-            if not is_outline(block):
-                exec(code, names)
+            with contextlib.redirect_stdout(io.StringIO()) as printed:
+                if not is_outline(block):
+                    exec(code, names)
+            if after is not None and after.language == "output":
+                assert printed.getvalue() == after.text, f"{page}:{after.line}"
     if page.name == "README.md":
         scores = names["run"].scores
         assert scores["model"]["accuracy"] > scores["detector"]["accuracy"] + 0.1
