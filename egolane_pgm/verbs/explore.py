@@ -8,13 +8,11 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge
 
 from egolane_pgm.loading import ExperimentLike
-from egolane_pgm.studies.explore import Exploration, candidates, make_problem
+from egolane_pgm.studies.explore import Exploration, make_problem
 from egolane_pgm.studies.explore import explore as search
-from egolane_pgm.studies.structures import parse_edge
 from egolane_pgm.studies.study import block_folds
 from egolane_pgm.tools import options
 from egolane_pgm.tools.options import Option, StrPath, place_of
-from egolane_pgm.types import InputError
 from egolane_pgm.verbs.studied import open_studied
 from egolane_pgm.views.studies import exploration_text
 
@@ -67,27 +65,13 @@ def explore(
     """
     name, inputs = open_studied(experiments, overrides, graph)
     drives = [drive for each in inputs for drive in each.drives()]
-    fit, nodes = inputs[0].experiment.fit, []
-    for text in node:
-        added, equals, size = text.partition("=")
-        if not equals or not size.isdecimal():
-            raise InputError(f"node: '{text}' is not NAME=SIZE, e.g. Occlusion=2")
-        nodes.append((added.strip(), int(size)))
-    problem = make_problem(
-        drives, block_folds(drives, fit.folds) if fit.folds else (), judge=judge, nodes=nodes
-    )
-    known = list(dict.fromkeys(table.node[0] for table in problem.tables))
-    edges = [parse_edge(each, known) for each in edge] or candidates(problem)
-    place = place_of(out, name)
+    fit, place = inputs[0].experiment.fit, place_of(out, name)
+    folds = block_folds(drives, fit.folds)
+    problem = make_problem(drives, folds, judge=judge, nodes=node, seed=fit.seed)
     found = search(
-        problem,
-        edges,
-        trials=fit.trials or 0,
-        searches=searches,
-        directory=place,
-        jobs=jobs,
-        cluster=cluster,
-    )
+        problem, edge, trials=fit.trials or 0, searches=searches, sampler=fit.sampler,
+        directory=place, jobs=jobs, cluster=cluster,
+    )  # fmt: skip
     if place is not None:
         # Pictures are slow to import.
         from egolane_pgm.views.network import write_network

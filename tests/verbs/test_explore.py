@@ -31,9 +31,11 @@ def test_edges_are_judged_and_the_best_graph_runs(tmp_path: Path) -> None:
     ("words", "said"),
     [
         (("--edge", "Foo -> Lane"), "edge 'Foo -> Lane': no node 'Foo'"),
-        (("--edge", "DetectorOutput -> Lane"), "with it the graph has a circle, or more joint"),
-        (("--node", "Occlusion"), "--node: 'Occlusion' is not NAME=SIZE, e.g. Occlusion=2"),
-        (("--node", "Lane=3"), "node Lane=3: needs a new name and two values or more"),
+        (("--edge", "Lane -> Lane"), "edge 'Lane -> Lane': the edges within a slice form a cycle"),
+        (("--edge", "Lane - WOR"), "edge 'Lane - WOR': no node"),
+        (("--edge", "DetectorOutput -> Lane"), "a slice form a cycle: Lane -> DetectorOutput"),
+        (("--node", "Occlusion"), "--node: 'Occlusion' is not NEW_NAME=SIZE, e.g. Occlusion=2"),
+        (("--node", "Lane=3"), "--node: 'Lane=3' is not NEW_NAME=SIZE"),
     ],
 )
 def test_what_cannot_be_explored_is_refused_in_one_line(
