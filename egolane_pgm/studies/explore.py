@@ -102,8 +102,7 @@ class Exploration:
     - structures: a row per structure: `edges`, `score`, `numbers`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start.
     - gain: of the best structure over the start, the same columns as in `edges`.
-    - gains: of each edge of the best structure, alone, by parent, child and lag; of an edge of the
-      start what is lost without it.
+    - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
     - judge: one of JUDGES.
     - directory: where it is saved; None in memory.
@@ -190,8 +189,8 @@ def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNo
 
     Raises InputError, naming the edges, for a network that cannot be filtered.
     """
-    with problems_in(f"edge '{spelled(structure)}'"):
-        there = set(edges_of(problem.tables))
+    there = set(edges_of(problem.tables))
+    with problems_in(f"edge '{spelled(structure, there)}'"):
         after = there ^ structure
         for edge in structure - there:
             if edge.repeats and replace(edge, repeats=False) in after:
@@ -368,15 +367,15 @@ def explore(
         change, gain = "remove" if edge in there else "add", first.gain(structure)
         times = sum(edge in each for each in chosen)
         rows.append({"edge": str(edge), "change": change, **gain, "chosen": times})
-        if (edge in best) != (edge in there):
-            gains[edge.parent, edge.child, edge.lag] = gain["gain"] * (-1 if edge in there else 1)
+        if edge in best and change == "add":
+            gains[edge.parent, edge.child, edge.lag] = gain["gain"]
     structures = [
-        {"edges": spelled(each), "score": first.score(each), **row}
+        {"edges": spelled(each, there), "score": first.score(each), **row}
         for each, row in first.complete().items()
     ]
     done = Exploration(
-        pd.DataFrame(rows).sort_values("gain", ascending=False, ignore_index=True),
-        pd.DataFrame(structures).sort_values("score", ascending=False, ignore_index=True),
+        pd.DataFrame(rows).sort_values("gain", ascending=False, kind="stable"),
+        pd.DataFrame(structures).sort_values("score", ascending=False, kind="stable"),
         best,
         first.gain(best),
         gains,
@@ -389,7 +388,8 @@ def explore(
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
         origins = {recording_key(drive.experiment) for drive in problem.drives}
-        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best)}")
+        chosen_by = f"edges chosen by {problem.judge}: {spelled(best, there)}"
+        content = graph_yaml(done.model, chosen_by)
         content["learned_from"] = origins.pop() if len(origins) == 1 else ""
         write_yaml(directory / "best.graph.yaml", content)
     return done
