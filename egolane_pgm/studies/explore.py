@@ -102,8 +102,7 @@ class Exploration:
     - structures: a row per structure: `edges`, `score`, `numbers`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start.
     - gain: of the best structure over the start, the same columns as in `edges`.
-    - gains: of each edge of the best structure, alone, by parent, child and lag; of an edge of the
-      start what is lost without it.
+    - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
     - judge: one of JUDGES.
     - directory: where it is saved; None in memory.
@@ -190,8 +189,8 @@ def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNo
 
     Raises InputError, naming the edges, for a network that cannot be filtered.
     """
-    with problems_in(f"edge '{spelled(structure)}'"):
-        there = set(edges_of(problem.tables))
+    there = set(edges_of(problem.tables))
+    with problems_in(f"edge '{spelled(structure, there)}'"):
         after = there ^ structure
         for edge in structure - there:
             if edge.repeats and replace(edge, repeats=False) in after:
@@ -228,17 +227,17 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
 
 
 def judged(
-    problem: Problem, task: tuple[Structure, int]
+    problem: Problem, task: tuple[tuple[Edge, ...], int]
 ) -> tuple[list[FloatArray], dict[str, float]]:
     """Fit a structure to the training frames of a fold, and judge it.
 
-    - task: a structure, and the number of the fold.
+    - task: the edges of a structure, sorted, and the number of the fold.
 
     Returns per recording the value of each test frame, larger is better, NaN in crossing frames;
     and the free numbers, the log evidence of all frames, and BIC: log evidence less half the
     logarithm of the number of frames for each free number.
     """
-    compiled, numbers = fitted(problem, task[0], problem.folds[task[1]])
+    compiled, numbers = fitted(problem, frozenset(task[0]), problem.folds[task[1]])
     beliefs = [filter_beliefs(compiled, each) for each in problem.evidence]
     # The log evidence of EM includes the known lanes.
     log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)
@@ -262,19 +261,24 @@ class _Tried:
     """The structures that were tried, kept on disk if there is a directory."""
 
     def __init__(self, problem: Problem, directory: Path | None, **shared: Any) -> None:
-        from joblib import Memory
+        from joblib import Memory, hash
 
-        memory = Memory(None if directory is None else directory / "tried", verbose=0)
         self.problem, self.found = problem, dict[tuple[Structure, int], Any]()
         self.folds, self.shared = range(len(problem.folds)), shared
-        self.judge = partial(memory.cache(judged), problem)
+        # Without sets, whose order differs between processes.
+        fit, parts = problem.model.experiment.fit, vars(problem) | {"model": None, "drives": None}
+        labels = [(drive.true_lane, drive.is_crossing) for drive in problem.drives]
+        data = parts, labels, fit.labels, fit.strength, problem.model.compiled.start
+        place = None if directory is None else directory / "tried" / hash(data)
+        kept = Memory(place, verbose=0).cache(judged, ignore=["problem"])
+        self.judge = partial(kept, problem)
 
     def __call__(self, structures: Iterable[Structure], folds: Sequence[int] = ()) -> None:
         """Judge structures in some folds, by default in all."""
         tasks = dict.fromkeys((each, fold) for each in structures for fold in folds or self.folds)
         new = [task for task in tasks if task not in self.found]
-        results = bar(parallel(self.judge, new, **self.shared), total=len(new), unit="fit")
-        self.found.update(zip(new, results, strict=True))
+        done = parallel(self.judge, [(tuple(sorted(s)), k) for s, k in new], **self.shared)
+        self.found.update(zip(new, bar(done, total=len(new), unit="fit"), strict=True))
 
     def complete(self) -> dict[Structure, dict[str, float]]:
         """The numbers, log evidence and BIC of the structures that were judged in all folds."""
@@ -368,15 +372,17 @@ def explore(
         change, gain = "remove" if edge in there else "add", first.gain(structure)
         times = sum(edge in each for each in chosen)
         rows.append({"edge": str(edge), "change": change, **gain, "chosen": times})
-        if (edge in best) != (edge in there):
-            gains[edge.parent, edge.child, edge.lag] = gain["gain"] * (-1 if edge in there else 1)
+        if edge in best and change == "add":
+            gains[edge.parent, edge.child, edge.lag] = gain["gain"]
     structures = [
-        {"edges": spelled(each), "score": first.score(each), **row}
+        {"edges": spelled(each, there), "score": first.score(each), **row}
         for each, row in first.complete().items()
     ]
+    down: Any = {"ascending": False, "kind": "stable", "ignore_index": True}
+    ranked = partial(pd.DataFrame.sort_values, **down)
     done = Exploration(
-        pd.DataFrame(rows).sort_values("gain", ascending=False, ignore_index=True),
-        pd.DataFrame(structures).sort_values("score", ascending=False, ignore_index=True),
+        ranked(pd.DataFrame(rows), by="gain"),
+        ranked(pd.DataFrame(structures), by="score"),
         best,
         first.gain(best),
         gains,
@@ -389,7 +395,8 @@ def explore(
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
         origins = {recording_key(drive.experiment) for drive in problem.drives}
-        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best)}")
+        chosen_by = f"edges chosen by {problem.judge}: {spelled(best, there)}"
+        content = graph_yaml(done.model, chosen_by)
         content["learned_from"] = origins.pop() if len(origins) == 1 else ""
         write_yaml(directory / "best.graph.yaml", content)
     return done

@@ -11,7 +11,7 @@ with one number instead of a full table of all values before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,9 +50,9 @@ class Edge:
 Structure = frozenset[Edge]
 
 
-def spelled(structure: Structure) -> str:
-    """Return the edges as text."""
-    return ", ".join(map(str, sorted(structure))) or "none"
+def spelled(structure: Structure, there: Collection[Edge]) -> str:
+    """Return the changes as text. there: the edges of the graph to start from."""
+    return ", ".join(f"{'without ' * (e in there)}{e}" for e in sorted(structure)) or "none"
 
 
 def edges_of(tables: Iterable[Table]) -> list[Edge]:

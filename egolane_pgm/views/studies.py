@@ -88,7 +88,6 @@ def _range(values: Sequence[Any]) -> str:
 def exploration_text(found: Exploration, style: str, wide: bool) -> str:
     """The output of `egolane explore`: which edge helps."""
     from egolane_pgm.studies.explore import JUDGES
-    from egolane_pgm.studies.structures import spelled
 
     edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
@@ -98,14 +97,14 @@ def exploration_text(found: Exploration, style: str, wide: bool) -> str:
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
     if edges["chosen"].max() > 1:
         shown.append(["chosen"])
+    best = found.structures.iloc[0]
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     return page(
         [
             f"{len(found.structures)} graphs were fitted; {JUDGES[found.judge]}",
             "each edge alone, with 95 % intervals over blocks of frames, and over drives:",
             *[table(edges[columns], forms) for columns in shown],
-            f"best set: {spelled(found.best)}\n"
-            f"  gain {interval}, {found.structures['numbers'][0]} free numbers\n"
+            f"best set: {best['edges']}\n  gain {interval}, {best['numbers']} free numbers\n"
             "  (chosen by its score on these frames, which is therefore optimistic)",
         ],
         style,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import pandas as pd
@@ -25,6 +27,19 @@ def test_edges_are_judged_and_the_best_graph_runs(tmp_path: Path) -> None:
     for graph in ("best.graph.yaml", "best.bif"):
         words = ("--graph", out / graph, "--no-figures", "--out", tmp_path / graph)
         assert "right in" in done("run", *WORDS[1:4], *words).stdout
+
+
+def test_a_repeated_command_fits_nothing_again(tmp_path: Path) -> None:
+    """In another process, which has another order of sets."""
+    words = (*WORDS[:3], "recording.frames=[0,60]", "--set", "fit.folds=2", "--out", str(tmp_path))
+    words += ("--edge", "Lane -> WOR", "--edge", "WOR(t-1) -> WOR")
+    done(*words)
+    kept = set(tmp_path.glob("tried/**/output.pkl"))
+    code = "import sys; from egolane_pgm.command import egolane; egolane(sys.argv[1:])"
+    subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
+    # Four structures or three, in two folds and in all frames.
+    assert len(kept) in (3 * 3, 4 * 3)
+    assert set(tmp_path.glob("tried/**/output.pkl")) == kept
 
 
 @pytest.mark.parametrize(
