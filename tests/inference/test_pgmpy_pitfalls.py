@@ -90,3 +90,25 @@ def test_what_was_written_for_both_slices_is_kept_whatever_its_numbers() -> None
     first, later = compiled.tables["D", 0], compiled.tables["D", 1]
     assert [p[0] for p in first.parents] == [p[0] for p in later.parents]
     np.testing.assert_array_equal(first.values, later.values.swapaxes(0, 1))
+
+
+def test_an_intervention_with_evidence_needs_the_cut_network() -> None:
+    """Z -> X, Z and X -> Y -> E: pgmpy's own query of Y, given E and do(X), ignores E."""
+    from pgmpy.factors.discrete import TabularCPD
+    from pgmpy.inference import CausalInference, VariableElimination
+    from pgmpy.models import DiscreteBayesianNetwork
+
+    y_of, e_of = np.array([[0.9, 0.6], [0.3, 0.2]]), np.array([0.1, 0.7])  # [x, z], [y]
+    with quiet():
+        network = DiscreteBayesianNetwork([("Z", "X"), ("Z", "Y"), ("X", "Y"), ("Y", "E")])
+        network.add_cpds(
+            TabularCPD("Z", 2, START[:, None]),
+            TabularCPD("X", 2, MOVES.T, ["Z"], [2]),
+            TabularCPD("Y", 2, [y_of.ravel(), 1 - y_of.ravel()], ["X", "Z"], [2, 2]),
+            TabularCPD("E", 2, [1 - e_of, e_of], ["Y"], [2]),
+        )
+        wrong = CausalInference(network).query(["Y"], do={"X": 1}, evidence={"E": 1})
+        cut = VariableElimination(network.do(["X"])).query(["Y"], evidence={"X": 1, "E": 1})
+    alone = np.array([y_of[1] @ START, 1 - y_of[1] @ START])
+    np.testing.assert_allclose(cut.values, alone * e_of / (alone @ e_of), atol=1e-12)
+    assert np.abs(wrong.values - cut.values).max() > 0.1
