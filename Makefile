@@ -63,10 +63,10 @@ paper: .venv/.run
 	cp $(addprefix $(RUNS)/figures/,$(addsuffix .png,strips confusion reliability dispersion)) results/paper/
 	$(BIN)/egolane show sensor_failure --out results/paper/network.png
 
-# What results/graphs/ holds: other graphs and learned tables on frames that they have not seen
-# (half an hour of two cores). A row whose result is in results/runs is not run again.
+# What results/graphs/ holds: which edge helps, and whether models look like the data (half an hour
+# of one core). Structures whose fits are in results/runs are not fitted again.
 graphs: .venv/.run
-	$(BIN)/python -m makers.pages searched learned
+	$(BIN)/python -m makers.graphs edges checks
 
 # results/tuning/runs.md: the paper's parameters searched for each run (three minutes of
 # two cores).

@@ -1,10 +1,9 @@
 """`python -m makers.pages PAGE...`: pages of results/ that compare runs of the paper's recordings.
 
-`paper` is other graphs with the paper's parameters (a minute), `learned` graphs with tables learned
-by EM (ten minutes of two cores), `searched` graphs with searched parameters (a quarter of an hour),
-`tuned` the paper's parameters searched for each run (three minutes), and `beyond` position
-in lane and the paper's graph (five minutes). Results are kept in results/runs; a row of a table
-of runs that has one is skipped. Needs EGOLANE_DATA.
+`paper` is other graphs with the paper's parameters (a minute), `tuned` the paper's parameters
+searched for each run (three minutes), and `beyond` position in lane and the paper's graph (five
+minutes). Results are kept in results/runs; a row of a table of runs that has one is skipped. Needs
+EGOLANE_DATA.
 """
 
 from __future__ import annotations
@@ -26,38 +25,17 @@ RUNS = RESULTS / "runs"
 #: The paper's ten recordings, a row each.
 RECORDINGS = ego.experiments_folder() / "paper" / "recordings.csv"
 
-#: Graphs whose parameters are searched; the first is the paper's.
-SEARCHED = (
-    "sensor_failure",
-    "wor_on_lane",
-    "wor_on_edge",
-    "autoregressive",
-    "failure_duration",
-    "no_wor",
-    "lane_only",
-    "sensor_dynamics",
-    "three_sensor_states",
-    "biased_sensor",
-    "wor_direct",
-)
-
 #: Graphs with the paper's parameters.
 WITH_PAPERS = ("sensor_failure", "wor_on_lane", "no_wor", "lane_only")
 
-#: Graphs whose tables are learned.
-LEARNED = ("sensor_failure", "autoregressive", "autoregressive_wor")
 
-#: Settings of EM as in the paper's own filter, and with the bonus value of the starting tables.
-AS_PAPER = {"filter": "assumed_density", "parameters.bonus_value": 1}
-
-
-def on_recordings(folder: str, experiment: str, overrides: Any = (), graph: Any = None) -> Path:
+def on_recordings(folder: str, experiment: str, overrides: Any = ()) -> Path:
     """Run an experiment on the ten recordings, each block held out; return the folder.
 
     - folder: of the results, in results/runs.
     """
     place = RUNS / folder
-    given = {"overrides": overrides, "graph": graph, "held_out": True}
+    given = {"overrides": overrides, "held_out": True}
     done = ego.run(experiment, table=RECORDINGS, out=place, jobs=2, **given)
     for name, error in done["error"].dropna().items():
         raise ego.InputError(f"{name}: {error}")
@@ -93,34 +71,6 @@ def paper() -> None:
     write_text(RESULTS / "paper/graphs.md", compared(heading, folders, detector=True) + "\n")
 
 
-def searched() -> None:
-    """Write results/graphs/graphs.md and graphs.png: graphs with searched parameters."""
-    changes = {"filter": "exact", "fit.trials": 420}
-    folders = [on_recordings(f"searched/{g}", "paper_tuned", changes, g) for g in SEARCHED]
-    ego.compare(folders, of="folder", out=RESULTS / "graphs/graphs.png")
-    heading = (
-        "# Eleven graphs, searched and scored on unseen frames\n\nMade by `make graphs`: held out,"
-        " causal, one seed, 420 trials a search."
-    )
-    write_text(RESULTS / "graphs/graphs.md", compared(heading, folders) + "\n")
-
-
-def learned() -> None:
-    """Write results/graphs/learned.md: graphs with learned tables, and with the starting tables."""
-    name, not_learned = "learned_tables", {"fit.method": "none"}
-    folders = [on_recordings(f"learned/{graph}", name, (), graph) for graph in LEARNED]
-    folders.append(on_recordings("learned/start", name, not_learned))
-    own = [
-        on_recordings("tables/start", name, {**AS_PAPER, **not_learned}),
-        on_recordings("tables/labels", name, AS_PAPER),
-        on_recordings("tables/no_labels", name, {**AS_PAPER, "fit.labels": False}),
-    ]
-    heading = "# Tables learned by EM, held out\n\nMade by `make graphs`; filter `exact`, bonus 9."
-    second = "## The paper's graph and filter, bonus 1: from labels, and from lines alone"
-    text = "\n\n".join([compared(heading, folders), compared(second, own)])
-    write_text(RESULTS / "graphs/learned.md", text + "\n")
-
-
 def beyond() -> None:
     """Write results/beyond/runs.md: position in lane and the paper's graph."""
     folders = [on_recordings("beyond/zero_label", "zero_label")]
@@ -152,7 +102,7 @@ def tuned() -> None:
 
 def main() -> None:
     """Make the pages that are named on the command line."""
-    pages = {each.__name__: each for each in (paper, searched, learned, tuned, beyond)}
+    pages = {each.__name__: each for each in (paper, tuned, beyond)}
     parser = argparse.ArgumentParser(prog="python -m makers.pages", description=__doc__)
     parser.add_argument("pages", nargs="+", choices=pages)
     for name in parser.parse_args().pages:
