@@ -28,7 +28,7 @@ def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(experiments_folder().parent)
     shown = done("show").stdout
     words = " ".join(shown.split())
-    assert "wor_direct, wor_on_edge, wor_on_lane" in words
+    assert "sensor_failure, wor_on_lane" in words
     assert "simulations: a2, a4, quickstart" in words
     assert "experiments/quickstart.yaml simulated drive of two minutes" in words
     assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
