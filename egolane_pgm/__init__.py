@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from egolane_pgm.studies.black_box import Objective as Objective
     from egolane_pgm.studies.black_box import objective as objective
     from egolane_pgm.studies.em import fit_tables as fit_tables
+    from egolane_pgm.studies.sensitivity import sensitivity as sensitivity
     from egolane_pgm.studies.study import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
@@ -91,6 +92,7 @@ _PUBLIC = {
     "predicted": "inference.sampling",
     "check": "checking",
     "prediction_calibration": "checking",
+    "sensitivity": "studies.sensitivity",
     "expected_counts": "inference.expected_counts",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",

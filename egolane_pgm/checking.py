@@ -16,10 +16,13 @@ import pandas as pd
 
 from egolane_pgm.inference.sampling import posterior_paths, predicted, sampled_states
 from egolane_pgm.result import Result
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: The bins of predicted probabilities.
 N_BINS = 10
+
+#: The statistic that the ground truth has.
+TRUE_CHANGES = "lane changes per hour"
 
 #: The interval of the draws, per cent.
 INTERVAL = (5.0, 95.0)
@@ -67,12 +70,12 @@ def mean_run(node: str, value: int) -> Statistic:
 def usual_statistics(result: Result) -> dict[str, Statistic]:
     """Return the statistics of any graph: lane changes per hour; and of each other hidden node with
     at most four values the share and the mean run length of all but its first value."""
-    found: dict[str, Statistic] = {"lane changes per hour": changes_per_hour}
+    found: dict[str, Statistic] = {TRUE_CHANGES: changes_per_hour}
     for node, names in result.model.compiled.values.items():
         if node in result.model.compiled.hidden and node != "Lane" and len(names) <= 4:
             for k, name in list(enumerate(names))[1:]:
-                found[f"share of {node} {name}"] = share(node, k)
-                found[f"mean run of {node} {name}, s"] = mean_run(node, k)
+                found[f"{node} {name}: share"] = share(node, k)
+                found[f"{node} {name}: mean run, s"] = mean_run(node, k)
     return found
 
 
@@ -92,15 +95,15 @@ def check(
     (`posterior`, `posterior_low`, `posterior_high`) and of the model (`model`, ...), and
     `probability`: how often a drive of the model is at least as far out as the median of the
     posterior, on its side, times two (at most 1). The parameters may have been found on the same
-    frames. Raises InputError for several drives, and for statistics that a node is missing for.
+    frames. Raises InputError as `single_drive`, and for statistics that a node is missing for.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
     >>> list(ego.check(result, n=50).index)
-    ['lane changes per hour', 'share of SensorState BAD', 'mean run of SensorState BAD, s']
+    ['lane changes per hour', 'SensorState BAD: share', 'SensorState BAD: mean run, s']
     """
     compiled, rate = result.model.compiled, result.frame_rate
-    evidence = _evidence_of(result)
+    evidence = single_drive(result).evidence
     posterior = Draws(posterior_paths(compiled, evidence, n, seed), rate)
     states = sampled_states(
         compiled, len(evidence), n, np.random.default_rng(seed), evidence.inputs
@@ -122,7 +125,8 @@ def check(
                 low, middle, high = np.nanpercentile(values, (INTERVAL[0], 50, INTERVAL[1]))
                 row |= {what: middle, f"{what}_low": low, f"{what}_high": high}
         if "posterior" in row and "model" in row:
-            beyond = np.nanmean(drawn >= row["posterior"]), np.nanmean(drawn <= row["posterior"])
+            known = drawn[~np.isnan(drawn)]
+            beyond = (known >= row["posterior"]).mean(), (known <= row["posterior"]).mean()
             row["probability"] = min(1.0, 2 * float(min(beyond)))
         rows[name] = row
     columns = ["truth", "posterior", "posterior_low", "posterior_high"]
@@ -138,14 +142,14 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     out.
 
     Returns a row per node and bin: `node`, `predicted` (mean probability), `comes` (share),
-    `count` (predictions). Raises InputError for several drives.
+    `count` (predictions). Raises InputError as `single_drive`.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
     >>> ego.prediction_calibration(result).node.unique().tolist()
     ['DetectorOutput', 'WOR']
     """
-    evidence = _evidence_of(result)
+    evidence = single_drive(result).evidence
     tables = []
     for node, probability in predicted(result.model, evidence).items():
         if node not in evidence.likelihoods:
@@ -166,10 +170,21 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     )
 
 
-def _evidence_of(result: Result) -> Evidence:
+def single_drive(result: Result) -> Result:
+    """Return a result whose evidence one model made from the lines of one drive.
+
+    Raises InputError for several drives, for several models, and for a result without its lines.
+    """
+    what = f"check: {result.directory or result.name}"
     if "drive" in result.frames:
-        raise InputError(f"check: {result.name} has several drives; check one of them")
-    return result.evidence
+        raise InputError(f"{what}: has several drives; run one of them alone and check that")
+    if result.run.get("fit", "none") != "none":
+        raise InputError(
+            f"{what}: is held out, with a model per block; check a run of its best.yaml"
+        )
+    if not result.lines:
+        raise InputError(f"{what}: has no lines (lines.parquet); run the experiment again")
+    return result
 
 
 def _true_lanes(result: Result) -> Draws | None:

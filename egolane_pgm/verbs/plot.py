@@ -7,13 +7,17 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from egolane_pgm.checking import check as check_model
+from egolane_pgm.checking import prediction_calibration
 from egolane_pgm.comparing import open_results
-from egolane_pgm.result import is_result, load_result
+from egolane_pgm.result import Result, is_result, load_result
+from egolane_pgm.studies.sensitivity import sensitivity
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import Option, StrPath, several_of
 from egolane_pgm.types import InputError
 from egolane_pgm.views.answers import title_of
+from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
     coverage_figure,
@@ -29,6 +33,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "egolane plot results/quickstart --frames 0 400 --style pdf",
+    "egolane plot results/quickstart --check",
     "egolane plot results/quickstart results/hard --out both.html",
     "egolane plot results/drive --out drive.mp4",
     "egolane plot results/drive --out drive.mcap",
@@ -38,13 +43,20 @@ EXAMPLES = (
 _FILES = (".html", ".mp4", ".mcap")
 
 
+class Files(list[Path]):
+    """The files that were written, and the text of the checks."""
+
+    text = ""
+
+
 def plot(
     results: StrPath | Sequence[StrPath],
     *,
     frames: Annotated[tuple[int, int] | None, Option("FIRST LAST")] = None,
     out: Annotated[StrPath | None, Option("DIR|FILE")] = None,
     style: Literal["png", "pdf", "svg"] = "png",
-) -> list[Path]:
+    check: bool = False,
+) -> Files:
     """Draw result directories and studies; the extension of --out sets the format:
 
     \b
@@ -57,14 +69,19 @@ def plot(
     - frames: frame ids of the belief strips, of a video or of an MCAP file.
     - out: by default figures/ in the result.
     - style: format of the figures.
+    - check: print and draw instead whether the model looks like the data, and how far the scores
+      move with each of its numbers.
 
     Returns the files. Raises InputError for directories and options that do not fit.
     """
     places = [Path(path) for path in several_of(results)]
     if frames and frames[0] > frames[1]:
         raise InputError(f"frames: {frames[0]} {frames[1]} is an empty range")
-    if out is not None and Path(out).suffix.lower() in _FILES and not Path(out).is_dir():
-        return [_write_file(places, Path(out), frames)]
+    is_file = out is not None and Path(out).suffix.lower() in _FILES and not Path(out).is_dir()
+    if check and (is_file or frames or any(map(is_study, places))):
+        raise InputError("check: draws figures of results over all their frames, nothing else")
+    if out is not None and is_file:
+        return Files([_write_file(places, Path(out), frames)])
     studies = [place for place in places if is_study(place)]
     if frames and studies:
         raise InputError("frames: goes with results; the figures of a study have no frames")
@@ -78,22 +95,35 @@ def plot(
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 
-    files = [file for place in studies for file in draw_study(place, target(place), style)]
-    for result in found:
-        makes: dict[str, Callable[[], Figure]] = {
-            "strips": partial(result_strips, result, *(frames or ()))
-        }
+    files = Files(file for place in studies for file in draw_study(place, target(place), style))
+    for result in found if check else ():
+        text, makes = _checked(result)
+        files.text += f"{text}\n\n"
+        files += write_figures(makes, target(Path(str(result.directory))), style)
+    for result in found if not check else ():
+        makes = {"strips": partial(result_strips, result, *(frames or ()))}
         if result.scores["frames_scored"]:
             for draw in (confusion_figure, reliability_figure, coverage_figure):
                 name = draw.__name__.removesuffix("_figure")
                 makes[name] = partial(draw, result.frames, title_of(result))
         files += write_figures(makes, target(Path(str(result.directory))), style)
-    if len(found) > 1:
+    if len(found) > 1 and not check:
         folder = places[0].parent if is_result(places[0]) else places[0]
         titled = [(title_of(result), result.frames) for result in found]
         together = {"dispersion": partial(dispersion_figure, titled)}
         files += write_figures(together, Path(out or folder), style)
     return files
+
+
+def _checked(result: Result) -> tuple[str, dict[str, Callable[[], Figure]]]:
+    """The text and the figures of the checks of a result."""
+    checked, title = (check_model(result), prediction_calibration(result)), title_of(result)
+    text, makes = check_text(result, *checked), {"check": partial(check_figure, *checked, title)}
+    try:
+        makes["sensitivity"] = partial(sensitivity_figure, sensitivity(result), title)
+    except InputError as error:
+        text += f"\n\n{error}"
+    return text, {**makes}
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:
@@ -117,6 +147,6 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
     return file
 
 
-def summary(done: list[Path], given: Mapping[str, Any]) -> str:
-    """The files."""
-    return "\n".join(map(str, done))
+def summary(done: Files, given: Mapping[str, Any]) -> str:
+    """The text of the checks and the files."""
+    return done.text + "\n".join(map(str, done))

@@ -36,6 +36,15 @@ def test_several_results_make_one_sheet(saved: Path, tmp_path: Path) -> None:
     assert all((tmp_path / "figures" / name).is_file() for name in figures)
 
 
+def test_a_check_prints_its_table_above_the_files(saved: Path, tmp_path: Path) -> None:
+    shown = done("plot", saved, saved, "--check", "--out", tmp_path / "new").stdout.splitlines()
+    title = "drive: does the model look like the data?"
+    assert (shown[0], shown.count(title)) == (title, 2)
+    figures = [tmp_path / "new" / "result" / f"{name}.png" for name in ("check", "sensitivity")]
+    assert shown[-4:] == [str(figure) for figure in figures * 2]
+    assert all(figure.stat().st_size > 5000 for figure in figures)
+
+
 def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) -> None:
     for name, begins in (("page.html", b"<!DOCTYPE html>"), ("x.mcap", b"\x89MCAP")):
         target = tmp_path / name
@@ -58,6 +67,9 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
         ("{0} {0} --out {1}/x.mcap", "--out: {1}/x.mcap: shows one result; 2 are named"),
         ("{0} --out {1}/x.mp4", "pictures"),
         ("{1}/study --frames 0 9", "--frames: goes with results; the figures of a study have no"),
+        ("{0} --check --frames 0 9", "--check: draws figures of results over all their frames"),
+        ("{1}/study --check", "--check: draws figures of results"),
+        ("{0} --check --out {1}/page.html", "--check: draws figures of results"),
         ("{1}/linked", "{1}/linked/figures: is a link; name a folder"),
         ("{1}/study --out {1}/page.html", "{1}/study: is not a result directory"),
     ],
