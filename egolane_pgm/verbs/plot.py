@@ -20,7 +20,6 @@ from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
-    coverage_figure,
     dispersion_figure,
     reliability_figure,
 )
@@ -103,7 +102,7 @@ def plot(
     for result in found if not check else ():
         makes = {"strips": partial(result_strips, result, *(frames or ()))}
         if result.scores["frames_scored"]:
-            for draw in (confusion_figure, reliability_figure, coverage_figure):
+            for draw in (confusion_figure, reliability_figure):
                 name = draw.__name__.removesuffix("_figure")
                 makes[name] = partial(draw, result.frames, title_of(result))
         files += write_figures(makes, target(Path(str(result.directory))), style)

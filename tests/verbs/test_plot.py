@@ -23,7 +23,7 @@ def test_figures_are_drawn_into_the_result(saved: Path, tmp_path: Path) -> None:
     shown = done("plot", tmp_path / "out", "--frames", 10, 60, "--style", "svg").stdout
     figures = [Path(line) for line in shown.splitlines()]
     assert all(f.suffix == ".svg" and f.stat().st_size > 1000 for f in figures)
-    assert {f.stem for f in figures} == {"strips", "confusion", "reliability", "coverage"}
+    assert {f.stem for f in figures} == {"strips", "confusion", "reliability"}
     assert figures[0] == tmp_path / "out" / "figures" / "strips.svg"
 
 
