@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     # What editors and type checkers see of the names below.
     from egolane_pgm.checking import check as check
     from egolane_pgm.checking import prediction_calibration as prediction_calibration
+    from egolane_pgm.checking import sensitivity as sensitivity
     from egolane_pgm.graphs import cpds as cpds
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
@@ -42,7 +43,6 @@ if TYPE_CHECKING:
     from egolane_pgm.studies.black_box import Objective as Objective
     from egolane_pgm.studies.black_box import objective as objective
     from egolane_pgm.studies.em import fit_tables as fit_tables
-    from egolane_pgm.studies.sensitivity import sensitivity as sensitivity
     from egolane_pgm.studies.study import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
     from egolane_pgm.types import Evidence as Evidence
@@ -94,7 +94,7 @@ _PUBLIC = {
     "predicted": "inference.sampling",
     "check": "checking",
     "prediction_calibration": "checking",
-    "sensitivity": "studies.sensitivity",
+    "sensitivity": "checking",
     "expected_counts": "inference.expected_counts",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",

@@ -1,4 +1,4 @@
-"""Does the model look like the data? Predictive checks of a result.
+"""Does the model look like the data? Predictive checks of a result, and its sensitivity.
 
 A statistic of a drive, such as the number of lane changes, is computed three ways: of the ground
 truth, of paths drawn from the posterior (what the data say, under the model), and of drives drawn
@@ -8,15 +8,22 @@ that respect, however good its beliefs are.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.inference.filtering import METHODS, filter_beliefs
 from egolane_pgm.inference.sampling import posterior_paths, predicted, sampled_states
+from egolane_pgm.model import Model, make_evidence, with_parameters
+from egolane_pgm.parameters import Parameter, per_lane
+from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.result import Result
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 #: The bins of predicted probabilities.
 N_BINS = 10
@@ -26,6 +33,12 @@ TRUE_CHANGES = "lane changes per hour"
 
 #: The interval of the draws, per cent.
 INTERVAL = (5.0, 95.0)
+
+#: The step of a sensitivity, as a share of the search range.
+STEP = 0.01
+
+#: The scores of a sensitivity.
+SCORES = ("accuracy", "log_loss", "log_evidence")
 
 
 class Draws(NamedTuple):
@@ -168,6 +181,90 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     return (
         pd.concat(tables, ignore_index=True)[columns] if tables else pd.DataFrame(columns=columns)
     )
+
+
+def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
+    """Measure how far the scores of a result move with each number of its model.
+
+    Each parameter of evidence rule and graph that a search moves is changed alone, down and up by
+    the same share of its search range but not beyond its bounds, and the drive is filtered again:
+    0.01 is 0.01 of a probability and 0.03 lanes of a sigma.
+
+    - step: share of the search range. The accuracy counts frames and does not move with steps that
+      are too small to change the lane of one.
+
+    Returns a row per number: its `value`, the values tried (`value_low`, `value_high`), and how
+    much each score changes at these: `accuracy_down`, `accuracy_up` (share of the frames that are
+    not crossing), `log_loss_...` (nats per frame), `log_evidence_...` (nats, sum over the frames).
+    The scores are those of a causal filter, the result's own or else `exact`, and in-sample if the
+    result is. NaN for a number at its bound and without ground truth. The log evidence is NaN for
+    parameters of the evidence rule as well, since likelihoods are not normalised and their scale
+    would count, and if the model does not allow a frame.
+
+    Raises InputError as `single_drive`.
+
+    >>> import egolane_pgm as ego
+    >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
+    >>> ego.sensitivity(result).loc["p1", ["value_low", "value", "value_high"]].round(3).tolist()
+    [0.94, 0.95, 0.96]
+    """
+    if not 0 < step <= 1:
+        raise InputError(f"step: {step} is not a share of the search range (0 to 1)")
+    model, start = single_drive(result).model, _scores(result, result.model, result.evidence)
+    rows: dict[str, dict[str, float]] = {}
+    for spec in bar(declared_parameters(model.rule, model.graph), unit="parameter"):
+        value = model.parameters[spec.name]
+        # A whole number may change the shape of the network.
+        if not spec.is_searched or spec.kind == "integer" or isinstance(value, str):
+            continue
+        values = per_lane(model.parameters, spec.name, model.n_lanes)
+        for k, here in enumerate(values if spec.per_lane else values[:1]):
+            row = rows[f"{spec.name}[{k + 1}]" if spec.per_lane else spec.name] = {"value": here}
+            for side, sign, end in (("down", -1, "low"), ("up", 1, "high")):
+                row[f"value_{end}"] = there = _moved(spec, here, sign * step)
+                if there == here:
+                    continue
+                moved = (*values[:k], there, *values[k + 1 :]) if spec.per_lane else there
+                changed = with_parameters(model, {**model.parameters, spec.name: moved})
+                evidence, compared = result.evidence, list(SCORES)
+                if spec in getattr(model.rule, "PARAMETERS", ()):
+                    evidence, compared = _evidence(result, changed), list(SCORES[:2])
+                found = _scores(result, changed, evidence)
+                row |= {f"{name}_{side}": found[name] - start[name] for name in compared}
+    columns = ["value", "value_low", "value_high"]
+    columns += [f"{name}_{side}" for name in SCORES for side in ("down", "up")]
+    return pd.DataFrame.from_dict(rows, "index", float, columns).rename_axis("number")
+
+
+def _moved(spec: Parameter, value: float, share: float) -> float:
+    """Return a value moved by a share of its search range, not beyond the range and the value."""
+    low, high = spec.search_range or (value, value)
+    # A sigma is larger than 0.
+    low, width = max(low, 1e-6 * (high - low)), high - low
+    return float(np.clip(value + share * width, min(low, value), max(high, value)))
+
+
+def _evidence(result: Result, model: Model) -> Evidence:
+    """Return the evidence of a model; the result has its warnings."""
+    [log] = result.lines.values()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return make_evidence(model, log)[0]
+
+
+def _scores(result: Result, model: Model, evidence: Evidence) -> dict[str, float]:
+    """Return SCORES of a model of a result; NaN if undefined."""
+    e, frames = result.experiment, result.frames
+    method = e.filter if e.filter in METHODS else "exact"
+    beliefs = filter_beliefs(model.compiled, evidence, method)
+    total = np.nan if beliefs.is_impossible.any() else beliefs.log_evidence.sum()
+    known = (frames["true_lane"].notna() & frames.get("is_trusted", True)).to_numpy(bool)
+    lane, truth = beliefs.lane[known], frames["true_lane"][known].to_numpy(int)
+    right = assigned_lane(lane, e.min_confidence) == truth
+    right = right[~frames["is_crossing"][known].to_numpy(bool)]
+    values = right, log_loss_per_frame(lane, truth)
+    means = [each.mean() if len(each) else np.nan for each in values]
+    return dict(zip(SCORES, [*means, total], strict=True))
 
 
 def single_drive(result: Result) -> Result:

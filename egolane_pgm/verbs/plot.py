@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from egolane_pgm.checking import check as check_model
-from egolane_pgm.checking import prediction_calibration
+from egolane_pgm.checking import prediction_calibration, sensitivity
 from egolane_pgm.comparing import open_results
 from egolane_pgm.result import Result, is_result, load_result
-from egolane_pgm.studies.sensitivity import sensitivity
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import Option, StrPath, several_of
@@ -102,9 +101,9 @@ def plot(
     for result in found if not check else ():
         makes = {"strips": partial(result_strips, result, *(frames or ()))}
         if result.scores["frames_scored"]:
-            for draw in (confusion_figure, reliability_figure):
-                name = draw.__name__.removesuffix("_figure")
-                makes[name] = partial(draw, result.frames, title_of(result))
+            given = result.frames, title_of(result)
+            makes["confusion"] = partial(confusion_figure, *given)
+            makes["reliability"] = partial(reliability_figure, *given)
         files += write_figures(makes, target(Path(str(result.directory))), style)
     if len(found) > 1 and not check:
         folder = places[0].parent if is_result(places[0]) else places[0]
@@ -116,13 +115,12 @@ def plot(
 
 def _checked(result: Result) -> tuple[str, dict[str, Callable[[], Figure]]]:
     """The text and the figures of the checks of a result."""
-    checked, title = (check_model(result), prediction_calibration(result)), title_of(result)
-    text, makes = check_text(result, *checked), {"check": partial(check_figure, *checked, title)}
-    try:
-        makes["sensitivity"] = partial(sensitivity_figure, sensitivity(result), title)
-    except InputError as error:
-        text += f"\n\n{error}"
-    return text, {**makes}
+    found, title = (check_model(result), prediction_calibration(result)), title_of(result)
+    makes = {"check": partial(check_figure, *found, title)}
+    numbers = sensitivity(result)
+    if len(numbers):
+        makes["sensitivity"] = partial(sensitivity_figure, numbers, title)
+    return check_text(result, *found), {**makes}
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:

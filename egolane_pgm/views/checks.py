@@ -120,7 +120,7 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
 def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
     """Draw how far each score moves with each number, the most important number at the top.
 
-    - found: as `studies.sensitivity` returns it.
+    - found: as `sensitivity` returns it.
     """
     panels = [name for name in _SCORES if found[f"{name}_down"].notna().any()] or ["log_evidence"]
     moved = found[[f"{panels[0]}_{side}" for side in _SIDES]].abs().max(axis=1).fillna(0)

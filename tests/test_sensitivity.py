@@ -12,6 +12,7 @@ from egolane_pgm.graphs.cpds import lane_normals
 from tests.kits.drives import run
 
 SCORES = [f"{score}_{side}" for score in ("log_loss", "log_evidence") for side in ("down", "up")]
+LANES = (1, 2, 3, 4)
 SHORT = {"recording.frames": [0, 300], "filter": "exact"}
 
 
@@ -56,17 +57,31 @@ def test_two_frames_by_hand() -> None:
             assert abs(there - values[name]) == pytest.approx(0.3, rel=1e-5)
 
 
-def test_accuracy_counts_the_frames_that_change() -> None:
-    result = run("quickstart", SHORT)
+def test_each_change_is_that_of_a_run_with_the_other_number() -> None:
+    result = run("quickstart", SHORT, graph="wor_on_lane")
     found = ego.sensitivity(result, step=0.1)
-    for name in found.index:
+    assert list(found.index) == [
+        "bonus_value",
+        "sigma1",
+        "sigma2",
+        "p1",
+        "p2",
+        *(f"{p}[{k}]" for p in ("p3", "p4") for k in LANES),
+    ]
+    before = result.scores["model"]
+    for name, row in found.iterrows():
+        parameter, is_lane, lane = str(name).partition("[")
         for side, end in (("down", "low"), ("up", "high")):
-            moved = {f"parameters.{name}": found.loc[name, f"value_{end}"]}
-            there = run("quickstart", {**SHORT, **moved}).scores["model"]
-            gain = there["accuracy"] - result.scores["model"]["accuracy"]
-            assert found.loc[name, f"accuracy_{side}"] == pytest.approx(gain, abs=1e-12)
-            loss = there["log_loss"] - result.scores["model"]["log_loss"]
-            assert found.loc[name, f"log_loss_{side}"] == pytest.approx(loss, abs=1e-12)
+            moved: object = row[f"value_{end}"]
+            if is_lane:
+                moved = [moved if f"{k}]" == lane else row["value"] for k in LANES]
+            there = run(
+                "quickstart", {**SHORT, f"parameters.{parameter}": moved}, graph="wor_on_lane"
+            )
+            after = there.scores["model"]
+            for score in ("accuracy", "log_loss"):
+                gain = after[score] - before[score]
+                assert row[f"{score}_{side}"] == pytest.approx(gain, abs=1e-12)
 
 
 def test_what_cannot_be_compared_is_left_empty() -> None:
@@ -75,7 +90,7 @@ def test_what_cannot_be_compared_is_left_empty() -> None:
     assert found.loc["p1", ["value", "value_high"]].tolist() == [1.0, 1.0]
     assert found.loc["p1", SCORES].isna().tolist() == [False, True, False, True]
     rule = found.loc["bonus_value"]
-    assert rule[["value_low", "value_high"]].tolist() == [8, 9]
+    assert rule[["value_low", "value_high"]].tolist() == [8.91, 9]
     assert rule[SCORES].isna().tolist() == [False, True, True, True]
     blind = ego.sensitivity(run("quickstart", SHORT, ground_truth="none"))
     assert blind.filter(regex="accuracy|log_loss").isna().all(axis=None)
