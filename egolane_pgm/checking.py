@@ -172,15 +172,11 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
         clear: BoolArray = largest.sum(axis=1) == 1
         values, comes = probability[clear].ravel(), largest[clear].ravel()
         bins = np.clip((values * n_bins).astype(np.int64), 0, n_bins - 1)
-        found = pd.DataFrame({"bin": bins, "predicted": values, "comes": comes}).groupby("bin")
-        table = found.agg(
-            predicted=("predicted", "mean"), comes=("comes", "mean"), count=("comes", "size")
-        )
-        tables.append(table.reset_index(drop=True).assign(node=node))
+        grouped = pd.DataFrame({"predicted": values, "comes": comes}).groupby(bins)
+        tables.append(grouped.mean().assign(count=grouped.size(), node=node))
     columns = ["node", "predicted", "comes", "count"]
-    return (
-        pd.concat(tables, ignore_index=True)[columns] if tables else pd.DataFrame(columns=columns)
-    )
+    found = pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=columns)
+    return found[columns]
 
 
 def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:

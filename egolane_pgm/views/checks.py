@@ -13,18 +13,13 @@ from matplotlib.ticker import MaxNLocator
 from egolane_pgm.checking import INTERVAL, TRUE_CHANGES
 from egolane_pgm.result import Result
 from egolane_pgm.views.answers import title_of
-from egolane_pgm.views.style import (
-    CROSSING,
-    DETECTOR_COLOUR,
-    FAINT,
-    INK,
-    MODEL_COLOUR,
-    new_figure,
-)
+from egolane_pgm.views.style import CROSSING, FAINT, INK, new_figure
+from egolane_pgm.views.style import DETECTOR_COLOUR as ORANGE
+from egolane_pgm.views.style import MODEL_COLOUR as BLUE
 from egolane_pgm.views.tables import Table, cell, page, table
 
 #: The three values of a statistic: colour and marker.
-_SOURCES = {"posterior": (MODEL_COLOUR, "o"), "model": (DETECTOR_COLOUR, "s"), "truth": (INK, "D")}
+_SOURCES = {"posterior": (BLUE, "o"), "model": (ORANGE, "s"), "truth": (INK, "D")}
 
 #: The scores of a sensitivity: factor and unit of the axis.
 _SCORES = {
@@ -34,7 +29,7 @@ _SCORES = {
 }
 
 #: Colour and offset of the bars of a number moved down or up.
-_SIDES = {"down": (DETECTOR_COLOUR, -0.19), "up": (MODEL_COLOUR, 0.19)}
+_SIDES = {"down": (ORANGE, -0.19), "up": (BLUE, 0.19)}
 
 
 def check_text(result: Result, found: pd.DataFrame, calibration: pd.DataFrame) -> str:
@@ -78,10 +73,9 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
     interval = f"statistics with {INTERVAL[1] - INTERVAL[0]:g} % intervals of the draws"
     figure = new_figure(9.2, 1.2 + 1.05 * n_rows, f"{title}: {interval}")
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
-    axes = halves[0].subplots(n_rows, 1)
-    for ax in axes[len(found) :]:
-        ax.remove()
-    for ax, (name, row) in zip(axes, found.iterrows(), strict=False):
+    grid = halves[0].add_gridspec(n_rows, 1)
+    for k, (name, row) in enumerate(found.iterrows()):
+        ax = halves[0].add_subplot(grid[k, 0])
         shown = [source for source in _SOURCES if row[source] == row[source]]
         for y, source in enumerate(shown):
             (colour, marker), value = _SOURCES[source], row[source]
@@ -105,9 +99,8 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
         ax.plot(x, y, color=colour, lw=0.7)
         ax.scatter(x, y, area, colour, marker=marker, alpha=0.75, lw=0, zorder=3)
         ax.plot([], [], marker, color=colour, ls="", label=node)
-    limits = (-0.02, 1.02)
-    ax.set(xlim=limits, ylim=limits, aspect="equal", title="Calibration one frame ahead")
-    ax.set_xlabel("predicted probability of a value")
+    ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
+    ax.set(title="Calibration one frame ahead", xlabel="predicted probability of a value")
     ax.set_ylabel("share of the frames in which it comes")
     sizes = f"area: number of predictions, at most {most:,}"
     sizes = "no node is observed alone" if calibration.empty else sizes
