@@ -8,7 +8,6 @@ that respect, however good its beliefs are.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
@@ -21,9 +20,10 @@ from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, per_lane
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.result import Result
+from egolane_pgm.running import noting
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
 #: The bins of predicted probabilities.
 N_BINS = 10
@@ -206,27 +206,23 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
     """
     if not 0 < step <= 1:
         raise InputError(f"step: {step} is not a share of the search range (0 to 1)")
-    model, start = single_drive(result).model, _scores(result, result.model, result.evidence)
-    rows: dict[str, dict[str, float]] = {}
+    model, start = single_drive(result).model, _scores(result, result.model)
+    of_rule, rows = getattr(model.rule, "PARAMETERS", ()), {}
     for spec in bar(declared_parameters(model.rule, model.graph), unit="parameter"):
-        value = model.parameters[spec.name]
         # A whole number may change the shape of the network.
-        if not spec.is_searched or spec.kind == "integer" or isinstance(value, str):
+        is_number = spec.kind != "integer" and not isinstance(model.parameters[spec.name], str)
+        if not (spec.is_searched and is_number):
             continue
         values = per_lane(model.parameters, spec.name, model.n_lanes)
         for k, here in enumerate(values if spec.per_lane else values[:1]):
             row = rows[f"{spec.name}[{k + 1}]" if spec.per_lane else spec.name] = {"value": here}
             for side, sign, end in (("down", -1, "low"), ("up", 1, "high")):
                 row[f"value_{end}"] = there = _moved(spec, here, sign * step)
-                if there == here:
-                    continue
-                moved = (*values[:k], there, *values[k + 1 :]) if spec.per_lane else there
-                changed = with_parameters(model, {**model.parameters, spec.name: moved})
-                evidence, compared = result.evidence, list(SCORES)
-                if spec in getattr(model.rule, "PARAMETERS", ()):
-                    evidence, compared = _evidence(result, changed), list(SCORES[:2])
-                found = _scores(result, changed, evidence)
-                row |= {f"{name}_{side}": found[name] - start[name] for name in compared}
+                if there != here:
+                    moved = (*values[:k], there, *values[k + 1 :]) if spec.per_lane else there
+                    changed = with_parameters(model, {**model.parameters, spec.name: moved})
+                    found = _scores(result, changed, spec in of_rule)
+                    row |= {f"{name}_{side}": found[name] - start[name] for name in SCORES}
     columns = ["value", "value_low", "value_high"]
     columns += [f"{name}_{side}" for name in SCORES for side in ("down", "up")]
     return pd.DataFrame.from_dict(rows, "index", float, columns).rename_axis("number")
@@ -240,27 +236,25 @@ def _moved(spec: Parameter, value: float, share: float) -> float:
     return float(np.clip(value + share * width, min(low, value), max(high, value)))
 
 
-def _evidence(result: Result, model: Model) -> Evidence:
-    """Return the evidence of a model; the result has its warnings."""
-    [log] = result.lines.values()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        return make_evidence(model, log)[0]
-
-
-def _scores(result: Result, model: Model, evidence: Evidence) -> dict[str, float]:
-    """Return SCORES of a model of a result; NaN if undefined."""
-    e, frames = result.experiment, result.frames
+def _scores(result: Result, model: Model, moves_evidence: bool = False) -> dict[str, float]:
+    """Return SCORES of a result with another model; NaN if undefined."""
+    e, frames, evidence = result.experiment, result.frames, result.evidence
+    if moves_evidence:
+        with noting():  # The result has these warnings.
+            evidence, _ = make_evidence(model, next(iter(result.lines.values())))
     method = e.filter if e.filter in METHODS else "exact"
     beliefs = filter_beliefs(model.compiled, evidence, method)
-    total = np.nan if beliefs.is_impossible.any() else beliefs.log_evidence.sum()
+    is_comparable = not moves_evidence and not beliefs.is_impossible.any()
     known = (frames["true_lane"].notna() & frames.get("is_trusted", True)).to_numpy(bool)
     lane, truth = beliefs.lane[known], frames["true_lane"][known].to_numpy(int)
     right = assigned_lane(lane, e.min_confidence) == truth
     right = right[~frames["is_crossing"][known].to_numpy(bool)]
-    values = right, log_loss_per_frame(lane, truth)
-    means = [each.mean() if len(each) else np.nan for each in values]
-    return dict(zip(SCORES, [*means, total], strict=True))
+    losses = log_loss_per_frame(lane, truth)
+    return {
+        "accuracy": right.mean() if len(right) else np.nan,
+        "log_loss": losses.mean() if len(losses) else np.nan,
+        "log_evidence": beliefs.log_evidence.sum() if is_comparable else np.nan,
+    }
 
 
 def single_drive(result: Result) -> Result:
