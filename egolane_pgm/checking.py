@@ -1,9 +1,8 @@
 """Does the model look like the data? Predictive checks of a result, and its sensitivity.
 
-A statistic of a drive, such as the number of lane changes, is computed three ways: of the ground
-truth, of paths drawn from the posterior (what the data say, under the model), and of drives drawn
-from the model (what it expects before it sees any). Where the last two differ the model is wrong in
-that respect, however good its beliefs are.
+A statistic of a drive, such as the number of lane changes, is computed for the ground truth, for
+paths drawn from the posterior, and for drives drawn from the model without data. If the last two
+differ, the model is wrong in that respect, however good its beliefs are.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ SCORES = ("accuracy", "log_loss", "log_evidence")
 
 
 class Draws(NamedTuple):
-    """Drives of T frames that a statistic is computed of.
+    """n drives of T frames.
 
     - values: per node the index of its value, (n, T); lanes count from 0.
     - frame_rate: Hz.
@@ -64,12 +63,12 @@ def changes_per_hour(draws: Draws) -> FloatArray:
 
 
 def share(node: str, value: int) -> Statistic:
-    """Make the statistic: share of the frames in which a node has a value."""
+    """Make a statistic: the share of the frames with this value of a node."""
     return lambda draws: np.asarray((draws.values[node] == value).mean(axis=1))
 
 
 def mean_run(node: str, value: int) -> Statistic:
-    """Make the statistic: mean time for which a node keeps a value, seconds."""
+    """Make a statistic: the mean time for which a node keeps this value, seconds."""
 
     def of(draws: Draws) -> FloatArray:
         held = draws.values[node] == value
@@ -108,7 +107,7 @@ def check(
     (`posterior`, `posterior_low`, `posterior_high`) and of the model (`model`, ...), and
     `probability`: how often a drive of the model is at least as far out as the median of the
     posterior, on its side, times two (at most 1). The parameters may have been found on the same
-    frames. Raises InputError as `single_drive`, and for statistics that a node is missing for.
+    frames. Raises InputError as `single_drive`, and for a statistic of an unknown node.
 
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
@@ -192,10 +191,11 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
     Returns a row per number: its `value`, the values tried (`value_low`, `value_high`), and how
     much each score changes at these: `accuracy_down`, `accuracy_up` (share of the frames that are
     not crossing), `log_loss_...` (nats per frame), `log_evidence_...` (nats, sum over the frames).
-    The scores are those of a causal filter, the result's own or else `exact`, and in-sample if the
+    The filter is causal, the result's own or else `exact`, and the scores are in-sample if the
     result is. NaN for a number at its bound and without ground truth. The log evidence is NaN for
     parameters of the evidence rule as well, since likelihoods are not normalised and their scale
-    would count, and if the model does not allow a frame.
+    would count, and if the model does not allow a frame. It judges how well a model describes the
+    lines, and on the paper's recordings it ranked models nearly opposite to held-out lanes.
 
     Raises InputError as `single_drive`.
 

@@ -77,7 +77,7 @@ def plot(
         raise InputError(f"frames: {frames[0]} {frames[1]} is an empty range")
     is_file = out is not None and Path(out).suffix.lower() in _FILES and not Path(out).is_dir()
     if check and (is_file or frames or any(map(is_study, places))):
-        raise InputError("check: draws figures of results over all their frames, nothing else")
+        raise InputError("check: goes with figures of results, without frames")
     if out is not None and is_file:
         return Files([_write_file(places, Path(out), frames)])
     studies = [place for place in places if is_study(place)]

@@ -48,7 +48,7 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
 
 
 def describe_tables(compiled: Compiled, *, numbers: bool = True) -> list[dict[str, Any]]:
-    """The tables of a compiled graph, those of inputs left out; see `describe_graph`."""
+    """The tables of a compiled graph, without its inputs; see `describe_graph`."""
     tables: list[dict[str, Any]] = []
     for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
         frames = ["first frame", "later frames"]

@@ -15,7 +15,7 @@ from egolane_pgm.views.style import PROBABILITY_RAMP, inline_figure, new_figure,
 #: Width and height of a cell, and of the largest table; widths of the figure, of a letter; inches.
 _CELL, _LARGEST, _WIDE, _LETTER = (0.42, 0.19), (4.2, 6.1), 10.0, 0.068
 
-#: Tables with more rows than this are named below the others.
+#: Tables with more rows than this are not drawn but named.
 MAX_ROWS = 1000
 
 
