@@ -86,8 +86,8 @@ def usual_statistics(result: Result) -> dict[str, Statistic]:
     for node, names in result.model.compiled.values.items():
         if node in result.model.compiled.hidden and node != "Lane" and len(names) <= 4:
             for k, name in list(enumerate(names))[1:]:
-                found[f"{node} {name}: share"] = share(node, k)
-                found[f"{node} {name}: mean run, s"] = mean_run(node, k)
+                found[f"{node} {name} share"] = share(node, k)
+                found[f"{node} {name} mean run, s"] = mean_run(node, k)
     return found
 
 
@@ -112,7 +112,7 @@ def check(
     >>> import egolane_pgm as ego
     >>> result = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
     >>> list(ego.check(result, n=50).index)
-    ['lane changes per hour', 'SensorState BAD: share', 'SensorState BAD: mean run, s']
+    ['lane changes per hour', 'SensorState BAD share', 'SensorState BAD mean run, s']
     """
     compiled, rate = result.model.compiled, result.frame_rate
     evidence = single_drive(result).evidence

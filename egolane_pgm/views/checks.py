@@ -21,11 +21,11 @@ from egolane_pgm.views.tables import Table, cell, page, table
 #: The three values of a statistic: colour and marker.
 _SOURCES = {"posterior": (BLUE, "o"), "model": (ORANGE, "s"), "truth": (INK, "D")}
 
-#: The scores of a sensitivity: factor and unit of the axis.
+#: The scores of a sensitivity: name, factor and unit of the axis.
 _SCORES = {
-    "log_loss": (1, "nats per frame; less is better"),
-    "accuracy": (100, "percentage points"),
-    "log_evidence": (1, "nats, sum over the frames"),
+    "log_loss": ("log-loss", 1, "nats per frame; less is better"),
+    "accuracy": ("accuracy", 100, "percentage points"),
+    "log_evidence": ("log evidence", 1, "nats, sum over the frames"),
 }
 
 #: Colour and offset of the bars of a number moved down or up.
@@ -122,14 +122,14 @@ def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
     figure = new_figure(9.2, 1.7 + 0.34 * len(found), f"{title}: each number moved alone")
     axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
     for ax, name in zip(axes, panels, strict=True):
-        factor, unit = _SCORES[name]
+        label, factor, unit = _SCORES[name]
         for side, (colour, offset) in _SIDES.items():
             change = factor * found[f"{name}_{side}"]
             ax.barh(y + offset, change, 0.36, color=colour, label=f"number moved {side}")
         for k in np.flatnonzero(found[[f"{name}_down", f"{name}_up"]].isna().all(axis=1)):
             ax.text(0, k, " not comparable", fontsize=7, va="center", color=CROSSING)
         ax.axvline(0, color=INK, lw=0.8)
-        ax.set(title=f"change of {name.replace('_', ' ')}", xlabel=unit)
+        ax.set(title=f"change of {label}", xlabel=unit)
         ax.xaxis.set_major_locator(MaxNLocator(4))
         ax.tick_params(axis="y", length=0)
         ax.grid(axis="y", visible=False)
