@@ -104,9 +104,8 @@ def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> 
     ax.set_ylabel("share of the frames in which it comes")
     sizes = f"area: number of predictions, at most {most:,}"
     sizes = "no node is observed alone" if calibration.empty else sizes
-    halves[1].legend(
-        *ax.get_legend_handles_labels(), loc="outside lower center", ncols=4, title=sizes
-    )
+    entries = ax.get_legend_handles_labels()
+    halves[1].legend(*entries, loc="outside lower center", ncols=4, title=sizes)
     return figure
 
 
@@ -115,7 +114,8 @@ def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
 
     - found: as `sensitivity` returns it.
     """
-    panels = [name for name in _SCORES if found[f"{name}_down"].notna().any()] or ["log_evidence"]
+    panels = [name for name in _SCORES if found.filter(like=name).notna().any(axis=None)]
+    panels = panels or ["log_evidence"]
     moved = found[[f"{panels[0]}_{side}" for side in _SIDES]].abs().max(axis=1).fillna(0)
     found = found.loc[moved.sort_values(ascending=False, kind="stable").index]
     y = np.arange(len(found))
@@ -133,9 +133,11 @@ def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
         ax.xaxis.set_major_locator(MaxNLocator(4))
         ax.tick_params(axis="y", length=0)
         ax.grid(axis="y", visible=False)
-    values = found[["value_low", "value", "value_high"]].to_numpy()
-    words = [" < ".join(f"{value:.4g}" for value in row) for row in values]
-    axes[0].set_yticks(y, [f"{name}   {w}" for name, w in zip(found.index, words, strict=True)])
+    names = [
+        f"{row.Index} = {row.value:.4g} ({row.value_low:.4g} to {row.value_high:.4g})"
+        for row in found.itertuples()
+    ]
+    axes[0].set_yticks(y, names)
     axes[0].set_ylim(len(found) - 0.5, -0.5)
     judges = (
         "log evidence judges how well the model describes the lines; on the paper's recordings it"
