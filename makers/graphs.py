@@ -39,9 +39,8 @@ EDGES = [
     *("SensorState -> DetectorOutput", "SensorState -> WOR"),
 ]
 
-#: Places of a road's runs among the ten, and their detectors.
+#: Places of a road's runs among the ten.
 ROADS = {"Italy": slice(0, 5), "Spain": slice(5, 10), "ten runs": slice(0, 10)}
-DETECTORS = ["ml", "sl", "mc", "sc", "mld"] * 2
 
 #: Graphs whose predictions are checked.
 CHECKED = ("sensor_failure", "wor_on_lane", "autoregressive", "sensor_dynamics", "failure_duration")
@@ -96,7 +95,7 @@ def edges() -> None:
             row["chosen in"] = sum(structures[0] <= one for one in best)
             row |= {"BIC": bic[name].mean(), "BIC helps in": (bic[name] > 0).sum()}
             row["chosen by BIC in"] = sum(structures[0] <= one for one in by_bic)
-    names = [f"{k + 1} {detector}" for k, detector in enumerate(DETECTORS)]
+    names = [f"{run} {paper_experiment(run).stem.split('_')[-1]}" for run in range(1, 11)]
     gained = pd.DataFrame(each, index=names).T.rename_axis("gain")
     found = pd.DataFrame(rows).T.rename_axis("edge or set")
     order = [*found["ten runs"][: len(EDGES)].sort_values(ascending=False).index, *sets]
@@ -133,12 +132,8 @@ def edges_figure(found: pd.DataFrame, each: pd.DataFrame) -> Figure:
 
 def failed(statistic: Any) -> Statistic:
     """A statistic of whether the sensor is not OK."""
-
-    def of(draws: Draws) -> FloatArray:
-        values = {"failed": (draws.values["SensorState"] != 0).astype(int)}
-        return np.asarray(statistic("failed", 1)(Draws(values, draws.frame_rate)))
-
-    return of
+    of = statistic("failed", 1)
+    return lambda d: of(Draws({"failed": (d.values["SensorState"] != 0) * 1}, d.frame_rate))
 
 
 def checked(run: int, graph: str | None) -> pd.Series:
@@ -147,11 +142,8 @@ def checked(run: int, graph: str | None) -> pd.Series:
     given = experiment(run)
     network = ego.learn(given, graph=graph, folds=0).model.network if graph else None
     result = ego.run(given, graph=network)
-    statistics = {
-        "changes per hour": changes_per_hour,
-        "share failed": failed(share),
-        "mean failure, s": failed(mean_run),
-    }
+    of_sensor = {"share failed": failed(share), "mean failure, s": failed(mean_run)}
+    statistics = {"changes per hour": changes_per_hour, **of_sensor}
     found = ego.check(result, statistics, n=300)[["truth", "posterior", "model"]].stack()
     bins = ego.prediction_calibration(result)
     off = (bins["predicted"] - bins["comes"]).abs() * bins["count"]
