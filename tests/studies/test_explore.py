@@ -17,6 +17,7 @@ from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
 from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
 from egolane_pgm.studies.study import block_folds, everything
+from tests.benchmarks.workbench import search
 from tests.kits.line_logs import line_log
 from tests.kits.studies import drive_of
 
@@ -109,6 +110,11 @@ def test_free_numbers_and_bic_by_hand() -> None:
     # SensorState and Lane in later frames, DetectorOutput, WOR.
     numbers = 2 + 4 * 3 + 8 * 3 + 2
     assert found["bic"] == pytest.approx(log_evidence - numbers / 2 * np.log(300))
+
+
+def test_bic_and_the_best_edges_are_those_of_pgmpy() -> None:
+    _, ours, others, _ = search()
+    np.testing.assert_allclose(ours(), others["pgmpy"](), atol=1e-5)
 
 
 def test_edges_are_read_as_they_are_written() -> None:
