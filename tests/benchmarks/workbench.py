@@ -1,7 +1,6 @@
 """Draws, paths of the posterior, EM and the search of edges, by others on the same networks.
 
-The differences are those of frequencies (draws differ by chance), of the gain in log likelihood of
-each step, and of BIC per frame and the best edges.
+Compared are frequencies, the gain in log likelihood of each step, and BIC per frame with the edges.
 """
 
 from __future__ import annotations
@@ -119,19 +118,20 @@ def em() -> Part:
 def search() -> Part:
     """BIC per frame, and whether each edge is found, of two observed nodes."""
     changes = {"recording.simulate": "a4", "recording.frames": [0, FRAMES], "fit.strength": 1e-9}
-    [drive] = open_input("quickstart", overrides=changes, graph="wor_direct").drives()
+    [drive] = open_input("quickstart", overrides=changes).drives()
     problem, model = make_problem([drive], [], judge="bic"), drive.model.compiled
     lane = [*prior("Lane", uniform(4)), *dynamics("Lane", [previous("Lane")], uniform(4, 4))]
     start = [*lane, *within("WOR", [], uniform(2)), *within("DetectorOutput", [], uniform(4))]
     true = frozenset(parse_edge(each, model.values) for each in list(EDGES)[:3])
-    rng, n = np.random.default_rng(0), len(drive.log)
+    n, rng = len(drive.log), np.random.default_rng(0)
     tables = [
         replace(t, values=rng.dirichlet(np.ones(t.values.shape[-1]), t.values.shape[:-1]))
         for t in with_structure(start, true, 0)[0]
     ]
     roles = {"observed": model.observed, "hidden": ("Lane",), "values": model.values}
     drawn = sample(compile_tables(tables, **roles), n, 0)[["DetectorOutput", "WOR"]]
-    problem = replace(problem, tables=tuple(start), evidence=(Evidence.hard(drawn, model),))
+    evidence = (Evidence.hard(drawn, model),)
+    problem = replace(problem, tables=tuple(start), hidden=("Lane",), evidence=evidence)
     d, w = (drawn[name].cat.codes.astype(str).to_numpy() for name in drawn)
     pairs = pd.DataFrame({"D0": d[:-1], "D1": d[1:], "W0": w[:-1], "W1": w[1:]}, dtype="category")
     forbidden = [(a, b) for a in pairs for b in pairs if a != b and (a, b) not in EDGES.values()]
