@@ -73,7 +73,7 @@ class Problem:
     - tables, hidden: of this graph, with new nodes.
     - drives, evidence: R recordings with the same number of lanes.
     - drive_ids: the number of each recording's drive; several detectors may have recorded one.
-    - folds: held out in turn; the last one has all frames and no test frames.
+    - folds: held out in turn, in order; the last one has all frames and no test frames.
     - judge: one of JUDGES.
     - seed: of the start of new edges, and of the sampler.
     """
@@ -104,7 +104,7 @@ class Exploration:
     - gain: of the best structure over the start, the same columns as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
-    - judge: one of JUDGES.
+    - judge: what the gains are, in words.
     - directory: where it is saved; None in memory.
     """
 
@@ -233,17 +233,20 @@ def judged(
 
     - task: the edges of a structure, sorted, and the number of the fold.
 
-    Returns per recording the value of each test frame, larger is better, NaN in crossing frames;
-    and the free numbers, the log evidence of all frames, and BIC: log evidence less half the
-    logarithm of the number of frames for each free number.
+    Returns per recording the value of each test frame, larger is better, NaN in crossing frames, or
+    one BIC per frame for all; and the free numbers, the log evidence of all frames, and BIC: log
+    evidence less half the logarithm of the number of frames for each free number.
     """
-    compiled, numbers = fitted(problem, frozenset(task[0]), problem.folds[task[1]])
+    fold = problem.folds[task[1]]
+    compiled, numbers = fitted(problem, frozenset(task[0]), fold)
     beliefs = [filter_beliefs(compiled, each) for each in problem.evidence]
     # The log evidence of EM includes the known lanes.
     log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)
-    bic = log_evidence - numbers / 2 * math.log(sum(map(len, beliefs)))
-    tests = problem.folds[task[1]].test
-    values = list(map(partial(_values, problem.judge), problem.drives, beliefs, tests))
+    n_frames = sum(map(len, beliefs))
+    bic = log_evidence - numbers / 2 * math.log(n_frames)
+    values = [*map(partial(_values, problem.judge), problem.drives, beliefs, fold.test)]
+    if problem.judge == "bic":
+        values = [np.array([bic / n_frames])]
     return values, {"numbers": numbers, "log_evidence": log_evidence, "bic": bic}
 
 
@@ -285,17 +288,9 @@ class _Tried:
         return {each: row for (each, k), (_, row) in self.found.items() if k == self.folds[-1]}
 
     def values(self, structure: Structure) -> list[FloatArray]:
-        """Per recording the value of each annotated frame (K,), NaN in folds to come; BIC has one
-        value."""
-        if self.problem.judge == "bic":
-            n_frames = sum(map(len, self.problem.evidence))
-            return [np.array([self.complete()[structure]["bic"] / n_frames])]
-        values = [np.full(len(drive), np.nan) for drive in self.problem.drives]
-        for k, fold in enumerate(self.problem.folds):
-            found, _ = self.found.get((structure, k), ((), {}))
-            for into, test, of_test in zip(values, fold.test, found, strict=False):
-                into[test] = of_test
-        return values
+        """The values of `judged` in all folds so far, per recording."""
+        found = [self.found[structure, k][0] for k in self.folds if (structure, k) in self.found]
+        return [np.concatenate(each) for each in zip(*found, strict=True)]
 
     def score(self, structure: Structure) -> float:
         """The mean over recordings of the mean over frames."""
@@ -387,7 +382,7 @@ def explore(
         first.gain(best),
         gains,
         replace(problem.model, compiled=fitted(problem, best, everything(problem.drives))[0]),
-        problem.judge,
+        JUDGES[problem.judge],
         directory,
     )
     if directory is not None:
@@ -417,8 +412,8 @@ def _greedy(tried: _Tried, edges: Sequence[Edge]) -> None:
 
 def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:
     """Make a study in which each edge is on or off, at first off."""
-    experiment = problem.model.experiment
     if sampler is None or isinstance(sampler, str):
+        experiment = problem.model.experiment
         own = {"sampler": sampler or "tpe", "seed": problem.seed, "objective": ("log_loss",)}
         settings = settings_of(experiment.fit.model_copy(update=own), source=experiment.source)
         switch = optuna.distributions.CategoricalDistribution([False, True])
