@@ -6,6 +6,7 @@ ranked graphs nearly opposite to the held-out lanes.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -63,6 +64,8 @@ MOST_NUMBERS, MOST_PARENTS = 2000, 3
 
 #: The largest number of EM steps for each structure.
 ITERATIONS = 50
+
+Judged = tuple[list[FloatArray], dict[str, float]]
 
 
 @dataclass(frozen=True)
@@ -177,11 +180,9 @@ def candidates(problem: Problem) -> list[Edge]:
 
 def is_allowed(problem: Problem, structure: Structure) -> bool:
     """Whether the network of a structure can be filtered."""
-    try:
-        made(problem, structure)
-    except InputError:
-        return False
-    return True
+    with contextlib.suppress(InputError):
+        return bool(made(problem, structure))
+    return False
 
 
 def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNode, FloatArray]]:
@@ -226,9 +227,7 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     return learned, free_numbers(counted_tables(learned), bases)
 
 
-def judged(
-    problem: Problem, task: tuple[tuple[Edge, ...], int]
-) -> tuple[list[FloatArray], dict[str, float]]:
+def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> Judged:
     """Fit a structure to the training frames of a fold, and judge it.
 
     - task: the edges of a structure, sorted, and the number of the fold.
@@ -266,7 +265,7 @@ class _Tried:
     def __init__(self, problem: Problem, directory: Path | None, **shared: Any) -> None:
         from joblib import Memory, hash
 
-        self.problem, self.found = problem, dict[tuple[Structure, int], Any]()
+        self.problem, self.found = problem, dict[tuple[Structure, int], Judged]()
         self.folds, self.shared = range(len(problem.folds)), shared
         # Without sets, whose order differs between processes.
         fit, parts = problem.model.experiment.fit, vars(problem) | {"model": None, "drives": None}
@@ -361,26 +360,21 @@ def explore(
         several.append(tried)
     first, chosen = several[0], [max(each.complete(), key=each.score) for each in several]
     best, there = chosen[0], edges_of(problem.tables)
+    gains = {edge: first.gain(structure) for edge, structure in alone.items()}
     rows: list[dict[str, Any]] = []
-    gains = {}
-    for edge, structure in alone.items():
-        change, gain = "remove" if edge in there else "add", first.gain(structure)
-        times = sum(edge in each for each in chosen)
-        rows.append({"edge": str(edge), "change": change, **gain, "chosen": times})
-        if edge in best and change == "add":
-            gains[edge.parent, edge.child, edge.lag] = gain["gain"]
-    structures = [
+    for edge, gain in gains.items():
+        row = {"edge": str(edge), "change": "remove" if edge in there else "add", **gain}
+        rows.append({**row, "chosen": sum(edge in each for each in chosen)})
+    structures: list[dict[str, Any]] = [
         {"edges": spelled(each, there), "score": first.score(each), **row}
         for each, row in first.complete().items()
     ]
-    down: Any = {"ascending": False, "kind": "stable", "ignore_index": True}
-    ranked = partial(pd.DataFrame.sort_values, **down)
     done = Exploration(
-        ranked(pd.DataFrame(rows), by="gain"),
-        ranked(pd.DataFrame(structures), by="score"),
+        pd.DataFrame(sorted(rows, key=lambda row: -row["gain"])),
+        pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
         best,
         first.gain(best),
-        gains,
+        {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
         replace(problem.model, compiled=fitted(problem, best, everything(problem.drives))[0]),
         JUDGES[problem.judge],
         directory,
@@ -390,8 +384,8 @@ def explore(
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
         origins = {recording_key(drive.experiment) for drive in problem.drives}
-        chosen_by = f"edges chosen by {problem.judge}: {spelled(best, there)}"
-        content = graph_yaml(done.model, chosen_by)
+        about = f"edges chosen by {problem.judge}: {spelled(best, there)}"
+        content = graph_yaml(done.model, about)
         content["learned_from"] = origins.pop() if len(origins) == 1 else ""
         write_yaml(directory / "best.graph.yaml", content)
     return done
