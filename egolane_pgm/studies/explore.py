@@ -107,8 +107,8 @@ class Exploration:
     - gain: of the best structure over the start, the same columns as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
-    - judge: what the gains are, in words.
-    - directory: where it is saved; None in memory.
+    - judge: description of the gains.
+    - directory: output directory; None in memory.
     """
 
     edges: pd.DataFrame
@@ -334,11 +334,11 @@ def explore(
 
     - edges: as `parse_edge` reads them, by default all candidates.
     - trials: 0 for a greedy search, which adds the best edge as long as one helps; otherwise the
-      number of trials of an Optuna study in which each edge is on or off.
+      number of trials of an Optuna study with a switch per edge.
     - searches: with another seed each; `chosen` counts over them.
     - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
     - pruner: Optuna's. A trial reports its mean score after each fold.
-    - directory: structures that were tried are kept there, so that a repeated call goes on.
+    - directory: of the results, and of all fits, which a repeated call reuses.
 
     Raises InputError for an edge with which the network cannot be filtered.
     """
@@ -405,7 +405,7 @@ def _greedy(tried: _Tried, edges: Sequence[Edge]) -> None:
 
 
 def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:
-    """Make a study in which each edge is on or off, at first off."""
+    """Make a study with a switch per edge, all off in the first trial."""
     if sampler is None or isinstance(sampler, str):
         experiment = problem.model.experiment
         own = {"sampler": sampler or "tpe", "seed": problem.seed, "objective": ("log_loss",)}

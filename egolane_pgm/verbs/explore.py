@@ -39,7 +39,7 @@ def explore(
 
     Each graph is fitted by EM (`fit.labels`, `fit.strength`) and judged on held-out blocks
     (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
-    `fit.trials` by an Optuna study (`fit.sampler`) in which each edge is on or off.
+    `fit.trials` by an Optuna study (`fit.sampler`) with a switch per edge.
 
     - experiments: one, or a list: experiments or results, of the same number of lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
@@ -53,8 +53,8 @@ def explore(
     - jobs: processes that share the fits.
     - cluster: Dask cluster for the fits.
 
-    Returns an `Exploration`; a repeated call with the same `out` repeats no fit. Writes files only
-    with `out`. Raises InputError for an edge or node that is not there and for drives that do not fit.
+    Returns an `Exploration`; a repeated call with the same `out` reuses its fits. Writes files only
+    with `out`. Raises InputError for an unknown edge or node, and for drives that do not fit.
 
     >>> import egolane_pgm as ego
     >>> changes = {"recording.frames": [0, 600], "fit.folds": 2}
