@@ -213,11 +213,8 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     """Fit a structure to the training frames of a fold; return also its free numbers."""
     compiled, bases = made(problem, structure)
     options = problem.model.experiment.fit
-    parts = [
-        training_of(drive, train, labels=options.labels, evidence=evidence)
-        for drive, evidence, train in zip(problem.drives, problem.evidence, fold.train, strict=True)
-        if len(train)
-    ]
+    data = zip(problem.drives, problem.evidence, fold.train, strict=True)
+    parts = [training_of(d, t, labels=options.labels, evidence=e) for d, e, t in data if len(t)]
     evidence, lanes, begins = zip(*parts, strict=True)
     learned = fit_tables(
         compiled, Evidence.concat(evidence), {"Lane": np.concatenate(lanes)},
@@ -299,23 +296,19 @@ class _Tried:
         """The gain over the start with its paired intervals, as in `Exploration.edges`."""
         start: Structure = frozenset()
         pairs = zip(self.values(structure), self.values(start), strict=True)
-        gains = [mine - before for mine, before in pairs]
+        gains = [of_structure - of_start for of_structure, of_start in pairs]
         ids = list(self.problem.drive_ids[: len(gains)])
         counts = [np.stack([np.nan_to_num(each), ~np.isnan(each)], axis=1) for each in gains]
         found = bootstrap_interval(counts, lambda sums: sums[..., 0] / sums[..., 1], seeds=ids)
         means = pd.Series(map(np.nanmean, gains)).groupby(ids).mean()
         half = stdtrit(len(means) - 1, (1 + LEVEL) / 2) * means.std() / math.sqrt(len(means))
-        rows = self.complete()
-        return {
-            "gain": found.estimate,
-            "gain_low": found.low,
-            "gain_high": found.high,
-            "over_drives": means.mean(),
-            "over_drives_low": means.mean() - half,
-            "over_drives_high": means.mean() + half,
-            "drives": int((means > 0).sum()),
-            "numbers": rows[structure]["numbers"] - rows[start]["numbers"],
-        }
+        names = [
+            f"{name}{end}" for name in ("gain", "over_drives") for end in ("", "_low", "_high")
+        ]
+        over_drives = means.mean(), means.mean() - half, means.mean() + half
+        row = dict(zip(names, (found.estimate, found.low, found.high, *over_drives), strict=True))
+        mine, before = (self.complete()[each]["numbers"] for each in (structure, start))
+        return {**row, "drives": int((means > 0).sum()), "numbers": mine - before}
 
 
 def explore(
@@ -384,8 +377,7 @@ def explore(
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
         origins = {recording_key(drive.experiment) for drive in problem.drives}
-        about = f"edges chosen by {problem.judge}: {spelled(best, there)}"
-        content = graph_yaml(done.model, about)
+        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best, there)}")
         content["learned_from"] = origins.pop() if len(origins) == 1 else ""
         write_yaml(directory / "best.graph.yaml", content)
     return done

@@ -83,12 +83,8 @@ def parse_edge(text: str, nodes: Iterable[str]) -> Edge:
 
 def with_node(tables: Sequence[Table], name: str, size: int) -> list[Table]:
     """Add a hidden node without edges to others, which keeps its value for about ten frames."""
-    stay = np.linspace(_STAYS, (_STAYS + 1) / 2, size)
-    return [
-        *tables,
-        *prior(name, uniform(size)),
-        *dynamics(name, [previous(name)], sticky(*stay)),
-    ]
+    rows = sticky(*np.linspace(_STAYS, (_STAYS + 1) / 2, size))
+    return [*tables, *prior(name, uniform(size)), *dynamics(name, [previous(name)], rows)]
 
 
 def with_structure(
