@@ -302,9 +302,8 @@ class _Tried:
         found = bootstrap_interval(counts, lambda sums: sums[..., 0] / sums[..., 1], seeds=ids)
         means = pd.Series(map(np.nanmean, gains)).groupby(ids).mean()
         half = stdtrit(len(means) - 1, (1 + LEVEL) / 2) * means.std() / math.sqrt(len(means))
-        names = [
-            f"{name}{end}" for name in ("gain", "over_drives") for end in ("", "_low", "_high")
-        ]
+        ends = "", "_low", "_high"
+        names = [name + end for name in ("gain", "over_drives") for end in ends]
         over_drives = means.mean(), means.mean() - half, means.mean() + half
         row = dict(zip(names, (found.estimate, found.low, found.high, *over_drives), strict=True))
         mine, before = (self.complete()[each]["numbers"] for each in (structure, start))
