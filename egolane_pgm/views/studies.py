@@ -98,7 +98,7 @@ def exploration_text(found: Exploration, style: str, wide: bool) -> str:
     return page(
         [
             f"{len(found.structures)} graphs were fitted; {found.judge}",
-            "each edge alone, with 95 % intervals over blocks of frames, and over drives:",
+            "each edge alone [95 % interval over blocks of frames, or over drives]:",
             *[table(edges[columns], forms) for columns in shown],
             f"best set: {best['edges']}\n  gain {interval}, {best['numbers']} free numbers\n"
             "  (chosen by its score on these frames, which is therefore optimistic)",
