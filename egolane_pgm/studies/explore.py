@@ -6,6 +6,7 @@ ranked graphs nearly opposite to the held-out lanes.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -64,6 +65,8 @@ MOST_NUMBERS, MOST_PARENTS = 2000, 3
 #: The largest number of EM steps for each structure.
 ITERATIONS = 50
 
+Judged = tuple[list[FloatArray], dict[str, float]]
+
 
 @dataclass(frozen=True)
 class Problem:
@@ -73,7 +76,7 @@ class Problem:
     - tables, hidden: of this graph, with new nodes.
     - drives, evidence: R recordings with the same number of lanes.
     - drive_ids: the number of each recording's drive; several detectors may have recorded one.
-    - folds: held out in turn; the last one has all frames and no test frames.
+    - folds: held out in turn, in order; the last one has all frames and no test frames.
     - judge: one of JUDGES.
     - seed: of the start of new edges, and of the sampler.
     """
@@ -104,8 +107,8 @@ class Exploration:
     - gain: of the best structure over the start, the same columns as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
-    - judge: one of JUDGES.
-    - directory: where it is saved; None in memory.
+    - judge: description of the gains.
+    - directory: output directory; None in memory.
     """
 
     edges: pd.DataFrame
@@ -177,11 +180,9 @@ def candidates(problem: Problem) -> list[Edge]:
 
 def is_allowed(problem: Problem, structure: Structure) -> bool:
     """Whether the network of a structure can be filtered."""
-    try:
-        made(problem, structure)
-    except InputError:
-        return False
-    return True
+    with contextlib.suppress(InputError):
+        return bool(made(problem, structure))
+    return False
 
 
 def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNode, FloatArray]]:
@@ -212,11 +213,8 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     """Fit a structure to the training frames of a fold; return also its free numbers."""
     compiled, bases = made(problem, structure)
     options = problem.model.experiment.fit
-    parts = [
-        training_of(drive, train, labels=options.labels, evidence=evidence)
-        for drive, evidence, train in zip(problem.drives, problem.evidence, fold.train, strict=True)
-        if len(train)
-    ]
+    data = zip(problem.drives, problem.evidence, fold.train, strict=True)
+    parts = [training_of(d, t, labels=options.labels, evidence=e) for d, e, t in data if len(t)]
     evidence, lanes, begins = zip(*parts, strict=True)
     learned = fit_tables(
         compiled, Evidence.concat(evidence), {"Lane": np.concatenate(lanes)},
@@ -226,24 +224,25 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     return learned, free_numbers(counted_tables(learned), bases)
 
 
-def judged(
-    problem: Problem, task: tuple[tuple[Edge, ...], int]
-) -> tuple[list[FloatArray], dict[str, float]]:
+def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> Judged:
     """Fit a structure to the training frames of a fold, and judge it.
 
     - task: the edges of a structure, sorted, and the number of the fold.
 
-    Returns per recording the value of each test frame, larger is better, NaN in crossing frames;
-    and the free numbers, the log evidence of all frames, and BIC: log evidence less half the
-    logarithm of the number of frames for each free number.
+    Returns per recording the value of each test frame, larger is better, NaN in crossing frames, or
+    one BIC per frame for all; and the free numbers, the log evidence of all frames, and BIC: log
+    evidence less half the logarithm of the number of frames for each free number.
     """
-    compiled, numbers = fitted(problem, frozenset(task[0]), problem.folds[task[1]])
+    fold = problem.folds[task[1]]
+    compiled, numbers = fitted(problem, frozenset(task[0]), fold)
     beliefs = [filter_beliefs(compiled, each) for each in problem.evidence]
     # The log evidence of EM includes the known lanes.
     log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)
-    bic = log_evidence - numbers / 2 * math.log(sum(map(len, beliefs)))
-    tests = problem.folds[task[1]].test
-    values = list(map(partial(_values, problem.judge), problem.drives, beliefs, tests))
+    n_frames = sum(map(len, beliefs))
+    bic = log_evidence - numbers / 2 * math.log(n_frames)
+    values = [*map(partial(_values, problem.judge), problem.drives, beliefs, fold.test)]
+    if problem.judge == "bic":
+        values = [np.array([bic / n_frames])]
     return values, {"numbers": numbers, "log_evidence": log_evidence, "bic": bic}
 
 
@@ -263,7 +262,7 @@ class _Tried:
     def __init__(self, problem: Problem, directory: Path | None, **shared: Any) -> None:
         from joblib import Memory, hash
 
-        self.problem, self.found = problem, dict[tuple[Structure, int], Any]()
+        self.problem, self.found = problem, dict[tuple[Structure, int], Judged]()
         self.folds, self.shared = range(len(problem.folds)), shared
         # Without sets, whose order differs between processes.
         fit, parts = problem.model.experiment.fit, vars(problem) | {"model": None, "drives": None}
@@ -285,17 +284,9 @@ class _Tried:
         return {each: row for (each, k), (_, row) in self.found.items() if k == self.folds[-1]}
 
     def values(self, structure: Structure) -> list[FloatArray]:
-        """Per recording the value of each annotated frame (K,), NaN in folds to come; BIC has one
-        value."""
-        if self.problem.judge == "bic":
-            n_frames = sum(map(len, self.problem.evidence))
-            return [np.array([self.complete()[structure]["bic"] / n_frames])]
-        values = [np.full(len(drive), np.nan) for drive in self.problem.drives]
-        for k, fold in enumerate(self.problem.folds):
-            found, _ = self.found.get((structure, k), ((), {}))
-            for into, test, of_test in zip(values, fold.test, found, strict=False):
-                into[test] = of_test
-        return values
+        """The values of `judged` in all folds so far, per recording."""
+        found = [self.found[structure, k][0] for k in self.folds if (structure, k) in self.found]
+        return [np.concatenate(each) for each in zip(*found, strict=True)]
 
     def score(self, structure: Structure) -> float:
         """The mean over recordings of the mean over frames."""
@@ -305,23 +296,18 @@ class _Tried:
         """The gain over the start with its paired intervals, as in `Exploration.edges`."""
         start: Structure = frozenset()
         pairs = zip(self.values(structure), self.values(start), strict=True)
-        gains = [mine - before for mine, before in pairs]
+        gains = [of_structure - of_start for of_structure, of_start in pairs]
         ids = list(self.problem.drive_ids[: len(gains)])
         counts = [np.stack([np.nan_to_num(each), ~np.isnan(each)], axis=1) for each in gains]
         found = bootstrap_interval(counts, lambda sums: sums[..., 0] / sums[..., 1], seeds=ids)
         means = pd.Series(map(np.nanmean, gains)).groupby(ids).mean()
         half = stdtrit(len(means) - 1, (1 + LEVEL) / 2) * means.std() / math.sqrt(len(means))
-        rows = self.complete()
-        return {
-            "gain": found.estimate,
-            "gain_low": found.low,
-            "gain_high": found.high,
-            "over_drives": means.mean(),
-            "over_drives_low": means.mean() - half,
-            "over_drives_high": means.mean() + half,
-            "drives": int((means > 0).sum()),
-            "numbers": rows[structure]["numbers"] - rows[start]["numbers"],
-        }
+        ends = "", "_low", "_high"
+        names = [name + end for name in ("gain", "over_drives") for end in ends]
+        over_drives = means.mean(), means.mean() - half, means.mean() + half
+        row = dict(zip(names, (found.estimate, found.low, found.high, *over_drives), strict=True))
+        mine, before = (self.complete()[each]["numbers"] for each in (structure, start))
+        return {**row, "drives": int((means > 0).sum()), "numbers": mine - before}
 
 
 def explore(
@@ -340,11 +326,11 @@ def explore(
 
     - edges: as `parse_edge` reads them, by default all candidates.
     - trials: 0 for a greedy search, which adds the best edge as long as one helps; otherwise the
-      number of trials of an Optuna study in which each edge is on or off.
+      number of trials of an Optuna study with a switch per edge.
     - searches: with another seed each; `chosen` counts over them.
     - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
     - pruner: Optuna's. A trial reports its mean score after each fold.
-    - directory: structures that were tried are kept there, so that a repeated call goes on.
+    - directory: of the results, and of all fits, which a repeated call reuses.
 
     Raises InputError for an edge with which the network cannot be filtered.
     """
@@ -366,28 +352,23 @@ def explore(
         several.append(tried)
     first, chosen = several[0], [max(each.complete(), key=each.score) for each in several]
     best, there = chosen[0], edges_of(problem.tables)
+    gains = {edge: first.gain(structure) for edge, structure in alone.items()}
     rows: list[dict[str, Any]] = []
-    gains = {}
-    for edge, structure in alone.items():
-        change, gain = "remove" if edge in there else "add", first.gain(structure)
-        times = sum(edge in each for each in chosen)
-        rows.append({"edge": str(edge), "change": change, **gain, "chosen": times})
-        if edge in best and change == "add":
-            gains[edge.parent, edge.child, edge.lag] = gain["gain"]
-    structures = [
+    for edge, gain in gains.items():
+        row = {"edge": str(edge), "change": "remove" if edge in there else "add", **gain}
+        rows.append({**row, "chosen": sum(edge in each for each in chosen)})
+    structures: list[dict[str, Any]] = [
         {"edges": spelled(each, there), "score": first.score(each), **row}
         for each, row in first.complete().items()
     ]
-    down: Any = {"ascending": False, "kind": "stable", "ignore_index": True}
-    ranked = partial(pd.DataFrame.sort_values, **down)
     done = Exploration(
-        ranked(pd.DataFrame(rows), by="gain"),
-        ranked(pd.DataFrame(structures), by="score"),
+        pd.DataFrame(sorted(rows, key=lambda row: -row["gain"])),
+        pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
         best,
         first.gain(best),
-        gains,
+        {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
         replace(problem.model, compiled=fitted(problem, best, everything(problem.drives))[0]),
-        problem.judge,
+        JUDGES[problem.judge],
         directory,
     )
     if directory is not None:
@@ -395,8 +376,7 @@ def explore(
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
         origins = {recording_key(drive.experiment) for drive in problem.drives}
-        chosen_by = f"edges chosen by {problem.judge}: {spelled(best, there)}"
-        content = graph_yaml(done.model, chosen_by)
+        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best, there)}")
         content["learned_from"] = origins.pop() if len(origins) == 1 else ""
         write_yaml(directory / "best.graph.yaml", content)
     return done
@@ -416,9 +396,9 @@ def _greedy(tried: _Tried, edges: Sequence[Edge]) -> None:
 
 
 def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:
-    """Make a study in which each edge is on or off, at first off."""
-    experiment = problem.model.experiment
+    """Make a study with a switch per edge, all off in the first trial."""
     if sampler is None or isinstance(sampler, str):
+        experiment = problem.model.experiment
         own = {"sampler": sampler or "tpe", "seed": problem.seed, "objective": ("log_loss",)}
         settings = settings_of(experiment.fit.model_copy(update=own), source=experiment.source)
         switch = optuna.distributions.CategoricalDistribution([False, True])

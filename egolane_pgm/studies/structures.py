@@ -1,8 +1,8 @@
 """Structures of a graph: edges that are added to its tables or taken away.
 
-A table gets another parent by repeating its rows, so that the network says the same as before until
-it is fitted; small random factors let a new hidden node differ from the start. A table loses a
-parent by the mean over it. A node that repeats itself has the compact form
+A new parent repeats the rows of a table, so that the network hardly changes before it is fitted;
+small random factors let a new hidden node differ from the start. Without a parent a table is the
+mean over it. A node that repeats itself has the compact form
 
     P(x | x before, parents) = rho [x = x before] + (1 - rho) P(x | parents)
 
@@ -83,12 +83,8 @@ def parse_edge(text: str, nodes: Iterable[str]) -> Edge:
 
 def with_node(tables: Sequence[Table], name: str, size: int) -> list[Table]:
     """Add a hidden node without edges to others, which keeps its value for about ten frames."""
-    stay = np.linspace(_STAYS, (_STAYS + 1) / 2, size)
-    return [
-        *tables,
-        *prior(name, uniform(size)),
-        *dynamics(name, [previous(name)], sticky(*stay)),
-    ]
+    rows = sticky(*np.linspace(_STAYS, (_STAYS + 1) / 2, size))
+    return [*tables, *prior(name, uniform(size)), *dynamics(name, [previous(name)], rows)]
 
 
 def with_structure(

@@ -39,22 +39,22 @@ def explore(
 
     Each graph is fitted by EM (`fit.labels`, `fit.strength`) and judged on held-out blocks
     (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
-    `fit.trials` by an Optuna study in which each edge is on or off.
+    `fit.trials` by an Optuna study (`fit.sampler`) with a switch per edge.
 
     - experiments: one, or a list: experiments or results, of the same number of lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
-    - judge: what counts: log_loss or accuracy of Lane, or log_evidence of the lines, in held-out
-      frames; or bic of all frames.
+    - judge: the score to improve: log_loss or accuracy of Lane, or log_evidence of the lines, in
+      held-out frames; or bic of all frames.
     - edge: a candidate, e.g. 'Lane(t-1) -> WOR'; by default all that can be compiled. Repeatable.
     - node: a hidden node to add, e.g. Occlusion=2. Repeatable.
     - searches: number of searches, each with another seed of the new edges.
-    - out: directory of the answer. A `*` in it is the experiment's name.
-    - jobs: processes that share the graphs.
-    - cluster: Dask cluster for the graphs.
+    - out: directory of the results. A `*` in it is the experiment's name.
+    - jobs: processes that share the fits.
+    - cluster: Dask cluster for the fits.
 
-    Returns an `Exploration`; a repeated call with the same `out` goes on. Writes files only with
-    `out`. Raises InputError for an edge or node that is not there and for drives that do not fit.
+    Returns an `Exploration`; a repeated call with the same `out` reuses its fits. Writes files only
+    with `out`. Raises InputError for an unknown edge or node, and for drives that do not fit.
 
     >>> import egolane_pgm as ego
     >>> changes = {"recording.frames": [0, 600], "fit.folds": 2}

@@ -87,22 +87,18 @@ def _range(values: Sequence[Any]) -> str:
 
 def exploration_text(found: Exploration, style: str, wide: bool) -> str:
     """The output of `egolane explore`: which edge helps."""
-    from egolane_pgm.studies.explore import JUDGES
-
     edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
     edges = edges.set_index(pd.Index(removed + edges["edge"], name="edge"))
-    shown = [["gain", "gain_low", "gain_high", "numbers"]]
+    shown = [["gain", "gain_low", "gain_high", "chosen" if max(edges["chosen"]) > 1 else "numbers"]]
     if edges["over_drives_low"].notna().any():
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
-    if edges["chosen"].max() > 1:
-        shown.append(["chosen"])
     best = found.structures.iloc[0]
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     return page(
         [
-            f"{len(found.structures)} graphs were fitted; {JUDGES[found.judge]}",
-            "each edge alone, with 95 % intervals over blocks of frames, and over drives:",
+            f"{len(found.structures)} graphs were fitted; {found.judge}",
+            "each edge alone [95 % interval over blocks of frames, or over drives]:",
             *[table(edges[columns], forms) for columns in shown],
             f"best set: {best['edges']}\n  gain {interval}, {best['numbers']} free numbers\n"
             "  (chosen by its score on these frames, which is therefore optimistic)",

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import optuna
 import pytest
+from scipy import stats
 
 import egolane_pgm as ego
 from egolane_pgm.drives import Drive
@@ -17,6 +20,7 @@ from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
 from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
 from egolane_pgm.studies.study import block_folds, everything
+from tests.benchmarks.workbench import search
 from tests.kits.line_logs import line_log
 from tests.kits.studies import drive_of
 
@@ -28,6 +32,7 @@ WHOLE, BIC = everything([DRIVE]), make_problem([DRIVE], [], judge="bic")
 START = DRIVE.model.compiled
 ADDED = [Edge("WOR", "Lane", 0), Edge("WOR", "WOR", 1)]
 REPEATS = Edge("WOR", "WOR", 1, repeats=True)
+THREE = [*ADDED, Edge("WOR", "Lane", 1)]
 REMOVED = Edge("DetectorOutput", "SensorState", 0)
 
 
@@ -71,6 +76,29 @@ def test_a_study_keeps_what_it_tried(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert scores[structures.spelled(first.best, [])] == scores.max()
 
 
+@pytest.mark.parametrize(
+    "sampler", ["random", optuna.samplers.RandomSampler(0)], ids=["name", "own"]
+)
+def test_a_pruned_set_is_not_the_answer(sampler: Any) -> None:
+    problem, edges = make_problem([DRIVE], block_folds([DRIVE], 2)), ["Lane -> WOR", str(REPEATS)]
+    all_sets = explore(problem, edges, trials=8, sampler=sampler)
+    pruner = optuna.pruners.ThresholdPruner(lower=np.inf)
+    alone = explore(problem, edges, trials=8, sampler=sampler, pruner=pruner)
+    assert (len(all_sets.structures), len(alone.structures)) == (4, 3)
+
+
+def test_recordings_of_one_drive_count_once_over_drives() -> None:
+    tried, edge = module._Tried(replace(BIC, drive_ids=(0, 1, 1)), None), frozenset({REPEATS})
+    tried.found[frozenset(), 0] = [np.zeros(700)] * 3, {"numbers": 1}
+    tried.found[edge, 0] = [np.full(700, each) for each in (0.1, 0.2, 0.6)], {"numbers": 2}
+    gain = tried.gain(edge)
+    of_frames = [gain["gain"], gain["gain_low"], gain["gain_high"]]
+    np.testing.assert_allclose(of_frames, 0.3)
+    of_drives = [gain["over_drives"], gain["over_drives_low"], gain["over_drives_high"]]
+    np.testing.assert_allclose(of_drives, [0.25, *stats.t.interval(0.95, 1, 0.25, 0.15)])
+    assert (gain["drives"], gain["numbers"]) == (2, 1)
+
+
 @pytest.mark.parametrize("edge", [*ADDED, REPEATS, REMOVED], ids=str)
 def test_a_changed_table_says_as_much_as_before(edge: Edge) -> None:
     tables, bases = with_structure(BIC.tables, frozenset({edge}), 0)
@@ -111,6 +139,11 @@ def test_free_numbers_and_bic_by_hand() -> None:
     assert found["bic"] == pytest.approx(log_evidence - numbers / 2 * np.log(300))
 
 
+def test_bic_and_the_best_edges_are_those_of_pgmpy() -> None:
+    _, ours, others, _ = search()
+    np.testing.assert_allclose(ours(), others["pgmpy"](), atol=1e-5)
+
+
 def test_edges_are_read_as_they_are_written() -> None:
     found = module.candidates(BIC)
     assert [parse_edge(str(edge), START.values) for edge in found] == found
@@ -125,6 +158,8 @@ REFUSED = {
     "WOR -> SensorState': the edges within a slice form a cycle": lambda: explore(
         BIC, ["WOR -> SensorState"]
     ),
+    "unknown sampler 'best'": lambda: explore(BIC, ["Lane -> WOR"], sampler="best"),
+    "WOR has more than 3 parents": lambda: module.made(BIC, frozenset(THREE)),
     "NEW_NAME=SIZE": lambda: make_problem([DRIVE], [], judge="bic", nodes=["Lane=3"]),
 }
 
