@@ -196,8 +196,11 @@ def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNo
         for edge in structure - there:
             if edge.repeats and replace(edge, repeats=False) in after:
                 raise InputError(f"{edge.child} has a full table of its repetition")
-            if sum(each.child == edge.child for each in after) > MOST_PARENTS:
+            parents = [each.parent for each in after if each.child == edge.child]
+            if len(parents) > MOST_PARENTS:
                 raise InputError(f"{edge.child} has more than {MOST_PARENTS} parents")
+            if not set(parents).isdisjoint(problem.model.compiled.inputs):
+                raise InputError(f"EM learns no table that an input selects, as of {edge.child}")
         tables, bases = with_structure(problem.tables, structure, problem.seed)
         if (size := max(table.values.size for table in tables)) > MOST_NUMBERS:
             raise InputError(f"a table has {size} numbers, more than {MOST_NUMBERS}")

@@ -149,6 +149,7 @@ def test_edges_are_read_as_they_are_written() -> None:
     assert [parse_edge(str(edge), START.values) for edge in found] == found
 
 
+OF_INPUT = replace(BIC, model=replace(BIC.model, compiled=replace(START, inputs=("Lane",))))
 REFUSED = {
     "no node 'Rain'": lambda: parse_edge("Rain -> WOR", START.values),
     "'best' is not one of": lambda: make_problem([DRIVE], [], judge="best"),
@@ -159,6 +160,7 @@ REFUSED = {
         BIC, ["WOR -> SensorState"]
     ),
     "unknown sampler 'best'": lambda: explore(BIC, ["Lane -> WOR"], sampler="best"),
+    "no table that an input selects": lambda: module.made(OF_INPUT, frozenset(ADDED)),
     "WOR has more than 3 parents": lambda: module.made(BIC, frozenset(THREE)),
     "NEW_NAME=SIZE": lambda: make_problem([DRIVE], [], judge="bic", nodes=["Lane=3"]),
 }
