@@ -295,9 +295,8 @@ class _Tried:
         """The mean over recordings of the mean over frames."""
         return float(np.mean([np.nanmean(each) for each in self.values(structure)]))
 
-    def gain(self, structure: Structure) -> dict[str, Any]:
-        """The gain over the start with its paired intervals, as in `Exploration.edges`."""
-        start: Structure = frozenset()
+    def gain(self, structure: Structure, start: Structure = frozenset()) -> dict[str, Any]:
+        """The gain over another one with its paired intervals, as in `Exploration.edges`."""
         pairs = zip(self.values(structure), self.values(start), strict=True)
         gains = [of_structure - of_start for of_structure, of_start in pairs]
         ids = list(self.problem.drive_ids[: len(gains)])
@@ -328,7 +327,8 @@ def explore(
     """Try each edge alone, then search the best set of edges.
 
     - edges: as `parse_edge` reads them, by default all candidates.
-    - trials: 0 for a greedy search, which adds the best edge as long as one helps; otherwise the
+    - trials: 0 for a greedy search, which adds the best edge as long as the interval of
+      its gain is above zero; otherwise the
       number of trials of an Optuna study with a switch per edge.
     - searches: with another seed each; `chosen` counts over them.
     - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
@@ -342,7 +342,9 @@ def explore(
     alone = {edge: frozenset({edge}) for edge in given}
     for each in alone.values():
         made(problem, each)
-    pruner, several = pruner or optuna.pruners.NopPruner(), []
+    pruner = pruner or optuna.pruners.NopPruner()
+    several: list[_Tried] = []
+    chosen: list[Structure] = []
     for k in range(searches):
         seeded = replace(problem, seed=problem.seed + k)
         study = _study(seeded, list(alone), sampler, pruner)
@@ -350,11 +352,11 @@ def explore(
         tried([frozenset(), *alone.values()])
         if trials:
             _optuna(tried, list(alone), study, trials)
+            chosen.append(max(tried.complete(), key=tried.score))
         else:
-            _greedy(tried, list(alone))
+            chosen.append(_greedy(tried, list(alone)))
         several.append(tried)
-    first, chosen = several[0], [max(each.complete(), key=each.score) for each in several]
-    best, there = chosen[0], edges_of(problem.tables)
+    first, best, there = several[0], chosen[0], edges_of(problem.tables)
     gains = {edge: first.gain(structure) for edge, structure in alone.items()}
     rows: list[dict[str, Any]] = []
     for edge, gain in gains.items():
@@ -385,16 +387,20 @@ def explore(
     return done
 
 
-def _greedy(tried: _Tried, edges: Sequence[Edge]) -> None:
-    """Change the edge that gains most, as long as the score grows."""
+def _greedy(tried: _Tried, edges: Sequence[Edge]) -> Structure:
+    """Change the edge that gains most, as long as the interval of its gain is above zero.
+
+    Without an interval, of BIC and of short recordings, the gain itself has to be above zero.
+    """
     now: Structure = frozenset()
     while True:
         further = [now | {edge} for edge in edges if edge not in now]
         allowed = [each for each in further if is_allowed(tried.problem, each)]
         tried(allowed)
         best = max(allowed, key=tried.score, default=now)
-        if tried.score(best) <= tried.score(now):
-            return
+        gain = tried.gain(best, now)
+        if (gain["gain"] if gain["gain_low"] is None else gain["gain_low"]) <= 0:
+            return now
         now = best
 
 

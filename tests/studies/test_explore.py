@@ -99,6 +99,17 @@ def test_recordings_of_one_drive_count_once_over_drives() -> None:
     assert (gain["drives"], gain["numbers"]) == (2, 1)
 
 
+def test_a_gain_by_chance_ends_a_greedy_search() -> None:
+    tried, (clear, other) = module._Tried(BIC, None), ADDED
+    chance = np.random.default_rng(1).normal(0.01, 1, 3000)
+    assert 0 < chance.mean() < 0.1
+    gains = {frozenset[Edge](): 0.0, frozenset({clear}): 0.1, frozenset({other}): chance}
+    gains[frozenset(ADDED)] = chance + 0.1
+    for structure, gain in gains.items():
+        tried.found[structure, 0] = [gain + np.zeros(3000)], {"numbers": 1}
+    assert module._greedy(tried, ADDED) == {clear}
+
+
 @pytest.mark.parametrize("edge", [*ADDED, REPEATS, REMOVED], ids=str)
 def test_a_changed_table_says_as_much_as_before(edge: Edge) -> None:
     tables, bases = with_structure(BIC.tables, frozenset({edge}), 0)
