@@ -54,6 +54,13 @@ def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
     return value
 
 
+def _check_strength(value: float | dict[str, float]) -> float | dict[str, float]:
+    weights = value.values() if isinstance(value, dict) else (value,)
+    if not all(0 < weight <= 1e9 for weight in weights):
+        raise ValueError("needs numbers greater than 0, at most 1e9")
+    return value
+
+
 #: A number greater than 0.
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 
@@ -263,23 +270,34 @@ class FitSettings(Section):
         examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
     )
     trials: int | None = Field(
-        default=None, ge=1, le=10**7, description="tune: total number of trials", examples=[3000]
+        default=None,
+        ge=1,
+        le=10**7,
+        description="tune: total number of trials; learn: number of starts of EM, of which the best"
+        " is kept: the declared values, then random ones",
+        examples=[3000],
     )
-    seed: int = Field(default=0, ge=0, description="tune: random seed of the sampler")
+    seed: int = Field(
+        default=0, ge=0, description="random seed of the sampler, and of the starts of EM"
+    )
     parameters: _Keys = Field(
         default_factory=dict,
-        description="tune: by name [low, high], the names of a choice, or one value to keep; if"
+        description="by name [low, high], the names of a choice, or one value to keep; if"
         " parameters of the detector (detector.NAME) are among them, only what is named is"
         " searched",
         examples=[{"sigma1": [0.1, 1], "p1": 0.9}],
     )
-    labels: bool = Field(
-        default=True, description="learn: whether tables are learned from annotated lanes, too"
+    learns: Literal["rule", "tables", "parameters"] | None = Field(
+        default=None,
+        description="learn: parameters of the evidence rule, from labels (`rule`), or tables or"
+        " parameters of the graph, by EM; by default the rule if it can learn, otherwise tables",
     )
-    strength: Positive = Field(
+    labels: bool = Field(default=True, description="learn: whether EM uses annotated lanes, too")
+    strength: Annotated[float | dict[str, float], AfterValidator(_check_strength)] = Field(
         default=100.0,
-        le=1e9,
-        description="learn: weight of the starting tables, in frames per row",
+        description="learn: weight of the declared tables, in frames per row; or by name of the"
+        " node, 100 for others",
+        examples=[100, {"Lane": 1000, "WOR": 10}],
     )
 
     @field_validator("parameters", mode="before")

@@ -27,7 +27,7 @@ from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, make_evidence
 from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
-from egolane_pgm.studies.em import fit_tables
+from egolane_pgm.studies.em import fit_tables, strength_of
 from egolane_pgm.studies.fits import learnable_nodes, start_of_learning, training_of
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.structures import (
@@ -263,7 +263,10 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     learned = fit_tables(
         compiled, joined, {"Lane": np.concatenate(lanes)}, is_first,
         strength=options.strength, iterations=ITERATIONS,
-        steps={node: repetition_step(base, options.strength) for node, base in bases.items()},
+        steps={
+            node: repetition_step(base, strength_of(options.strength, node[0]))
+            for node, base in bases.items()
+        },
     )  # fmt: skip
     log_evidence = filter_beliefs(learned.compiled, joined, is_first=is_first).log_evidence
     numbers = free_numbers(counted_tables(learned.compiled), bases)

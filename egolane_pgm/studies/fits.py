@@ -19,6 +19,7 @@ import joblib
 import numpy as np
 import optuna
 import pandas as pd
+from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState
 
 from egolane_pgm.drives import Drive
@@ -28,7 +29,13 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import METHODS
 from egolane_pgm.model import Model, make_evidence, with_parameters
-from egolane_pgm.parameters import Parameter, Value, not_searched, resolve_parameters
+from egolane_pgm.parameters import (
+    Parameter,
+    Value,
+    check_names,
+    not_searched,
+    resolve_parameters,
+)
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
@@ -39,18 +46,22 @@ from egolane_pgm.studies.objective import (
     split,
     with_detector,
 )
+from egolane_pgm.studies.sampler import from_unit
 from egolane_pgm.studies.search import best_trial, new_study, quiet, search, settings_of
 from egolane_pgm.studies.space import (
     Point,
     SearchSpace,
+    coordinates,
     describe,
     make_space,
     to_parameters,
     to_point,
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
+from egolane_pgm.studies.tied import fit_tied
 from egolane_pgm.tools.files import to_jsonable
-from egolane_pgm.types import BoolArray, Evidence, InputError, IntArray
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 
 class Fitted(dict[str, Value]):
@@ -115,14 +126,28 @@ def _resolve(model: Model, given: Mapping[str, Any]) -> dict[str, Value]:
 
 
 def fit_learn(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
-    """Learn parameters of the evidence rule from labels, or else tables of the graph by EM."""
-    learn = fit_rule if learns_rule(drives[0].model) else fit_tables
+    """Learn what `fit.learns` names: parameters of the evidence rule from labels, or the tables or
+    parameters of the graph by EM."""
+    learn = fit_rule if what_is_learned(drives[0].model) == "rule" else fit_graph
     return learn(drives, train)
 
 
-def learns_rule(model: Model) -> bool:
-    """Whether the evidence rule defines `fit` and `LEARNED`."""
-    return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
+def what_is_learned(model: Model) -> str:
+    """The part of a model that is learned: rule, tables or parameters.
+
+    By default it is the rule if it defines `fit` and `LEARNED`, and otherwise the tables. Raises
+    InputError for a part that cannot be learned.
+    """
+    can_learn = hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
+    e = model.experiment
+    found = e.fit.learns or ("rule" if can_learn else "tables")
+    if found == "rule" and not can_learn:
+        raise InputError(f"{e.source}: fit.learns: evidence rule {e.evidence} has no fit()")
+    if found == "tables":
+        learnable_nodes(model)
+    elif found == "parameters":
+        tied_space([model])
+    return found
 
 
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
@@ -143,17 +168,18 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     return Fitted(found)
 
 
-def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """Learn the tables of the graph by EM over all drives.
+def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
+    """Learn the tables or the parameters of the graph by EM over all drives.
 
-    With `fit.labels` the lane of a labelled frame is known, except while crossing.
+    With `fit.labels` the lane of a labelled frame is known, except while crossing. The best of
+    `fit.trials` starts is kept: the declared values, then random ones.
     """
     model = drives[0].model
     options, source = model.experiment.fit, model.experiment.source
     n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
-            f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
+            f"{source}: n_lanes: EM needs drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
     if kept := kept_though_tuned(model):
@@ -163,17 +189,12 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
     evidence, lanes, begins = zip(*training, strict=True)
-    start = start_of_learning(model).compiled
-    fitted = em.fit_tables(
-        start,
-        Evidence.concat(evidence),
-        {"Lane": np.concatenate(lanes)},
-        np.concatenate(begins),
-        nodes=learnable_nodes(model),
-        strength=options.strength,
-    )
-    impossible, graph = int(fitted.is_impossible.sum()), f"graph {model.experiment.graph}"
-    if impossible == len(fitted.is_impossible):
+    data = Evidence.concat(evidence), {"Lane": np.concatenate(lanes)}, np.concatenate(begins)
+    fit_from = _tables_from if what_is_learned(model) == "tables" else _parameters_from
+    fits = [fit_from(drives, data, k) for k in bar(range(options.trials or 1), unit="start")]
+    learned, found = max(fits, key=lambda each: each[0].log_posterior[-1])
+    impossible, graph = int(learned.is_impossible.sum()), f"graph {model.experiment.graph}"
+    if impossible == len(learned.is_impossible):
         raise InputError(
             f"{source}: {graph} allows no frame of the {impossible} to learn from; do the evidence"
             " rule and the graph fit together?"
@@ -181,8 +202,65 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     if impossible:
         note = f"{graph} does not allow {impossible} frame(s) to learn from; they are left out"
         warnings.warn(f"{source}: {note}", UserWarning, stacklevel=2)
-    tables = _by_name(start, fitted.tables).items()
-    return Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
+    return found
+
+
+#: Evidence, known lanes and the beginnings of sequences, as `expected_counts` takes them.
+Data = tuple[Evidence, Mapping[str, IntArray], BoolArray]
+
+
+def _tables_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
+    """Learn tables from start k; start 0 is the declared tables, around which the prior is."""
+    model = drives[0].model
+    compiled, nodes, options = (
+        start_of_learning(model).compiled,
+        learnable_nodes(model),
+        model.experiment.fit,
+    )
+    own = {node: t for node, t in counted_tables(compiled).items() if node[0] in nodes}
+    start = em.drawn_tables(own, np.random.default_rng([options.seed, k])) if k else None
+    learned = em.fit_tables(compiled, *data, nodes=nodes, strength=options.strength, start=start)
+    tables = _by_name(compiled, learned.tables).items()
+    return learned, Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
+
+
+def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
+    """Learn parameters from start k; start 0 is the experiment's values. The prior is flat."""
+    start, space = start_of_learning(drives[0].model), tied_space([d.model for d in drives])
+    ends = list(space.distributions.values())
+    if k:
+        units = np.random.default_rng([start.experiment.fit.seed, k]).random(len(ends))
+        first = [from_unit(d, unit) for d, unit in zip(ends, units.tolist(), strict=True)]
+    else:
+        own = coordinates(space, start.parameters).values()
+        first = [min(max(v, d.low), d.high) for v, d in zip(own, ends, strict=True)]
+
+    def point(numbers: FloatArray) -> dict[str, float]:
+        return dict(zip(space.distributions, numbers.tolist(), strict=True))
+
+    def tables_of(numbers: FloatArray) -> Sequence[Table]:
+        values = to_parameters(space, point(numbers))
+        if hasattr(start.graph, "tables"):
+            tables: Sequence[Table] = start.graph.tables(start.n_lanes, values)
+            return tables
+        return list(with_parameters(start, values).compiled.tables.values())
+
+    bounds = [(d.low, d.high) for d in ends]
+    learned = fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
+    tuning = start.experiment.fit
+    return learned, Fitted(searched_values(space, tuning, point(learned.numbers)))
+
+
+def tied_space(models: Sequence[Model]) -> SearchSpace:
+    """The parameters of the graph that EM learns. Raises InputError for one without derivative."""
+    tuning, source = models[0].experiment.fit, models[0].experiment.source
+    space = search_space(models, tuning, is_rule_kept=True)
+    for name, d in space.distributions.items():
+        if not isinstance(d, FloatDistribution):
+            raise InputError(
+                f"{source}: fit.parameters.{name}: EM learns real numbers only; give it one value"
+            )
+    return space
 
 
 def training_of(
@@ -212,9 +290,9 @@ def training_of(
 def learnable_nodes(model: Model) -> set[str]:
     """The nodes whose tables are neither certain nor selected by an input.
 
-    Raises InputError, naming the YAML key, if there are none.
+    Raises InputError, naming the YAML key, if there are none, or if `fit.strength` names others.
     """
-    source = model.experiment.source
+    source, strength = model.experiment.source, model.experiment.fit.strength
     names = {
         name
         for (name, _), table in counted_tables(start_of_learning(model).compiled).items()
@@ -225,6 +303,7 @@ def learnable_nodes(model: Model) -> set[str]:
             f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
             " input and cannot be learned; search parameters with `egolane tune`"
         )
+    check_names(names, strength if isinstance(strength, Mapping) else (), f"{source}: fit.strength")
     return names
 
 
@@ -237,7 +316,7 @@ def start_of_learning(model: Model) -> Model:
     if model.experiment.tuned_on in ("same_frames", "unknown"):
         specs = getattr(model.graph, "PARAMETERS", ())
         values |= {spec.name: spec.default for spec in specs if spec.is_searched}
-    return replace(with_parameters(model, _resolve(model, values)), parameters=model.parameters)
+    return with_parameters(model, _resolve(model, values))
 
 
 def kept_though_tuned(model: Model) -> list[str]:
@@ -312,8 +391,13 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
+def search_space(
+    models: Sequence[Model], tuning: FitSettings, *, is_rule_kept: bool = False
+) -> SearchSpace:
     """The search space of a model, or of several whose dimensions are the same.
+
+    - is_rule_kept: whether parameters of the evidence rule and of the detector keep their values,
+      since log evidence compares models of the same evidence only.
 
     Raises InputError for models with other parameters or lanes than the first one.
     """
@@ -323,8 +407,17 @@ def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
         if searches_detector(tuning):
             specs = not_searched([*specs, *searched_of_detector(model.experiment)[0]])
         current, source = current_values(model, tuning), model.experiment.source
-        where = f"{source}: fit.parameters"
-        spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
+        where, given = f"{source}: fit.parameters", tuning.parameters
+        if is_rule_kept:
+            own = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
+            specs = [s if s.name in own else replace(s, search=None) for s in specs]
+        spaces.append(make_space(specs, current, given, model.n_lanes, where))
+        moved = {key.partition("[")[0] for key in spaces[-1].distributions}
+        if is_rule_kept and (others := moved - own):
+            raise InputError(
+                f"{where}.{min(others)}: changes the evidence, and log evidence compares models of"
+                " the same evidence only; give it one value"
+            )
         if spaces[-1].distributions != spaces[0].distributions:
             raise InputError(
                 f"{source}: has other parameters or lanes than {models[0].experiment.source}; one"

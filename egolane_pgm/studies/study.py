@@ -30,9 +30,8 @@ from egolane_pgm.studies.fits import (
     apply_fit,
     fit_by_name,
     fit_nothing,
-    learnable_nodes,
-    learns_rule,
     search_space,
+    what_is_learned,
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
@@ -408,8 +407,8 @@ def run_study(
         space = search_space([drive.model for drive in drives], tuning)
         settings = {"objectives": list(tuning.objective)}
         settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
-    elif not learns_rule(first.model):
-        learnable_nodes(first.model)
+    else:
+        what_is_learned(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
     fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.
@@ -452,7 +451,7 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
                 f"{e.source}: filter: viterbi is for `egolane run`; fits and held-out scores need"
                 " another one"
             )
-        is_by_em = method == "learn" and not learns_rule(drive.model)
+        is_by_em = method == "learn" and what_is_learned(drive.model) != "rule"
         if method == "none" or (is_by_em and not e.fit.labels):
             continue
         if not drive.has_truth:

@@ -9,15 +9,14 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
 
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, with_tables
-from egolane_pgm.inference.expected_counts import expected_counts
-from egolane_pgm.studies.em import TOLERANCE
+from egolane_pgm.studies.em import Learned, iterate
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 #: The smallest probability whose logarithm counts, so that a bound is not out of reach.
@@ -28,24 +27,6 @@ TablesOf = Callable[[FloatArray], Sequence[Table]]
 
 #: From numbers (D,) to their log prior.
 LogPrior = Callable[[FloatArray], float]
-
-
-@dataclass(frozen=True)
-class TiedFit:
-    """The result of EM of tied parameters.
-
-    - numbers: (D,).
-    - compiled: the network with their tables.
-    - log_posterior (I,): log evidence plus log prior, before each iteration and after the last.
-    - is_impossible (T,): marks frames whose evidence has probability zero.
-    - starts (R,): the log posterior that each start reached, the first one's first.
-    """
-
-    numbers: FloatArray
-    compiled: Compiled
-    log_posterior: FloatArray
-    is_impossible: BoolArray
-    starts: FloatArray
 
 
 def fit_tied(
@@ -59,9 +40,7 @@ def fit_tied(
     *,
     log_prior: LogPrior = lambda numbers: 0.0,
     iterations: int = 100,
-    restarts: int = 0,
-    seed: int = 0,
-) -> TiedFit:
+) -> Learned:
     """Find the most probable numbers by EM.
 
     - compiled: the network; its structure must be that of the tables.
@@ -69,44 +48,23 @@ def fit_tied(
     - start, bounds: of the D numbers.
     - known, is_first: as `expected_counts`.
     - log_prior: of the numbers, natural logarithm; by default flat.
-    - restarts: further starts, drawn uniformly within the bounds; the best fit is returned.
 
     Raises InputError as `expected_counts`, and for a start outside of the bounds.
     """
     low, high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
-    first = np.asarray(start, dtype=np.float64)
-    if first.shape != low.shape or not ((low <= first) & (first <= high)).all():
-        raise InputError(f"tied parameters: the start {first.tolist()} is not within the bounds")
-    rng = np.random.default_rng(seed)
-    starts = [first, *(low + (high - low) * rng.random((restarts, len(low))))]
+    numbers = np.asarray(start, dtype=np.float64)
+    if numbers.shape != low.shape or not ((low <= numbers) & (numbers <= high)).all():
+        raise InputError(f"tied parameters: the start {numbers.tolist()} is not within the bounds")
+
+    def maximise(counts: Mapping[SliceNode, FloatArray]) -> tuple[Compiled, float]:
+        nonlocal numbers
+        numbers = _maximised(counts, tables_of, numbers, (low, high), log_prior)
+        return with_tables(compiled, tables_of(numbers)), log_prior(numbers)
+
+    first = with_tables(compiled, tables_of(numbers))
     data = (evidence, known, is_first)
-    fits = [
-        _fit(compiled, data, tables_of, at, (low, high), log_prior, iterations) for at in starts
-    ]
-    reached = np.array([fit.log_posterior[-1] for fit in fits])
-    best = fits[int(np.argmax(reached))]
-    return TiedFit(best.numbers, best.compiled, best.log_posterior, best.is_impossible, reached)
-
-
-def _fit(
-    compiled: Compiled,
-    data: tuple[Evidence, Mapping[str, IntArray] | None, BoolArray | None],
-    tables_of: TablesOf,
-    start: FloatArray,
-    bounds: tuple[FloatArray, FloatArray],
-    log_prior: LogPrior,
-    iterations: int,
-) -> TiedFit:
-    numbers, history = start, []
-    while True:
-        now = with_tables(compiled, tables_of(numbers))
-        expected = expected_counts(now, *data)
-        history.append(expected.log_evidence + log_prior(numbers))
-        gain = history[-1] - history[-2] if len(history) > 1 else np.inf
-        if gain <= TOLERANCE * max(1, len(data[0])) or len(history) > iterations:
-            reached = np.array(history)
-            return TiedFit(numbers, now, reached, expected.is_impossible, reached[-1:])
-        numbers = _maximised(expected.counts, tables_of, numbers, bounds, log_prior)
+    found = iterate(first, log_prior(numbers), data, maximise, iterations)
+    return replace(found, numbers=numbers)
 
 
 def _maximised(

@@ -255,7 +255,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Pa
             "allows no frame of the 150 to",
         ),
         ({"ground_truth": None}, "", "ground_truth: is missing"),
-        ({}, "--set fit.strength=0", "fit.strength: input should be greater than 0"),
+        ({}, "--set fit.strength=0", "fit.strength: needs numbers greater than 0"),
     ],
 )
 def test_what_cannot_be_learned_is_one_line(
