@@ -262,7 +262,7 @@ class FitSettings(Section):
         default=("accuracy",),
         min_length=1,
         description="tune: the score to optimise, or several",
-        examples=["accuracy", ["accuracy", "log_loss"]],
+        examples=["accuracy", ["accuracy", "log_loss"], "log_evidence"],
     )
     sampler: str | None = Field(
         default=None,

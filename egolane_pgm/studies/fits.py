@@ -40,7 +40,7 @@ from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
     PREFIX,
-    posterior_at,
+    beliefs_at,
     score_of,
     searched_of_detector,
     split,
@@ -74,6 +74,9 @@ class Fitted(dict[str, Value]):
 
 
 Fit = Callable[[Sequence[Drive], Sequence[IntArray], int | None], Fitted]
+
+#: The largest number of starts of EM: more were meant for a search.
+MOST_STARTS = 100
 
 #: The prefix of a learned table: `tables.Lane.next`; without a suffix if a node has one table.
 TABLES = "tables."
@@ -182,6 +185,8 @@ def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
             f"{source}: n_lanes: EM needs drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
+    if (n_starts := options.trials or 1) > MOST_STARTS:
+        raise InputError(f"{source}: fit.trials: EM takes at most {MOST_STARTS} starts")
     if kept := kept_though_tuned(model):
         note = f"{', '.join(kept)} kept, so held-out scores may be in-sample"
         tuned_on = model.experiment.tuned_on
@@ -191,7 +196,7 @@ def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     evidence, lanes, begins = zip(*training, strict=True)
     data = Evidence.concat(evidence), {"Lane": np.concatenate(lanes)}, np.concatenate(begins)
     fit_from = _tables_from if what_is_learned(model) == "tables" else _parameters_from
-    fits = [fit_from(drives, data, k) for k in bar(range(options.trials or 1), unit="start")]
+    fits = [fit_from(drives, data, k) for k in bar(range(n_starts), unit="start")]
     learned, found = max(fits, key=lambda each: each[0].log_posterior[-1])
     impossible, graph = int(learned.is_impossible.sum()), f"graph {model.experiment.graph}"
     if impossible == len(learned.is_impossible):
@@ -232,8 +237,7 @@ def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Le
         units = np.random.default_rng([start.experiment.fit.seed, k]).random(len(ends))
         first = [from_unit(d, unit) for d, unit in zip(ends, units.tolist(), strict=True)]
     else:
-        own = coordinates(space, start.parameters).values()
-        first = [min(max(v, d.low), d.high) for v, d in zip(own, ends, strict=True)]
+        first = list(coordinates(space, start.parameters).values())
 
     def point(numbers: FloatArray) -> dict[str, float]:
         return dict(zip(space.distributions, numbers.tolist(), strict=True))
@@ -253,12 +257,12 @@ def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Le
 
 def tied_space(models: Sequence[Model]) -> SearchSpace:
     """The parameters of the graph that EM learns. Raises InputError for one without derivative."""
-    tuning, source = models[0].experiment.fit, models[0].experiment.source
-    space = search_space(models, tuning, is_rule_kept=True)
+    e = models[0].experiment
+    space = search_space(models, e.fit.model_copy(update={"objective": ("log_evidence",)}))
     for name, d in space.distributions.items():
         if not isinstance(d, FloatDistribution):
             raise InputError(
-                f"{source}: fit.parameters.{name}: EM learns real numbers only; give it one value"
+                f"{e.source}: fit.parameters.{name}: EM learns real numbers only; give it one value"
             )
     return space
 
@@ -391,29 +395,26 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def search_space(
-    models: Sequence[Model], tuning: FitSettings, *, is_rule_kept: bool = False
-) -> SearchSpace:
+def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
     """The search space of a model, or of several whose dimensions are the same.
 
-    - is_rule_kept: whether parameters of the evidence rule and of the detector keep their values,
-      since log evidence compares models of the same evidence only.
+    For the objective log_evidence, parameters of the evidence rule and of the detector keep their
+    values: evidence is not normalised, so only models of the same evidence can be compared.
 
     Raises InputError for models with other parameters or lanes than the first one.
     """
-    spaces = []
+    spaces, is_rule_kept = [], "log_evidence" in tuning.objective
     for model in models:
         specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
         if searches_detector(tuning):
             specs = not_searched([*specs, *searched_of_detector(model.experiment)[0]])
         current, source = current_values(model, tuning), model.experiment.source
-        where, given = f"{source}: fit.parameters", tuning.parameters
+        where, own = f"{source}: fit.parameters", getattr(model.graph, "PARAMETERS", ())
         if is_rule_kept:
-            own = {spec.name for spec in getattr(model.graph, "PARAMETERS", ())}
-            specs = [s if s.name in own else replace(s, search=None) for s in specs]
-        spaces.append(make_space(specs, current, given, model.n_lanes, where))
+            specs = [s if s in own else replace(s, search=None) for s in specs]
+        spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
         moved = {key.partition("[")[0] for key in spaces[-1].distributions}
-        if is_rule_kept and (others := moved - own):
+        if is_rule_kept and (others := moved - {spec.name for spec in own}):
             raise InputError(
                 f"{where}.{min(others)}: changes the evidence, and log evidence compares models of"
                 " the same evidence only; give it one value"
@@ -465,13 +466,13 @@ def objective(
             raise InputError(
                 f"{e.source}: filter: a search takes assumed_density or exact, not {e.filter}"
             )
-    posteriors = [posterior_at(drive) for drive in drives]
+    beliefs = [beliefs_at(drive) for drive in drives]
     currents = [current_values(drive.model, tuning) for drive in drives]
 
     def values(point: Point) -> list[float]:
         changed = searched_values(space, tuning, point)
-        pairs = zip(posteriors, currents, strict=True)
-        found = [posterior({**current, **changed}) for posterior, current in pairs]
+        pairs = zip(beliefs, currents, strict=True)
+        found = [of_drive({**current, **changed}) for of_drive, current in pairs]
         return [score_of(drives, found, used, name, pooled=pooled) for name in names]
 
     return values

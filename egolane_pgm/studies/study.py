@@ -452,7 +452,9 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
                 " another one"
             )
         is_by_em = method == "learn" and what_is_learned(drive.model) != "rule"
-        if method == "none" or (is_by_em and not e.fit.labels):
+        without_labels = is_by_em and not e.fit.labels
+        without_labels |= method == "tune" and e.fit.objective == ("log_evidence",)
+        if method == "none" or without_labels:
             continue
         if not drive.has_truth:
             what = "a search needs it" if method == "tune" else "learning needs it"

@@ -17,16 +17,13 @@ from scipy.optimize import minimize
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, with_tables
 from egolane_pgm.studies.em import Learned, iterate
-from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, IntArray
 
 #: The smallest probability whose logarithm counts, so that a bound is not out of reach.
 _TINY = 1e-300
 
 #: From numbers (D,) to the tables of the network, of both slices.
 TablesOf = Callable[[FloatArray], Sequence[Table]]
-
-#: From numbers (D,) to their log prior.
-LogPrior = Callable[[FloatArray], float]
 
 
 def fit_tied(
@@ -38,32 +35,27 @@ def fit_tied(
     known: Mapping[str, IntArray] | None = None,
     is_first: BoolArray | None = None,
     *,
-    log_prior: LogPrior = lambda numbers: 0.0,
     iterations: int = 100,
 ) -> Learned:
-    """Find the most probable numbers by EM.
+    """Find the most probable numbers by EM, with a flat prior.
 
     - compiled: the network; its structure must be that of the tables.
     - tables_of: the tables of numbers (D,), of both slices.
-    - start, bounds: of the D numbers.
+    - start, bounds: of the D numbers; a start out of bounds is moved into them.
     - known, is_first: as `expected_counts`.
-    - log_prior: of the numbers, natural logarithm; by default flat.
 
-    Raises InputError as `expected_counts`, and for a start outside of the bounds.
+    Raises InputError as `expected_counts`.
     """
     low, high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
-    numbers = np.asarray(start, dtype=np.float64)
-    if numbers.shape != low.shape or not ((low <= numbers) & (numbers <= high)).all():
-        raise InputError(f"tied parameters: the start {numbers.tolist()} is not within the bounds")
+    numbers = np.clip(np.asarray(start, dtype=np.float64), low, high)
 
     def maximise(counts: Mapping[SliceNode, FloatArray]) -> tuple[Compiled, float]:
         nonlocal numbers
-        numbers = _maximised(counts, tables_of, numbers, (low, high), log_prior)
-        return with_tables(compiled, tables_of(numbers)), log_prior(numbers)
+        numbers = _maximised(counts, tables_of, numbers, (low, high))
+        return with_tables(compiled, tables_of(numbers)), 0.0
 
     first = with_tables(compiled, tables_of(numbers))
-    data = (evidence, known, is_first)
-    found = iterate(first, log_prior(numbers), data, maximise, iterations)
+    found = iterate(first, 0.0, (evidence, known, is_first), maximise, iterations)
     return replace(found, numbers=numbers)
 
 
@@ -72,9 +64,8 @@ def _maximised(
     tables_of: TablesOf,
     numbers: FloatArray,
     bounds: tuple[FloatArray, FloatArray],
-    log_prior: LogPrior,
 ) -> FloatArray:
-    """Return numbers at which the expected log posterior is at its largest."""
+    """Return numbers at which the expected log likelihood is at its largest."""
 
     def loss(at: FloatArray) -> float:
         tables = {table.node: table.values for table in tables_of(np.clip(at, *bounds))}
@@ -82,7 +73,7 @@ def _maximised(
             float((count * np.log(np.maximum(tables[node], _TINY))).sum())
             for node, count in counts.items()
         )
-        return -value - log_prior(at)
+        return -value
 
     with warnings.catch_warnings():
         # Nelder and Mead's start is moved into the bounds.
@@ -94,6 +85,6 @@ def _maximised(
             bounds=np.stack(bounds, axis=1),
             options={"xatol": 1e-5, "fatol": 1e-4, "maxfev": 200 * len(numbers)},
         )
-    # The expected log posterior never falls, so that the log posterior does not.
+    # The expected log likelihood never falls, so the log evidence does not.
     better = found.fun <= loss(numbers)
     return np.clip(found.x, *bounds) if better else numbers

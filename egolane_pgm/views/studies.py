@@ -27,8 +27,10 @@ if TYPE_CHECKING:
     from egolane_pgm.studies.explore import Exploration
     from egolane_pgm.studies.study import Study
 
-#: Importances of fewer trials would be mostly chance.
-FEWEST = 20
+#: The meaning of log evidence.
+LOG_EVIDENCE = """\
+It judges how well the graph describes the evidence, not the lanes: on the
+paper's recordings it ranked models in nearly the opposite order of held-out lanes."""
 
 _DOTS = "#8aa9c0"
 
@@ -63,7 +65,7 @@ def study_text(study: Study, style: str, wide: bool) -> str:
     if held_out is not None and "drive" in held_out.frames:
         parts += drive_parts(held_out)
     evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in scores.items()]
-    parts.append(f"mean log evidence per frame: {', '.join(evidence)}")
+    parts.append(f"mean log evidence per frame: {', '.join(evidence)}\n{LOG_EVIDENCE}")
     values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
     if values:
         before = study.experiments[0].parameters
@@ -149,33 +151,6 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     return document, trials.sort_values("number", ignore_index=True)
 
 
-def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Importance of each parameter for reaching the best tenth of the trials (PED-ANOVA).
-
-    The most important one is first. Empty for too few trials, and if all have one score.
-    """
-    if len(trials) < FEWEST or np.ptp(trials["score"]) == 0:
-        return {}
-    import optuna
-
-    from egolane_pgm.studies.search import quiet
-
-    space: dict[str, Any] = {
-        name: optuna.distributions.CategoricalDistribution(ends)
-        if isinstance(ends[0], str)
-        else optuna.distributions.FloatDistribution(*ends)
-        for name, ends in settings["searched"].items()
-    }
-    with quiet():
-        is_up = is_maximised(settings["objectives"][0])
-        study = optuna.create_study(direction="maximize" if is_up else "minimize")
-        for row in trials.to_dict("records"):
-            given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
-            study.add_trial(optuna.trial.create_trial(distributions=space, **given))
-        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-        return optuna.importance.get_param_importances(study, evaluator=evaluator)
-
-
 def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
     """Draw the score of each trial, the best so far, and the held-out score."""
     score, sign = _score(document)
@@ -201,13 +176,9 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
 
 
 def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
-    """Draw the score over each parameter, and the best values of all frames and of the folds.
-
-    With enough trials, parameters are in order of importance.
-    """
+    """Draw the score over each parameter, and the best values of all frames and of the folds."""
     score, sign = _score(document)
-    importance = importances(trials, document["settings"])
-    names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
+    names = list(document["settings"]["searched"])
     best = trials.loc[(sign * trials["score"]).idxmax()]
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
@@ -227,14 +198,11 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
         if folds:
             look: Any = {"color": DETECTOR_COLOUR, "ms": 12, "mew": 1.5, "zorder": 3}
             ax.plot(folds, [low] * len(folds), "|", label="best of a fold (no score)", **look)
-        share = f" ({100 * importance.get(name, 0):.0f} %)" if importance else ""
-        ax.set(xlabel=f"{name}{share}", ylim=(low, high))
+        ax.set(xlabel=name, ylim=(low, high))
     for ax in axes[:, 0]:
         ax.set_ylabel(score.replace("_", " "))
-    note = "in brackets: importance for reaching the best tenth of the trials (PED-ANOVA)"
     entries = axes[0, 0].get_legend_handles_labels()
-    place: Any = {"loc": "outside lower left", "ncols": 4, "alignment": "left"}
-    figure.legend(*entries, title=note if importance else None, **place)
+    figure.legend(*entries, loc="outside lower left", ncols=4)
     return figure
 
 

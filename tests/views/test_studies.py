@@ -14,7 +14,6 @@ from egolane_pgm.types import InputError
 from egolane_pgm.views.studies import (
     draw_study,
     history_figure,
-    importances,
     profile_figure,
     read_trials,
 )
@@ -57,10 +56,7 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     assert study.held_out is not None
     assert set(np.asarray(lines[-1].get_ydata())) == {study.held_out.scores["model"]["accuracy"]}
     panels = profile_figure(trials, document, "").axes
-    found = importances(trials, document["settings"])
-    assert [ax.get_xlabel() for ax in panels] == [
-        f"{k} ({100 * v:.0f} %)" for k, v in found.items()
-    ]
+    assert [ax.get_xlabel() for ax in panels] == list(document["settings"]["searched"])
 
 
 @pytest.mark.parametrize(
@@ -72,18 +68,6 @@ def test_the_held_out_score_of_lane_changes_is_drawn(score: str, delay: dict[str
     document = {"settings": {"objectives": [score]}, "held_out": held_out}
     line = history_figure(trials, document, "").axes[0].lines[-1]
     assert set(np.asarray(line.get_ydata())) == set(delay.values())
-
-
-def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
-    rng = np.random.default_rng(0)
-    x, y = rng.random((2, 300))
-    trials = pd.DataFrame({"score": (1 - np.abs(x - 0.3)).round(2), "y": y, "x": x})
-    settings = {"objectives": ["accuracy"], "searched": {"y": [0.0, 1.0], "x": [0.0, 1.0]}}
-    found = importances(trials, settings)
-    assert next(iter(found)) == "x"
-    assert found["x"] > 0.8
-    assert importances(trials.assign(score=0.5), settings) == {}
-    assert importances(trials.head(2), settings) == {}
 
 
 def test_a_directory_without_a_search_is_refused(tmp_path: Path, study: Study) -> None:
