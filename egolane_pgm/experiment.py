@@ -21,6 +21,7 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
     model_validator,
     with_config,
@@ -51,6 +52,12 @@ def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
     first, stop = value
     if stop is not None and first >= stop:
         raise ValueError(f"[{first}, {stop}] is an empty range")
+    return value
+
+
+def _check_sampler(value: Any) -> Any:
+    if not (value is None or isinstance(value, str) or hasattr(value, "sample_relative")):
+        raise ValueError("needs the name of a sampler, or in Python a sampler of Optuna")
     return value
 
 
@@ -264,10 +271,13 @@ class FitSettings(Section):
         description="tune: the score to optimise, or several",
         examples=["accuracy", ["accuracy", "log_loss"], "log_evidence"],
     )
-    sampler: str | None = Field(
+    sampler: Annotated[
+        Any, AfterValidator(_check_sampler), WithJsonSchema({"type": ["string", "null"]})
+    ] = Field(
         default=None,
-        description="tune: the sampler; by default `evolution`, or `nsga2` for several scores",
-        examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
+        description="tune: the sampler; by default `evolution`, or `nsga2` for several scores; also"
+        " the name of a class of `optuna.samplers`, and in Python any sampler of Optuna",
+        examples=["evolution", "tpe", "cma-es", "random", "nsga2", "GPSampler"],
     )
     trials: int | None = Field(
         default=None,

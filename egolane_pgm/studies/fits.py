@@ -47,7 +47,14 @@ from egolane_pgm.studies.objective import (
     with_detector,
 )
 from egolane_pgm.studies.sampler import from_unit
-from egolane_pgm.studies.search import best_trial, new_study, quiet, search, settings_of
+from egolane_pgm.studies.search import (
+    best_trial,
+    new_study,
+    quiet,
+    sampler_name,
+    search,
+    settings_of,
+)
 from egolane_pgm.studies.space import (
     Point,
     SearchSpace,
@@ -493,7 +500,7 @@ def open_study(
     study = new_study(settings, storage=open_storage(storage), study_name=name)
     content = {
         "objective": settings.objective,
-        "sampler": settings.sampler,
+        "sampler": sampler_name(settings.sampler),
         "seed": settings.seed,
         "space": describe(space),
         "data": [drive_digest(drive, frames) for drive, frames in zip(drives, train, strict=True)],

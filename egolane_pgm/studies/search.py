@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import inspect
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -18,19 +21,22 @@ from optuna.trial import FrozenTrial, TrialState
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies.objective import check_objective
-from egolane_pgm.studies.sampler import Shade
+from egolane_pgm.studies.sampler import Shade, Walk
 from egolane_pgm.studies.space import Point, SearchSpace
-from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError, suggestion
 
-#: The samplers, each made with its `seed`; `evolution` takes the search space as well.
+#: Our names of samplers; the name of any other class of `optuna.samplers` is one, too.
 SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
     "evolution": Shade,
     "tpe": samplers.TPESampler,
     "cma-es": partial(samplers.CmaEsSampler, warn_independent_sampling=False),
     "random": samplers.RandomSampler,
     "nsga2": samplers.NSGAIISampler,
+    "walk": Walk,
 }
+
+#: Packages that Optuna imports only when such a sampler draws.
+_PACKAGES = {"cma-es": "cmaes", "CmaEsSampler": "cmaes", "GPSampler": "torch"}
 
 #: The default number of trials of a study.
 TRIALS = 3000
@@ -56,24 +62,33 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     """The settings of a study, complete and checked. Each fold has its own seed.
 
     Raises InputError for an unknown score or sampler, a score given twice, a sampler of a single
-    objective for several, and a sampler whose package is not installed.
+    objective for several, and a sampler that lacks its package or arguments.
     """
     where = f"{source}: fit"
     names = [check_objective(name, f"{where}.objective") for name in tuning.objective]
     if len(set(names)) < len(names):
         raise InputError(f"{where}.objective: a score is named twice")
     sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
-    if sampler not in SAMPLERS:
-        hint = suggestion(sampler, SAMPLERS)
-        raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
-    if len(names) > 1 and sampler in ("evolution", "cma-es"):
+    name = sampler_name(sampler)
+    if len(names) > 1 and name in ("evolution", "cma-es", "walk"):
         raise InputError(
-            f"{where}.sampler: {sampler} searches one objective; for {', '.join(names)} take nsga2,"
+            f"{where}.sampler: {name} searches one objective; for {', '.join(names)} take nsga2,"
             " tpe or random"
         )
-    if sampler == "cma-es":
-        with needed(f"{where}.sampler: cma-es", "cmaes"):
-            import cmaes  # noqa: F401
+    known = {*SAMPLERS, *(each for each in samplers.__all__ if each.endswith("Sampler"))}
+    if isinstance(sampler, str) and sampler not in known:
+        hint = suggestion(sampler, known)
+        raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
+    if name in _PACKAGES and find_spec(_PACKAGES[name]) is None:
+        raise InputError(
+            f"{where}.sampler: {name} needs {_PACKAGES[name]}: pip install {_PACKAGES[name]}"
+        )
+    try:
+        make_sampler(tuning.model_copy(update={"sampler": sampler}), SearchSpace({}, {}), 0)
+    except TypeError as error:
+        raise InputError(
+            f"{where}.sampler: {name} needs arguments; pass an object in Python"
+        ) from error
     seed = tuning.seed
     if fold is not None:
         seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
@@ -81,18 +96,31 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     return tuning.model_copy(update={"sampler": sampler, "trials": trials, "seed": seed})
 
 
-def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
-    """Make the sampler of a study.
+def sampler_name(sampler: Any) -> str:
+    """The name of a sampler, or of the class of an object."""
+    return sampler if isinstance(sampler, str) else type(sampler).__name__
 
-    - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
-      keep no state, get another seed, so that a resumed study repeats no trial.
+
+def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
+    """Make the sampler of a study, or copy the one that is given.
+
+    - n_trials: existing trials of the study. Shade and Walk continue from them. Optuna's samplers,
+      which keep no state, get another seed, so that a resumed study repeats no trial.
     """
-    if settings.sampler == "evolution":
-        return Shade(settings.seed, space.distributions)
+    given = settings.sampler
+    if not isinstance(given, str):
+        own: samplers.BaseSampler = copy.deepcopy(given)
+        if n_trials:
+            own.reseed_rng()
+        return own
+    if given in ("evolution", "walk"):
+        return SAMPLERS[given](settings.seed, space.distributions)
     entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
+    make = SAMPLERS.get(given) or getattr(samplers, given)
+    has_seed = "seed" in inspect.signature(make).parameters
     with quiet():
-        return SAMPLERS[str(settings.sampler)](seed=seed)
+        return make(**({"seed": seed} if has_seed else {}))
 
 
 def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
@@ -108,7 +136,10 @@ def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
 
 
 def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
-    """Run a study until its number of trials, by all workers, is complete."""
+    """Run a study until its number of trials, by all workers, is complete.
+
+    Raises InputError if the sampler does not fit the space.
+    """
     total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
     n_before, is_first = len(study.get_trials(deepcopy=False)), True
     study.sampler = make_sampler(settings, space, n_before)
@@ -116,7 +147,11 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitS
         while len(study.get_trials(deepcopy=False, states=complete)) < total:
             # Trials that a study begins with have their values.
             waiting = is_first and study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
-            trial = study.ask(space.distributions)
+            try:
+                trial = study.ask(space.distributions)
+            except (ImportError, ValueError, RuntimeError) as error:
+                name = sampler_name(settings.sampler)
+                raise InputError(f"fit.sampler: {name}: {error}") from error
             if is_first and not waiting:
                 is_first = False
                 if trial.number != n_before:

@@ -35,7 +35,7 @@ from egolane_pgm.studies.fits import (
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
-from egolane_pgm.studies.search import settings_of
+from egolane_pgm.studies.search import sampler_name, settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
@@ -405,8 +405,8 @@ def run_study(
     if method == "tune":
         tuning = settings_of(first.experiment.fit, None, first.experiment.source)
         space = search_space([drive.model for drive in drives], tuning)
-        settings = {"objectives": list(tuning.objective)}
-        settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
+        settings = {"objectives": tuning.objective, "sampler": sampler_name(tuning.sampler)}
+        settings |= tuning.model_dump(include={"trials", "seed"}) | describe(space)
     else:
         what_is_learned(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
