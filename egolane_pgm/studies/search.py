@@ -21,7 +21,7 @@ from optuna.trial import FrozenTrial, TrialState
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies.objective import check_objective
-from egolane_pgm.studies.sampler import Shade, Walk
+from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.studies.space import Point, SearchSpace
 from egolane_pgm.types import InputError, suggestion
 
@@ -32,7 +32,6 @@ SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
     "cma-es": partial(samplers.CmaEsSampler, warn_independent_sampling=False),
     "random": samplers.RandomSampler,
     "nsga2": samplers.NSGAIISampler,
-    "walk": Walk,
 }
 
 #: Packages that Optuna imports only when such a sampler draws.
@@ -70,7 +69,7 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
         raise InputError(f"{where}.objective: a score is named twice")
     sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
     name = sampler_name(sampler)
-    if len(names) > 1 and name in ("evolution", "cma-es", "walk"):
+    if len(names) > 1 and name in ("evolution", "cma-es"):
         raise InputError(
             f"{where}.sampler: {name} searches one objective; for {', '.join(names)} take nsga2,"
             " tpe or random"
@@ -104,7 +103,7 @@ def sampler_name(sampler: Any) -> str:
 def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
     """Make the sampler of a study, or copy the one that is given.
 
-    - n_trials: existing trials of the study. Shade and Walk continue from them. Optuna's samplers,
+    - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers,
       which keep no state, get another seed, so that a resumed study repeats no trial.
     """
     given = settings.sampler
@@ -113,8 +112,8 @@ def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> sa
         if n_trials:
             own.reseed_rng()
         return own
-    if given in ("evolution", "walk"):
-        return SAMPLERS[given](settings.seed, space.distributions)
+    if given == "evolution":
+        return Shade(settings.seed, space.distributions)
     entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
     make = SAMPLERS.get(given) or getattr(samplers, given)

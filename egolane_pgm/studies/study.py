@@ -35,6 +35,7 @@ from egolane_pgm.studies.fits import (
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
+from egolane_pgm.studies.profile import make_profile, values_of
 from egolane_pgm.studies.search import sampler_name, settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
@@ -220,6 +221,7 @@ class Study:
     - held_out: the result of the test frames of all folds, each with the fit of its fold; None
       without folds.
     - trials: a row per trial of the final search; empty without one.
+    - profile: of parameters, see `profile.make_profile`; empty without one.
     - settings: of the search.
     - directory: the study directory; None in memory.
 
@@ -243,6 +245,7 @@ class Study:
     trials: pd.DataFrame = field(default_factory=pd.DataFrame)
     settings: Mapping[str, Any] = field(default_factory=dict)
     directory: Path | None = None
+    profile: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def __repr__(self) -> str:
         from egolane_pgm.views.studies import study_title
@@ -287,7 +290,8 @@ class Study:
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write best.yaml (the fitted experiment), study.json, trials.parquet and held_out/.
 
-        Learned tables are in best.graph.yaml. study.json is written last.
+        Learned tables are in best.graph.yaml, a profile in profile.parquet. study.json is written
+        last.
         """
         place = Path(directory)
         make_directory(place)
@@ -305,6 +309,8 @@ class Study:
         write_yaml(place / "best.yaml", content)
         if len(self.trials):
             self.trials.to_parquet(place / "trials.parquet", index=False)
+        if len(self.profile):
+            self.profile.to_parquet(place / "profile.parquet", index=False)
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
         write_json(place / STUDY_FILE, self.document)
@@ -379,6 +385,7 @@ def run_study(
     storage: str | None = None,
     directory: Path | None = None,
     pooled: bool = False,
+    profile: Sequence[str] = (),
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
@@ -393,6 +400,7 @@ def run_study(
     - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
     - directory: the study is saved here.
     - pooled: whether all frames count alike in a search; otherwise all drives do.
+    - profile: parameters of a search whose profile is made.
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
@@ -407,6 +415,8 @@ def run_study(
         space = search_space([drive.model for drive in drives], tuning)
         settings = {"objectives": tuning.objective, "sampler": sampler_name(tuning.sampler)}
         settings |= tuning.model_dump(include={"trials", "seed"}) | describe(space)
+        for each in profile:
+            values_of(space, each, tuning.objective[0])
     else:
         what_is_learned(first.model)
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
@@ -418,6 +428,10 @@ def run_study(
         whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
+    trials, profiled = pd.DataFrame() if whole.trials is None else whole.trials, pd.DataFrame()
+    if profile:
+        shared: Any = {"pooled": pooled, "directory": directory, "jobs": jobs, "cluster": cluster}
+        profiled = make_profile(drives, profile, tuning, trials, **shared)
     notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
@@ -433,9 +447,10 @@ def run_study(
         whole,
         in_sample,
         held_out,
-        pd.DataFrame() if whole.trials is None else whole.trials,
+        trials,
         settings,
         directory,
+        profiled,
     )
     if directory is not None:
         study.save(directory)

@@ -17,6 +17,7 @@ from egolane_pgm.types import InputError
 from egolane_pgm.views.display import drive_parts
 from egolane_pgm.views.style import (
     DETECTOR_COLOUR,
+    FAINT,
     MODEL_COLOUR,
     new_figure,
     write_figures,
@@ -74,6 +75,17 @@ def study_text(study: Study, style: str, wide: bool) -> str:
         if folds:
             columns["folds"] = [_range([f[name] for f in folds if name in f]) for name in values]
         parts.append(table(pd.DataFrame(columns, index=pd.Index(values, name="parameter"))))
+    objectives = list(study.settings.get("objectives", ()))
+    if len(objectives) > 1:
+        front = pareto_front(study.trials, objectives).set_index("number").rename_axis("trial")
+        best = {int((_sign(name) * front[name]).argmax()) for name in objectives}
+        between = np.linspace(0, len(front) - 1, 10 - len(best)).astype(int).tolist()
+        shown = sorted({*best, *between})
+        parts.append(f"Pareto front (in-sample), {len(shown)} of its {len(front)} trials:")
+        parts.append(table(front[objectives].iloc[shown]))
+    if len(study.profile):
+        parts.append(f"profile of {objectives[0]} (in-sample), others searched again:")
+        parts.append(profile_table(study.profile))
     tables = [name for name in study.fitted if name not in values]
     if tables:
         parts.append(f"fitted tables and lists: {', '.join(tables)}")
@@ -85,6 +97,30 @@ def _range(values: Sequence[Any]) -> str:
     if all(isinstance(each, (int, float)) for each in values):
         return " to ".join(dict.fromkeys(cell(end) for end in (min(values), max(values))))
     return ", ".join(dict.fromkeys(map(str, values)))
+
+
+def pareto_front(trials: pd.DataFrame, objectives: Sequence[str]) -> pd.DataFrame:
+    """The complete trials that no other one beats in every objective, ordered by the first."""
+    done = trials[trials["state"] == "COMPLETE"].drop_duplicates(objectives)
+    values = done[objectives].to_numpy() * list(map(_sign, objectives))
+    beaten = [((values >= row).all(axis=1) & (values > row).any(axis=1)).any() for row in values]
+    return done[~np.array(beaten)].sort_values(objectives[0], ascending=_sign(objectives[0]) < 0)
+
+
+def profile_table(profile: pd.DataFrame) -> Table:
+    """A row per parameter: its best value, and the range of the values that are not ruled out."""
+    rows = {}
+    for name, found in profile.groupby("parameter", sort=False):
+        value, kept = found["value"], found["value"][~found["is_ruled_out"]]
+        words = f"{cell(kept.min())} to {cell(kept.max())}"
+        if len(kept) == len(value):
+            words = "any value" if found["low"].notna().any() else "unknown: too few frames"
+        elif kept.min() == value.min():
+            words = f"at most {cell(kept.max())}"
+        elif kept.max() == value.max():
+            words = f"at least {cell(kept.min())}"
+        rows[name] = {"best": value[found["difference"].idxmin()], "not ruled out (95 %)": words}
+    return table(pd.DataFrame.from_dict(rows, "index").rename_axis("parameter"))
 
 
 def exploration_text(found: Exploration, style: str, wide: bool) -> str:
@@ -126,15 +162,19 @@ def draw_study(
     place = Path(directory)
     document, trials = read_trials(place)
     name = f"{document['name']}: {len(trials)} trials"
+    file = place / "profile.parquet"
+    profile = pd.read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": []})
     figures: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials, document, name),
-        "profile": lambda: profile_figure(trials, document, name),
+        "profile": lambda: profile_figure(trials, document, name, profile),
     }
+    if len(document["settings"]["objectives"]) > 1:
+        figures["front"] = lambda: front_figure(trials, document, name)
     return write_figures(figures, Path(target or place / "figures"), style)
 
 
 def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The content of study.json, and the complete trials: `number`, `score`, the parameters."""
+    """The content of study.json, and the complete trials, the first objective as `score`."""
     if not (directory / "trials.parquet").is_file():
         raise InputError(
             f"{directory}: is not the directory of a search; draw the results of another study with"
@@ -142,10 +182,9 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
         )
     document = json.loads((directory / "study.json").read_text())
     trials = pd.read_parquet(directory / "trials.parquet")
-    trials = trials[trials["state"] == "COMPLETE"]
+    trials = trials[trials["state"] == "COMPLETE"].copy()
     settings = document["settings"]
-    score = settings["objectives"][0]
-    trials = trials[["number", score, *settings["searched"]]].rename(columns={score: "score"})
+    trials["score"] = trials[settings["objectives"][0]]
     if trials.empty:
         raise InputError(f"{directory}: has no complete trial to draw")
     return document, trials.sort_values("number", ignore_index=True)
@@ -167,7 +206,7 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     if held_out is not None:
         label = f"held out: {held_out:.3f}"
         ax.axhline(held_out, color=DETECTOR_COLOUR, ls=(0, (4, 2)), label=label)
-    low, high = _limits(trials, sign, held_out)
+    low, high = _limits(trials["score"], sign, held_out)
     n_outside = int((~trials["score"].between(low, high)).sum())
     ax.set(ylim=(low, high), ylabel=score.replace("_", " "))
     ax.set_xlabel(f"trial ({n_outside} of {len(trials)} outside the axis)")
@@ -175,8 +214,14 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     return figure
 
 
-def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
-    """Draw the score over each parameter, and the best values of all frames and of the folds."""
+def profile_figure(
+    trials: pd.DataFrame, document: Mapping[str, Any], title: str, profile: pd.DataFrame
+) -> Figure:
+    """Draw the score over each parameter, and the best values of all frames and of the folds.
+
+    - profile: of the parameters that have one; the others get none. Values that are not ruled out
+      are shaded.
+    """
     score, sign = _score(document)
     names = list(document["settings"]["searched"])
     best = trials.loc[(sign * trials["score"]).idxmax()]
@@ -186,7 +231,7 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for ax in axes.flat[len(names) :]:
         ax.remove()
-    low, high = _limits(trials, sign)
+    low, high = _limits(trials["score"], sign)
     for ax, name in zip(axes.flat, names, strict=False):
         values = trials[name]
         if values.dtype.kind in "if":
@@ -198,23 +243,54 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
         if folds:
             look: Any = {"color": DETECTOR_COLOUR, "ms": 12, "mew": 1.5, "zorder": 3}
             ax.plot(folds, [low] * len(folds), "|", label="best of a fold (no score)", **look)
+        found = profile[profile["parameter"] == name.partition("[")[0]]
+        if len(found):
+            ends = [best["score"] - sign * found[end].astype(float) for end in ("low", "high")]
+            kept = found["value"][~found["is_ruled_out"]]
+            look = {"color": MODEL_COLOUR, "label": "others searched again, 95 % interval"}
+            ax.plot(found["value"], found["score"], lw=1.2, **look)
+            ax.fill_between(found["value"], *ends, color=MODEL_COLOUR, alpha=0.25, lw=0)
+            ax.axvspan(kept.min(), kept.max(), color=FAINT, alpha=0.4, lw=0, label="not ruled out")
         ax.set(xlabel=name, ylim=(low, high))
     for ax in axes[:, 0]:
         ax.set_ylabel(score.replace("_", " "))
-    entries = axes[0, 0].get_legend_handles_labels()
-    figure.legend(*entries, loc="outside lower left", ncols=4)
+    entries = max((ax.get_legend_handles_labels() for ax in figure.axes), key=lambda e: len(e[1]))
+    figure.legend(*entries, loc="outside lower left", ncols=3)
+    return figure
+
+
+def front_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
+    """Draw all trials in the first objective and each other one, with the Pareto front."""
+    first, *others = document["settings"]["objectives"]
+    front = pareto_front(trials, [first, *others])
+    figure = new_figure(max(3.2 * len(others) + 0.6, 5), 3.6, title)
+    for ax, name in zip(figure.subplots(1, len(others), squeeze=False)[0], others, strict=True):
+        ax.plot(trials[first], trials[name], ".", ms=4, color=_DOTS, label="trial")
+        ax.plot(front[first], front[name], ".", ms=6, color=MODEL_COLOUR, label="Pareto front")
+        ax.plot(
+            front[first].iloc[0], front[name].iloc[0], "s", color=DETECTOR_COLOUR, label="chosen"
+        )
+        limits = [_limits(trials[each], 1 if is_maximised(each) else -1) for each in (first, name)]
+        ax.set(xlim=limits[0], ylim=limits[1])
+        ax.set(xlabel=f"{first.replace('_', ' ')} (in-sample)", ylabel=name.replace("_", " "))
+    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
 def _score(document: Mapping[str, Any]) -> tuple[str, int]:
-    """The name of the score, and 1 if it is maximised or -1."""
+    """The name of the score and its `_sign`."""
     name = document["settings"]["objectives"][0]
-    return name, 1 if is_maximised(name) else -1
+    return name, _sign(name)
 
 
-def _limits(trials: pd.DataFrame, sign: int, *others: float | None) -> tuple[float, float]:
+def _sign(score: str) -> int:
+    """1 for a score that is maximised, else -1."""
+    return 1 if is_maximised(score) else -1
+
+
+def _limits(scores: pd.Series, sign: int, *others: float | None) -> tuple[float, float]:
     """The range of the score axis, without the worst trials."""
-    gain = sign * trials["score"]
+    gain = sign * scores
     shown = [sign * gain.max(), sign * gain.quantile(0.3), *(v for v in others if v is not None)]
     margin = 0.08 * float(np.ptp(shown)) or 0.01
     return min(shown) - margin, max(shown) + margin

@@ -134,12 +134,3 @@ def test_each_study_has_its_own_copy_of_a_sampler_object() -> None:
     assert first == second
     direct = optuna.create_study(direction="maximize", sampler=given)
     assert [direct.ask(SPACE.distributions).params for _ in range(5)] == [p for p, _ in first]
-
-
-def test_a_walk_stays_close_to_the_best_trial() -> None:
-    settings = FitSettings(objective=("accuracy",), sampler="walk", trials=60, seed=0)
-    study = new_study(settings)
-    start = {"x0": 0.4, "x1": 0.25, "x2": 0.35}
-    study.enqueue_trial(start)
-    search(study, SPACE, bowl, settings)
-    assert study.best_value > 0.99 > bowl(start)
