@@ -261,19 +261,19 @@ def profile_figure(
 
 def front_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
     """Draw all trials in the first objective and each other one, with the Pareto front."""
-    first, *others = document["settings"]["objectives"]
-    front = pareto_front(trials, [first, *others])
+    objectives = document["settings"]["objectives"]
+    front = pareto_front(trials, objectives)
+    limits = [_limits(trials[each], _sign(each), *front[each]) for each in objectives]
+    first, *others = objectives
     figure = new_figure(max(3.2 * len(others) + 0.6, 5), 3.6, title)
-    for ax, name in zip(figure.subplots(1, len(others), squeeze=False)[0], others, strict=True):
+    axes = figure.subplots(1, len(others), squeeze=False)[0]
+    for ax, name, ylim in zip(axes, others, limits[1:], strict=True):
         ax.plot(trials[first], trials[name], ".", ms=4, color=_DOTS, label="trial")
         ax.plot(front[first], front[name], ".", ms=6, color=MODEL_COLOUR, label="Pareto front")
-        ax.plot(
-            front[first].iloc[0], front[name].iloc[0], "s", color=DETECTOR_COLOUR, label="chosen"
-        )
-        limits = [_limits(trials[each], 1 if is_maximised(each) else -1) for each in (first, name)]
-        ax.set(xlim=limits[0], ylim=limits[1])
-        ax.set(xlabel=f"{first.replace('_', ' ')} (in-sample)", ylabel=name.replace("_", " "))
-    figure.legend(*ax.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+        ax.plot(*front.iloc[0][[first, name]], "s", color=DETECTOR_COLOUR, label="chosen")
+        ax.set(xlim=limits[0], ylim=ylim, ylabel=name.replace("_", " "))
+        ax.set_xlabel(f"{first.replace('_', ' ')} (in-sample)")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
