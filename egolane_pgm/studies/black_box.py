@@ -14,7 +14,7 @@ from egolane_pgm.loading import ExperimentLike, Overrides, load_experiment
 from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies import fits
 from egolane_pgm.studies.objective import check_objective
-from egolane_pgm.studies.space import Point, SearchSpace, coordinates, is_inside
+from egolane_pgm.studies.space import Point, coordinates, is_inside
 from egolane_pgm.studies.study import check_labels
 from egolane_pgm.types import InputError, suggestion
 
@@ -24,7 +24,7 @@ class Objective:
     """An experiment's score as a function of its parameters; `objective` makes one.
 
     - direction: minimize or maximize, in Optuna's words.
-    - search_space: its `distributions`, for Optuna's `study.ask`, and fixed parameters.
+    - distributions: the range of each parameter, for Optuna's `study.ask`.
     - start: the experiment's values; they may lie out of bounds.
     - score: the scores of a point of the search space: one.
 
@@ -35,14 +35,9 @@ class Objective:
     """
 
     direction: Literal["minimize", "maximize"]
-    search_space: SearchSpace
+    distributions: dict[str, Any]
     start: Point
     score: Callable[[Point], Sequence[float]]
-
-    @property
-    def distributions(self) -> dict[str, Any]:
-        """The range of each parameter, for Optuna's `study.ask`."""
-        return self.search_space.distributions
 
     def __call__(self, parameters: Mapping[str, Any]) -> float:
         """The score of some parameters; all others keep the experiment's values.
@@ -99,4 +94,4 @@ def objective(
     start = coordinates(space, fits.current_values(drives[0].model, tuning))
     scored = fits.objective(drives, space, tuning, used, [name])
     direction: Literal["minimize", "maximize"] = "maximize" if is_maximised(name) else "minimize"
-    return Objective(direction, space, start, scored)
+    return Objective(direction, space.distributions, start, scored)

@@ -65,7 +65,6 @@ from egolane_pgm.studies.space import (
     to_point,
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
-from egolane_pgm.studies.tied import fit_tied
 from egolane_pgm.tools.files import to_jsonable
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
@@ -257,7 +256,7 @@ def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Le
         return list(with_parameters(start, values).compiled.tables.values())
 
     bounds = [(d.low, d.high) for d in ends]
-    learned = fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
+    learned = em.fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
     tuning = start.experiment.fit
     return learned, Fitted(searched_values(space, tuning, point(learned.numbers)))
 

@@ -104,7 +104,8 @@ def pareto_front(trials: pd.DataFrame, objectives: Sequence[str]) -> pd.DataFram
     done = trials[trials["state"] == "COMPLETE"].drop_duplicates(objectives)
     values = done[objectives].to_numpy() * list(map(_sign, objectives))
     beaten = [((values >= row).all(axis=1) & (values > row).any(axis=1)).any() for row in values]
-    return done[~np.array(beaten)].sort_values(objectives[0], ascending=_sign(objectives[0]) < 0)
+    first, front = objectives[0], done[~np.array(beaten)]
+    return front.sort_values(first, ascending=_sign(first) < 0, kind="stable")
 
 
 def profile_table(profile: pd.DataFrame) -> Table:

@@ -11,7 +11,7 @@ from egolane_pgm.inference.compile import Compiled, compile_tables, with_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.inference.sampling import sample
 from egolane_pgm.parameters import resolve_parameters
-from egolane_pgm.studies.tied import fit_tied
+from egolane_pgm.studies.em import fit_tied
 from egolane_pgm.types import Evidence
 
 NAMES = ("sigma1", "sigma2", "p1", "p2", "p3", "p4")
