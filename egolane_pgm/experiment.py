@@ -61,10 +61,11 @@ def _check_sampler(value: Any) -> Any:
     return value
 
 
-def _check_strength(value: float | dict[str, float]) -> float | dict[str, float]:
-    weights = value.values() if isinstance(value, dict) else (value,)
-    if not all(0 < weight <= 1e9 for weight in weights):
-        raise ValueError("needs numbers greater than 0, at most 1e9")
+def _check_strength(value: Any) -> Any:
+    weights = value.values() if isinstance(value, Mapping) else (value,)
+    are_numbers = all(isinstance(each, (int, float)) for each in weights)
+    if not are_numbers or not all(0 < weight <= 1e9 for weight in weights):
+        raise ValueError("needs a number greater than 0, at most 1e9, or one by name of the node")
     return value
 
 
@@ -303,7 +304,9 @@ class FitSettings(Section):
         " parameters of the graph, by EM; by default the rule if it can learn, otherwise tables",
     )
     labels: bool = Field(default=True, description="learn: whether EM uses annotated lanes, too")
-    strength: Annotated[float | dict[str, float], AfterValidator(_check_strength)] = Field(
+    strength: Annotated[
+        Any, AfterValidator(_check_strength), WithJsonSchema({"type": ["number", "object"]})
+    ] = Field(
         default=100.0,
         description="learn: weight of the declared tables, in frames per row; or by name of the"
         " node, 100 for others",

@@ -146,11 +146,8 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitS
         while len(study.get_trials(deepcopy=False, states=complete)) < total:
             # Trials that a study begins with have their values.
             waiting = is_first and study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
-            try:
+            with sampler_errors(settings.sampler):
                 trial = study.ask(space.distributions)
-            except (ImportError, ValueError, RuntimeError) as error:
-                name = sampler_name(settings.sampler)
-                raise InputError(f"fit.sampler: {name}: {error}") from error
             if is_first and not waiting:
                 is_first = False
                 if trial.number != n_before:
@@ -158,7 +155,18 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitS
                     study.sampler = make_sampler(settings, space, trial.number)
                     study.tell(trial, state=TrialState.FAIL)
                     continue
-            study.tell(trial, score(trial.params))
+            found = score(trial.params)
+            with sampler_errors(settings.sampler):
+                study.tell(trial, found)
+
+
+@contextmanager
+def sampler_errors(sampler: Any) -> Iterator[None]:
+    """Turn errors of a sampler that does not fit a study into InputError."""
+    try:
+        yield
+    except (ImportError, ValueError, RuntimeError) as error:
+        raise InputError(f"fit.sampler: {sampler_name(sampler)}: {error}") from error
 
 
 def best_trial(study: optuna.Study) -> FrozenTrial:

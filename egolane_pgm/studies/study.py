@@ -36,7 +36,7 @@ from egolane_pgm.studies.fits import (
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
 from egolane_pgm.studies.profile import make_profile, values_of
-from egolane_pgm.studies.search import sampler_name, settings_of
+from egolane_pgm.studies.search import new_study, sampler_name, search, settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
@@ -417,8 +417,14 @@ def run_study(
         settings |= tuning.model_dump(include={"trials", "seed"}) | describe(space)
         for each in profile:
             values_of(space, each, tuning.objective[0])
+        # A sampler that does not fit is refused before anything is written.
+        once, nothing = tuning.model_copy(update={"trials": 1}), [0.0] * len(tuning.objective)
+        search(new_study(once), space, lambda point: nothing, once)
     else:
-        what_is_learned(first.model)
+        settings = {"learns": what_is_learned(first.model)}
+        settings |= first.experiment.fit.model_dump(
+            include={"labels", "strength", "trials", "seed"}
+        )
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
     fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.

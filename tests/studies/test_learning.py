@@ -218,7 +218,8 @@ def test_a_graph_in_pgmpy_has_parameters_to_learn(tmp_path: Path) -> None:
 REFUSED = {
     "fit.learns: evidence rule counting has no fit": {"learns": "rule"},
     "fit.strength: unknown key 'Lan' .did you mean 'Lane'": {"strength": {"Lan": 3}},
-    "fit.strength: needs numbers greater than 0": {"strength": {"Lane": 0}},
+    "fit.strength: needs a number greater than 0": {"strength": {"Lane": 0}},
+    "fit.strength: needs a number greater than 0, at": {"strength": "much"},
     "fit.parameters.bonus_value: changes the evidence": {"parameters": {"bonus_value": [0, 3]}},
     "fit.parameters: every parameter is fixed": {
         "parameters": dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4"), 0.5)
