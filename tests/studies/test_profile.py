@@ -20,7 +20,8 @@ from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.study import Study, run_study
 from egolane_pgm.types import InputError
 from tests.conftest import needs_compiler
-from tests.kits.drives import simulated
+from tests.kits.drives import done, simulated, write_drive
+from tests.kits.processes import started
 from tests.kits.studies import drive_of, fitting, two_drives
 
 pytestmark = needs_compiler
@@ -87,25 +88,20 @@ def test_a_value_is_ruled_out_by_the_interval_of_its_difference_to_the_best(name
     assert 0 < profile["is_ruled_out"].sum() < len(profile)
 
 
-def test_a_profile_is_saved_and_a_repeated_call_searches_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drive = fitting(drive_of(simulated()), trials=12, parameters=HELD)
-    monkeypatch.setattr(module, "STEPS", 3)
-    first = run_study([drive], "tune", [], profile=["bonus_value"], directory=tmp_path)
-    kept = pd.read_parquet(tmp_path / "profile.parquet")
-    pd.testing.assert_frame_equal(kept, first.profile)
-    assert first.profile["value"].tolist() == list(range(10))
-    searched: list[Any] = []
-    objective = module.objective
-    monkeypatch.setattr(
-        module, "objective", lambda *a, **k: searched.append(a) or objective(*a, **k)
-    )
-    again = run_study([drive], "tune", [], profile=["bonus_value"], directory=tmp_path)
-    assert again.profile.equals(first.profile)
-    assert not searched
-    assert "profile of accuracy (in-sample), others searched again" in again.to_text()
-    assert max(map(len, again.to_text().splitlines())) <= 80
+def test_a_profile_is_saved_and_another_process_searches_nothing_again(tmp_path: Path) -> None:
+    path, out = write_drive(tmp_path, 100), tmp_path / "out"
+    words = ["tune", path, "--trials", 12, "--folds", 0, "--profile", "bonus_value", "--out", out]
+    shown = done(*words).stdout
+    assert "profile of accuracy (in-sample), others searched again" in shown
+    assert max(map(len, shown.splitlines())) <= 80
+    first, kept = pd.read_parquet(out / "profile.parquet"), set(out.rglob("output.pkl"))
+    assert first["value"].tolist() == list(range(10))
+    assert len(kept) == 10 * module.PASSES
+    with started(*words) as again:
+        again.communicate()
+    assert again.returncode == 0
+    assert set(out.rglob("output.pkl")) == kept
+    pd.testing.assert_frame_equal(pd.read_parquet(out / "profile.parquet"), first)
 
 
 @pytest.mark.parametrize("pooled", [False, True])
