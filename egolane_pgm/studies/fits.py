@@ -203,7 +203,10 @@ def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     data = Evidence.concat(evidence), {"Lane": np.concatenate(lanes)}, np.concatenate(begins)
     fit_from = _tables_from if what_is_learned(model) == "tables" else _parameters_from
     fits = [fit_from(drives, data, k) for k in bar(range(n_starts), unit="start")]
-    learned, found = max(fits, key=lambda each: each[0].log_posterior[-1])
+    # The log posterior leaves impossible frames out.
+    learned, found = max(
+        fits, key=lambda each: (-each[0].is_impossible.sum(), each[0].log_posterior[-1])
+    )
     impossible, graph = int(learned.is_impossible.sum()), f"graph {model.experiment.graph}"
     if impossible == len(learned.is_impossible):
         raise InputError(
@@ -222,12 +225,8 @@ Data = tuple[Evidence, Mapping[str, IntArray], BoolArray]
 
 def _tables_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
     """Learn tables from start k; start 0 is the declared tables, around which the prior is."""
-    model = drives[0].model
-    compiled, nodes, options = (
-        start_of_learning(model).compiled,
-        learnable_nodes(model),
-        model.experiment.fit,
-    )
+    model, options = drives[0].model, drives[0].experiment.fit
+    compiled, nodes = start_of_learning(model).compiled, learnable_nodes(model)
     own = {node: t for node, t in counted_tables(compiled).items() if node[0] in nodes}
     start = em.drawn_tables(own, np.random.default_rng([options.seed, k])) if k else None
     learned = em.fit_tables(compiled, *data, nodes=nodes, strength=options.strength, start=start)
@@ -262,7 +261,7 @@ def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Le
 
 
 def tied_space(models: Sequence[Model]) -> SearchSpace:
-    """The parameters of the graph that EM learns. Raises InputError for one without derivative."""
+    """The parameters of the graph that EM learns. Raises InputError for whole numbers and choices."""
     e = models[0].experiment
     space = search_space(models, e.fit.model_copy(update={"objective": ("log_evidence",)}))
     for name, d in space.distributions.items():
