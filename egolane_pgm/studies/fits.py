@@ -261,7 +261,7 @@ def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Le
 
 
 def tied_space(models: Sequence[Model]) -> SearchSpace:
-    """The parameters of the graph that EM learns. Raises InputError for whole numbers and choices."""
+    """The parameters of the graph that EM learns: real numbers. Raises InputError for others."""
     e = models[0].experiment
     space = search_space(models, e.fit.model_copy(update={"objective": ("log_evidence",)}))
     for name, d in space.distributions.items():

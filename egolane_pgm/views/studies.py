@@ -164,7 +164,9 @@ def draw_study(
     document, trials = read_trials(place)
     name = f"{document['name']}: {len(trials)} trials"
     file = place / "profile.parquet"
-    profile = pd.read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": []})
+    profile = (
+        pd.read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
+    )
     figures: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials, document, name),
         "profile": lambda: profile_figure(trials, document, name, profile),
@@ -232,7 +234,9 @@ def profile_figure(
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for ax in axes.flat[len(names) :]:
         ax.remove()
-    low, high = _limits(trials["score"], sign)
+    # The profile may find a better point than the trials.
+    top = sign * max(sign * score for score in (best["score"], *profile["score"]))
+    low, high = _limits(trials["score"], sign, top)
     for ax, name in zip(axes.flat, names, strict=False):
         values = trials[name]
         if values.dtype.kind in "if":
@@ -246,7 +250,7 @@ def profile_figure(
             ax.plot(folds, [low] * len(folds), "|", label="best of a fold (no score)", **look)
         found = profile[profile["parameter"] == name.partition("[")[0]]
         if len(found):
-            ends = [best["score"] - sign * found[end].astype(float) for end in ("low", "high")]
+            ends = [top - sign * found[end].astype(float) for end in ("low", "high")]
             kept = found["value"][~found["is_ruled_out"]]
             look = {"color": MODEL_COLOUR, "label": "others searched again, 95 % interval"}
             ax.plot(found["value"], found["score"], lw=1.2, **look)
@@ -254,7 +258,7 @@ def profile_figure(
             ax.axvspan(kept.min(), kept.max(), color=FAINT, alpha=0.4, lw=0, label="not ruled out")
         ax.set(xlabel=name, ylim=(low, high))
     for ax in axes[:, 0]:
-        ax.set_ylabel(score.replace("_", " "))
+        ax.set_ylabel(f"{score.replace('_', ' ')} (in-sample)")
     entries = max((ax.get_legend_handles_labels() for ax in figure.axes), key=lambda e: len(e[1]))
     figure.legend(*entries, loc="outside lower left", ncols=3)
     return figure

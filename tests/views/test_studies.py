@@ -59,8 +59,17 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     np.testing.assert_array_equal(best.get_ydata(), trials["score"].cummax())
     assert study.held_out is not None
     assert set(np.asarray(lines[-1].get_ydata())) == {study.held_out.scores["model"]["accuracy"]}
-    panels = profile_figure(trials, document, "", pd.DataFrame({"parameter": []})).axes
+    columns = {"value": [0.3, 0.6], "score": [0.5, 0.99], "difference": [0.49, 0.0]}
+    columns |= {"low": [0.2, 0.0], "high": [0.7, 0.0], "is_ruled_out": [True, False]}
+    profile = pd.DataFrame({"parameter": "sigma1", **columns})
+    panels = profile_figure(trials, document, "", profile).axes
     assert [ax.get_xlabel() for ax in panels] == list(document["settings"]["searched"])
+    [line] = [each for each in panels[1].lines if "searched again" in str(each.get_label())]
+    assert np.asarray(line.get_ydata()).tolist() == [0.5, 0.99]
+    assert panels[1].get_ylim()[1] > 0.99
+    band = panels[1].collections[0].get_paths()[0].get_extents()
+    assert (band.ymin, band.ymax) == pytest.approx((0.99 - 0.7, 0.99))
+    assert not panels[0].collections
 
 
 @pytest.mark.parametrize(
