@@ -61,7 +61,7 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     """The settings of a study, complete and checked. Each fold has its own seed.
 
     Raises InputError for an unknown score or sampler, a score given twice, a sampler of a single
-    objective for several, and a sampler that lacks its package or arguments.
+    objective for several, and a sampler whose package is not installed.
     """
     where = f"{source}: fit"
     names = [check_objective(name, f"{where}.objective") for name in tuning.objective]
@@ -78,16 +78,9 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     if isinstance(sampler, str) and sampler not in known:
         hint = suggestion(sampler, known)
         raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
-    if name in _PACKAGES and find_spec(_PACKAGES[name]) is None:
-        raise InputError(
-            f"{where}.sampler: {name} needs {_PACKAGES[name]}: pip install {_PACKAGES[name]}"
-        )
-    try:
-        make_sampler(tuning.model_copy(update={"sampler": sampler}), SearchSpace({}, {}), 0)
-    except TypeError as error:
-        raise InputError(
-            f"{where}.sampler: {name} needs arguments; pass an object in Python"
-        ) from error
+    package = _PACKAGES.get(name, "optuna")
+    if find_spec(package) is None:
+        raise InputError(f"{where}.sampler: {name} needs {package}: pip install {package}")
     seed = tuning.seed
     if fold is not None:
         seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
@@ -103,8 +96,8 @@ def sampler_name(sampler: Any) -> str:
 def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
     """Make the sampler of a study, or copy the one that is given.
 
-    - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers,
-      which keep no state, get another seed, so that a resumed study repeats no trial.
+    - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
+      keep no state, get another seed, so that a resumed study repeats no trial.
     """
     given = settings.sampler
     if not isinstance(given, str):
@@ -141,7 +134,8 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitS
     """
     total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
     n_before, is_first = len(study.get_trials(deepcopy=False)), True
-    study.sampler = make_sampler(settings, space, n_before)
+    with sampler_errors(settings.sampler):
+        study.sampler = make_sampler(settings, space, n_before)
     with quiet():
         while len(study.get_trials(deepcopy=False, states=complete)) < total:
             # Trials that a study begins with have their values.
@@ -165,7 +159,7 @@ def sampler_errors(sampler: Any) -> Iterator[None]:
     """Turn errors of a sampler that does not fit a study into InputError."""
     try:
         yield
-    except (ImportError, ValueError, RuntimeError) as error:
+    except (ImportError, TypeError, ValueError, RuntimeError) as error:
         raise InputError(f"fit.sampler: {sampler_name(sampler)}: {error}") from error
 
 

@@ -307,10 +307,10 @@ class Study:
             kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
             content |= {"graph": "./best.graph.yaml", "parameters": kept}
         write_yaml(place / "best.yaml", content)
-        if len(self.trials):
-            self.trials.to_parquet(place / "trials.parquet", index=False)
-        if len(self.profile):
-            self.profile.to_parquet(place / "profile.parquet", index=False)
+        for name, rows in (("trials", self.trials), ("profile", self.profile)):
+            (place / f"{name}.parquet").unlink(missing_ok=True)
+            if len(rows):
+                rows.to_parquet(place / f"{name}.parquet", index=False)
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
         write_json(place / STUDY_FILE, self.document)
@@ -421,10 +421,8 @@ def run_study(
         once, nothing = tuning.model_copy(update={"trials": 1}), [0.0] * len(tuning.objective)
         search(new_study(once), space, lambda point: nothing, once)
     else:
-        settings = {"learns": what_is_learned(first.model)}
-        settings |= first.experiment.fit.model_dump(
-            include={"labels", "strength", "trials", "seed"}
-        )
+        kept, of_fit = {"labels", "strength", "trials", "seed"}, first.experiment.fit
+        settings = {"learns": what_is_learned(first.model), **of_fit.model_dump(include=kept)}
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
     fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.
@@ -473,9 +471,8 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
                 " another one"
             )
         is_by_em = method == "learn" and what_is_learned(drive.model) != "rule"
-        without_labels = is_by_em and not e.fit.labels
-        without_labels |= method == "tune" and e.fit.objective == ("log_evidence",)
-        if method == "none" or without_labels:
+        is_of_lines = method == "tune" and e.fit.objective == ("log_evidence",)
+        if method == "none" or is_of_lines or (is_by_em and not e.fit.labels):
             continue
         if not drive.has_truth:
             what = "a search needs it" if method == "tune" else "learning needs it"

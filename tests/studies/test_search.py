@@ -102,12 +102,6 @@ def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
     assert best_trial(done).values[0] == max(t.values[0] for t in done.trials)
 
 
-REFUSED = {
-    "GPSampler": "needs torch: pip install torch",
-    "GridSampler": "needs arguments; pass an object in Python",
-}
-
-
 def test_a_sampler_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
         "egolane_pgm.studies.search.find_spec", lambda name: name != "torch" or None
@@ -118,9 +112,8 @@ def test_a_sampler_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch)
         settings_of(FitSettings(sampler="tpee"))
     with pytest.raises(InputError, match="evolution searches one objective; for accuracy, f1"):
         settings_of(FitSettings(objective=("accuracy", "f1"), sampler="evolution"))
-    for sampler, said in REFUSED.items():
-        with pytest.raises(InputError, match=f"fit.sampler: {sampler} {said}"):
-            settings_of(FitSettings(sampler=sampler))
+    with pytest.raises(InputError, match="GPSampler needs torch: pip install torch"):
+        settings_of(FitSettings(sampler="GPSampler"))
     with pytest.raises(InputError, match=r"sampler: BruteForceSampler: FloatDistribution\.step"):
         search_in_memory(SPACE, bowl, settings_of(FitSettings(sampler="BruteForceSampler")))
     with pytest.raises(ValueError, match="needs the name of a sampler"):
