@@ -22,11 +22,17 @@ from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntAr
 
 if TYPE_CHECKING:
     from egolane_pgm.model import Model
+    from egolane_pgm.result import Result
 
 
-def compiled_of(model: Compiled | Model) -> Compiled:
-    """Return the arrays of a model, or of a network that is compiled already."""
-    return model if isinstance(model, Compiled) else model.compiled
+def compiled_of(model: Compiled | Model | Result) -> Compiled:
+    """Return the arrays of a model, of a result, or of a network that is compiled already."""
+    found = getattr(model, "model", model)
+    found = getattr(found, "compiled", found)
+    if not isinstance(found, Compiled):
+        kind = type(model).__name__
+        raise InputError(f"model: {kind}: needs a Result, its model, or what `compile` returns")
+    return found
 
 
 def sample(
