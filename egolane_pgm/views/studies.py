@@ -22,16 +22,19 @@ from egolane_pgm.views.style import (
     new_figure,
     write_figures,
 )
-from egolane_pgm.views.tables import Table, cell, page, score_table, table, with_interval
+from egolane_pgm.views.tables import (
+    LOG_EVIDENCE,
+    Table,
+    cell,
+    page,
+    score_table,
+    table,
+    with_interval,
+)
 
 if TYPE_CHECKING:
     from egolane_pgm.studies.explore import Exploration
     from egolane_pgm.studies.study import Study
-
-#: The meaning of log evidence.
-LOG_EVIDENCE = """\
-It judges how well the graph describes the evidence, not the lanes: on the
-paper's recordings it ranked models in nearly the opposite order of held-out lanes."""
 
 _DOTS = "#8aa9c0"
 
@@ -66,7 +69,7 @@ def study_text(study: Study, style: str, wide: bool) -> str:
     if held_out is not None and "drive" in held_out.frames:
         parts += drive_parts(held_out)
     evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in scores.items()]
-    parts.append(f"mean log evidence per frame: {', '.join(evidence)}\n{LOG_EVIDENCE}")
+    parts.append(f"mean log evidence per frame: {', '.join(evidence)}\n({LOG_EVIDENCE})")
     values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
     if values:
         before = study.experiments[0].parameters

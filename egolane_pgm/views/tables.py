@@ -22,6 +22,12 @@ TUNED_ON = {
 #: The same in a narrow column.
 TUNED_ON_SHORT = {key: words.split(" (")[0] for key, words in TUNED_ON.items()}
 
+#: The meaning of log evidence, printed next to it.
+LOG_EVIDENCE = (
+    "log evidence judges how well a model describes the lines; on the paper's recordings it ranked"
+    " models nearly opposite to held-out lanes"
+)
+
 #: The scores of a result: the name in a table by the key in scores.json.
 SCORES = {
     "accuracy": "accuracy",
