@@ -43,7 +43,7 @@ def test_each_table_is_drawn_with_its_numbers() -> None:
     [
         ("sensor_failure", 2, 6),
         ("autoregressive", 8, 7),
-        ("wor_on_edge", 4, 6),
+        ("wor_on_lane", 4, 6),
         ("position_in_lane", 3, 4),
     ],
 )
