@@ -94,17 +94,17 @@ def make_profile(
         key = next(key for key in tried if key.partition("[")[0] == name)
         # The best value of the study belongs to the profile.
         values = np.unique([*values_of(space, name, score), tried[key].iloc[0]])
-        starts = []
+        starts, top = [], tried.iloc[0].to_dict()
         for value in values:
             away = (tried[key] - value).abs().argsort().to_numpy()
             close = np.sort(away[: max(5, len(tried) // 20)])[:3]
-            starts.append(tried.iloc[[*range(min(2, len(tried))), *close]].to_dict("records"))
+            starts.append(tried.iloc[close].to_dict("records"))
         for seed in range(PASSES):
             pairs = zip(values.tolist(), starts, strict=True)
             items = [(name, value, each, [tuning.seed, seed]) for value, each in pairs]
             found = parallel(work, items, jobs=jobs, cluster=cluster)
             best = list(bar(found, total=len(items), unit="value", desc=name))
-            starts = [best[max(k - 1, 0) : k + 2] for k in range(len(best))]
+            starts = [[*best[max(k - 1, 0) : k + 2], top] for k in range(len(best))]
         rows += [{"parameter": name, "value": value} for value in values]
         points += best
     beliefs_of, counts = [beliefs_at(drive) for drive in drives], []
