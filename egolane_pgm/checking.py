@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.inference.sampling import posterior_paths, predicted, sampled_states
-from egolane_pgm.result import Result
+from egolane_pgm.result import Result, as_result
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 #: The bins of predicted probabilities.
@@ -99,6 +99,7 @@ def check(
     >>> list(ego.check(result, n=50).index)
     ['lane changes per hour', 'share of SensorState BAD', 'mean run of SensorState BAD, s']
     """
+    result = as_result(result, "check")
     compiled, rate = result.model.compiled, result.frame_rate
     evidence = _evidence_of(result)
     posterior = Draws(posterior_paths(compiled, evidence, n, seed), rate)
@@ -145,6 +146,7 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     >>> ego.prediction_calibration(result).node.unique().tolist()
     ['DetectorOutput', 'WOR']
     """
+    result = as_result(result, "prediction_calibration")
     evidence = _evidence_of(result)
     tables = []
     for node, probability in predicted(result.model, evidence).items():

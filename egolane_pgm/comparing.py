@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,15 @@ import pandas as pd
 
 from egolane_pgm.drives import drive_key
 from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.result import TAG, Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
+from egolane_pgm.tools.options import several_of
 from egolane_pgm.types import InputError, IntArray
 
-ResultLike = Result | str | os.PathLike[str]
+#: A Result, a Study, or a directory.
+ResultLike = Any
 
 #: A drive, and per score its summands in each frame (`score_counts`).
 Counts = tuple[str, Mapping[str, Any]]
@@ -33,7 +35,7 @@ EVENT_SCORES = {
 
 
 def compare(
-    results: ResultLike | Iterable[ResultLike],
+    results: ResultLike | Sequence[ResultLike],
     *,
     of: str | None = None,
     by: str | None = None,
@@ -41,7 +43,7 @@ def compare(
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings.
 
-    - results: results, their directories, or folders of result directories.
+    - results: results, studies, their directories, or folders of result directories.
     - of: the sides of the comparison: a key of the experiment (`graph`, `parameters.sigma1`), a
       tag (`tag.driver`), `name`, `directory` (of the result) or `folder` (around it). By default
       the name if all results are of one recording, and the folder otherwise.
@@ -87,16 +89,19 @@ def compare(
     return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
 
 
-def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
-    """Results as given, or read from directories and from the directories below a folder.
+def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
+    """Results as given, or read from directories and from the directories below a folder; of a
+    Study its held-out result, or the in-sample one if nothing was held out.
 
     Results of a table of runs come in the order of the table.
     """
-    several = [results] if isinstance(results, (Result, str, os.PathLike)) else list(results)
     found: list[Result] = []
-    for each in several:
-        if isinstance(each, Result) or is_result(each):
-            found.append(each if isinstance(each, Result) else load_result(each))
+    for each in several_of(results):
+        if not isinstance(each, (str, os.PathLike)):
+            found.append(as_result(each, "results", held_out=True))
+            continue
+        if is_result(each):
+            found.append(load_result(each))
             continue
         folder = Path(each)
         below = sorted(file.parent for file in folder.glob("**/run.json"))
@@ -113,7 +118,10 @@ def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
 def _default_key(results: Sequence[Result]) -> str:
     if len({_recording(each) for each in results}) > 1:
         return "folder"
-    return "name" if len({each.name for each in results}) == len(results) else "directory"
+    # Held-out results of studies are all in directories `held_out`.
+    keys = ("name", "directory", "folder")
+    is_fit = (k for k in keys if len({_value(each, k) for each in results}) == len(results))
+    return next(is_fit, "directory")
 
 
 def _recording(result: Result) -> str:

@@ -214,6 +214,7 @@ def read_drives(
     """
     # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
+    experiment = experiment if model is None else model.experiment
     log, known, own_rate = read_recording(experiment, lines)
     recording, annotated = experiment.recording, experiment.ground_truth
     if truth is not None:

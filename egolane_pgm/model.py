@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -20,6 +20,7 @@ from egolane_pgm.inference.compile import (
     with_tables,
 )
 from egolane_pgm.inference.filtering import METHODS, harden, joint_input
+from egolane_pgm.loading import IN_MEMORY
 from egolane_pgm.parameters import Value, resolve_parameters, smoothing_defaults
 from egolane_pgm.plugins import (
     declared_parameters,
@@ -34,6 +35,12 @@ if TYPE_CHECKING:
 
 EvidenceRule = Callable[[LineLog], Evidence]
 
+#: The origin of tables that may have been fitted to any frames.
+UNKNOWN = "unknown"
+
+#: Values of `tuned_on`; a model with two origins has the last one.
+_ORIGINS = ("not_tuned", "other_frames", UNKNOWN, "same_frames")
+
 
 @dataclass(frozen=True, eq=False)
 class Model:
@@ -43,6 +50,8 @@ class Model:
     - parameters: the value of every declared parameter.
     - compiled: the graph with these values.
     - unused: evidence of the rule that the graph does not observe.
+    - learned_from: `recording_key` of the recording that the tables were fitted to; empty for
+      several recordings, None for tables that were not fitted.
     """
 
     experiment: Experiment
@@ -51,6 +60,7 @@ class Model:
     parameters: Mapping[str, Value]
     compiled: Compiled
     unused: frozenset[Observed]
+    learned_from: str | None = None
 
     @property
     def n_lanes(self) -> int:
@@ -65,7 +75,10 @@ class Model:
     @property
     def network(self) -> DynamicBayesianNetwork:
         """The graph in pgmpy, with these values and the names of the nodes' values."""
-        return self.compiled.network
+        network = self.compiled.network
+        if self.learned_from is not None:
+            network.graph["learned_from"] = self.learned_from
+        return network
 
     def __getstate__(self) -> dict[str, Any]:
         # Modules are not pickled, but loaded by the names in the experiment.
@@ -107,7 +120,11 @@ def compile_model(experiment: Experiment) -> Model:
         first = e.start_lane
         start = np.where(lane == first, 1.0, 0.0) if isinstance(first, int) else np.array(first)
         compiled = with_initial_lane(compiled, start)
-    return Model(experiment, rule, graph, parameters, compiled, unused)
+    learned = getattr(graph, "LEARNED_FROM", None)
+    if learned not in (None, UNKNOWN):
+        origins = (e.tuned_on, tuned_on(experiment, learned))
+        experiment = e.model_copy(update={"tuned_on": max(origins, key=_ORIGINS.index)})
+    return Model(experiment, rule, graph, parameters, compiled, unused, learned)
 
 
 def compile_graph(
@@ -202,13 +219,18 @@ def with_graph(experiment: Experiment, graph: str) -> Experiment:
     known = {DETECTOR, *(spec.name for spec in declared_parameters(rule, module))}
     kept = {name: value for name, value in experiment.parameters.items() if name in known}
     changes = {"graph": graph, "evidence": evidence, "parameters": kept}
-    learned = getattr(module, "LEARNED_FROM", None)
-    if learned in ("", "unknown"):
-        changes["tuned_on"] = "unknown"
-    elif learned is not None:
-        is_same = learned == recording_key(experiment)
-        changes["tuned_on"] = "same_frames" if is_same else "other_frames"
+    changes["tuned_on"] = tuned_on(experiment, getattr(module, "LEARNED_FROM", None))
     return experiment.model_copy(update=changes)
+
+
+def tuned_on(experiment: Experiment, learned_from: str | None) -> str:
+    """Return `tuned_on` for a graph with fitted tables; None keeps the experiment's."""
+    if learned_from is None:
+        return experiment.tuned_on
+    # Lines in memory have no name, so they may be others.
+    if learned_from in ("", UNKNOWN, IN_MEMORY):
+        return UNKNOWN
+    return "same_frames" if learned_from == recording_key(experiment) else "other_frames"
 
 
 def recording_key(experiment: Experiment) -> str:
@@ -217,6 +239,12 @@ def recording_key(experiment: Experiment) -> str:
     if recording.simulate is not None:
         return f"{recording.simulate}, seed {recording.seed}, {experiment.n_lanes} lanes"
     return str(recording.path)
+
+
+def training_key(experiments: Iterable[Experiment]) -> str:
+    """Return `Model.learned_from` of a fit to the recordings of some experiments."""
+    keys = {*map(recording_key, experiments)}
+    return keys.pop() if len(keys) == 1 else ""
 
 
 def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: str) -> str:

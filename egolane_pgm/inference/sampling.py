@@ -9,7 +9,7 @@ evidence of all frames).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -20,17 +20,24 @@ from egolane_pgm.inference.kernels.draws import draw_backward, draw_forward
 from egolane_pgm.inference.smoothing import pass_forward
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
-if TYPE_CHECKING:
-    from egolane_pgm.model import Model
+#: A network as `compile` returns it, a model, or anything with one: a result, a study.
+HasModel = Any
 
 
-def compiled_of(model: Compiled | Model) -> Compiled:
-    """Return the arrays of a model, or of a network that is compiled already."""
-    return model if isinstance(model, Compiled) else model.compiled
+def compiled_of(model: HasModel) -> Compiled:
+    """Return the arrays of a network or model. Raises InputError for anything else."""
+    inner = getattr(model, "model", model)
+    found = getattr(inner, "compiled", inner)
+    if not isinstance(found, Compiled):
+        raise InputError(
+            f"{type(model).__name__} has no compiled network; give a result, a study, a model, or a"
+            " network from ego.compile"
+        )
+    return found
 
 
 def sample(
-    model: Compiled | Model,
+    model: HasModel,
     n_frames: int,
     seed: int,
     *,
@@ -89,7 +96,7 @@ def sampled_states(
 
 
 def posterior_paths(
-    model: Compiled | Model,
+    model: HasModel,
     evidence: Evidence,
     n: int,
     seed: int,
@@ -123,7 +130,7 @@ def posterior_paths(
 
 
 def predicted(
-    model: Compiled | Model, evidence: Evidence, *, is_first: BoolArray | None = None
+    model: HasModel, evidence: Evidence, *, is_first: BoolArray | None = None
 ) -> dict[str, FloatArray]:
     """Return P(observed node | evidence of earlier frames), before the node's own evidence.
 

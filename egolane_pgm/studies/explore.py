@@ -24,7 +24,7 @@ from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
 from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import Model, make_evidence
+from egolane_pgm.model import Model, make_evidence, training_key
 from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies.em import fit_tables
@@ -380,7 +380,9 @@ def explore(
     ).sort_values("score", ascending=False, ignore_index=True)
     best, nothing = chosen[0], first.found[frozenset()]
     compiled, *_ = fitted(problem, best, everything(problem.drives))
-    gain, model = gain_of(first.found[best], nothing), replace(problem.model, compiled=compiled)
+    origin = training_key(drive.experiment for drive in problem.drives)
+    model = replace(problem.model, compiled=compiled, learned_from=origin)
+    gain = gain_of(first.found[best], nothing)
     done = Exploration(table, structures, best, gain, model, problem.judge, directory)
     if directory is not None:
         done.save(directory)

@@ -28,6 +28,8 @@ def explore(
     experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
     graph: options.Graph = None,
+    ground_truth: options.TruthInMemory = None,
+    n_lanes: options.LanesInMemory = None,
     overrides: options.Overrides = (),
     judge: Literal["log_loss", "accuracy", "log_evidence", "bic"] = "log_loss",
     edge: Annotated[Sequence[str], Option("EDGE")] = (),
@@ -43,8 +45,10 @@ def explore(
     (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
     `fit.trials` by an Optuna study in which each edge is on or off.
 
-    - experiments: one, or a list: experiments or results, of the same number of lanes.
+    - experiments: one, or a list: experiments, results, studies or lines, of the same number of
+      lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
+    - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
     - judge: what counts: log_loss or accuracy of Lane, or log_evidence of the lines, in held-out
       frames; or bic of all frames.
@@ -65,7 +69,7 @@ def explore(
     >>> found.edges.columns[:3].tolist()
     ['edge', 'change', 'gain']
     """
-    name, inputs = open_studied(experiments, overrides, graph)
+    name, inputs = open_studied(experiments, overrides, graph, ground_truth, n_lanes)
     drives = [drive for each in inputs for drive in each.drives()]
     fit, nodes = inputs[0].experiment.fit, []
     for text in node:
@@ -92,8 +96,8 @@ def explore(
         # Pictures are slow to import.
         from egolane_pgm.views.network import write_network
 
-        write_network(found.model.compiled, place / "best.bif")
-        write_network(found.model.compiled, place / "best.png", found.gains)
+        write_network(found.model, place / "best.bif")
+        write_network(found.model, place / "best.png", found.gains)
     return found
 
 

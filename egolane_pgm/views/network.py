@@ -15,6 +15,7 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangl
 
 from egolane_pgm.graphs.cpds import SliceNode, bif, ve_name
 from egolane_pgm.inference.compile import Compiled
+from egolane_pgm.inference.sampling import HasModel, compiled_of
 from egolane_pgm.model import Model
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
@@ -70,15 +71,16 @@ def structure_of(compiled: Compiled) -> Structure:
     return Structure(kind, list(dict.fromkeys(within)), across)
 
 
-def write_network(compiled: Compiled, path: Path, gains: Gains | None = None) -> None:
+def write_network(network: Model | Compiled, path: Path, gains: Gains | None = None) -> None:
     """Write a picture of a network, or both slices with their tables, as BIF (.bif).
 
     - gains: see `network_figure`.
 
     Raises InputError for a file that cannot be written.
     """
+    compiled, origin = compiled_of(network), getattr(network, "learned_from", None)
     if path.suffix.lower() == ".bif":
-        write_text(path, bif(compiled.tables.values(), compiled.values))
+        write_text(path, bif(compiled.tables.values(), compiled.values, origin))
     else:
         write_figure(lambda: network_figure(structure_of(compiled), gains), path)
 
@@ -86,10 +88,11 @@ def write_network(compiled: Compiled, path: Path, gains: Gains | None = None) ->
 # --- the picture ---------------------------------------------------------------------------------
 
 
-def draw_network(network: Model | Compiled) -> Figure:
+def draw_network(network: HasModel) -> Figure:
     """Draw the two slices of a network: hidden, observed, input and function nodes.
 
-    - network: the model of a run, or a network as `compile` returns it.
+    - network: the model of a run, anything with one (a result, a study), or a network as `compile`
+      returns it.
 
     Raises InputError for a network without nodes or with a cycle.
 
@@ -97,7 +100,7 @@ def draw_network(network: Model | Compiled) -> Figure:
     >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
     >>> figure = ego.draw_network(run.model)
     """
-    compiled = network if isinstance(network, Compiled) else network.compiled
+    compiled = compiled_of(network)
     return inline_figure(lambda: network_figure(structure_of(compiled)))
 
 
