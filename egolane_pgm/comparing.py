@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import os
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +13,14 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import drive_key
-from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.experiment import DETECTOR
+from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.tools.options import several_of
-from egolane_pgm.types import InputError, IntArray
+from egolane_pgm.types import NOTE, InputError, IntArray
 
 #: A Result, a Study, or a directory.
 ResultLike = Any
@@ -53,7 +56,8 @@ def compare(
     Returns a row per value of `by` and `of`: each score (the mean over the recordings) with its
     95 % interval, and the difference to the first row with a paired interval over the same
     resamples; recordings of one drive are resampled together. `tuned_on` tells in-sample rows
-    apart. Raises InputError unless all rows have the same recordings.
+    apart. For `log_evidence`, `free_parameters` and `bic` see `_log_evidence`; results without
+    ground truth have only these. Raises InputError unless all rows have the same recordings.
     """
     given = open_results(results)
     if not given:
@@ -62,24 +66,35 @@ def compare(
         if name is not None and all(_value(each, name) is None for each in given):
             raise InputError(f"{option}: no result has a value of {name}")
     rows, key = [], of or _default_key(given)
+    has_truth = any(each.truth is not None for each in given)
     for group, members in _groups(given, by).items():
-        sides = {str(name): _by_recording(s, name) for name, s in _groups(members, key).items()}
+        sides = {
+            str(name): _by_recording(side, name, has_truth)
+            for name, side in _groups(members, key).items()
+        }
         first = next(iter(sides.values()))
         nodes = [(name, side, "Lane") for name, side in sides.items()]
         if detector and all("detector" in each.scores for each in first.values()):
             nodes.append(("detector alone", first, "detector"))
-        of_first = _counts([*first.values()], "Lane")
-        for name, side, node in nodes:
+        for name, side in sides.items():
             if side.keys() != first.keys():
                 raise InputError(f"{key} {name}: has other recordings, frames or labels")
+        of_first = _counts([*first.values()], "Lane") if has_truth else []
+        evidence = _log_evidence(
+            [[side[recording] for recording in first] for side in sides.values()]
+        )
+        for name, side, node in nodes:
             aligned = [side[recording] for recording in first]
-            counts = _counts(aligned, node)
             row = {} if by is None else {by: group}
-            row |= {key: name, "recordings": len(aligned), **_intervals(counts)}
-            if side is not first or node != "Lane":
-                row |= _intervals(counts, of_first)
+            row |= {key: name, "recordings": len(aligned)}
+            if has_truth:
+                counts = _counts(aligned, node)
+                row |= _intervals(counts)
+                if side is not first or node != "Lane":
+                    row |= _intervals(counts, of_first)
             row["tuned_on"] = ""
             if node == "Lane":
+                row |= next(evidence)
                 # The means of the defined scores of lane changes.
                 table = pd.DataFrame([numbers(each.scores) for each in aligned])
                 means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
@@ -132,8 +147,8 @@ def _recording(result: Result) -> str:
 
 def _value(result: Result, key: str | None) -> Any:
     """The value of a key; a plugin in a file is named by the file's stem."""
-    if key is None:
-        return None
+    if key is None or key == "name":
+        return key and result.name
     if key in ("folder", "directory"):
         place = result.directory
         if place is None:
@@ -167,11 +182,11 @@ def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
     return frames, truth
 
 
-def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
-    """Results by their recordings, which are identified by file, frames and labels."""
+def _by_recording(results: Sequence[Result], side: Any, has_truth: bool) -> dict[str, Result]:
+    """Results by their recordings, which are identified by file, annotated frames and labels."""
     found: dict[str, Result] = {}
     for result in results:
-        _, truth = _kept(result)
+        truth = _kept(result)[1] if has_truth else pd.DataFrame()
         key = f"{_recording(result)} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
@@ -215,3 +230,73 @@ def _intervals(
         label = name if minus is None else f"{name}_difference"
         cells |= {label: found.estimate, f"{label}_low": found.low, f"{label}_high": found.high}
     return cells
+
+
+# --- log evidence --------------------------------------------------------------------------------
+
+
+def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]:
+    """Yield the cells of log evidence of each side, in order.
+
+    - sides: per side its results, of the same recordings.
+
+    `log_evidence` is the mean over the frames that all sides have and none calls impossible, nats,
+    with its interval and the difference to the first side. `bic` is the sum over these frames less
+    half the logarithm of their number for each of the `free_parameters`, so larger is better; held
+    out frames need no such penalty and have none. Both are the mean over the recordings. They are
+    missing, with a warning, if the sides have different evidence.
+    """
+    why = ""
+    if not all("free_parameters" in each.run for side in sides for each in side):
+        why = "a result was written by an older version; run it again"
+    elif len({tuple(map(_evidence_key, side)) for side in sides}) > 1:
+        why = "the rows differ in evidence rule, its parameters or the observed nodes"
+    if why:
+        warnings.warn(f"{NOTE}log evidence is not compared: {why}", UserWarning, stacklevel=3)
+        yield from ({} for _ in sides)
+        return
+    common: list[pd.Index] = []
+    timeline: dict[str, pd.Index] = {}
+    drives = [drive_key(each.experiment, each.run["data"]) for each in sides[0]]
+    for drive, results in zip(drives, zip(*sides, strict=True), strict=True):
+        tables = [_of_each_frame(each.frames) for each in results]
+        index = functools.reduce(pd.Index.intersection, [table.index for table in tables])
+        kept = ~np.any([table.loc[index, "is_impossible"] for table in tables], axis=0)
+        common.append(index[kept])
+        timeline[drive] = timeline.get(drive, index).union(index)
+    of_first: list[Counts] = []
+    for side in sides:
+        counts: list[Counts] = []
+        bic = []
+        for drive, result, index in zip(drives, side, common, strict=True):
+            values = _of_each_frame(result.frames).loc[index, "log_evidence"].to_numpy()
+            summands = np.zeros((len(timeline[drive]), 2))
+            summands[timeline[drive].get_indexer(index)] = np.stack([values, values**0], axis=1)
+            counts.append((drive, {"log_evidence": summands}))
+            penalty = result.run["free_parameters"] / 2 * np.log(len(values))
+            bic.append(values.sum() - penalty)
+        cells: dict[str, Any] = _intervals(counts)
+        cells |= _intervals(counts, of_first) if of_first else {}
+        of_first = of_first or counts
+        cells["free_parameters"] = float(np.mean([each.run["free_parameters"] for each in side]))
+        if all(each.run["tuned_on"] != "other_frames" for each in side):
+            cells["bic"] = float(np.mean(bic))
+        yield cells
+
+
+def _of_each_frame(frames: pd.DataFrame) -> pd.DataFrame:
+    """Log evidence and flags by frame id, and by drive if there are several."""
+    keys = [*(["drive"] if "drive" in frames else []), "frame_id"]
+    return frames.reset_index().set_index(keys)[["log_evidence", "is_impossible"]]
+
+
+def _evidence_key(result: Result) -> str:
+    """A text that is equal for results with the same evidence, up to their graphs."""
+    e, run = result.experiment, result.run
+    rule = load_plugin("evidence", e.evidence, f"{result.name}: evidence")
+    names = {spec.name for spec in getattr(rule, "PARAMETERS", ())}
+    fits = [run["config"]["parameters"], *run.get("fitted", ())]
+    own = [{k: v for k, v in each.items() if k in names or DETECTOR in k} for each in fits]
+    source = Path(e.evidence).read_text() if e.evidence.endswith(OWN_FILES) else e.evidence
+    recording = e.recording.model_dump(exclude={"path", "frames"})
+    return str((source, e.evidence_mode, [*filter(None, own)], recording, run["observed"]))

@@ -19,6 +19,7 @@ from egolane_pgm.inference.compile import (
     with_initial_lane,
     with_tables,
 )
+from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import METHODS, harden, joint_input
 from egolane_pgm.loading import IN_MEMORY
 from egolane_pgm.parameters import Value, resolve_parameters, smoothing_defaults
@@ -262,6 +263,22 @@ def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: s
     known = {*seen, *getattr(graph, "UNUSED", ())}
     fits = (n for n, rule in rules.items() if seen <= {*getattr(rule, "PROVIDES", seen)} <= known)
     return next(fits, first)
+
+
+def free_parameters(model: Model, *, is_learned: bool = False) -> int:
+    """Return the number of free parameters of a model: the searched numbers of its rule and graph.
+
+    Of a graph without parameters the free entries of its tables count: those above zero but one of
+    each row.
+
+    - is_learned: whether the tables of a graph with parameters were fitted themselves.
+    """
+    own = () if is_learned else getattr(model.graph, "PARAMETERS", ())
+    specs = {spec.name: spec for spec in (*getattr(model.rule, "PARAMETERS", ()), *own)}
+    total = sum(np.size(model.parameters[n]) for n, spec in specs.items() if spec.is_searched)
+    for table in () if own else counted_tables(model.compiled).values():
+        total += int(np.maximum((table.values > 0).sum(axis=-1) - 1, 0).sum())
+    return total
 
 
 # --- evidence ------------------------------------------------------------------------------------

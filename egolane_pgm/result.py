@@ -27,7 +27,13 @@ from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
+from egolane_pgm.model import (
+    Model,
+    compile_model,
+    free_parameters,
+    make_evidence,
+    why_not_causal,
+)
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
@@ -458,6 +464,8 @@ def make_result(
         "frame_rate": rate,
         "n_lanes": widest.n_lanes,
         "values": widest.values,
+        "observed": [str(key) for key in model.compiled.observed],
+        "free_parameters": free_parameters(model),
         "frames": len(frames),
         "tuned_on": model.experiment.tuned_on,
         "is_causal": not reasons,

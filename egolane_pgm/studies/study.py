@@ -20,7 +20,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import DETECTOR, Experiment, resolved
-from egolane_pgm.model import Model, training_key
+from egolane_pgm.model import Model, free_parameters, training_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
@@ -346,10 +346,16 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
+    keys["free_parameters"] = free_numbers(apply_fit(drives[0].model, fitted[0]), fitted[0])
     if fit != "none":
         keys["tuned_on"] = "other_frames"
     notes = [*notes, *found]
     return make_result(drives[0].experiment, drives, frames, notes, begin=begin, **keys)
+
+
+def free_numbers(model: Model, fitted: Fitted) -> int:
+    """The number of free parameters of a model with a fit; see `model.free_parameters`."""
+    return free_parameters(model, is_learned=any(name.startswith(TABLES) for name in fitted))
 
 
 def run_held_out(
@@ -428,6 +434,7 @@ def run_study(
         notes,
         begin=begin,
         tuned_on="same_frames",
+        free_parameters=free_numbers(fitted_drives[0].model, whole),
     )
     model = replace(fitted_drives[0].model, learned_from=training_key(experiments))
     # The experiment alone would give the model before the fit.

@@ -35,7 +35,7 @@ def mean_counts(values: np.ndarray, is_counted: np.ndarray | None = None) -> np.
     return np.stack([values * counted, counted], axis=1)
 
 
-accuracy, macro_f1, ratio = INTERVAL_STATISTICS.values()
+accuracy, macro_f1, ratio, _ = INTERVAL_STATISTICS.values()
 
 
 def confusion_counts(
