@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -29,7 +29,15 @@ from egolane_pgm.plugins import (
     plugin_errors,
     plugin_names,
 )
-from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog, Observed, problems_in
+from egolane_pgm.types import (
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    LineLog,
+    Observed,
+    problems_in,
+)
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
@@ -158,12 +166,21 @@ def compile_graph(
                 f" {', '.join(map(str, provides)) or 'nothing (it has no PROVIDES)'}, the graph has"
                 f" {', '.join(sorted(nodes))}"
             )
+    bounds = getattr(graph, "BOUNDS", {})
+    inputs = tuple(dict.fromkeys((*inputs, *bounds)))
     roles = {"observed": observed, "inputs": inputs, "values": getattr(graph, "VALUES", {})}
     if network is None:
         with plugin_errors(graph, "graph"):
             tables = graph.tables(n_lanes, parameters)
-        return compile_tables(tables, hidden=graph.HIDDEN, **roles), unused
-    return compile(network, hidden=getattr(graph, "HIDDEN", None), **roles), unused
+        compiled = compile_tables(tables, hidden=graph.HIDDEN, **roles)
+    else:
+        compiled = compile(network, hidden=getattr(graph, "HIDDEN", None), **roles)
+    for name, cuts in bounds.items():
+        if not (np.isfinite(cuts).all() and (np.diff(cuts) > 0).all()):
+            raise InputError(f"BOUNDS: {name}: {tuple(cuts)} do not increase")
+        if (n_values := compiled.cardinality[name]) != len(cuts) + 1:
+            raise InputError(f"BOUNDS: {name} has {n_values} values, needs {len(cuts) + 1}")
+    return compiled, unused
 
 
 def build_network(
@@ -335,12 +352,44 @@ def make_evidence(
         likelihoods = {k: v.copy() for k, v in likelihoods.items()}
         for values in likelihoods.values():
             values[log.is_missing] = 1.0
-    used = Evidence(likelihoods, given.inputs)
+    bounds = getattr(model.graph, "BOUNDS", {})
+    own = {name: input_of(log, name, cuts) for name, cuts in bounds.items()}
+    used = Evidence(likelihoods, {**given.inputs, **own})
     with problems_in(str(file)):
         joint_input(model.compiled, used)
     if model.experiment.evidence_mode == "hard":
         used = harden(used)
     return used, tentative
+
+
+def input_of(log: LineLog, name: str, bounds: Sequence[float]) -> IntArray:
+    """Return the values of an input that is a column of the recording, (T,): the number of bounds
+    that are not larger. Raises InputError for a missing column and for an empty cell."""
+    if name not in log.covariates:
+        raise InputError(
+            f"{log.source}: no column {name}, an input of the graph; name it in recording.columns,"
+            f" {name}=COLUMN"
+        )
+    values = log.covariates[name]
+    if (is_empty := np.isnan(values)).any():
+        frame = log.frame_id[is_empty.argmax()]
+        raise InputError(
+            f"{log.source}: frame {frame}: {name} is empty; an input needs a value in every frame"
+        )
+    return np.searchsorted(bounds, values, side="right")
+
+
+def with_inputs(experiment: Experiment, graph: ModuleType | None = None) -> Experiment:
+    """Return the experiment whose `recording.columns` also name the graph's inputs (BOUNDS).
+
+    - graph: the module, if it is loaded.
+    """
+    module = graph or load_plugin("graphs", experiment.graph, f"{experiment.source}: graph")
+    if not (names := {name: name for name in getattr(module, "BOUNDS", {})}):
+        return experiment
+    columns = {**names, **(experiment.recording.columns or {})}
+    recording = experiment.recording.model_copy(update={"columns": columns})
+    return experiment.model_copy(update={"recording": recording})
 
 
 def why_not_causal(model: Model) -> list[str]:

@@ -35,6 +35,7 @@ from egolane_pgm.model import (
     why_not_causal,
 )
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.columns import COLUMNS as COLUMNS_OF_LINES
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
@@ -312,7 +313,9 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
         table["drive"] = experiment.name
     logs = {}
     for name, part in table.groupby("drive", sort=False):
-        log = lines_of(part.drop(columns="drive"), frame_rate=recording.frame_rate, path=file)
+        part = part.drop(columns="drive")
+        covariates: Any = {name: name for name in part if name not in COLUMNS_OF_LINES} or None
+        log = lines_of(part, frame_rate=recording.frame_rate, path=file, columns=covariates)
         logs[str(name)] = fill_missing(log, recording.missing_frames, recording.frame_rate)
     return logs
 

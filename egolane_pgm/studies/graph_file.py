@@ -95,6 +95,7 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
         "hidden": list(compiled.hidden),
         "observed": [list(key) if isinstance(key, tuple) else key for key in compiled.observed],
         "inputs": list(compiled.inputs),
+        "bounds": {k: list(v) for k, v in getattr(model.graph, "BOUNDS", {}).items()},
         "unused": [list(k) if isinstance(k, tuple) else k for k in sorted(model.unused, key=str)],
         "tables": {
             name: _rows(by_node[name, 1])
@@ -104,7 +105,7 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
             if name not in compiled.inputs
         },
     }
-    return {key: value for key, value in content.items() if value not in ([], None)}
+    return {key: value for key, value in content.items() if value not in ([], {}, None)}
 
 
 def _rows(table: Table) -> dict[str, Any]:
