@@ -6,6 +6,7 @@ import functools
 import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -113,7 +114,12 @@ def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
     found: list[Result] = []
     for each in several_of(results):
         if not isinstance(each, (str, os.PathLike)):
-            found.append(as_result(each, "results", held_out=True))
+            result = as_result(each, "results")
+            if result is not each:
+                result = result if each.held_out is None else each.held_out
+                name = {"name": each.experiment()["name"]}
+                result = replace(result, experiment=result.experiment.model_copy(update=name))
+            found.append(result)
             continue
         if is_result(each):
             found.append(load_result(each))
@@ -259,7 +265,7 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
     timeline: dict[str, pd.Index] = {}
     drives = [drive_key(each.experiment, each.run["data"]) for each in sides[0]]
     for drive, results in zip(drives, zip(*sides, strict=True), strict=True):
-        tables = [_of_each_frame(each.frames) for each in results]
+        tables = [_by_frame(each) for each in results]
         index = functools.reduce(pd.Index.intersection, [table.index for table in tables])
         kept = ~np.any([table.loc[index, "is_impossible"] for table in tables], axis=0)
         common.append(index[kept])
@@ -269,7 +275,7 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
         counts: list[Counts] = []
         bic = []
         for drive, result, index in zip(drives, side, common, strict=True):
-            values = _of_each_frame(result.frames).loc[index, "log_evidence"].to_numpy()
+            values = _by_frame(result).loc[index, "log_evidence"].to_numpy()
             summands = np.zeros((len(timeline[drive]), 2))
             summands[timeline[drive].get_indexer(index)] = np.stack([values, values**0], axis=1)
             counts.append((drive, {"log_evidence": summands}))
@@ -284,10 +290,10 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
         yield cells
 
 
-def _of_each_frame(frames: pd.DataFrame) -> pd.DataFrame:
-    """Log evidence and flags by frame id, and by drive if there are several."""
-    keys = [*(["drive"] if "drive" in frames else []), "frame_id"]
-    return frames.reset_index().set_index(keys)[["log_evidence", "is_impossible"]]
+def _by_frame(result: Result) -> pd.DataFrame:
+    """The frames by id, and by drive if there are several."""
+    frames = result.frames
+    return frames.set_index("drive", append=True) if "drive" in frames else frames
 
 
 def _evidence_key(result: Result) -> str:

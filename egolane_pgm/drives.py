@@ -237,7 +237,6 @@ def read_drives(
     for frames in [slice(None)] if log.clip is None else clip_slices(log.clip):
         clip = log.take(frames)
         name = experiment.name if clip.clip is None else str(clip.clip[0])
-        clip = replace(clip, clip=None)
         if recording.missing_frames != "skip":
             clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
         if model is None:

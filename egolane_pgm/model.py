@@ -44,11 +44,8 @@ if TYPE_CHECKING:
 
 EvidenceRule = Callable[[LineLog], Evidence]
 
-#: The origin of tables that may have been fitted to any frames.
-UNKNOWN = "unknown"
-
 #: Values of `tuned_on`; a model with two origins has the last one.
-_ORIGINS = ("not_tuned", "other_frames", UNKNOWN, "same_frames")
+_ORIGINS = ("not_tuned", "other_frames", "unknown", "same_frames")
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +57,7 @@ class Model:
     - compiled: the graph with these values.
     - unused: evidence of the rule that the graph does not observe.
     - learned_from: `recording_key` of the recording that the tables were fitted to; empty for
-      several recordings, None for tables that were not fitted.
+      several recordings, None for tables of the graph.
     """
 
     experiment: Experiment
@@ -130,7 +127,7 @@ def compile_model(experiment: Experiment) -> Model:
         start = np.where(lane == first, 1.0, 0.0) if isinstance(first, int) else np.array(first)
         compiled = with_initial_lane(compiled, start)
     learned = getattr(graph, "LEARNED_FROM", None)
-    if learned not in (None, UNKNOWN):
+    if learned not in (None, "unknown"):
         origins = (e.tuned_on, tuned_on(experiment, learned))
         experiment = e.model_copy(update={"tuned_on": max(origins, key=_ORIGINS.index)})
     return Model(experiment, rule, graph, parameters, compiled, unused, learned)
@@ -246,8 +243,8 @@ def tuned_on(experiment: Experiment, learned_from: str | None) -> str:
     if learned_from is None:
         return experiment.tuned_on
     # Lines in memory have no name, so they may be others.
-    if learned_from in ("", UNKNOWN, IN_MEMORY):
-        return UNKNOWN
+    if learned_from in ("", "unknown", IN_MEMORY):
+        return "unknown"
     return "same_frames" if learned_from == recording_key(experiment) else "other_frames"
 
 
@@ -282,15 +279,13 @@ def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: s
     return next(fits, first)
 
 
-def free_parameters(model: Model, *, is_learned: bool = False) -> int:
+def free_parameters(model: Model) -> int:
     """Return the number of free parameters of a model: the searched numbers of its rule and graph.
 
-    Of a graph without parameters the free entries of its tables count: those above zero but one of
-    each row.
-
-    - is_learned: whether the tables of a graph with parameters were fitted themselves.
+    Of a graph without parameters, and of fitted tables, the free entries of the tables count: those
+    above zero but one of each row.
     """
-    own = () if is_learned else getattr(model.graph, "PARAMETERS", ())
+    own = () if model.learned_from is not None else getattr(model.graph, "PARAMETERS", ())
     specs = {spec.name: spec for spec in (*getattr(model.rule, "PARAMETERS", ()), *own)}
     total = sum(np.size(model.parameters[n]) for n, spec in specs.items() if spec.is_searched)
     for table in () if own else counted_tables(model.compiled).values():

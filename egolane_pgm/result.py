@@ -13,7 +13,7 @@ import os
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cached_property
 from importlib import metadata
@@ -240,18 +240,12 @@ class Result:
         return config
 
 
-def as_result(given: Any, what: str, *, held_out: bool = False) -> Result:
-    """A Result; of a Study the in-sample result, or with `held_out` the held-out one if it has one.
-
-    - what: the argument, for the InputError for anything else.
-    """
-    if isinstance(given, Result):
-        return given
-    if not isinstance(found := getattr(given, "in_sample", None), Result):
+def as_result(given: Any, what: str) -> Result:
+    """A Result, or the in-sample result of a Study; `what` is the argument, for the InputError."""
+    found = getattr(given, "in_sample", given)
+    if not isinstance(found, Result):
         raise InputError(f"{what}: {type(given).__name__} is neither a result nor a study")
-    found = given.held_out if held_out and given.held_out is not None else found
-    name = {"name": given.experiment()["name"]}
-    return replace(found, experiment=found.experiment.model_copy(update=name))
+    return found
 
 
 # --- directories ---------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, overload
 
-import numpy as np
 import pandas as pd
 from annotated_types import Ge
 
@@ -247,12 +246,12 @@ def open_input(
                 " experiments, and the study as graph"
             )
         fitted = make_experiment(given.experiment(), given.name)
-        is_learned = any(name.startswith("tables.") for name in given.fitted)
-        graph, given = given if graph is None and is_learned else graph, given.in_sample
+        is_learned = graph is None and given.model.learned_from is not None
+        graph, given = given if is_learned else graph, given.in_sample
     if isinstance(given, Result):
         found = given.experiment if fitted is None else fitted
         if found.recording.path == IN_MEMORY:
-            lines = joined_lines(given)
+            lines = LineLog.concat([*given.lines.values()])
             truth = given.truth if truth is None else truth
         given = found
     of_recording = {key: value for key, value in (recording or {}).items() if value}
@@ -275,14 +274,6 @@ def open_input(
     in_memory = None if isinstance(lines, (str, os.PathLike)) else lines
     # A file is in the experiment; "none" also drops the truth that a simulated drive has.
     return Input(loaded, in_memory, truth if name in (None, "none") else None)
-
-
-def joined_lines(result: Result) -> LineLog:
-    """The lines of all drives of a result in memory: segments of one road, or clips."""
-    logs = result.lines
-    if len(logs) > 1 and result.experiment.road is None:
-        logs = {name: replace(log, clip=np.full(len(log), name)) for name, log in logs.items()}
-    return LineLog.concat([*logs.values()])
 
 
 def is_lines(given: Any) -> bool:

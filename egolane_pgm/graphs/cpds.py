@@ -239,12 +239,8 @@ def flat_network(
         return network
 
 
-def bif(
-    tables: Iterable[Table], values: Mapping[str, Sequence[str]], learned_from: str | None = None
-) -> str:
+def bif(tables: Iterable[Table], values: Mapping[str, Sequence[str]]) -> str:
     """Return two slices as BIF, without loss: nodes are `Lane_0` and `Lane_1`.
-
-    - learned_from: the recording that the tables were fitted to, for a comment in the first line.
 
     Raises InputError, naming the node, for names that the format cannot hold.
     """
@@ -259,8 +255,7 @@ def bif(
     with quiet():
         from pgmpy.readwrite import BIFWriter
 
-        comment = "" if learned_from is None else f"// learned_from: {learned_from}\n"
-        return f"{comment}{BIFWriter(network)}"
+        return str(BIFWriter(network))
 
 
 def check_tables(tables: Iterable[Table]) -> None:

@@ -269,11 +269,6 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
     module = ModuleType(name)
     with problems_in(where):
         network = read_file(path)
-    # Without a comment its numbers may come from any frames.
-    origin = re.match(r"// learned_from: *(.*)\n", read_text(path))
-    module.__dict__.update(
-        __file__=str(path),
-        build=lambda n_lanes, parameters: network,
-        LEARNED_FROM=origin[1] if origin else "unknown",
-    )
+    module.__dict__.update(__file__=str(path), build=lambda n_lanes, parameters: network)
+    module.__dict__["LEARNED_FROM"] = "unknown"  # Its numbers may come from any frames.
     return module

@@ -154,9 +154,8 @@ class _Table:
         cells = self.data[theirs]
         cells = cells.astype("Float64") if pd.api.types.is_bool_dtype(cells) else cells
         values = to_numbers(self.path, ours, cells, theirs, self.row)
-        same = np.nan_to_num(values, nan=np.inf) == np.nan_to_num(
-            values[starts][np.cumsum(starts) - 1], nan=np.inf
-        )
+        first = values[starts][np.cumsum(starts) - 1]
+        same = (values == first) | (np.isnan(values) & np.isnan(first))
         self.refuse(~same, f"{theirs} differs from the row before, of the same frame")
         return values[starts]
 

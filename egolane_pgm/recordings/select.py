@@ -71,6 +71,7 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
         is_continuous=~empty & log.is_continuous[before],
         lri=np.where(empty, np.nan, log.lri[before]),
         is_missing=np.where(is_new, policy == "predict", log.is_missing[before]),
+        clip=None if log.clip is None else log.clip[before],
         covariates={name: values[before] for name, values in log.covariates.items()},
     )
 

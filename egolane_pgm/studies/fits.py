@@ -102,7 +102,8 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
             for name, table in _by_name(start, counted_tables(start)).items()
             if name in tables
         }
-        model = replace(model, compiled=em.with_learned(start, learned))
+        # `run_study` knows the recordings.
+        model = replace(model, compiled=em.with_learned(start, learned), learned_from="")
     return model
 
 

@@ -16,7 +16,7 @@ from typing import Any
 from egolane_pgm.experiment import Experiment
 from egolane_pgm.graphs.cpds import Table
 from egolane_pgm.inference.compile import LANES
-from egolane_pgm.model import UNKNOWN, Model, compile_graph, matching_evidence_rule
+from egolane_pgm.model import Model, compile_graph, matching_evidence_rule
 from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import InputError, problems_in
@@ -43,7 +43,7 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         return os.path.abspath(str(graph.__file__))
     if isinstance(model := getattr(graph, "model", graph), Model):
         # Parameters without fitted tables may have been tuned on any frames.
-        origin = UNKNOWN if model.learned_from is None else model.learned_from
+        origin = "unknown" if model.learned_from is None else model.learned_from
         return _written(replace(model, learned_from=origin), "the graph of a model in memory")
     if not hasattr(graph, "get_cpds"):
         kind = type(graph).__name__
@@ -55,7 +55,7 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         evidence = matching_evidence_rule(module, n_lanes, experiment.evidence, "network")
         rule = load_plugin("evidence", evidence, "evidence")
         compiled, unused = compile_graph(rule, module, n_lanes, {})
-    origin = graph.graph.get("learned_from", UNKNOWN)
+    origin = graph.graph.get("learned_from", "unknown")
     model = Model(experiment, rule, module, {}, compiled, unused, origin)
     return _written(model, "a network of pgmpy that was in memory")
 

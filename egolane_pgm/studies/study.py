@@ -346,16 +346,11 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
-    keys["free_parameters"] = free_numbers(apply_fit(drives[0].model, fitted[0]), fitted[0])
+    keys["free_parameters"] = free_parameters(apply_fit(drives[0].model, fitted[0]))
     if fit != "none":
         keys["tuned_on"] = "other_frames"
     notes = [*notes, *found]
     return make_result(drives[0].experiment, drives, frames, notes, begin=begin, **keys)
-
-
-def free_numbers(model: Model, fitted: Fitted) -> int:
-    """The number of free parameters of a model with a fit; see `model.free_parameters`."""
-    return free_parameters(model, is_learned=any(name.startswith(TABLES) for name in fitted))
 
 
 def run_held_out(
@@ -427,16 +422,12 @@ def run_study(
     notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    model = fitted_drives[0].model
+    if model.learned_from == "":
+        model = replace(model, learned_from=training_key(experiments))
     in_sample = make_result(
-        fitted_drives[0].experiment,
-        fitted_drives,
-        frames,
-        notes,
-        begin=begin,
-        tuned_on="same_frames",
-        free_parameters=free_numbers(fitted_drives[0].model, whole),
+        model.experiment, fitted_drives, frames, notes, begin=begin, tuned_on="same_frames"
     )
-    model = replace(fitted_drives[0].model, learned_from=training_key(experiments))
     # The experiment alone would give the model before the fit.
     vars(in_sample)["model"] = model
     held_out = held_out_result(drives, folds, fitted, notes, begin, method) if folds else None

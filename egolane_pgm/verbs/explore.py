@@ -96,8 +96,8 @@ def explore(
         # Pictures are slow to import.
         from egolane_pgm.views.network import write_network
 
-        write_network(found.model, place / "best.bif")
-        write_network(found.model, place / "best.png", found.gains)
+        write_network(found.model.compiled, place / "best.bif")
+        write_network(found.model.compiled, place / "best.png", found.gains)
     return found
 
 

@@ -16,7 +16,6 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangl
 from egolane_pgm.graphs.cpds import SliceNode, bif, ve_name
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.sampling import HasModel, compiled_of
-from egolane_pgm.model import Model
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
 
@@ -71,16 +70,15 @@ def structure_of(compiled: Compiled) -> Structure:
     return Structure(kind, list(dict.fromkeys(within)), across)
 
 
-def write_network(network: Model | Compiled, path: Path, gains: Gains | None = None) -> None:
+def write_network(compiled: Compiled, path: Path, gains: Gains | None = None) -> None:
     """Write a picture of a network, or both slices with their tables, as BIF (.bif).
 
     - gains: see `network_figure`.
 
     Raises InputError for a file that cannot be written.
     """
-    compiled, origin = compiled_of(network), getattr(network, "learned_from", None)
     if path.suffix.lower() == ".bif":
-        write_text(path, bif(compiled.tables.values(), compiled.values, origin))
+        write_text(path, bif(compiled.tables.values(), compiled.values))
     else:
         write_figure(lambda: network_figure(structure_of(compiled), gains), path)
 

@@ -12,6 +12,7 @@ import pandas as pd
 import pytest
 
 import egolane_pgm as ego
+from egolane_pgm.result import as_result
 from tests.kits.drives import log_with_gaps, short_drive, write_drive
 
 #: Keys of a model whose tables can be learned, and its lanes.
@@ -152,13 +153,14 @@ def test_what_was_fitted_to_these_frames_is_in_sample_in_every_form(
     things: dict[str, Any], tmp_path: Path
 ) -> None:
     experiment, study = things["experiment"], things["study"]
+    assert as_result(study, "").model is study.model
     study.save(tmp_path / "learned")
     ego.explore(
         experiment, edge=["Lane -> WOR"], overrides={"fit.folds": 2}, out=tmp_path / "explored"
     )
-    explored, graph = tmp_path / "explored" / "best.bif", tmp_path / "learned" / "best.graph.yaml"
+    explored, graph = (tmp_path / name / "best.graph.yaml" for name in ("explored", "learned"))
     forms: list[Any] = [study, study.in_sample, study.model, study.model.network, graph]
-    forms += [explored, explored.with_name("best.graph.yaml"), things["exploration"]]
+    forms += [explored, things["exploration"]]
     for form in forms:
         assert ego.run(experiment, graph=form).run["tuned_on"] == "same_frames", form
     assert ego.run(study).run["tuned_on"] == "same_frames"
@@ -176,7 +178,8 @@ def test_what_may_have_been_fitted_to_these_frames_is_unknown(
 ) -> None:
     experiment = things["experiment"]
     unmarked = things["result"].model.network
-    for form in (unmarked, things["result"], things["study in memory"]):
+    ego.explore(experiment, edge=["Lane -> WOR"], judge="bic", out=tmp_path)
+    for form in (unmarked, things["result"], things["study in memory"], tmp_path / "best.bif"):
         assert ego.run(experiment, graph=form).run["tuned_on"] == "unknown"
     two = ego.learn([experiment, write_drive(tmp_path / "other")], folds=0)
     assert ego.run(experiment, graph=two).run["tuned_on"] == "unknown"
