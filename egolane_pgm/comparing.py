@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import drive_key
-from egolane_pgm.experiment import DETECTOR
+from egolane_pgm.experiment import DETECTOR, Columns
 from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
@@ -304,5 +304,9 @@ def _evidence_key(result: Result) -> str:
     fits = [run["config"]["parameters"], *run.get("fitted", ())]
     own = [{k: v for k, v in each.items() if k in names or DETECTOR in k} for each in fits]
     source = Path(e.evidence).read_text() if e.evidence.endswith(OWN_FILES) else e.evidence
-    recording = e.recording.model_dump(exclude={"path", "frames"})
-    return str((source, e.evidence_mode, [*filter(None, own)], recording, run["observed"]))
+    recording = e.recording.model_dump(exclude={"path", "frames", "columns"})
+    # The inputs of a graph are no evidence.
+    columns = {**(e.recording.columns or {})}
+    columns = {k: v for k, v in columns.items() if k in Columns.__annotations__}
+    own = [*filter(None, own)]
+    return str((source, e.evidence_mode, own, recording, columns, run["observed"]))

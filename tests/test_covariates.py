@@ -95,6 +95,16 @@ def test_the_belief_is_that_of_pgmpy_with_the_input_given(result: ego.Result) ->
                 np.testing.assert_allclose(answer.values, result.node(node)[last], atol=1e-10)
 
 
+def test_log_evidence_with_and_without_the_input_is_compared(
+    result: ego.Result, graph: Path
+) -> None:
+    named = with_rain(name="mm")
+    plain = run(named, "sensor_failure", {"name": "plain"})
+    found = ego.compare([plain, run(named, graph, columns="Rain=mm")])
+    right = result.frames["log_evidence"].mean() - plain.frames["log_evidence"].mean()
+    assert found.loc["rain", "log_evidence_difference"] == pytest.approx(right)
+
+
 def test_a_table_a_bag_and_messages_give_the_same(
     result: ego.Result, graph: Path, tmp_path: Path
 ) -> None:
