@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
@@ -14,14 +13,14 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import drive_key
-from egolane_pgm.experiment import DETECTOR, Columns
+from egolane_pgm.experiment import DETECTOR
 from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
-from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
+from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.tools.options import several_of
-from egolane_pgm.types import NOTE, InputError, IntArray
+from egolane_pgm.types import NOTE, InputError
 
 #: A Result, a Study, or a directory.
 ResultLike = Any
@@ -69,10 +68,8 @@ def compare(
     rows, key = [], of or _default_key(given)
     has_truth = any(each.truth is not None for each in given)
     for group, members in _groups(given, by).items():
-        sides = {
-            str(name): _by_recording(side, name, has_truth)
-            for name, side in _groups(members, key).items()
-        }
+        named = _groups(members, key).items()
+        sides = {str(name): _by_recording(side, name, has_truth) for name, side in named}
         first = next(iter(sides.values()))
         nodes = [(name, side, "Lane") for name, side in sides.items()]
         if detector and all("detector" in each.scores for each in first.values()):
@@ -81,9 +78,7 @@ def compare(
             if side.keys() != first.keys():
                 raise InputError(f"{key} {name}: has other recordings, frames or labels")
         of_first = _counts([*first.values()], "Lane") if has_truth else []
-        evidence = _log_evidence(
-            [[side[recording] for recording in first] for side in sides.values()]
-        )
+        evidence = _log_evidence([[side[each] for each in first] for side in sides.values()])
         for name, side, node in nodes:
             aligned = [side[recording] for recording in first]
             row = {} if by is None else {by: group}
@@ -209,18 +204,31 @@ def _by_recording(results: Sequence[Result], side: Any, has_truth: bool) -> dict
 def _counts(results: Sequence[Result], node: str) -> list[Counts]:
     """Per recording its drive, and the summands of the scores on the frames of the whole drive."""
     column = "assigned_lane" if node == "Lane" else "detector_lane"
-    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
-    kept = [_kept(each) for each in results]
-    timeline: dict[str, IntArray] = {}
-    for drive, (_, truth) in zip(drives, kept, strict=True):
-        ids = truth.index.to_numpy()
-        timeline[drive] = np.union1d(timeline.get(drive, ids), ids)
-    found: list[Counts] = []
-    for drive, (frames, truth) in zip(drives, kept, strict=True):
+    parts = []
+    for frames, truth in map(_kept, results):
         lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
         assigned = frames[column].to_numpy()
         counts = score_counts(lanes_of(frames, node), lane, crossing, assigned=assigned)
-        found.append((drive, on_timeline(counts, truth.index.to_numpy(), timeline[drive])))
+        parts.append((counts, truth.index))
+    return _on_drives(results, parts)
+
+
+def _on_drives(
+    results: Sequence[Result], parts: Sequence[tuple[Mapping[str, Any], pd.Index]]
+) -> list[Counts]:
+    """Place the summands of some frames of each recording among all frames of its drive, with zeros
+    elsewhere: recordings of one drive are resampled together."""
+    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
+    timeline: dict[str, pd.Index] = {}
+    for drive, (_, index) in zip(drives, parts, strict=True):
+        timeline[drive] = timeline.get(drive, index).union(index)
+    found: list[Counts] = []
+    for drive, (counts, index) in zip(drives, parts, strict=True):
+        placed, at = {}, timeline[drive].get_indexer(index)
+        for name, values in counts.items():
+            placed[name] = np.zeros((len(timeline[drive]), *values.shape[1:]), values.dtype)
+            placed[name][at] = values
+        found.append((drive, placed))
     return found
 
 
@@ -261,39 +269,32 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
         warnings.warn(f"{NOTE}log evidence is not compared: {why}", UserWarning, stacklevel=3)
         yield from ({} for _ in sides)
         return
-    common: list[pd.Index] = []
-    timeline: dict[str, pd.Index] = {}
-    drives = [drive_key(each.experiment, each.run["data"]) for each in sides[0]]
-    for drive, results in zip(drives, zip(*sides, strict=True), strict=True):
-        tables = [_by_frame(each) for each in results]
-        index = functools.reduce(pd.Index.intersection, [table.index for table in tables])
-        kept = ~np.any([table.loc[index, "is_impossible"] for table in tables], axis=0)
-        common.append(index[kept])
-        timeline[drive] = timeline.get(drive, index).union(index)
-    of_first: list[Counts] = []
-    for side in sides:
-        counts: list[Counts] = []
-        bic = []
-        for drive, result, index in zip(drives, side, common, strict=True):
-            values = _by_frame(result).loc[index, "log_evidence"].to_numpy()
-            summands = np.zeros((len(timeline[drive]), 2))
-            summands[timeline[drive].get_indexer(index)] = np.stack([values, values**0], axis=1)
-            counts.append((drive, {"log_evidence": summands}))
-            penalty = result.run["free_parameters"] / 2 * np.log(len(values))
-            bic.append(values.sum() - penalty)
+    pairs = zip(*sides, strict=True)
+    recordings = [pd.concat(map(_by_frame, each), axis=1, join="inner") for each in pairs]
+    first: list[Counts] = []
+    for k, side in enumerate(sides):
+        parts = []
+        for table in recordings:
+            is_possible = table.notna().all(axis=1)
+            values = table.iloc[:, k].where(is_possible, 0.0)
+            parts.append(({"log_evidence": np.stack([values, is_possible], axis=1)}, table.index))
+        counts = _on_drives(sides[0], parts)
         cells: dict[str, Any] = _intervals(counts)
-        cells |= _intervals(counts, of_first) if of_first else {}
-        of_first = of_first or counts
-        cells["free_parameters"] = float(np.mean([each.run["free_parameters"] for each in side]))
+        cells |= _intervals(counts, first) if first else {}
+        first = first or counts
+        sizes = np.array([each.run["free_parameters"] for each in side])
+        cells["free_parameters"] = float(sizes.mean())
         if all(each.run["tuned_on"] != "other_frames" for each in side):
-            cells["bic"] = float(np.mean(bic))
+            total, n_frames = np.transpose([each["log_evidence"].sum(axis=0) for each, _ in parts])
+            cells["bic"] = float(np.mean(total - sizes / 2 * np.log(n_frames)))
         yield cells
 
 
-def _by_frame(result: Result) -> pd.DataFrame:
-    """The frames by id, and by drive if there are several."""
+def _by_frame(result: Result) -> pd.Series[float]:
+    """Log evidence by frame id, and by drive if there are several; NaN if impossible."""
     frames = result.frames
-    return frames.set_index("drive", append=True) if "drive" in frames else frames
+    frames = frames.set_index("drive", append=True) if "drive" in frames else frames
+    return frames["log_evidence"].mask(frames["is_impossible"])
 
 
 def _evidence_key(result: Result) -> str:
@@ -304,9 +305,5 @@ def _evidence_key(result: Result) -> str:
     fits = [run["config"]["parameters"], *run.get("fitted", ())]
     own = [{k: v for k, v in each.items() if k in names or DETECTOR in k} for each in fits]
     source = Path(e.evidence).read_text() if e.evidence.endswith(OWN_FILES) else e.evidence
-    recording = e.recording.model_dump(exclude={"path", "frames", "columns"})
-    # The inputs of a graph are no evidence.
-    columns = {**(e.recording.columns or {})}
-    columns = {k: v for k, v in columns.items() if k in Columns.__annotations__}
-    own = [*filter(None, own)]
-    return str((source, e.evidence_mode, own, recording, columns, run["observed"]))
+    recording = e.recording.model_dump(include={"format", "topic", "camera", "detector"})
+    return str((source, e.evidence_mode, [*filter(None, own)], recording, run["observed"]))

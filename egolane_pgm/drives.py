@@ -215,8 +215,7 @@ def read_drives(
     # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
     experiment = experiment if model is None else model.experiment
-    read = with_inputs(experiment, None if model is None else model.graph)
-    log, known, own_rate = read_recording(read, lines)
+    log, known, own_rate = read_recording(with_inputs(experiment, model and model.graph), lines)
     recording, annotated = experiment.recording, experiment.ground_truth
     if truth is not None:
         known = None if isinstance(truth, str) and truth == "none" else truth_of(truth, log)

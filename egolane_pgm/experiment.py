@@ -140,7 +140,7 @@ def _columns_per_line(columns: Columns) -> Columns:
     """Refuse columns of which some are given per line and others are not."""
     for name, value in columns.items():
         if name not in Columns.__annotations__:
-            meant = near_word(name, Columns.__annotations__)
+            meant = near_word(name, Columns.__annotations__) if name.islower() else ""
             if meant or not isinstance(value, str):
                 raise ValueError(f"unknown key '{name}'{meant}")
     offset = columns.get("offset_m")

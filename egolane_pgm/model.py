@@ -360,27 +360,19 @@ def make_evidence(
 def input_of(log: LineLog, name: str, bounds: Sequence[float]) -> IntArray:
     """Return the values of an input that is a column of the recording, (T,): the number of bounds
     that are not larger. Raises InputError for a missing column and for an empty cell."""
+    where, needs = f"{log.source}: ", f"an input of the graph (columns: {name}=COLUMN)"
     if name not in log.covariates:
-        raise InputError(
-            f"{log.source}: no column {name}, an input of the graph; name it in recording.columns,"
-            f" {name}=COLUMN"
-        )
-    values = log.covariates[name]
-    if (is_empty := np.isnan(values)).any():
-        frame = log.frame_id[is_empty.argmax()]
-        raise InputError(
-            f"{log.source}: frame {frame}: {name} is empty; an input needs a value in every frame"
-        )
+        raise InputError(f"{where}no column {name}, {needs}")
+    is_empty = np.isnan(values := log.covariates[name])
+    if is_empty.any():
+        raise InputError(f"{where}frame {log.frame_id[is_empty.argmax()]}: no {name}, {needs}")
     return np.searchsorted(bounds, values, side="right")
 
 
 def with_inputs(experiment: Experiment, graph: ModuleType | None = None) -> Experiment:
-    """Return the experiment whose `recording.columns` also name the graph's inputs (BOUNDS).
-
-    - graph: the module, if it is loaded.
-    """
-    module = graph or load_plugin("graphs", experiment.graph, f"{experiment.source}: graph")
-    if not (names := {name: name for name in getattr(module, "BOUNDS", {})}):
+    """Return the experiment whose `recording.columns` also name the graph's inputs (BOUNDS)."""
+    graph = graph or load_plugin("graphs", experiment.graph, f"{experiment.source}: graph")
+    if not (names := {name: name for name in getattr(graph, "BOUNDS", {})}):
         return experiment
     columns = {**names, **(experiment.recording.columns or {})}
     recording = experiment.recording.model_copy(update={"columns": columns})

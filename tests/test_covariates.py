@@ -214,12 +214,12 @@ def at(frame: int, value: Any) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("given", "columns", "said"),
     [
-        (LOG, None, "simulated line detector: no column Rain, an input of the graph; name it in"),
+        (LOG, None, "simulated line detector: no column Rain, an input of the graph"),
         (LOG.to_pandas(), None, "in memory: columns: Rain: there is no column 'Rain'; there are"),
         (with_rain(name="rain"), None, r"no column 'Rain' \(did you mean 'rain'\?\)"),
         (with_rain(), "Rain=rane", "columns: Rain: there is no column 'rane'"),
-        (at(12, np.nan), None, "in memory: frame 12: Rain is empty; an input needs a value in"),
-        (at(12, ""), None, "in memory: frame 12: Rain is empty"),
+        (at(12, np.nan), None, "in memory: frame 12: no Rain, an input of the"),
+        (at(12, ""), None, "in memory: frame 12: no Rain"),
         (at(12, "wet"), None, r"in memory: row \d+: Rain is 'wet', not a number"),
         (with_rain(), {"Rain": 3}, "unknown key 'Rain'"),
         (with_rain(), "ofset_m=lateral", r"unknown key 'ofset_m' \(did you mean 'offset_m'\?\)"),

@@ -179,18 +179,3 @@ def score_intervals(
         theirs = None if minus is None else [each[name] for each in minus]
         found[name] = bootstrap_interval(mine, statistic, minus=theirs, seeds=seeds)
     return found
-
-
-def on_timeline(
-    counts: Mapping[str, NDArray[np.generic]], frame_id: IntArray, timeline: IntArray
-) -> dict[str, NDArray[np.generic]]:
-    """The counts of K frames, placed among all T frames of their drive, with zeros elsewhere.
-
-    This way recordings of one drive by several detectors are resampled together.
-    """
-    at = np.searchsorted(timeline, frame_id)
-    placed = {}
-    for name, values in counts.items():
-        placed[name] = np.zeros((len(timeline), *values.shape[1:]), dtype=values.dtype)
-        placed[name][at] = values
-    return placed
