@@ -215,7 +215,9 @@ def read_drives(
     # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
     experiment = experiment if model is None else model.experiment
-    log, known, own_rate = read_recording(with_inputs(experiment, model and model.graph), lines)
+    log, known, own_rate = read_recording(
+        with_inputs(experiment, model.graph if model else None), lines
+    )
     recording, annotated = experiment.recording, experiment.ground_truth
     if truth is not None:
         known = None if isinstance(truth, str) and truth == "none" else truth_of(truth, log)

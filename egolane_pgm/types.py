@@ -298,17 +298,11 @@ class LineLog(_Frames):
         `is_valid`, `is_continuous`, `lri`, and the covariates. A frame without lines has one row
         with empty cells.
         """
-        rows = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
-        return rows.set_index(["frame_id", "line"])
-
-    def rows(self, is_line: BoolArray) -> pd.DataFrame:
-        """Return the rows of `to_pandas`, without an index.
-
-        - is_line (T, L): False in padding.
-        """
         # pandas is imported for tables only.
         import pandas as pd
 
+        is_placed = ~np.isnan(self.offset_m) | ~np.isnan(self.lri)
+        is_line = self.is_valid | self.is_continuous | is_placed
         frame, line = np.nonzero(np.column_stack([is_line, ~is_line.any(axis=1)]))
 
         def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
@@ -317,18 +311,16 @@ class LineLog(_Frames):
 
         number = pd.array(line + 1, dtype="Int64")
         number[line == is_line.shape[1]] = pd.NA
-        return pd.DataFrame(
-            {
-                "frame_id": self.frame_id[frame],
-                "time_s": self.time_s[frame],
-                "line": number,
-                "offset_m": column(self.offset_m, np.nan),
-                "is_valid": column(self.is_valid, False),
-                "is_continuous": column(self.is_continuous, False),
-                "lri": column(self.lri, np.nan),
-                **{name: values[frame] for name, values in self.covariates.items()},
-            }
-        )
+        columns = {
+            "time_s": self.time_s[frame],
+            "offset_m": column(self.offset_m, np.nan),
+            "is_valid": column(self.is_valid, False),
+            "is_continuous": column(self.is_continuous, False),
+            "lri": column(self.lri, np.nan),
+            **{name: values[frame] for name, values in self.covariates.items()},
+        }
+        index = pd.MultiIndex.from_arrays([self.frame_id[frame], number])
+        return pd.DataFrame(columns, index.set_names(["frame_id", "line"]))
 
 
 @dataclass(frozen=True)
