@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,7 +19,7 @@ from egolane_pgm.runs import SUMMARY, numbers
 from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.tools.options import several_of
-from egolane_pgm.types import NOTE, InputError
+from egolane_pgm.types import InputError
 
 #: A Result, a Study, or a directory.
 ResultLike = Any
@@ -57,7 +56,8 @@ def compare(
     95 % interval, and the difference to the first row with a paired interval over the same
     resamples; recordings of one drive are resampled together. `tuned_on` tells in-sample rows
     apart. For `log_evidence`, `free_parameters` and `bic` see `_log_evidence`; results without
-    ground truth have only these. Raises InputError unless all rows have the same recordings.
+    ground truth have only these. Rows with different evidence lack them, for the reason in
+    `attrs["log_evidence"]`. Raises InputError unless all rows have the same recordings.
     """
     given = open_results(results)
     if not given:
@@ -65,7 +65,7 @@ def compare(
     for option, name in (("of", of), ("by", by)):
         if name is not None and all(_value(each, name) is None for each in given):
             raise InputError(f"{option}: no result has a value of {name}")
-    rows, key = [], of or _default_key(given)
+    rows, key, note = [], of or _default_key(given), ""
     has_truth = any(each.truth is not None for each in given)
     for group, members in _groups(given, by).items():
         named = _groups(members, key).items()
@@ -78,7 +78,10 @@ def compare(
             if side.keys() != first.keys():
                 raise InputError(f"{key} {name}: has other recordings, frames or labels")
         of_first = _counts([*first.values()], "Lane") if has_truth else []
-        evidence = _log_evidence([[side[each] for each in first] for side in sides.values()])
+        pairs = [[side[each] for each in first] for side in sides.values()]
+        why = _differ_in(pairs)
+        evidence = iter([{}] * len(pairs)) if why else _log_evidence(pairs)
+        note = f"log evidence is not compared: {why}" if why else note
         for name, side, node in nodes:
             aligned = [side[recording] for recording in first]
             row = {} if by is None else {by: group}
@@ -97,7 +100,9 @@ def compare(
                 row |= means.rename(EVENT_SCORES).to_dict()
                 row["tuned_on"] = ", ".join(dict.fromkeys(e.run["tuned_on"] for e in aligned))
             rows.append(row)
-    return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
+    table = pd.DataFrame(rows).set_index([key] if by is None else [by, key])
+    table.attrs["log_evidence"] = note
+    return table
 
 
 def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
@@ -249,6 +254,14 @@ def _intervals(
 # --- log evidence --------------------------------------------------------------------------------
 
 
+def _differ_in(sides: Sequence[Sequence[Result]]) -> str:
+    """Why log evidence of the sides cannot be compared; empty if it can."""
+    if not all("free_parameters" in each.run for side in sides for each in side):
+        return "a result was written by an older version; run it again"
+    is_same = len({tuple(map(_evidence_key, side)) for side in sides}) == 1
+    return "" if is_same else "the rows differ in evidence rule, its parameters or observed nodes"
+
+
 def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]:
     """Yield the cells of log evidence of each side, in order.
 
@@ -257,18 +270,8 @@ def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]
     `log_evidence` is the mean over the frames that all sides have and none calls impossible, nats,
     with its interval and the difference to the first side. `bic` is the sum over these frames less
     half the logarithm of their number for each of the `free_parameters`, so larger is better; held
-    out frames need no such penalty and have none. Both are the mean over the recordings. They are
-    missing, with a warning, if the sides have different evidence.
+    out frames need no such penalty and have none. Both are the mean over the recordings.
     """
-    why = ""
-    if not all("free_parameters" in each.run for side in sides for each in side):
-        why = "a result was written by an older version; run it again"
-    elif len({tuple(map(_evidence_key, side)) for side in sides}) > 1:
-        why = "the rows differ in evidence rule, its parameters or the observed nodes"
-    if why:
-        warnings.warn(f"{NOTE}log evidence is not compared: {why}", UserWarning, stacklevel=3)
-        yield from ({} for _ in sides)
-        return
     pairs = zip(*sides, strict=True)
     recordings = [pd.concat(map(_by_frame, each), axis=1, join="inner") for each in pairs]
     first: list[Counts] = []

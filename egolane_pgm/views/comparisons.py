@@ -57,6 +57,7 @@ def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
     if "log_evidence" in found:
         sizes = found.reindex(columns=["free_parameters", "bic"]).rename(columns={"bic": "BIC"})
         parts += [table(sizes, {"free_parameters": "g", "BIC": 1}), JUDGES]
+    parts.append(found.attrs.get("log_evidence", ""))
     events = found.filter(regex="^event_").dropna(how="all")
     if len(events.columns) and len(events):
         renamed = events.rename(columns=lambda c: c.removeprefix("event_"))
