@@ -197,8 +197,9 @@ def test_fits_and_searches_of_edges_keep_it(graph: Path) -> None:
     assert tuned.held_out is not None
     explored = ego.explore(log, edge=["Lane -> WOR"], **more)
     assert explored.model.compiled.inputs == ("Rain",)
-    with pytest.raises(ego.InputError, match="edge 'Lane -> Rain': with it the graph has a circle"):
-        ego.explore(log, edge=["Lane -> Rain"], **more)
+    for edge in ("Lane -> Rain", "Rain -> DetectorOutput", "Rain -> WOR"):
+        with pytest.raises(ego.InputError, match=f"edge '{edge}': with it the graph has a circle"):
+            ego.explore(log, edge=[edge], **more)
 
 
 # --- what is refused -----------------------------------------------------------------------------

@@ -212,8 +212,7 @@ def candidates(problem: Problem, most_parents: int = 3) -> list[Edge]:
             for lag in (0, 1):
                 edge = Edge(child, parent, lag)
                 is_loop = lag == 0 and parent == child
-                from_input = lag == 1 and parent in inputs
-                if not is_loop and not from_input and edge not in there:
+                if not is_loop and edge not in there:
                     found.append(edge)
         if Edge(child, child, 1) not in there:
             found.append(Edge(child, child, 1, repeats=True))
@@ -227,8 +226,10 @@ def compiled_of(problem: Problem, structure: Structure) -> Compiled | None:
     both_forms = {edge.child for edge in structure if edge.repeats} & {
         edge.child for edge in structure if edge.parent == edge.child and not edge.repeats
     }
+    # EM does not learn tables that an input selects.
+    of_input = any(edge.parent in problem.model.compiled.inputs for edge in structure)
     tables, _ = with_structure(problem.tables, structure, problem.seed)
-    if both_forms or max(table.values.size for table in tables) > MOST_NUMBERS:
+    if both_forms or of_input or max(table.values.size for table in tables) > MOST_NUMBERS:
         return None
     start = problem.model.compiled
     try:
@@ -352,8 +353,8 @@ def explore(
     for edge in edges:
         if compiled_of(problem, frozenset({edge})) is None:
             raise InputError(
-                f"edge '{edge}': with it the graph has a circle, or more joint states or numbers"
-                " than can be filtered"
+                f"edge '{edge}': with it the graph has a circle, a table that an input selects,"
+                " or more joint states or numbers than can be filtered"
             )
     chosen: list[Structure] = []
     for k in range(max(1, searches)):
