@@ -223,7 +223,10 @@ def _on_drives(
 ) -> list[Counts]:
     """Place the summands of some frames of each recording among all frames of its drive, with zeros
     elsewhere: recordings of one drive are resampled together."""
-    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
+    # A result of several drives shares its frames with no other.
+    more = (" and more" * ("drive" in each.frames) for each in results)
+    keys = (drive_key(each.experiment, each.run["data"]) for each in results)
+    drives = [key + others for key, others in zip(keys, more, strict=True)]
     timeline: dict[str, pd.Index] = {}
     for drive, (_, index) in zip(drives, parts, strict=True):
         timeline[drive] = timeline.get(drive, index).union(index)

@@ -185,3 +185,4 @@ def test_what_may_have_been_fitted_to_these_frames_is_unknown(
     assert ego.run(experiment, graph=two).run["tuned_on"] == "unknown"
     with pytest.raises(ego.InputError, match="this study has 2 recordings; give one of its"):
         ego.run(two)
+    assert ego.compare([two, things["study"]])["recordings"].to_list() == [2]
