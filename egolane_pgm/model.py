@@ -86,6 +86,20 @@ class Model:
             network.graph["learned_from"] = self.learned_from
         return network
 
+    @property
+    def free_parameters(self) -> int:
+        """Number of free parameters: the searched numbers of rule and graph.
+
+        Of a graph without parameters, and of fitted tables, the free entries of the tables count:
+        those above zero but one of each row.
+        """
+        own = () if self.learned_from is not None else getattr(self.graph, "PARAMETERS", ())
+        specs = {spec.name: spec for spec in (*getattr(self.rule, "PARAMETERS", ()), *own)}
+        total = sum(np.size(self.parameters[n]) for n, spec in specs.items() if spec.is_searched)
+        for table in () if own else counted_tables(self.compiled).values():
+            total += int(np.maximum((table.values > 0).sum(axis=-1) - 1, 0).sum())
+        return total
+
     def __getstate__(self) -> dict[str, Any]:
         # Modules are not pickled, but loaded by the names in the experiment.
         return {**vars(self), "rule": None, "graph": None}
@@ -277,20 +291,6 @@ def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: s
     known = {*seen, *getattr(graph, "UNUSED", ())}
     fits = (n for n, rule in rules.items() if seen <= {*getattr(rule, "PROVIDES", seen)} <= known)
     return next(fits, first)
-
-
-def free_parameters(model: Model) -> int:
-    """Return the number of free parameters of a model: the searched numbers of its rule and graph.
-
-    Of a graph without parameters, and of fitted tables, the free entries of the tables count: those
-    above zero but one of each row.
-    """
-    own = () if model.learned_from is not None else getattr(model.graph, "PARAMETERS", ())
-    specs = {spec.name: spec for spec in (*getattr(model.rule, "PARAMETERS", ()), *own)}
-    total = sum(np.size(model.parameters[n]) for n, spec in specs.items() if spec.is_searched)
-    for table in () if own else counted_tables(model.compiled).values():
-        total += int(np.maximum((table.values > 0).sum(axis=-1) - 1, 0).sum())
-    return total
 
 
 # --- evidence ------------------------------------------------------------------------------------

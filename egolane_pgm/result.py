@@ -27,13 +27,7 @@ from egolane_pgm.drives import Drive, data_files, digest, drive_names, with_rate
 from egolane_pgm.experiment import Experiment, resolved
 from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.model import (
-    Model,
-    compile_model,
-    free_parameters,
-    make_evidence,
-    why_not_causal,
-)
+from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
 from egolane_pgm.recordings.columns import COLUMNS as COLUMNS_OF_LINES
 from egolane_pgm.recordings.select import fill_missing
@@ -462,7 +456,7 @@ def make_result(
         "n_lanes": widest.n_lanes,
         "values": widest.values,
         "observed": [str(key) for key in model.compiled.observed],
-        "free_parameters": free_parameters(model),
+        "free_parameters": model.free_parameters,
         "frames": len(frames),
         "tuned_on": model.experiment.tuned_on,
         "is_causal": not reasons,

@@ -241,10 +241,7 @@ def open_input(
     fitted = None
     if not isinstance(given, Result) and hasattr(given, "in_sample"):
         if len(given.experiments) > 1:
-            raise InputError(
-                f"{given.name}: this study has {len(given.experiments)} recordings; give one of its"
-                " experiments, and the study as graph"
-            )
+            raise InputError(f"{given.name}: a study of several recordings can be a graph only")
         fitted = make_experiment(given.experiment(), given.name)
         is_learned = graph is None and given.model.learned_from is not None
         graph, given = given if is_learned else graph, given.in_sample

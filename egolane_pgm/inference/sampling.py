@@ -29,10 +29,8 @@ def compiled_of(model: HasModel) -> Compiled:
     inner = getattr(model, "model", model)
     found = getattr(inner, "compiled", inner)
     if not isinstance(found, Compiled):
-        raise InputError(
-            f"{type(model).__name__} has no compiled network; give a result, a study, a model, or a"
-            " network from ego.compile"
-        )
+        kind = type(model).__name__
+        raise InputError(f"{kind}: needs a result, study or model, or a network of ego.compile")
     return found
 
 

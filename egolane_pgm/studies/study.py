@@ -20,7 +20,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import DETECTOR, Experiment, resolved
-from egolane_pgm.model import Model, free_parameters, training_key
+from egolane_pgm.model import Model, training_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
@@ -346,7 +346,7 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
-    keys["free_parameters"] = free_parameters(apply_fit(drives[0].model, fitted[0]))
+    keys["free_parameters"] = apply_fit(drives[0].model, fitted[0]).free_parameters
     if fit != "none":
         keys["tuned_on"] = "other_frames"
     notes = [*notes, *found]

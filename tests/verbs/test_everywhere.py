@@ -183,6 +183,6 @@ def test_what_may_have_been_fitted_to_these_frames_is_unknown(
         assert ego.run(experiment, graph=form).run["tuned_on"] == "unknown"
     two = ego.learn([experiment, write_drive(tmp_path / "other")], folds=0)
     assert ego.run(experiment, graph=two).run["tuned_on"] == "unknown"
-    with pytest.raises(ego.InputError, match="this study has 2 recordings; give one of its"):
+    with pytest.raises(ego.InputError, match="a study of several recordings can be a graph only"):
         ego.run(two)
     assert ego.compare([two, things["study"]])["recordings"].to_list() == [2]
