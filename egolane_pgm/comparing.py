@@ -112,7 +112,7 @@ def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
     Results of a table of runs come in the order of the table.
     """
     found: list[Result] = []
-    for each in several_of(results):
+    for each in results if isinstance(results, Iterator) else several_of(results):
         if not isinstance(each, (str, os.PathLike)):
             result = as_result(each, "results")
             if result is not each:

@@ -353,8 +353,8 @@ def explore(
     for edge in edges:
         if compiled_of(problem, frozenset({edge})) is None:
             raise InputError(
-                f"edge '{edge}': with it the graph has a circle, a table that an input selects,"
-                " or more joint states or numbers than can be filtered"
+                f"edge '{edge}': with it the graph has a circle, or more joint states or numbers"
+                " than can be filtered, or a table that an input selects and EM does not learn"
             )
     chosen: list[Structure] = []
     for k in range(max(1, searches)):
