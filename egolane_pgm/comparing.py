@@ -107,7 +107,7 @@ def compare(
 
 def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
     """Results as given, or read from directories and from the directories below a folder; of a
-    Study its held-out result, or the in-sample one if nothing was held out.
+    Study its held-out result, or the in-sample one without folds.
 
     Results of a table of runs come in the order of the table.
     """

@@ -56,8 +56,8 @@ class Model:
     - parameters: the value of every declared parameter.
     - compiled: the graph with these values.
     - unused: evidence of the rule that the graph does not observe.
-    - learned_from: `recording_key` of the recording that the tables were fitted to; empty for
-      several recordings, None for tables of the graph.
+    - learned_from: `recording_key` of the training recording of fitted tables; empty for several
+      recordings, None for tables of the graph.
     """
 
     experiment: Experiment
