@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     # What editors and type checkers see of the names below.
     from egolane_pgm.checking import check as check
     from egolane_pgm.checking import prediction_calibration as prediction_calibration
+    from egolane_pgm.checking import sensitivity as sensitivity
     from egolane_pgm.graphs import cpds as cpds
     from egolane_pgm.inference.compile import compile as compile
     from egolane_pgm.inference.events import lane_events as lane_events
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
     from egolane_pgm.verbs.tune import tune as tune
     from egolane_pgm.views.network import draw_network as draw_network
+    from egolane_pgm.views.numbers import draw_tables as draw_tables
 
 __version__ = "0.2.0"
 
@@ -79,6 +81,7 @@ _PUBLIC = {
     "load_result": "result",
     "compile": "inference.compile",
     "draw_network": "views.network",
+    "draw_tables": "views.numbers",
     "Result": "result",
     "Study": "studies.study",
     "Labels": "labelling",
@@ -91,6 +94,7 @@ _PUBLIC = {
     "predicted": "inference.sampling",
     "check": "checking",
     "prediction_calibration": "checking",
+    "sensitivity": "checking",
     "expected_counts": "inference.expected_counts",
     "lane_events": "inference.events",
     "unrolled": "inference.unrolling",

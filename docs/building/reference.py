@@ -312,7 +312,7 @@ _INTRODUCTIONS = {
     "graphs": (
         "# Graphs",
         "What `graph:` names. Tables and sizes are those of three lanes and of the default values;"
-        " `egolane show GRAPH --tables` prints the numbers. A search moves a parameter within its"
+        " `egolane show GRAPH --numbers` prints the numbers. A search moves a parameter within its"
         " range; `fit.parameters` gives it another one.",
     ),
     "evidence": (

@@ -36,9 +36,8 @@ SliceNode = tuple[str, int]
 VE_SUFFIX = "_ve"
 
 
-def lane_normals(sigma: float, n: int, shift: float = 0.0) -> FloatArray:
-    """Return the paper's F(N(mean, sigma^2)) for each of the lanes 1 to n plus `shift` as the mean:
-    (n, n), a row per mean.
+def lane_normals(sigma: float, n: int) -> FloatArray:
+    """Return the paper's F(N(mean, sigma^2)), (n, n): a row per mean, which is lane 1 to n.
 
     F is the density at the lane centres divided by its sum over the lanes, as the authors computed
     it; the text of section "HMM with Transient Failure Model" describes the integral across each
@@ -47,11 +46,9 @@ def lane_normals(sigma: float, n: int, shift: float = 0.0) -> FloatArray:
     - sigma: standard deviation, lanes
     """
     lanes = np.arange(1.0, n + 1)
-    distance = np.abs(lanes - (lanes[:, None] + shift))
-    nearest = distance.min(axis=1, keepdims=True)
-    # (distance^2 - nearest^2) / sigma^2, so that a tiny sigma leaves all on the nearest lanes.
+    distance = np.abs(lanes - lanes[:, None])
     with np.errstate(over="ignore"):
-        squares = ((distance - nearest) / sigma) * ((distance + nearest) / sigma)
+        squares = (distance / sigma) * (distance / sigma)
     mass = np.exp(-0.5 * squares)
     return np.asarray(mass / mass.sum(axis=1, keepdims=True))
 

@@ -95,7 +95,9 @@ def expected_counts(
     }
     smoothed[is_impossible] = 0.0
     blocks = zip(compiled.groups, evidence_blocks(compiled, evidence), strict=True)
-    array_of |= {g: _seen(group, block, smoothed) for g, (group, block) in enumerate(blocks)}
+    # Evidence of a node in the joint state has no table.
+    targets = {place.target for place in compiled.places.values()}
+    array_of |= {g: _seen(*each, smoothed) for g, each in enumerate(blocks) if g in targets}
     tables = counted_tables(compiled)
     counts = {of: np.zeros(table.values.shape) for of, table in tables.items()}
     for (name, s), place in compiled.places.items():

@@ -9,7 +9,7 @@ evidence of all frames).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -20,22 +20,23 @@ from egolane_pgm.inference.kernels.draws import draw_backward, draw_forward
 from egolane_pgm.inference.smoothing import pass_forward
 from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray, Observed
 
-#: A network as `compile` returns it, a model, or anything with one: a result, a study.
-HasModel = Any
+if TYPE_CHECKING:
+    from egolane_pgm.model import Model
+    from egolane_pgm.result import Result
 
 
-def compiled_of(model: HasModel) -> Compiled:
-    """Return the arrays of a network or model. Raises InputError for anything else."""
-    inner = getattr(model, "model", model)
-    found = getattr(inner, "compiled", inner)
+def compiled_of(model: Compiled | Model | Result) -> Compiled:
+    """Return the arrays of a model, of a result, or of a network that is compiled already."""
+    found = getattr(model, "model", model)
+    found = getattr(found, "compiled", found)
     if not isinstance(found, Compiled):
         kind = type(model).__name__
-        raise InputError(f"{kind}: needs a result, study or model, or a network of ego.compile")
+        raise InputError(f"model: {kind}: needs a Result, its model, or what `compile` returns")
     return found
 
 
 def sample(
-    model: HasModel,
+    model: Compiled | Model,
     n_frames: int,
     seed: int,
     *,
@@ -94,7 +95,7 @@ def sampled_states(
 
 
 def posterior_paths(
-    model: HasModel,
+    model: Compiled | Model,
     evidence: Evidence,
     n: int,
     seed: int,
@@ -128,7 +129,7 @@ def posterior_paths(
 
 
 def predicted(
-    model: HasModel, evidence: Evidence, *, is_first: BoolArray | None = None
+    model: Compiled | Model, evidence: Evidence, *, is_first: BoolArray | None = None
 ) -> dict[str, FloatArray]:
     """Return P(observed node | evidence of earlier frames), before the node's own evidence.
 

@@ -229,27 +229,3 @@ def expected_calibration_error(belief: ArrayLike, lane: ArrayLike, is_crossing: 
         return float("nan")
     gap = np.abs(curve["confidence"][filled] - curve["accuracy"][filled])
     return float((gap * count[filled]).sum() / count.sum())
-
-
-def coverage_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> dict[str, Any]:
-    """The accuracy-coverage curve over the non-crossing frames, one point per distinct threshold.
-
-    Arguments as `brier`. Frames without a unique most probable lane are never answered.
-
-    Keys, (K,) each: `threshold` (the least probability that is answered, decreasing), `coverage`
-    (share of the frames with an answer), `accuracy` (share of the answers that are right).
-    """
-    values, is_scored = np.asarray(belief), ~np.asarray(is_crossing)
-    assigned = assigned_lane(values)
-    is_answered = is_scored & (assigned != UNASSIGNED)
-    confidence = values.max(axis=1)[is_answered]
-    order = np.argsort(-confidence, kind="stable")
-    threshold = confidence[order]
-    right = np.cumsum((assigned == np.asarray(lane))[is_answered][order])
-    # The last of equal probabilities: they are answered together or not at all.
-    last = np.flatnonzero(np.append(threshold[1:] != threshold[:-1], threshold.size > 0))
-    return {
-        "threshold": threshold[last],
-        "coverage": (last + 1) / max(int(is_scored.sum()), 1),
-        "accuracy": right[last] / (last + 1),
-    }

@@ -1,15 +1,14 @@
 """Which edge helps? Search the edges of a graph, each structure fitted by EM and judged.
 
-The judges `log_loss` and `accuracy` look at Lane in held-out frames, `log_evidence` at the lines of
-held-out frames, `bic` at the lines of all frames. Log evidence and BIC say how well a graph
-describes the lines; on the recordings of the paper they ranked graphs nearly opposite to the
-held-out lanes.
+Log evidence and BIC judge how well a graph describes the lines; on the recordings of the paper they
+ranked graphs nearly opposite to the held-out lanes.
 """
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,24 +17,29 @@ from typing import Any
 import numpy as np
 import optuna
 import pandas as pd
+from scipy.special import stdtrit
 
-from egolane_pgm.drives import Drive
-from egolane_pgm.graphs.cpds import Table
+from egolane_pgm.drives import Drive, data_files, digest, drive_key
+from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
 from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, make_evidence, training_key
-from egolane_pgm.scoring.bootstrap import Interval, bootstrap_interval
+from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies.em import fit_tables
 from egolane_pgm.studies.fits import learnable_nodes, start_of_learning, training_of
 from egolane_pgm.studies.graph_file import graph_yaml
+from egolane_pgm.studies.search import make_sampler, quiet, settings_of
+from egolane_pgm.studies.space import SearchSpace
 from egolane_pgm.studies.structures import (
     Edge,
     Structure,
     edges_of,
     free_numbers,
+    parse_edge,
     repetition_step,
+    spelled,
     with_node,
     with_structure,
 )
@@ -43,9 +47,9 @@ from egolane_pgm.studies.study import Fold, everything
 from egolane_pgm.tools.files import make_directory, write_yaml
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import Evidence, FloatArray, InputError
+from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, IntArray, problems_in
 
-#: The judges, and what each one says.
+#: The judges.
 JUDGES = {
     "log_loss": "gain in held-out log-loss of Lane, nats per frame",
     "accuracy": "gain in held-out accuracy of Lane",
@@ -55,25 +59,26 @@ JUDGES = {
     " nearly opposite to held-out lanes",
 }
 
-#: Structures whose tables have more numbers than this are not tried.
-MOST_NUMBERS = 2000
+#: A larger table is refused, and an edge to a node that then has more parents.
+MOST_NUMBERS, MOST_PARENTS = 2000, 3
 
 #: The largest number of EM steps for each structure.
 ITERATIONS = 50
 
+Judged = tuple[list[FloatArray], dict[str, float]]
+
 
 @dataclass(frozen=True)
 class Problem:
-    """What structures are tried on.
+    """The drives on which structures are judged, and the graph to start from.
 
-    - model: the graph to start from.
-    - tables: of the graph to start from, with new nodes.
-    - hidden: the hidden nodes.
-    - drives: of the same number of lanes.
-    - evidence: of each drive.
-    - folds: held out in turn.
+    - model: with the graph to start from.
+    - tables, hidden: of this graph, with new nodes.
+    - drives, evidence: R recordings with the same number of lanes.
+    - drive_ids: the number of each recording's drive; several detectors may have recorded one.
+    - folds: held out in turn, in order; the last one has all frames and no test frames.
     - judge: one of JUDGES.
-    - seed: of the start of new edges.
+    - seed: of the start of new edges, and of the sampler.
     """
 
     model: Model
@@ -81,82 +86,39 @@ class Problem:
     hidden: tuple[str, ...]
     drives: tuple[Drive, ...]
     evidence: tuple[Evidence, ...]
+    drive_ids: tuple[int, ...]
     folds: tuple[Fold, ...]
     judge: str
     seed: int
 
 
 @dataclass(frozen=True)
-class Judged:
-    """A structure, fitted.
-
-    - values: per drive the value of each annotated frame (K,) under the judge, larger is better;
-      NaN in crossing frames.
-    - numbers: free numbers of its tables.
-    - log_evidence: of all frames, with the fit to them, natural logarithm.
-    - bic: log evidence less half the logarithm of the number of frames for each free number.
-    """
-
-    values: tuple[FloatArray, ...]
-    numbers: int
-    log_evidence: float
-    bic: float
-
-    @property
-    def mean(self) -> float:
-        """The mean over drives of the mean over frames."""
-        return float(np.mean([np.nanmean(each) for each in self.values]))
-
-
-@dataclass(frozen=True)
 class Exploration:
     """The answer to "which edge helps?".
 
-    - edges: a row per candidate, the best first: `edge`, `change` (add or remove), `gain` alone,
-      its 95 % interval over blocks of frames of all drives (`low`, `high`), the number of drives in
-      which it helps (`drives`), free numbers (`numbers`), and in how many of the searches it was
-      chosen (`chosen`).
-    - structures: a row per structure that was tried: `edges`, `score`, `numbers`, `log_evidence`,
-      `bic`.
+    - edges: a row per candidate, the best first: `edge`, `change` (add or remove), `gain` alone
+      (the mean over recordings of the mean over frames) with its 95 % interval over blocks of
+      frames (`gain_low`, `gain_high`; empty for `bic`), the same over drives (`over_drives`, `_low`
+      and `_high`, Student's t; empty for one drive), the number of drives in which it helps
+      (`drives`), free numbers (`numbers`), and in how many of the searches it was chosen
+      (`chosen`).
+    - structures: a row per structure: `edges`, `score`, `numbers`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start.
-    - gain: of the best structure over the start, with its interval.
+    - gain: of the best structure over the start, the same columns as in `edges`.
+    - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
-    - judge: one of JUDGES.
-    - directory: where it is saved; None in memory.
+    - judge: description of the gains.
+    - directory: output directory; None in memory.
     """
 
     edges: pd.DataFrame
     structures: pd.DataFrame
     best: Structure
-    gain: Interval
+    gain: Mapping[str, Any]
+    gains: Mapping[tuple[str, str, int], float]
     model: Model
     judge: str
     directory: Path | None = None
-
-    def save(self, directory: Path) -> None:
-        """Write edges.csv, structures.csv and the best graph, best.graph.yaml."""
-        make_directory(directory)
-        self.edges.to_csv(directory / "edges.csv", index=False)
-        self.structures.to_csv(directory / "structures.csv", index=False)
-        content = graph_yaml(self.model, f"edges chosen by {self.judge}: {self.changes}")
-        write_yaml(directory / "best.graph.yaml", content)
-
-    @property
-    def gains(self) -> dict[tuple[str, str, int], float]:
-        """What each edge that was added gains alone, by parent, child and lag."""
-        alone = self.edges[self.edges["change"] == "add"].set_index("edge")["gain"]
-        added = [edge for edge in self.best if str(edge) in alone]
-        return {(e.parent, e.child, e.lag): float(alone[str(e)]) for e in added}
-
-    @property
-    def meaning(self) -> str:
-        """What the judge says."""
-        return JUDGES[self.judge]
-
-    @property
-    def changes(self) -> str:
-        """The edges in which the best structure differs from the start, as text."""
-        return ", ".join(map(str, sorted(self.best))) or "none"
 
 
 def make_problem(
@@ -164,12 +126,12 @@ def make_problem(
     folds: Sequence[Fold],
     *,
     judge: str = "log_loss",
-    nodes: Sequence[tuple[str, int]] = (),
+    nodes: Sequence[str] = (),
     seed: int = 0,
 ) -> Problem:
     """Prepare a search over the edges of the graph of some drives.
 
-    - nodes: hidden nodes to add, with their numbers of values.
+    - nodes: hidden nodes to add, with their numbers of values, e.g. `Occlusion=2`.
 
     Raises InputError for drives of different lanes, and for a judge without its data.
     """
@@ -180,270 +142,294 @@ def make_problem(
         raise InputError("explore: the drives differ in n_lanes; explore them apart")
     if judge != "bic" and not folds:
         raise InputError(f"judge: {judge} needs held-out frames (folds); without them take bic")
-    if judge in ("log_loss", "accuracy") and not all(drive.has_truth for drive in drives):
+    is_scored = [(drive.true_lane[~drive.is_crossing] > 0).any() for drive in drives]
+    if judge in ("log_loss", "accuracy") and not all(is_scored):
         raise InputError(f"judge: {judge} needs ground truth; without it take log_evidence or bic")
     learnable_nodes(model)
     start = start_of_learning(model).compiled
-    tables = list(start.tables.values())
-    for name, size in nodes:
-        if name in start.cardinality or size < 2:
-            raise InputError(f"node {name}={size}: needs a new name and two values or more")
-        tables = with_node(tables, name, size)
-    hidden = (*start.hidden, *(name for name, _ in nodes))
+    tables, hidden = list(start.tables.values()), list(start.hidden)
+    for text in nodes:
+        name, _, size = map(str.strip, text.partition("="))
+        if not name or name in {*start.cardinality, *hidden} or size not in map(str, range(2, 100)):
+            raise InputError(f"node: '{text}' is not NEW_NAME=SIZE, e.g. Occlusion=2")
+        tables, hidden = with_node(tables, name, int(size)), [*hidden, name]
     evidence = tuple(make_evidence(drive.model, drive.log)[0] for drive in drives)
-    return Problem(model, tuple(tables), hidden, tuple(drives), evidence, tuple(folds), judge, seed)
+    experiments = [drive.experiment for drive in drives]
+    keys = [drive_key(e, list(map(digest, data_files(e)))) for e in experiments]
+    # Several drives of one recording have the same key.
+    names = [d.name if experiments.count(d.experiment) > 1 else "" for d in drives]
+    ids, _ = pd.factorize(pd.Series(keys) + names)
+    whole = Fold(everything(drives).train, tuple(np.zeros(0, dtype=int) for _ in drives))
+    return Problem(
+        model, tuple(tables), tuple(hidden), tuple(drives), evidence, tuple(ids.tolist()),
+        (whole,) if judge == "bic" else (*folds, whole), judge, seed,
+    )  # fmt: skip
 
 
-def candidates(problem: Problem, most_parents: int = 3) -> list[Edge]:
-    """Return the edges that may be added, and those that may be taken away.
-
-    Inputs get no parents and Lane keeps its memory. An edge is left out if its child had more than
-    `most_parents` parents, or if the network could not be compiled.
-    """
+def candidates(problem: Problem) -> list[Edge]:
+    """Return the edges that may be taken away, and those that may be added, if the network can be
+    filtered with the change. Lane keeps its memory."""
     names = list(dict.fromkeys(table.node[0] for table in problem.tables))
-    inputs = problem.model.compiled.inputs
-    there = edges_of(problem.tables)
-    found = [edge for edge in there if edge != Edge("Lane", "Lane", 1)]
+    edges = [*edges_of(problem.tables)]
     for child in names:
-        if child in inputs:
-            continue
-        n_parents = sum(edge.child == child for edge in there)
-        for parent in names:
-            for lag in (0, 1):
-                edge = Edge(child, parent, lag)
-                is_loop = lag == 0 and parent == child
-                if not is_loop and edge not in there:
-                    found.append(edge)
-        if Edge(child, child, 1) not in there:
-            found.append(Edge(child, child, 1, repeats=True))
-        if n_parents >= most_parents:
-            found = [edge for edge in found if edge.child != child or edge in there]
-    return [edge for edge in found if compiled_of(problem, frozenset({edge})) is not None]
+        edges += [Edge(child, parent, lag) for parent in names for lag in (0, 1)]
+        edges.append(Edge(child, child, 1, repeats=True))
+    memory = Edge("Lane", "Lane", 1)
+    return [e for e in dict.fromkeys(edges) if e != memory and is_allowed(problem, frozenset({e}))]
 
 
-def compiled_of(problem: Problem, structure: Structure) -> Compiled | None:
-    """Return the network of a structure before the fit; None if it is none that can be filtered."""
-    both_forms = {edge.child for edge in structure if edge.repeats} & {
-        edge.child for edge in structure if edge.parent == edge.child and not edge.repeats
-    }
-    # EM does not learn tables that an input selects.
-    of_input = any(edge.parent in problem.model.compiled.inputs for edge in structure)
-    tables, _ = with_structure(problem.tables, structure, problem.seed)
-    if both_forms or of_input or max(table.values.size for table in tables) > MOST_NUMBERS:
-        return None
-    start = problem.model.compiled
-    try:
+def is_allowed(problem: Problem, structure: Structure) -> bool:
+    """Whether the network of a structure can be filtered."""
+    with contextlib.suppress(InputError):
+        return bool(made(problem, structure))
+    return False
+
+
+def made(problem: Problem, structure: Structure) -> tuple[Compiled, dict[SliceNode, FloatArray]]:
+    """Make the network of a structure before the fit, and its tables without repetition.
+
+    Raises InputError, naming the edges, for a network that cannot be filtered.
+    """
+    there = set(edges_of(problem.tables))
+    with problems_in(f"edge '{spelled(structure, there)}'"):
+        after = there ^ structure
+        for edge in structure - there:
+            if edge.repeats and replace(edge, repeats=False) in after:
+                raise InputError(f"{edge.child} has a full table of its repetition")
+            parents = [each.parent for each in after if each.child == edge.child]
+            if len(parents) > MOST_PARENTS:
+                raise InputError(f"{edge.child} has more than {MOST_PARENTS} parents")
+            if not set(parents).isdisjoint(problem.model.compiled.inputs):
+                raise InputError(f"EM learns no table that an input selects, as of {edge.child}")
+        tables, bases = with_structure(problem.tables, structure, problem.seed)
+        if (size := max(table.values.size for table in tables)) > MOST_NUMBERS:
+            raise InputError(f"a table has {size} numbers, more than {MOST_NUMBERS}")
+        start = problem.model.compiled
         compiled = compile_tables(
             tables, observed=start.observed, hidden=problem.hidden, inputs=start.inputs,
             values=start.values,
         )  # fmt: skip
-    except InputError:
-        return None
-    return compiled if start.start is None else with_initial_lane(compiled, start.start)
+    return compiled if start.start is None else with_initial_lane(compiled, start.start), bases
 
 
-def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled, float, int, int]:
-    """Fit a structure to the training frames of a fold.
-
-    Returns the network, the log evidence of the training frames, their number, and the number of
-    free numbers.
-    """
-    compiled = compiled_of(problem, structure)
-    if compiled is None:
-        changed = ", ".join(map(str, sorted(structure)))
-        raise InputError(f"explore: {changed}: no network that can be filtered")
-    _, bases = with_structure(problem.tables, structure, problem.seed)
+def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled, int]:
+    """Fit a structure to the training frames of a fold; return also its free numbers."""
+    compiled, bases = made(problem, structure)
     options = problem.model.experiment.fit
-    parts = [
-        training_of(drive, train, labels=options.labels, evidence=evidence)
-        for drive, evidence, train in zip(problem.drives, problem.evidence, fold.train, strict=True)
-        if len(train)
-    ]
+    data = zip(problem.drives, problem.evidence, fold.train, strict=True)
+    parts = [training_of(d, t, labels=options.labels, evidence=e) for d, e, t in data if len(t)]
     evidence, lanes, begins = zip(*parts, strict=True)
-    joined, is_first = Evidence.concat(evidence), np.concatenate(begins)
     learned = fit_tables(
-        compiled, joined, {"Lane": np.concatenate(lanes)}, is_first,
-        strength=options.strength, iterations=ITERATIONS,
+        compiled, Evidence.concat(evidence), {"Lane": np.concatenate(lanes)},
+        np.concatenate(begins), strength=options.strength, iterations=ITERATIONS,
         steps={node: repetition_step(base, options.strength) for node, base in bases.items()},
-    )  # fmt: skip
-    log_evidence = filter_beliefs(learned.compiled, joined, is_first=is_first).log_evidence
-    numbers = free_numbers(counted_tables(learned.compiled), bases)
-    return learned.compiled, float(log_evidence.sum()), len(joined), numbers
+    ).compiled  # fmt: skip
+    return learned, free_numbers(counted_tables(learned), bases)
 
 
-def judged(problem: Problem, structure: Structure) -> Judged:
-    """Fit and judge a structure."""
-    whole = everything(problem.drives)
-    _, log_evidence, n_frames, numbers = fitted(problem, structure, whole)
+def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> Judged:
+    """Fit a structure to the training frames of a fold, and judge it.
+
+    - task: the edges of a structure, sorted, and the number of the fold.
+
+    Returns per recording the value of each test frame, larger is better, NaN in crossing frames, or
+    one BIC per frame for all; and the free numbers, the log evidence of all frames, and BIC: log
+    evidence less half the logarithm of the number of frames for each free number.
+    """
+    fold = problem.folds[task[1]]
+    compiled, numbers = fitted(problem, frozenset(task[0]), fold)
+    beliefs = [filter_beliefs(compiled, each) for each in problem.evidence]
+    # The log evidence of EM includes the known lanes.
+    log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)
+    n_frames = sum(map(len, beliefs))
     bic = log_evidence - numbers / 2 * math.log(n_frames)
-    values = [np.full(len(drive), np.nan) for drive in problem.drives]
+    values = [*map(partial(_values, problem.judge), problem.drives, beliefs, fold.test)]
     if problem.judge == "bic":
-        values = [np.full(len(drive), bic / n_frames) for drive in problem.drives]
-    for fold in problem.folds if problem.judge != "bic" else ():
-        compiled, *_ = fitted(problem, structure, fold)
-        for k, (drive, evidence) in enumerate(zip(problem.drives, problem.evidence, strict=True)):
-            if len(fold.test[k]):
-                values[k][fold.test[k]] = _judge(problem, drive, evidence, compiled)[fold.test[k]]
-    for drive, value in zip(problem.drives, values, strict=True):
-        value[drive.is_crossing[drive.rows]] = np.nan
-    return Judged(tuple(values), numbers, log_evidence, bic)
+        values = [np.array([bic / n_frames])]
+    return values, {"numbers": numbers, "log_evidence": log_evidence, "bic": bic}
 
 
-def _judge(problem: Problem, drive: Drive, evidence: Evidence, compiled: Compiled) -> FloatArray:
-    """Return the value of each annotated frame (K,)."""
-    beliefs, rows = filter_beliefs(compiled, evidence), drive.rows
-    if problem.judge == "log_evidence":
-        return np.asarray(beliefs.log_evidence[rows])
-    lane, true = beliefs.lane[rows], drive.true_lane[rows]
-    if problem.judge == "log_loss":
-        return -log_loss_per_frame(lane, true)
-    return np.asarray(assigned_lane(lane) == true, dtype=np.float64)
-
-
-def gain_of(found: Judged, start: Judged) -> Interval:
-    """Return the gain of a structure over another one, with its paired interval."""
-    pairs = zip(found.values, start.values, strict=True)
-    counts = [
-        np.stack([np.nan_to_num(a - b), (~np.isnan(a)).astype(np.float64)], axis=1)
-        for a, b in pairs
-    ]
-    return bootstrap_interval(counts, lambda sums: np.asarray(sums[..., 0] / sums[..., 1], float))
+def _values(judge: str, drive: Drive, beliefs: Beliefs, test: IntArray) -> FloatArray:
+    rows = drive.rows[test]
+    values, true = beliefs.log_evidence[rows], drive.true_lane[rows]
+    if judge == "log_loss":
+        values = -log_loss_per_frame(beliefs.lane[rows], true)
+    elif judge == "accuracy":
+        values = (assigned_lane(beliefs.lane[rows]) == true).astype(float)
+    return np.where(drive.is_crossing[rows], np.nan, values)
 
 
 class _Tried:
     """The structures that were tried, kept on disk if there is a directory."""
 
-    def __init__(
-        self, problem: Problem, jobs: int, cluster: str | None, directory: Path | None
-    ) -> None:
-        from joblib import Memory
+    def __init__(self, problem: Problem, directory: Path | None, **shared: Any) -> None:
+        from joblib import Memory, hash
 
-        self.problem, self.jobs, self.cluster = problem, jobs, cluster
-        self.found: dict[Structure, Judged] = {}
-        memory = Memory(None if directory is None else directory / "tried", verbose=0)
-        self.judge: Callable[[Structure], Judged] = partial(memory.cache(judged), problem)
+        self.problem, self.found = problem, dict[tuple[Structure, int], Judged]()
+        self.folds, self.shared = range(len(problem.folds)), shared
+        # Without sets, whose order differs between processes.
+        fit, parts = problem.model.experiment.fit, vars(problem) | {"model": None, "drives": None}
+        labels = [(drive.true_lane, drive.is_crossing) for drive in problem.drives]
+        data = parts, labels, fit.labels, fit.strength, problem.model.compiled.start
+        place = None if directory is None else directory / "tried" / hash(data)
+        kept = Memory(place, verbose=0).cache(judged, ignore=["problem"])
+        self.judge = partial(kept, problem)
 
-    def __call__(self, structures: Sequence[Structure]) -> None:
-        new = [each for each in dict.fromkeys(structures) if each not in self.found]
-        done = parallel(self.judge, new, jobs=self.jobs, cluster=self.cluster)
-        counted = bar(done, total=len(new), unit="graph")
-        for each, result in zip(new, counted, strict=True):
-            self.found[each] = result
+    def __call__(self, structures: Iterable[Structure], folds: Sequence[int] = ()) -> None:
+        """Judge structures in some folds, by default in all."""
+        tasks = dict.fromkeys((each, fold) for each in structures for fold in folds or self.folds)
+        new = [task for task in tasks if task not in self.found]
+        done = parallel(self.judge, [(tuple(sorted(s)), k) for s, k in new], **self.shared)
+        self.found.update(zip(new, bar(done, total=len(new), unit="fit"), strict=True))
+
+    def complete(self) -> dict[Structure, dict[str, float]]:
+        """The numbers, log evidence and BIC of the structures that were judged in all folds."""
+        return {each: row for (each, k), (_, row) in self.found.items() if k == self.folds[-1]}
+
+    def values(self, structure: Structure) -> list[FloatArray]:
+        """The values of `judged` in all folds so far, per recording."""
+        found = [self.found[structure, k][0] for k in self.folds if (structure, k) in self.found]
+        return [np.concatenate(each) for each in zip(*found, strict=True)]
+
+    def score(self, structure: Structure) -> float:
+        """The mean over recordings of the mean over frames."""
+        return float(np.mean([np.nanmean(each) for each in self.values(structure)]))
+
+    def gain(self, structure: Structure) -> dict[str, Any]:
+        """The gain over the start with its paired intervals, as in `Exploration.edges`."""
+        start: Structure = frozenset()
+        pairs = zip(self.values(structure), self.values(start), strict=True)
+        gains = [of_structure - of_start for of_structure, of_start in pairs]
+        ids = list(self.problem.drive_ids[: len(gains)])
+        counts = [np.stack([np.nan_to_num(each), ~np.isnan(each)], axis=1) for each in gains]
+        found = bootstrap_interval(counts, lambda sums: sums[..., 0] / sums[..., 1], seeds=ids)
+        means = pd.Series(map(np.nanmean, gains)).groupby(ids).mean()
+        half = stdtrit(len(means) - 1, (1 + LEVEL) / 2) * means.std() / math.sqrt(len(means))
+        ends = "", "_low", "_high"
+        names = [name + end for name in ("gain", "over_drives") for end in ends]
+        over_drives = means.mean(), means.mean() - half, means.mean() + half
+        row = dict(zip(names, (found.estimate, found.low, found.high, *over_drives), strict=True))
+        mine, before = (self.complete()[each]["numbers"] for each in (structure, start))
+        return {**row, "drives": int((means > 0).sum()), "numbers": mine - before}
 
 
 def explore(
     problem: Problem,
-    edges: Sequence[Edge],
+    edges: Sequence[str] = (),
     *,
     trials: int = 0,
     searches: int = 1,
-    most_parents: int = 3,
+    sampler: str | optuna.samplers.BaseSampler | None = None,
+    pruner: optuna.pruners.BasePruner | None = None,
     directory: Path | None = None,
     jobs: int = 1,
     cluster: str | None = None,
 ) -> Exploration:
     """Try each edge alone, then search the best set of edges.
 
-    - edges: the candidates.
+    - edges: as `parse_edge` reads them, by default all candidates.
     - trials: 0 for a greedy search, which adds the best edge as long as one helps; otherwise the
-      number of trials of an Optuna study in which each edge is on or off.
+      number of trials of an Optuna study with a switch per edge.
     - searches: with another seed each; `chosen` counts over them.
-    - directory: structures that were tried are kept there, so that a repeated call goes on.
+    - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
+    - pruner: Optuna's. A trial reports its mean score after each fold.
+    - directory: of the results, and of all fits, which a repeated call reuses.
+
+    Raises InputError for an edge with which the network cannot be filtered.
     """
-    for edge in edges:
-        if compiled_of(problem, frozenset({edge})) is None:
-            raise InputError(
-                f"edge '{edge}': with it the graph has a circle, or more joint states or numbers"
-                " than can be filtered, or a table that an input selects and EM does not learn"
-            )
-    chosen: list[Structure] = []
-    for k in range(max(1, searches)):
-        tried = _Tried(replace(problem, seed=problem.seed + k), jobs, cluster, directory)
-        start: Structure = frozenset()
-        tried([start, *(frozenset({edge}) for edge in edges)])
-        search = partial(_optuna, trials=trials) if trials else _greedy
-        chosen.append(search(tried, edges, most_parents=most_parents))
-        if k == 0:
-            first = tried
-    rows = [_edge_row(first, edge, chosen) for edge in edges]
-    table = pd.DataFrame(rows).sort_values("gain", ascending=False, ignore_index=True)
-    structures = pd.DataFrame(
-        [
-            {
-                "edges": ", ".join(map(str, sorted(structure))),
-                "score": each.mean,
-                "numbers": each.numbers,
-                "log_evidence": each.log_evidence,
-                "bic": each.bic,
-            }
-            for structure, each in first.found.items()
-        ]
-    ).sort_values("score", ascending=False, ignore_index=True)
-    best, nothing = chosen[0], first.found[frozenset()]
-    compiled, *_ = fitted(problem, best, everything(problem.drives))
-    origin = training_key(drive.experiment for drive in problem.drives)
-    model = replace(problem.model, compiled=compiled, learned_from=origin)
-    gain = gain_of(first.found[best], nothing)
-    done = Exploration(table, structures, best, gain, model, problem.judge, directory)
+    names = list(dict.fromkeys(table.node[0] for table in problem.tables))
+    given = dict.fromkeys(parse_edge(each, names) for each in edges) or candidates(problem)
+    alone = {edge: frozenset({edge}) for edge in given}
+    for each in alone.values():
+        made(problem, each)
+    pruner, several = pruner or optuna.pruners.NopPruner(), []
+    for k in range(searches):
+        seeded = replace(problem, seed=problem.seed + k)
+        study = _study(seeded, list(alone), sampler, pruner)
+        tried = _Tried(seeded, directory, jobs=jobs, cluster=cluster)
+        tried([frozenset(), *alone.values()])
+        if trials:
+            _optuna(tried, list(alone), study, trials)
+        else:
+            _greedy(tried, list(alone))
+        several.append(tried)
+    first, chosen = several[0], [max(each.complete(), key=each.score) for each in several]
+    best, there = chosen[0], edges_of(problem.tables)
+    gains = {edge: first.gain(structure) for edge, structure in alone.items()}
+    rows: list[dict[str, Any]] = []
+    for edge, gain in gains.items():
+        row = {"edge": str(edge), "change": "remove" if edge in there else "add", **gain}
+        rows.append({**row, "chosen": sum(edge in each for each in chosen)})
+    structures: list[dict[str, Any]] = [
+        {"edges": spelled(each, there), "score": first.score(each), **row}
+        for each, row in first.complete().items()
+    ]
+    done = Exploration(
+        pd.DataFrame(sorted(rows, key=lambda row: -row["gain"])),
+        pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
+        best,
+        first.gain(best),
+        {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
+        replace(
+            problem.model,
+            compiled=fitted(problem, best, everything(problem.drives))[0],
+            learned_from=training_key(drive.experiment for drive in problem.drives),
+        ),
+        JUDGES[problem.judge],
+        directory,
+    )
     if directory is not None:
-        done.save(directory)
+        make_directory(directory)
+        done.edges.to_csv(directory / "edges.csv", index=False)
+        done.structures.to_csv(directory / "structures.csv", index=False)
+        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best, there)}")
+        write_yaml(directory / "best.graph.yaml", content)
     return done
 
 
-def _edge_row(tried: _Tried, edge: Edge, chosen: Sequence[Structure]) -> dict[str, Any]:
-    alone, start = tried.found[frozenset({edge})], tried.found[frozenset()]
-    gain = gain_of(alone, start)
-    per_drive = [np.nanmean(a - b) for a, b in zip(alone.values, start.values, strict=True)]
-    return {
-        "edge": str(edge),
-        "change": "remove" if edge in edges_of(tried.problem.tables) else "add",
-        "gain": gain.estimate,
-        "low": gain.low,
-        "high": gain.high,
-        "drives": int(np.sum(np.array(per_drive) > 0)),
-        "numbers": alone.numbers - start.numbers,
-        "chosen": sum(edge in each for each in chosen),
-    }
-
-
-def _greedy(tried: _Tried, edges: Sequence[Edge], *, most_parents: int) -> Structure:
-    """Change the edge that gains most, as long as the mean gain is positive."""
+def _greedy(tried: _Tried, edges: Sequence[Edge]) -> None:
+    """Change the edge that gains most, as long as the score grows."""
     now: Structure = frozenset()
     while True:
-        allowed = [
-            now | {edge}
-            for edge in edges
-            if edge not in now and _is_allowed(tried.problem, now | {edge}, most_parents)
-        ]
+        further = [now | {edge} for edge in edges if edge not in now]
+        allowed = [each for each in further if is_allowed(tried.problem, each)]
         tried(allowed)
-        best = max(allowed, key=lambda each: tried.found[each].mean, default=now)
-        if best == now or tried.found[best].mean <= tried.found[now].mean:
-            return now
+        best = max(allowed, key=tried.score, default=now)
+        if tried.score(best) <= tried.score(now):
+            return
         now = best
 
 
-def _optuna(tried: _Tried, edges: Sequence[Edge], *, trials: int, most_parents: int) -> Structure:
-    """Search with each edge on or off; a set that is no network is pruned."""
-    problem = tried.problem
-    sampler = optuna.samplers.TPESampler(seed=problem.seed, multivariate=True)
-    study = optuna.create_study(direction="maximize", sampler=sampler)
-    study.enqueue_trial({str(edge): False for edge in edges})
+def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:
+    """Make a study with a switch per edge, all off in the first trial."""
+    if sampler is None or isinstance(sampler, str):
+        experiment = problem.model.experiment
+        own = {"sampler": sampler or "tpe", "seed": problem.seed, "objective": ("log_loss",)}
+        settings = settings_of(experiment.fit.model_copy(update=own), source=experiment.source)
+        switch = optuna.distributions.CategoricalDistribution([False, True])
+        sampler = make_sampler(settings, SearchSpace({str(e): switch for e in edges}, {}), 0)
+    with quiet():
+        study = optuna.create_study(direction="maximize", sampler=sampler, pruner=pruner)
+        study.enqueue_trial({str(edge): False for edge in edges})
+    return study
+
+
+def _optuna(tried: _Tried, edges: Sequence[Edge], study: optuna.Study, trials: int) -> None:
+    """Search; prune a set of edges with which the network cannot be filtered."""
 
     def score(trial: optuna.Trial) -> float:
         on = frozenset(e for e in edges if trial.suggest_categorical(str(e), [False, True]))
-        if not _is_allowed(problem, on, most_parents):
+        if not is_allowed(tried.problem, on):
             raise optuna.TrialPruned
-        tried([on])
-        return tried.found[on].mean
+        if isinstance(study.pruner, optuna.pruners.NopPruner):
+            tried([on])
+        for k in tried.folds:
+            tried([on], [k])
+            trial.report(tried.score(on), k)
+            if trial.should_prune():
+                raise optuna.TrialPruned
+        return tried.score(on)
 
-    for _ in bar(range(trials), unit="trial"):
-        study.optimize(score, n_trials=1)
-    return frozenset(edge for edge in edges if study.best_params[str(edge)])
-
-
-def _is_allowed(problem: Problem, structure: Structure, most_parents: int) -> bool:
-    tables, _ = with_structure(problem.tables, structure, problem.seed)
-    before = {table.node: len(table.parents) for table in problem.tables}
-    grown = [table for table in tables if len(table.parents) > before[table.node]]
-    few = all(len(table.parents) <= most_parents for table in grown)
-    return few and compiled_of(problem, structure) is not None
+    with quiet():
+        for _ in bar(range(trials), unit="trial"):
+            study.optimize(score, n_trials=1)

@@ -1,8 +1,8 @@
 """Structures of a graph: edges that are added to its tables or taken away.
 
-A table gets another parent by repeating its rows, so that the network says the same as before until
-it is fitted; small random factors let a new hidden node differ from the start. A table loses a
-parent by the mean over it. A node that repeats itself has the compact form
+A new parent repeats the rows of a table, so that the network hardly changes before it is fitted;
+small random factors let a new hidden node differ from the start. Without a parent a table is the
+mean over it. A node that repeats itself has the compact form
 
     P(x | x before, parents) = rho [x = x before] + (1 - rho) P(x | parents)
 
@@ -11,8 +11,8 @@ with one number instead of a full table of all values before.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -50,6 +50,11 @@ class Edge:
 Structure = frozenset[Edge]
 
 
+def spelled(structure: Structure, there: Collection[Edge]) -> str:
+    """Return the changes as text. there: the edges of the graph to start from."""
+    return ", ".join(f"{'without ' * (e in there)}{e}" for e in sorted(structure)) or "none"
+
+
 def edges_of(tables: Iterable[Table]) -> list[Edge]:
     """Return the edges into later frames, which hold in the first frame as far as they can."""
     return [
@@ -78,12 +83,8 @@ def parse_edge(text: str, nodes: Iterable[str]) -> Edge:
 
 def with_node(tables: Sequence[Table], name: str, size: int) -> list[Table]:
     """Add a hidden node without edges to others, which keeps its value for about ten frames."""
-    stay = np.linspace(_STAYS, (_STAYS + 1) / 2, size)
-    return [
-        *tables,
-        *prior(name, uniform(size)),
-        *dynamics(name, [previous(name)], sticky(*stay)),
-    ]
+    rows = sticky(*np.linspace(_STAYS, (_STAYS + 1) / 2, size))
+    return [*tables, *prior(name, uniform(size)), *dynamics(name, [previous(name)], rows)]
 
 
 def with_structure(
@@ -93,29 +94,28 @@ def with_structure(
 
     - structure: edges that the tables have are taken away, others are added.
     """
-    there = set(edges_of(tables))
-    found = {table.node: table for table in tables}
-    for edge in sorted(structure & there):
-        for s in (0, 1):
+    there, rng = set(edges_of(tables)), np.random.default_rng(seed)
+    found, bases = {table.node: table for table in tables}, {}
+    # Repetition follows the other changes.
+    for edge in sorted(structure, key=lambda each: (each not in there, each.repeats, each)):
+        shape = [found[name, 1].values.shape[-1] for name in (edge.parent, edge.child)]
+        # The same random numbers for both slices.
+        factors = rng.uniform(1, 1 + _JITTER, shape)
+        for s in range(edge.lag, 2):
             node, parent = (edge.child, s), (edge.parent, s - edge.lag)
-            if parent in found[node].parents:
-                found[node] = _without(found[node], parent)
-    rng = np.random.default_rng(seed)
-    for edge in sorted(structure - there):
-        if not edge.repeats:
-            size = found[edge.parent, 0].values.shape[-1]
-            # The same random numbers for both slices.
-            factors = rng.uniform(1, 1 + _JITTER, (size, found[edge.child, 0].values.shape[-1]))
-            for s in range(edge.lag, 2):
-                node, parent = (edge.child, s), (edge.parent, s - edge.lag)
-                found[node] = _with(found[node], parent, factors)
-    bases = {}
-    for edge in sorted(structure - there):
-        if edge.repeats:
-            node = (edge.child, 1)
-            bases[node] = found[node].values
-            repeated = repetition(found[node].values, _REPEATS)
-            found[node] = Table(node, (*found[node].parents, (edge.child, 0)), repeated)
+            parents, values = found[node].parents, found[node].values
+            if edge in there:
+                values = values.mean(axis=parents.index(parent))
+                parents = tuple(each for each in parents if each != parent)
+            else:
+                parents = (*parents, parent)
+                if edge.repeats:
+                    bases[node] = values
+                    values = repetition(values, _REPEATS)
+                else:
+                    values = values[..., None, :] * factors
+                    values /= values.sum(axis=-1, keepdims=True)
+            found[node] = Table(node, parents, values)
     return list(found.values()), bases
 
 
@@ -152,23 +152,15 @@ def repetition_step(base: FloatArray, strength: float) -> Step:
 
 
 def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode]) -> int:
-    """Return the number of free numbers of tables: entries above zero but one of each row; for the
-    compact form those without repetition, and one."""
+    """Return the number of free numbers of the tables of later frames: entries above zero but one
+    of each row; for the compact form those without repetition, and one.
+
+    Tables of the first frame alone do not count: one frame of a sequence informs them, and the
+    logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).
+    """
     bases, total = set(bases), 0
-    for node, table in tables.items():
+    for node in (node for node in tables if node[1] == 1):
         # Repetition adds to one value of each row only.
-        values = table.values.min(axis=-2) if node in bases else table.values
+        values = tables[node].values.min(axis=-2) if node in bases else tables[node].values
         total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
     return total
-
-
-def _with(table: Table, parent: SliceNode, factors: FloatArray) -> Table:
-    values = table.values[..., None, :] * factors
-    values = values / values.sum(axis=-1, keepdims=True)
-    return Table(table.node, (*table.parents, parent), values)
-
-
-def _without(table: Table, parent: SliceNode) -> Table:
-    axis = table.parents.index(parent)
-    left = tuple(p for p in table.parents if p != parent)
-    return replace(table, parents=left, values=table.values.mean(axis=axis))

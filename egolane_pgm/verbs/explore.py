@@ -8,13 +8,11 @@ from typing import Annotated, Any, Literal
 from annotated_types import Ge
 
 from egolane_pgm.loading import ExperimentLike
-from egolane_pgm.studies.explore import Exploration, candidates, make_problem
+from egolane_pgm.studies.explore import Exploration, make_problem
 from egolane_pgm.studies.explore import explore as search
-from egolane_pgm.studies.structures import parse_edge
 from egolane_pgm.studies.study import block_folds
 from egolane_pgm.tools import options
 from egolane_pgm.tools.options import Option, StrPath, place_of
-from egolane_pgm.types import InputError
 from egolane_pgm.verbs.studied import open_studied
 from egolane_pgm.views.studies import exploration_text
 
@@ -43,24 +41,24 @@ def explore(
 
     Each graph is fitted by EM (`fit.labels`, `fit.strength`) and judged on held-out blocks
     (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
-    `fit.trials` by an Optuna study in which each edge is on or off.
+    `fit.trials` by an Optuna study (`fit.sampler`) with a switch per edge.
 
     - experiments: one, or a list: experiments, results, studies or lines, of the same number of
       lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
     - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
-    - judge: what counts: log_loss or accuracy of Lane, or log_evidence of the lines, in held-out
-      frames; or bic of all frames.
+    - judge: the score to improve: log_loss or accuracy of Lane, or log_evidence of the lines, in
+      held-out frames; or bic of all frames.
     - edge: a candidate, e.g. 'Lane(t-1) -> WOR'; by default all that can be compiled. Repeatable.
     - node: a hidden node to add, e.g. Occlusion=2. Repeatable.
     - searches: number of searches, each with another seed of the new edges.
-    - out: directory of the answer. A `*` in it is the experiment's name.
-    - jobs: processes that share the graphs.
-    - cluster: Dask cluster for the graphs.
+    - out: directory of the results. A `*` in it is the experiment's name.
+    - jobs: processes that share the fits.
+    - cluster: Dask cluster for the fits.
 
-    Returns an `Exploration`; a repeated call with the same `out` goes on. Writes files only with
-    `out`. Raises InputError for an edge or node that is not there and for drives that do not fit.
+    Returns an `Exploration`; a repeated call with the same `out` reuses its fits. Writes files only
+    with `out`. Raises InputError for an unknown edge or node, and for drives that do not fit.
 
     >>> import egolane_pgm as ego
     >>> changes = {"recording.frames": [0, 600], "fit.folds": 2}
@@ -71,27 +69,13 @@ def explore(
     """
     name, inputs = open_studied(experiments, overrides, graph, ground_truth, n_lanes)
     drives = [drive for each in inputs for drive in each.drives()]
-    fit, nodes = inputs[0].experiment.fit, []
-    for text in node:
-        added, equals, size = text.partition("=")
-        if not equals or not size.isdecimal():
-            raise InputError(f"node: '{text}' is not NAME=SIZE, e.g. Occlusion=2")
-        nodes.append((added.strip(), int(size)))
-    problem = make_problem(
-        drives, block_folds(drives, fit.folds) if fit.folds else (), judge=judge, nodes=nodes
-    )
-    known = list(dict.fromkeys(table.node[0] for table in problem.tables))
-    edges = [parse_edge(each, known) for each in edge] or candidates(problem)
-    place = place_of(out, name)
+    fit, place = inputs[0].experiment.fit, place_of(out, name)
+    folds = block_folds(drives, fit.folds)
+    problem = make_problem(drives, folds, judge=judge, nodes=node, seed=fit.seed)
     found = search(
-        problem,
-        edges,
-        trials=fit.trials or 0,
-        searches=searches,
-        directory=place,
-        jobs=jobs,
-        cluster=cluster,
-    )
+        problem, edge, trials=fit.trials or 0, searches=searches, sampler=fit.sampler,
+        directory=place, jobs=jobs, cluster=cluster,
+    )  # fmt: skip
     if place is not None:
         # Pictures are slow to import.
         from egolane_pgm.views.network import write_network

@@ -7,16 +7,18 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+from egolane_pgm.checking import check as check_model
+from egolane_pgm.checking import prediction_calibration, sensitivity
 from egolane_pgm.comparing import open_results
-from egolane_pgm.result import is_result, load_result
+from egolane_pgm.result import Result, is_result, load_result
 from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import Option, StrPath, several_of
 from egolane_pgm.types import InputError
 from egolane_pgm.views.answers import title_of
+from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
-    coverage_figure,
     dispersion_figure,
     reliability_figure,
 )
@@ -29,6 +31,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = (
     "egolane plot results/quickstart --frames 0 400 --style pdf",
+    "egolane plot results/quickstart --check",
     "egolane plot results/quickstart results/hard --out both.html",
     "egolane plot results/drive --out drive.mp4",
     "egolane plot results/drive --out drive.mcap",
@@ -38,13 +41,20 @@ EXAMPLES = (
 _FILES = (".html", ".mp4", ".mcap")
 
 
+class Files(list[Path]):
+    """The files that were written, and the text of the checks."""
+
+    text = ""
+
+
 def plot(
     results: StrPath | Sequence[StrPath],
     *,
     frames: Annotated[tuple[int, int] | None, Option("FIRST LAST")] = None,
     out: Annotated[StrPath | None, Option("DIR|FILE")] = None,
     style: Literal["png", "pdf", "svg"] = "png",
-) -> list[Path]:
+    check: bool = False,
+) -> Files:
     """Draw result directories and studies; the extension of --out sets the format:
 
     \b
@@ -57,14 +67,19 @@ def plot(
     - frames: frame ids of the belief strips, of a video or of an MCAP file.
     - out: by default figures/ in the result.
     - style: format of the figures.
+    - check: print and draw instead whether the model looks like the data, and how far the scores
+      move with each of its numbers.
 
     Returns the files. Raises InputError for directories and options that do not fit.
     """
     places = [Path(path) for path in several_of(results)]
     if frames and frames[0] > frames[1]:
         raise InputError(f"frames: {frames[0]} {frames[1]} is an empty range")
-    if out is not None and Path(out).suffix.lower() in _FILES and not Path(out).is_dir():
-        return [_write_file(places, Path(out), frames)]
+    is_file = out is not None and Path(out).suffix.lower() in _FILES and not Path(out).is_dir()
+    if check and (is_file or frames or any(map(is_study, places))):
+        raise InputError("check: goes with figures of results, without frames")
+    if out is not None and is_file:
+        return Files([_write_file(places, Path(out), frames)])
     studies = [place for place in places if is_study(place)]
     if frames and studies:
         raise InputError("frames: goes with results; the figures of a study have no frames")
@@ -78,22 +93,34 @@ def plot(
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 
-    files = [file for place in studies for file in draw_study(place, target(place), style)]
-    for result in found:
-        makes: dict[str, Callable[[], Figure]] = {
-            "strips": partial(result_strips, result, *(frames or ()))
-        }
-        if result.scores["frames_scored"]:
-            for draw in (confusion_figure, reliability_figure, coverage_figure):
-                name = draw.__name__.removesuffix("_figure")
-                makes[name] = partial(draw, result.frames, title_of(result))
+    files = Files(file for place in studies for file in draw_study(place, target(place), style))
+    for result in found if check else ():
+        text, makes = _checked(result)
+        files.text += f"{text}\n\n"
         files += write_figures(makes, target(Path(str(result.directory))), style)
-    if len(found) > 1:
+    for result in found if not check else ():
+        makes = {"strips": partial(result_strips, result, *(frames or ()))}
+        if result.scores["frames_scored"]:
+            given = result.frames, title_of(result)
+            makes["confusion"] = partial(confusion_figure, *given)
+            makes["reliability"] = partial(reliability_figure, *given)
+        files += write_figures(makes, target(Path(str(result.directory))), style)
+    if len(found) > 1 and not check:
         folder = places[0].parent if is_result(places[0]) else places[0]
         titled = [(title_of(result), result.frames) for result in found]
         together = {"dispersion": partial(dispersion_figure, titled)}
         files += write_figures(together, Path(out or folder), style)
     return files
+
+
+def _checked(result: Result) -> tuple[str, dict[str, Callable[[], Figure]]]:
+    """The text and the figures of the checks of a result."""
+    found, title = (check_model(result), prediction_calibration(result)), title_of(result)
+    makes = {"check": partial(check_figure, *found, title)}
+    numbers = sensitivity(result)
+    if len(numbers):
+        makes["sensitivity"] = partial(sensitivity_figure, numbers, title)
+    return check_text(result, *found), {**makes}
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:
@@ -117,6 +144,6 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
     return file
 
 
-def summary(done: list[Path], given: Mapping[str, Any]) -> str:
-    """The files."""
-    return "\n".join(map(str, done))
+def summary(done: Files, given: Mapping[str, Any]) -> str:
+    """The text of the checks and the files."""
+    return done.text + "\n".join(map(str, done))

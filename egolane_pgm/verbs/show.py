@@ -29,13 +29,16 @@ from egolane_pgm.views.description import (
     description_text,
 )
 from egolane_pgm.views.network import write_network
+from egolane_pgm.views.numbers import tables_figure
+from egolane_pgm.views.style import write_figure
 from egolane_pgm.views.tables import line_width
 from egolane_pgm.vision.detectors.networks.description import ready_networks
 
 EXAMPLES = (
     "egolane show",
-    "egolane show sensor_failure --tables",
+    "egolane show sensor_failure --numbers",
     "egolane show sensor_failure --out network.png",
+    "egolane show sensor_failure --numbers --out tables.png",
     "egolane show drive.csv",
     "egolane show lstr_360x640.onnx",
     "egolane show schema > experiment.schema.json",
@@ -61,7 +64,7 @@ def show(
     name: Annotated[StrPath | None, Option("[NAME|FILE|KIND]")] = None,
     *,
     n_lanes: Annotated[int, Ge(1), Le(MAX_LANES)] = 3,
-    tables: bool = False,
+    numbers: bool = False,
     out: Annotated[StrPath | None, Option("FILE")] = None,
 ) -> dict[str, Any]:
     """List graphs, evidence rules, detectors and experiments, or describe a plugin or a file.
@@ -76,7 +79,7 @@ def show(
     layouts that fit.
 
     - n_lanes: number of lanes of the road.
-    - tables: print the numbers of a graph's tables.
+    - numbers: print a graph's tables; with `out`, draw them as heat maps.
     - out: write a graph: a picture (.png, .svg, .pdf), or both slices with their tables for
       other programs (.bif).
 
@@ -101,7 +104,7 @@ def show(
     elif _is_recording(Path(given)):
         found = {"name": given, "text": show_recording(Path(given))}
     else:
-        found = _plugin(given, n_lanes, tables, out)
+        found = _plugin(given, n_lanes, numbers, out)
     if out is not None and found.get("kind") != "graph":
         raise InputError(f"out: {out}: only a graph is written to a file")
     return found
@@ -151,7 +154,7 @@ def _is_recording(path: Path) -> bool:
         return False
 
 
-def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[str, Any]:
+def _plugin(name: str, n_lanes: int, numbers: bool, out: StrPath | None) -> dict[str, Any]:
     """The description of a plugin; a graph is also written to `out`."""
     kind, bare = find_plugin(name, _PLUGINS)
     if out is not None:
@@ -163,9 +166,11 @@ def _plugin(name: str, n_lanes: int, tables: bool, out: StrPath | None) -> dict[
     if kind == "detector":
         return found | describe_detector(module)
     compiled = compile_defaults(bare, module, n_lanes)
-    if out is not None:
+    if out is not None and numbers and Path(out).suffix.lower() != ".bif":
+        write_figure(lambda: tables_figure(compiled), Path(out))
+    elif out is not None:
         write_network(compiled, Path(out))
-    return found | describe_graph(module, compiled, numbers=tables)
+    return found | describe_graph(module, compiled, numbers=numbers)
 
 
 def compile_defaults(name: str, module: ModuleType, n_lanes: int) -> Compiled:

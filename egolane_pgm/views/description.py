@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from types import ModuleType
 from typing import Any
 
@@ -33,6 +33,22 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
     - numbers: add the `values` of each table: an axis per parent, then the axis of the node.
     """
     structure = structure_of(compiled)
+    return {
+        "kind": "graph",
+        "n_lanes": compiled.cardinality.get("Lane"),
+        "joint_states": compiled.n_states,
+        "nodes": [
+            {"name": name, "role": role, "values": list(compiled.values.get(name, ()))}
+            for name, role in structure.kind.items()
+        ],
+        "edges": {"within": structure.within, "across": structure.across},
+        "tables": describe_tables(compiled, numbers=numbers),
+        **_of_module(module),
+    }
+
+
+def describe_tables(compiled: Compiled, *, numbers: bool = True) -> list[dict[str, Any]]:
+    """The tables of a compiled graph, without its inputs; see `describe_graph`."""
     tables: list[dict[str, Any]] = []
     for name in (name for name, s in compiled.tables if s == 0 and name not in compiled.inputs):
         frames = ["first frame", "later frames"]
@@ -43,18 +59,7 @@ def describe_graph(module: ModuleType, compiled: Compiled, *, numbers: bool) -> 
             tables.append({"node": name, "frames": when, "axes": axes, "shape": shape})
             if numbers:
                 tables[-1]["values"] = each.values
-    return {
-        "kind": "graph",
-        "n_lanes": compiled.cardinality.get("Lane"),
-        "joint_states": compiled.n_states,
-        "nodes": [
-            {"name": name, "role": role, "values": list(compiled.values.get(name, ()))}
-            for name, role in structure.kind.items()
-        ],
-        "edges": {"within": structure.within, "across": structure.across},
-        "tables": tables,
-        **_of_module(module),
-    }
+    return tables
 
 
 def describe_rule(module: ModuleType, defaults: Parameters) -> dict[str, Any]:
@@ -141,12 +146,8 @@ def _graph_parts(found: Mapping[str, Any]) -> list[str | Table]:
         *given, node = each["axes"]
         rows.append([node, ", ".join(given), " x ".join(map(str, each["shape"]))])
         if "values" in each:
-            *parents, own = (names[axis.removesuffix(_BEFORE)] for axis in each["axes"])
-            labels = [", ".join(combination) for combination in itertools.product(*parents)]
-            index = pd.Index(labels, name=", ".join(given) or " ")
-            frame = pd.DataFrame(np.reshape(each["values"], (len(labels), -1)), index, list(own))
+            name, frame = table_frame(each, names)
             is_long = frame.size > MAX_PRINTED
-            name = f"P({node}{' given ' * bool(given)}{', '.join(given)})"
             numbers.append(f"{name}{': in the JSON only' * is_long}")
             numbers += [] if is_long else [table(frame, dict.fromkeys(frame, ".4g"))]
     tables = pd.DataFrame(rows, columns=["table of", "given", "size"]).set_index("table of")
@@ -157,6 +158,22 @@ def _graph_parts(found: Mapping[str, Any]) -> list[str | Table]:
         table(tables),
         *numbers,
     ]
+
+
+def table_frame(
+    described: Mapping[str, Any], names: Mapping[str, Sequence[str]]
+) -> tuple[str, pd.DataFrame]:
+    """The name of a table, P(node given parents), and a row per combination of parents' values.
+
+    - described: one of `describe_tables`, with its values.
+    - names: of each node's values.
+    """
+    *given, node = described["axes"]
+    *parents, own = (names[axis.removesuffix(_BEFORE)] for axis in described["axes"])
+    labels = [", ".join(combination) for combination in itertools.product(*parents)]
+    index = pd.Index(labels, name=", ".join(given) or " ")
+    frame = pd.DataFrame(np.reshape(described["values"], (len(labels), -1)), index, list(own))
+    return f"P({node}{' given ' * bool(given)}{', '.join(given)})", frame
 
 
 def _rule_text(found: Mapping[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Figures of scores: confusion matrices, reliability, coverage, error dispersion.
+"""Figures of scores: confusion matrices, reliability, error dispersion.
 
 Each is a function of the frames of a result (`Result.frames`); InputError without annotated ones.
 """
@@ -17,7 +17,6 @@ from egolane_pgm.scoring.confusion import (
     N_BINS,
     calibration_curve,
     confusion,
-    coverage_curve,
     expected_calibration_error,
     scores_from_confusion,
 )
@@ -40,9 +39,6 @@ T = TypeVar("T")
 
 #: Reliability bins with fewer frames are drawn hollow and not connected: mostly chance.
 FEW_FRAMES = 30
-
-#: The values of `min_confidence` that are marked on coverage curves, and where these begin.
-MARKED, LEAST_COVERAGE = (0.5, 0.9, 0.99), 0.01
 
 #: The smallest share with a number in its part of a bar.
 LABELLED = 0.04
@@ -135,34 +131,6 @@ def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
     lower.yaxis.set_major_formatter("{x:,.0f}")
     lower.yaxis.set_minor_locator(NullLocator())
     figure.legend(loc="outside lower center", ncols=2)
-    return figure
-
-
-def coverage_figure(frames: pd.DataFrame, title: str = "") -> Figure:
-    """Draw the share of correct answers over the share of frames with an answer.
-
-    Some values of `min_confidence`, the least probability of an answer, are marked.
-    """
-    curves = _measured(frames, lambda belief, _, *truth: coverage_curve(belief, *truth))
-    figure = new_figure(5, 4, _titled(frames, title))
-    ax = figure.subplots()
-    for name, curve in curves.items():
-        colour, marker, dashes = ANSWER_STYLE[name]
-        found = pd.DataFrame(curve)
-        found = found[found["coverage"] >= LEAST_COVERAGE]
-        # The last point with at least this confidence.
-        at = {below: int((found["threshold"] >= below).sum()) - 1 for below in MARKED}
-        at = {below: k for below, k in at.items() if k >= 0}
-        look: Any = {"ls": dashes, "color": colour, "marker": marker, "ms": 5.5, "lw": 1.5}
-        coverage, accuracy = found["coverage"], found["accuracy"]
-        ax.plot(coverage, accuracy, markevery=[*at.values()], label=name, **look)
-        for below, k in at.items():
-            place = coverage.iloc[k], accuracy.iloc[k]
-            ax.annotate(f"{below:g}", place, (4, 5), textcoords="offset points", fontsize=8)
-    ax.margins(y=0.1)
-    ax.set(xlim=(-0.015, 1.06), xlabel="coverage: share of frames with an answer")
-    ax.set_ylabel("share of answers that are correct")
-    figure.legend(loc="outside lower center", ncols=2, title="marked: min_confidence")
     return figure
 
 

@@ -15,7 +15,9 @@ from matplotlib.patches import Circle, FancyArrowPatch, FancyBboxPatch, Rectangl
 
 from egolane_pgm.graphs.cpds import SliceNode, bif, ve_name
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.inference.sampling import HasModel, compiled_of
+from egolane_pgm.inference.sampling import compiled_of
+from egolane_pgm.model import Model
+from egolane_pgm.result import Result
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.views.style import INK, inline_figure, new_figure, write_figure
 
@@ -86,20 +88,18 @@ def write_network(compiled: Compiled, path: Path, gains: Gains | None = None) ->
 # --- the picture ---------------------------------------------------------------------------------
 
 
-def draw_network(network: HasModel) -> Figure:
+def draw_network(network: Model | Compiled | Result) -> Figure:
     """Draw the two slices of a network: hidden, observed, input and function nodes.
 
-    - network: the model of a run, anything with one (a result, a study), or a network as `compile`
-      returns it.
+    - network: a result, its model, or a network as `compile` returns it.
 
-    Raises InputError for a network without nodes or with a cycle.
+    Raises InputError for anything else.
 
     >>> import egolane_pgm as ego
     >>> run = ego.run("quickstart", overrides={"recording.frames": [0, 300]})
     >>> figure = ego.draw_network(run.model)
     """
-    compiled = compiled_of(network)
-    return inline_figure(lambda: network_figure(structure_of(compiled)))
+    return inline_figure(lambda: network_figure(structure_of(compiled_of(network))))
 
 
 def network_figure(structure: Structure, gains: Gains | None = None) -> Figure:

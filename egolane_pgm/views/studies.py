@@ -87,20 +87,20 @@ def _range(values: Sequence[Any]) -> str:
 
 def exploration_text(found: Exploration, style: str, wide: bool) -> str:
     """The output of `egolane explore`: which edge helps."""
-    shown = found.edges.set_index("edge")
-    shown["gain"] = [
-        with_interval(row.gain, None if row.low is None else [row.low, row.high], "+.4f")
-        for row in shown.itertuples()
-    ]
-    shown = shown.drop(columns=["low", "high"])
-    low, high = found.gain.low, found.gain.high
-    best = with_interval(found.gain.estimate, None if low is None else [low, high], "+.4f")
+    edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
+    removed = np.where(edges["change"] == "remove", "without ", "")
+    edges = edges.set_index(pd.Index(removed + edges["edge"], name="edge"))
+    shown = [["gain", "gain_low", "gain_high", "chosen" if max(edges["chosen"]) > 1 else "numbers"]]
+    if edges["over_drives_low"].notna().any():
+        shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
+    best = found.structures.iloc[0]
+    interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     return page(
         [
-            f"{len(found.structures)} graphs were tried; {found.meaning}",
-            "each edge alone, and in how many searches it was chosen:",
-            table(shown),
-            f"best: {found.changes}\n  gain {best}, {found.structures['numbers'][0]} free numbers\n"
+            f"{len(found.structures)} graphs were fitted; {found.judge}",
+            "each edge alone [95 % interval over blocks of frames, or over drives]:",
+            *[table(edges[columns], forms) for columns in shown],
+            f"best set: {best['edges']}\n  gain {interval}, {best['numbers']} free numbers\n"
             "  (chosen by its score on these frames, which is therefore optimistic)",
         ],
         style,

@@ -8,12 +8,13 @@ Left out of what is timed: fitting the arrays to the package's conventions.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
+from typing import Any
 
 import numpy as np
 
 from egolane_pgm.inference.compile import Compiled
-from egolane_pgm.types import Evidence, FloatArray
+from egolane_pgm.types import Evidence, FloatArray, IntArray
 
 Filter = Callable[[], FloatArray]
 
@@ -123,3 +124,29 @@ def dynamax_filter(compiled: Sequence[Compiled], evidence: Evidence, u: int = 0)
         run = jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None)))
     on_device = jax.tree.map(jnp.asarray, [*given, blocks_of(compiled[0], evidence)])
     return lambda: jax.block_until_ready(run(*on_device))
+
+
+def dynamax_paths(compiled: Compiled, evidence: Evidence, n: int) -> Callable[[], IntArray]:
+    """Paths of the posterior by dynamax, as joint states (n, T); compiled in the first call."""
+    emissions, blocks = emissions_of(compiled), blocks_of(compiled, evidence)
+    logs = np.log(state_likelihoods(emissions, blocks))
+
+    @cache
+    def draw() -> Callable[..., Any]:
+        import jax
+        from dynamax.hidden_markov_model import hmm_posterior_sample
+
+        given = compiled.prior[0], compiled.transition[0]
+        run = jax.jit(jax.vmap(lambda key: hmm_posterior_sample(key, *given, logs)[1]))
+        return partial(run, jax.random.split(jax.random.PRNGKey(0), n))
+
+    return lambda: np.asarray(draw()())
+
+
+def hmmlearn_chain(given: Sequence[FloatArray], **settings: Any) -> Any:
+    """hmmlearn's model. given: of the first frame (S,), transition (S, S), emission (S, K)."""
+    from hmmlearn.hmm import CategoricalHMM
+
+    chain = CategoricalHMM(len(given[0]), n_features=given[2].shape[1], **settings)
+    chain.startprob_, chain.transmat_, chain.emissionprob_ = map(np.copy, given)
+    return chain

@@ -25,6 +25,7 @@ from tests.benchmarks.bench_tune import markdown, tune_lines
 from tests.benchmarks.data import N_LANES, Data, load, parameter_sets
 from tests.benchmarks.position import position_rows
 from tests.benchmarks.timing import Row, duel, largest_difference, machine, table, take_turns
+from tests.benchmarks.workbench import workbench_rows
 from tests.reference import counting as plain_counting
 from tests.reference import inference as reference
 
@@ -70,6 +71,7 @@ def _rows(data: Data, rounds: int) -> Iterator[Row]:
         together_rows,
         position_rows,
         pgmpy_rows,
+        workbench_rows,
         reading_rows,
         command_rows,
     ):

@@ -110,7 +110,7 @@ def machine() -> str:
         names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
         cores, model = len(names), names[0] if names else model
     versions = [f"Python {platform.python_version()}"]
-    for package in ("numpy", "numba", "hmmlearn", "dynamax", "jax", "pgmpy"):
+    for package in ("numpy", "numba", "hmmlearn", "dynamax", "jax", "pgmpy", "pyagrum"):
         try:
             versions.append(f"{package} {metadata.version(package)}")
         except metadata.PackageNotFoundError:

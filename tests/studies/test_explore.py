@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import optuna
 import pytest
+from scipy import stats
 
 import egolane_pgm as ego
 from egolane_pgm.drives import Drive
@@ -17,6 +20,7 @@ from egolane_pgm.studies import structures
 from egolane_pgm.studies.explore import Problem, explore, fitted, judged, make_problem
 from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
 from egolane_pgm.studies.study import block_folds, everything
+from tests.benchmarks.workbench import search
 from tests.kits.line_logs import line_log
 from tests.kits.studies import drive_of
 
@@ -28,6 +32,7 @@ WHOLE, BIC = everything([DRIVE]), make_problem([DRIVE], [], judge="bic")
 START = DRIVE.model.compiled
 ADDED = [Edge("WOR", "Lane", 0), Edge("WOR", "WOR", 1)]
 REPEATS = Edge("WOR", "WOR", 1, repeats=True)
+THREE = [*ADDED, Edge("WOR", "Lane", 1)]
 REMOVED = Edge("DetectorOutput", "SensorState", 0)
 
 
@@ -50,23 +55,48 @@ def drawn_from(truth: Edge, n_frames: int) -> Problem:
 @pytest.mark.parametrize("truth", ADDED, ids=str)
 def test_an_edge_is_found_again(truth: Edge) -> None:
     others = [REMOVED, Edge("WOR", "DetectorOutput", 0), Edge("SensorState", "Lane", 1)]
-    found = explore(drawn_from(truth, 4000), [*others, *ADDED])
+    found = explore(drawn_from(truth, 4000), [*map(str, [*others, *ADDED])])
     assert found.best == {truth}
     assert found.edges["chosen"].tolist() == [1, 0, 0, 0, 0]
-    assert found.gain.estimate == found.edges["gain"][0] > 0.01
+    assert found.gain["gain"] == found.edges["gain"].iloc[0] > 0.01
+    # BIC is one number: nothing to resample.
+    assert found.edges[["gain_low", "over_drives_low"]].isna().all(axis=None)
 
 
 def test_a_study_keeps_what_it_tried(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On disk: a repeated call fits nothing but the best structure."""
-    problem = make_problem([DRIVE], block_folds([DRIVE], 2), nodes=[("Rain", 2)])
-    edges, fits = [Edge("WOR", "Rain", 0), REPEATS], []
+    problem = make_problem([DRIVE], block_folds([DRIVE], 2), nodes=["Rain=2"])
+    edges, fits = ["Rain -> WOR", str(REPEATS)], []
     first = explore(problem, edges, trials=4, searches=2, directory=tmp_path)
     monkeypatch.setattr(module, "fitted", lambda *a: fits.append(a[1]) or fitted(*a))
     again = explore(problem, edges, trials=4, searches=2, directory=tmp_path)
     assert again.edges.equals(first.edges)
     assert fits == [first.best]
     scores = first.structures.set_index("edges")["score"]
-    assert scores[", ".join(map(str, sorted(first.best)))] == scores.max()
+    assert scores[structures.spelled(first.best, [])] == scores.max()
+
+
+@pytest.mark.parametrize(
+    "sampler", ["random", optuna.samplers.RandomSampler(0)], ids=["name", "own"]
+)
+def test_a_pruned_set_is_not_the_answer(sampler: Any) -> None:
+    problem, edges = make_problem([DRIVE], block_folds([DRIVE], 2)), ["Lane -> WOR", str(REPEATS)]
+    all_sets = explore(problem, edges, trials=8, sampler=sampler)
+    pruner = optuna.pruners.ThresholdPruner(lower=np.inf)
+    alone = explore(problem, edges, trials=8, sampler=sampler, pruner=pruner)
+    assert (len(all_sets.structures), len(alone.structures)) == (4, 3)
+
+
+def test_recordings_of_one_drive_count_once_over_drives() -> None:
+    tried, edge = module._Tried(replace(BIC, drive_ids=(0, 1, 1)), None), frozenset({REPEATS})
+    tried.found[frozenset(), 0] = [np.zeros(700)] * 3, {"numbers": 1}
+    tried.found[edge, 0] = [np.full(700, each) for each in (0.1, 0.2, 0.6)], {"numbers": 2}
+    gain = tried.gain(edge)
+    of_frames = [gain["gain"], gain["gain_low"], gain["gain_high"]]
+    np.testing.assert_allclose(of_frames, 0.3)
+    of_drives = [gain["over_drives"], gain["over_drives_low"], gain["over_drives_high"]]
+    np.testing.assert_allclose(of_drives, [0.25, *stats.t.interval(0.95, 1, 0.25, 0.15)])
+    assert (gain["drives"], gain["numbers"]) == (2, 1)
 
 
 @pytest.mark.parametrize("edge", [*ADDED, REPEATS, REMOVED], ids=str)
@@ -100,27 +130,39 @@ def test_free_numbers_and_bic_by_hand() -> None:
     plain = np.array([[0.5, 0.5], [1.0, 0.0], [0.9, 0.1]])
     tables = [Table(("A", 1), (("A", 0),), repeated), Table(("B", 1), (("A", 1),), plain)]
     assert structures.free_numbers({t.node: t for t in tables}, [("A", 1)]) == (1 + 1) + (1 + 0 + 1)
-    found, [evidence] = judged(BIC, frozenset()), BIC.evidence
+    [evidence], (_, found) = BIC.evidence, judged(BIC, (frozenset(), 0))
     lane = np.where(DRIVE.is_crossing, -1, DRIVE.true_lane - 1)
     fit = ego.fit_tables(START, evidence, {"Lane": lane}, strength=1.0, iterations=50)
     log_evidence = ego.filter_beliefs(fit.compiled, evidence).log_evidence.sum()
-    # SensorState and Lane in the first frame and later, DetectorOutput, WOR.
-    numbers = 1 + 2 + 3 + 4 * 3 + 8 * 3 + 2
-    assert found.bic == pytest.approx(log_evidence - numbers / 2 * np.log(300))
+    # SensorState and Lane in later frames, DetectorOutput, WOR.
+    numbers = 2 + 4 * 3 + 8 * 3 + 2
+    assert found["bic"] == pytest.approx(log_evidence - numbers / 2 * np.log(300))
+
+
+def test_bic_and_the_best_edges_are_those_of_pgmpy() -> None:
+    _, ours, others, _ = search()
+    np.testing.assert_allclose(ours(), others["pgmpy"](), atol=1e-5)
 
 
 def test_edges_are_read_as_they_are_written() -> None:
-    found = module.candidates(BIC, most_parents=2)
+    found = module.candidates(BIC)
     assert [parse_edge(str(edge), START.values) for edge in found] == found
 
 
+OF_INPUT = replace(BIC, model=replace(BIC.model, compiled=replace(START, inputs=("Lane",))))
 REFUSED = {
     "no node 'Rain'": lambda: parse_edge("Rain -> WOR", START.values),
     "'best' is not one of": lambda: make_problem([DRIVE], [], judge="best"),
     "log_loss needs held-out frames": lambda: make_problem([DRIVE], []),
     "log_loss needs ground truth": lambda: make_problem([UNLABELLED], [WHOLE]),
     "differ in n_lanes": lambda: make_problem([DRIVE, FIVE_LANES], [WHOLE]),
-    "no network": lambda: judged(BIC, frozenset({Edge("SensorState", "WOR", 0)})),
+    "WOR -> SensorState': the edges within a slice form a cycle": lambda: explore(
+        BIC, ["WOR -> SensorState"]
+    ),
+    "unknown sampler 'best'": lambda: explore(BIC, ["Lane -> WOR"], sampler="best"),
+    "no table that an input selects": lambda: module.made(OF_INPUT, frozenset(ADDED)),
+    "WOR has more than 3 parents": lambda: module.made(BIC, frozenset(THREE)),
+    "NEW_NAME=SIZE": lambda: make_problem([DRIVE], [], judge="bic", nodes=["Lane=3"]),
 }
 
 

@@ -33,14 +33,11 @@ PAPER = {"sigma1", "sigma2", "p1", "p2", "p3", "p4"}
 
 #: What a search of the package's plugins moves; studies and results were made with it.
 SEARCHED: dict[str, set[str]] = {
-    "biased_sensor": PAPER | {"p_biased", "shift"},
     "lane_only": {"sigma1", "sigma2"},
     "no_wor": PAPER - {"p3", "p4"},
     "position_in_lane": {"motion_sigma", "motion_sigma_wide", "wide_share"} | {"p1", "p2"},
     "sensor_dynamics": PAPER | {"sigma1_bad"},
     "sensor_failure": PAPER,
-    "three_sensor_states": PAPER | {"sigma2_worn", "p_worn", "p3_worn"},
-    "wor_direct": {"sigma1", "sigma2", "p_wor"},
     "wor_on_lane": PAPER,
     "counting": {"bonus_value"},
     "line_geometry": {"alpha", "beta"},

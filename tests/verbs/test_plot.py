@@ -23,7 +23,7 @@ def test_figures_are_drawn_into_the_result(saved: Path, tmp_path: Path) -> None:
     shown = done("plot", tmp_path / "out", "--frames", 10, 60, "--style", "svg").stdout
     figures = [Path(line) for line in shown.splitlines()]
     assert all(f.suffix == ".svg" and f.stat().st_size > 1000 for f in figures)
-    assert {f.stem for f in figures} == {"strips", "confusion", "reliability", "coverage"}
+    assert {f.stem for f in figures} == {"strips", "confusion", "reliability"}
     assert figures[0] == tmp_path / "out" / "figures" / "strips.svg"
 
 
@@ -34,6 +34,15 @@ def test_several_results_make_one_sheet(saved: Path, tmp_path: Path) -> None:
     figures = {str(Path(line).relative_to(tmp_path / "figures")) for line in shown.stdout.split()}
     assert {"dispersion.png", "out/strips.png", "result/strips.png"} <= figures
     assert all((tmp_path / "figures" / name).is_file() for name in figures)
+
+
+def test_a_check_prints_its_table_above_the_files(saved: Path, tmp_path: Path) -> None:
+    shown = done("plot", saved, saved, "--check", "--out", tmp_path / "new").stdout.splitlines()
+    title = "drive: does the model look like the data?"
+    assert (shown[0], shown.count(title)) == (title, 2)
+    figures = [tmp_path / "new" / "result" / f"{name}.png" for name in ("check", "sensitivity")]
+    assert shown[-4:] == [str(figure) for figure in figures * 2]
+    assert all(figure.stat().st_size > 5000 for figure in figures)
 
 
 def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) -> None:
@@ -58,6 +67,9 @@ def test_the_ending_chooses_a_page_or_an_mcap_file(saved: Path, tmp_path: Path) 
         ("{0} {0} --out {1}/x.mcap", "--out: {1}/x.mcap: shows one result; 2 are named"),
         ("{0} --out {1}/x.mp4", "pictures"),
         ("{1}/study --frames 0 9", "--frames: goes with results; the figures of a study have no"),
+        ("{0} --check --frames 0 9", "--check: goes with figures of results, without frames"),
+        ("{1}/study --check", "--check: goes with figures of results"),
+        ("{0} --check --out {1}/page.html", "--check: goes with figures of results"),
         ("{1}/linked", "{1}/linked/figures: is a link; name a folder"),
         ("{1}/study --out {1}/page.html", "{1}/study: is not a result directory"),
     ],

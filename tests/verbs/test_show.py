@@ -28,7 +28,7 @@ def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(experiments_folder().parent)
     shown = done("show").stdout
     words = " ".join(shown.split())
-    assert "wor_direct, wor_on_edge, wor_on_lane" in words
+    assert "sensor_failure, wor_on_lane" in words
     assert "simulations: a2, a4, quickstart" in words
     assert "experiments/quickstart.yaml simulated drive of two minutes" in words
     assert len([line for line in shown.splitlines() if "paper/run" in line]) == 10
@@ -40,7 +40,11 @@ def test_without_a_name_it_lists_what_there_is(monkeypatch: pytest.MonkeyPatch) 
 def test_a_graph_is_drawn_by_name_or_file(tmp_path: Path, graph: str) -> None:
     target = tmp_path / "graph.svg"
     assert done("show", graph, "--out", target, "--n-lanes", "2").stdout == f"{target}\n"
-    assert "SensorState" in target.read_text()
+    assert "frame t + 1" in target.read_text()
+    assert done("show", graph, "--out", target, "--numbers").stdout == f"{target}\n"
+    assert "P(WOR given " in target.read_text()
+    done("show", graph, "--out", tmp_path / "graph.bif", "--numbers")
+    assert "variable SensorState_0" in (tmp_path / "graph.bif").read_text()
 
 
 @pytest.mark.parametrize(
@@ -65,7 +69,7 @@ def test_whatever_is_listed_or_one_writes_is_shown(name: str, kind: str) -> None
 def test_a_graph_s_tables_are_printed_and_written(tmp_path: Path) -> None:
     target = tmp_path / "graph.json"
     assert "OK, 4" not in done("show", "sensor_failure", "--n-lanes", 4).stdout
-    shown = done("show", "sensor_failure", "--n-lanes", 4, "--tables", "--json", target).stdout
+    shown = done("show", "sensor_failure", "--n-lanes", 4, "--numbers", "--json", target).stdout
     assert "OK, 4" in shown
     content = json.loads(target.read_text())
     assert (content["kind"], content["n_lanes"]) == ("graph", 4)

@@ -20,7 +20,6 @@ from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
     confusions,
-    coverage_figure,
     dispersion,
     dispersion_figure,
     reliability_figure,
@@ -93,7 +92,7 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
     assert f"Model, ECE {(0.1 + 0.3 + 0.2 + 0.6) / 4:.3f}" in labels
 
 
-@pytest.mark.parametrize("draw", [confusion_figure, reliability_figure, coverage_figure])
+@pytest.mark.parametrize("draw", [confusion_figure, reliability_figure])
 def test_scores_cannot_be_drawn_without_ground_truth(draw: Any) -> None:
     crossing = frames_of(IDS, MODEL, DETECTOR, TRUTH, [True] * len(IDS))
     for frames in (without_truth().frames, crossing):
@@ -160,7 +159,7 @@ def test_one_lane_can_be_drawn(tmp_path: Path) -> None:
     title = str(name["name"])
     makes = {
         make.__name__: partial(make, frames, title)
-        for make in (confusion_figure, reliability_figure, coverage_figure)
+        for make in (confusion_figure, reliability_figure)
     }
     for key, make in {"strips": partial(result_strips, one), **makes}.items():
         assert write_figure(make, tmp_path / f"{key}.png").stat().st_size > 5000

@@ -1,0 +1,148 @@
+"""Predictive checks and sensitivity of a result, as figures and as text."""
+
+from __future__ import annotations
+
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from egolane_pgm.checking import INTERVAL, TRUE_CHANGES
+from egolane_pgm.result import Result
+from egolane_pgm.views.answers import title_of
+from egolane_pgm.views.style import CROSSING, FAINT, INK, new_figure
+from egolane_pgm.views.style import DETECTOR_COLOUR as ORANGE
+from egolane_pgm.views.style import MODEL_COLOUR as BLUE
+from egolane_pgm.views.tables import Table, cell, page, table
+
+#: The three values of a statistic: colour and marker.
+_SOURCES = {"posterior": (BLUE, "o"), "model": (ORANGE, "s"), "truth": (INK, "D")}
+
+#: The scores of a sensitivity: name, factor and unit of the axis.
+_SCORES = {
+    "log_loss": ("log-loss", 1, "nats per frame; less is better"),
+    "accuracy": ("accuracy", 100, "percentage points"),
+    "log_evidence": ("log evidence", 1, "nats, sum over the frames"),
+}
+
+#: Colour and offset of the bars of a number moved down or up.
+_SIDES = {"down": (ORANGE, -0.19), "up": (BLUE, 0.19)}
+
+
+def check_text(result: Result, found: pd.DataFrame, calibration: pd.DataFrame) -> str:
+    """The predictive checks of a result as a table, and the worst prediction of each node.
+
+    - found, calibration: as `check` and `prediction_calibration` return them.
+    """
+    parts: list[str | Table] = [f"{title_of(result)}: does the model look like the data?"]
+    if found["truth"].notna().any():
+        parts.append(f"ground truth: {found['truth'][TRUE_CHANGES]:.0f} {TRUE_CHANGES}")
+    if impossible := result.scores.get("impossible_frames"):
+        parts.append(f"the model does not allow {impossible} frame(s); their evidence is ignored")
+    shown = found.drop(columns=["truth", "probability"]).rename_axis("statistic")
+    digits = {name: _decimals(value) for name, value in shown.max(axis=1).items()}
+    parts.append(table(shown.assign(p=found["probability"].map("{:.2f}".format)), digits))
+    parts.append(
+        f"posterior: paths drawn given the evidence, model: drives drawn without it, with"
+        f" {INTERVAL[1] - INTERVAL[0]:g} % intervals; p: probability of a drive of the model at"
+        " least as far out as the posterior, on either side"
+    )
+    for node, rows in calibration.groupby("node", sort=False):
+        often = rows[rows["count"] >= 0.01 * rows["count"].sum()]
+        worst = often.loc[(often["comes"] - often["predicted"]).abs().idxmax()]
+        parts.append(
+            f"{node}, one frame ahead: what is predicted with {worst['predicted']:.2f} comes in"
+            f" {worst['comes']:.2f} of {worst['count']:,.0f} predictions (the largest gap)"
+        )
+    return page(parts)
+
+
+def _decimals(value: float) -> int:
+    return 0 if value >= 100 else 1 if value >= 10 else 2
+
+
+def check_figure(found: pd.DataFrame, calibration: pd.DataFrame, title: str) -> Figure:
+    """Draw each statistic by truth, posterior and model, and the calibration one frame ahead.
+
+    - found, calibration: as in `check_text`.
+    """
+    n_rows = max(3, len(found))
+    interval = f"statistics with {INTERVAL[1] - INTERVAL[0]:g} % intervals of the draws"
+    figure = new_figure(9.2, 1.2 + 1.05 * n_rows, f"{title}: {interval}")
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
+    grid = halves[0].add_gridspec(n_rows, 1)
+    for k, (name, row) in enumerate(found.iterrows()):
+        ax = halves[0].add_subplot(grid[k, 0])
+        shown = [source for source in _SOURCES if row[source] == row[source]]
+        for y, source in enumerate(shown):
+            (colour, marker), value = _SOURCES[source], row[source]
+            ax.plot([value], [y], marker, color=colour, ms=6)
+            if source != "truth":
+                ax.hlines(y, row[f"{source}_low"], row[f"{source}_high"], colour, lw=2)
+            place: dict[str, Any] = {"xytext": (0, 5), "textcoords": "offset points"}
+            ax.annotate(cell(value, _decimals(value)), (value, y), ha="center", **place)
+        ax.set_yticks(range(len(shown)), shown)
+        ax.set(ylim=(len(shown) - 0.5, -0.8), title=name)
+        ax.margins(x=0.1)
+        ax.xaxis.set_major_locator(MaxNLocator(6))
+        ax.tick_params(axis="y", length=0)
+        ax.spines[["top", "right", "left"]].set_visible(False)
+        ax.grid(axis="y", visible=False)
+    ax, most = halves[1].subplots(), max([1, *calibration["count"]])
+    ax.plot([0, 1], [0, 1], color=FAINT, lw=1.2, zorder=1)
+    nodes = calibration.groupby("node", sort=False)
+    for (node, rows), (colour, marker) in zip(nodes, cycle(_SOURCES.values()), strict=False):
+        x, y, area = rows["predicted"], rows["comes"], 10 + 190 * rows["count"] / most
+        ax.plot(x, y, color=colour, lw=0.7)
+        ax.scatter(x, y, area, colour, marker=marker, alpha=0.75, lw=0, zorder=3)
+        ax.plot([], [], marker, color=colour, ls="", label=node)
+    ax.set(xlim=(-0.02, 1.02), ylim=(-0.02, 1.02), aspect="equal")
+    ax.set(title="Calibration one frame ahead", xlabel="predicted probability of a value")
+    ax.set_ylabel("share of the frames in which it comes")
+    sizes = f"area: number of predictions, at most {most:,}"
+    sizes = "no node is observed alone" if calibration.empty else sizes
+    entries = ax.get_legend_handles_labels()
+    halves[1].legend(*entries, loc="outside lower center", ncols=4, title=sizes)
+    return figure
+
+
+def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
+    """Draw how far each score moves with each number, the most important number at the top.
+
+    - found: as `sensitivity` returns it.
+    """
+    panels = [name for name in _SCORES if found.filter(like=name).notna().any(axis=None)]
+    panels = panels or ["log_evidence"]
+    moved = found[[f"{panels[0]}_{side}" for side in _SIDES]].abs().max(axis=1).fillna(0)
+    found = found.loc[moved.sort_values(ascending=False, kind="stable").index]
+    y = np.arange(len(found))
+    figure = new_figure(9.2, 1.7 + 0.34 * len(found), f"{title}: each number moved alone")
+    axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    for ax, name in zip(axes, panels, strict=True):
+        label, factor, unit = _SCORES[name]
+        for side, (colour, offset) in _SIDES.items():
+            change = factor * found[f"{name}_{side}"]
+            ax.barh(y + offset, change, 0.36, color=colour, label=f"number moved {side}")
+        for k in np.flatnonzero(found[[f"{name}_down", f"{name}_up"]].isna().all(axis=1)):
+            ax.text(0, k, " not comparable", fontsize=7, va="center", color=CROSSING)
+        ax.axvline(0, color=INK, lw=0.8)
+        ax.set(title=f"change of {label}", xlabel=unit)
+        ax.xaxis.set_major_locator(MaxNLocator(4))
+        ax.tick_params(axis="y", length=0)
+        ax.grid(axis="y", visible=False)
+    names = [
+        f"{row.Index} = {row.value:.4g} ({row.value_low:.4g} to {row.value_high:.4g})"
+        for row in found.itertuples()
+    ]
+    axes[0].set_yticks(y, names)
+    axes[0].set_ylim(len(found) - 0.5, -0.5)
+    judges = (
+        "log evidence judges how well the model describes the lines; on the paper's recordings it"
+        " ranked models nearly opposite to held-out lanes"
+    )
+    look: dict[str, Any] = {"loc": "outside lower left", "ncols": 2, "alignment": "left"}
+    figure.legend(*axes[0].get_legend_handles_labels(), title=judges, **look)
+    return figure
