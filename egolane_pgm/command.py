@@ -106,6 +106,7 @@ def command_of(name: str) -> click.Command:
     params = [
         _param(each, hints[each.name], helps.get(each.name, ""))
         for each in inspect.signature(verb).parameters.values()
+        if not any(getattr(extra, "in_python", False) for extra in _parts_of(hints[each.name])[1])
     ]
     params += _TABLES * (name in WITH_TABLES) + [_JSON] * (name in WITH_JSON)
     names = {param.name: max(param.opts, key=len) for param in params}

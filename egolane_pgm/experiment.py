@@ -114,9 +114,12 @@ AnySection = TypeVar("AnySection")
 _Theirs = str | tuple[str, ...]
 
 
-@with_config(ConfigDict(extra="forbid"))
+@with_config(ConfigDict(extra="allow"))
 class Columns(TypedDict, total=False):
-    """The columns of a table, or the fields of messages, by our names, and their units."""
+    """The columns of a table, or the fields of messages, by our names, and their units.
+
+    Any other key is an input of the graph (`BOUNDS`), such as Rain.
+    """
 
     frame_id: Annotated[
         str | None, Field(description="frame number; null: frames are numbered by their times")
@@ -150,6 +153,11 @@ class Columns(TypedDict, total=False):
 
 def _columns_per_line(columns: Columns) -> Columns:
     """Refuse columns of which some are given per line and others are not."""
+    for name, value in columns.items():
+        if name not in Columns.__annotations__:
+            meant = near_word(name, Columns.__annotations__) if name.islower() else ""
+            if meant or not isinstance(value, str):
+                raise ValueError(f"unknown key '{name}'{meant}")
     offset = columns.get("offset_m")
     n_lines = len(offset) if isinstance(offset, tuple) else None
     for name in ("is_valid", "is_continuous", "lri"):

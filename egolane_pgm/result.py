@@ -29,6 +29,7 @@ from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.columns import COLUMNS as COLUMNS_OF_LINES
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
@@ -233,6 +234,14 @@ class Result:
         return config
 
 
+def as_result(given: Any, what: str) -> Result:
+    """A Result, or the in-sample result of a Study; `what` is the argument, for the InputError."""
+    found = getattr(given, "in_sample", given)
+    if not isinstance(found, Result):
+        raise InputError(f"{what}: {type(given).__name__} is neither a result nor a study")
+    return found
+
+
 # --- directories ---------------------------------------------------------------------------------
 
 
@@ -292,7 +301,9 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
         table["drive"] = experiment.name
     logs = {}
     for name, part in table.groupby("drive", sort=False):
-        log = lines_of(part.drop(columns="drive"), frame_rate=recording.frame_rate, path=file)
+        part = part.drop(columns="drive")
+        covariates: Any = {name: name for name in part if name not in COLUMNS_OF_LINES} or None
+        log = lines_of(part, frame_rate=recording.frame_rate, path=file, columns=covariates)
         logs[str(name)] = fill_missing(log, recording.missing_frames, recording.frame_rate)
     return logs
 
@@ -444,8 +455,10 @@ def make_result(
         "frame_rate": rate,
         "n_lanes": widest.n_lanes,
         "values": widest.values,
+        "observed": [str(key) for key in model.compiled.observed],
+        "free_parameters": model.free_parameters,
         "frames": len(frames),
-        "tuned_on": e.tuned_on,
+        "tuned_on": model.experiment.tuned_on,
         "is_causal": not reasons,
         "why_not_causal": reasons,
         "tags": dict(first.tags),

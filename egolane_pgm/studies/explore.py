@@ -24,7 +24,7 @@ from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
 from egolane_pgm.inference.expected_counts import counted_tables
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import Model, make_evidence, recording_key
+from egolane_pgm.model import Model, make_evidence, training_key
 from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.studies.em import fit_tables, strength_of
@@ -375,7 +375,11 @@ def explore(
         best,
         first.gain(best),
         {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
-        replace(problem.model, compiled=fitted(problem, best, everything(problem.drives))[0]),
+        replace(
+            problem.model,
+            compiled=fitted(problem, best, everything(problem.drives))[0],
+            learned_from=training_key(drive.experiment for drive in problem.drives),
+        ),
         JUDGES[problem.judge],
         directory,
     )
@@ -383,9 +387,7 @@ def explore(
         make_directory(directory)
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
-        origins = {recording_key(drive.experiment) for drive in problem.drives}
         content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best, there)}")
-        content["learned_from"] = origins.pop() if len(origins) == 1 else ""
         write_yaml(directory / "best.graph.yaml", content)
     return done
 

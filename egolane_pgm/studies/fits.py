@@ -122,7 +122,8 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
             for name, table in _by_name(start, counted_tables(start)).items()
             if name in tables
         }
-        model = replace(model, compiled=em.with_learned(start, learned))
+        # `run_study` knows the recordings.
+        model = replace(model, compiled=em.with_learned(start, learned), learned_from="")
     return model
 
 
@@ -529,6 +530,6 @@ def drive_digest(drive: Drive, train: IntArray) -> str:
     files = [Path(plugin) for plugin in (e.evidence, e.graph)]
     plugins = [f.read_bytes() if f.is_absolute() else f.name for f in files]
     lines = log.frame_id, log.offset_m, log.is_valid, log.is_continuous, log.lri
-    labels = drive.true_lane, drive.is_crossing, train
+    labels = drive.true_lane, drive.is_crossing, train, *log.covariates.values()
     model = plugins, e.filter, e.evidence_mode, e.min_confidence
     return str(joblib.hash((lines, labels, model)))

@@ -20,7 +20,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import DETECTOR, Experiment, resolved
-from egolane_pgm.model import Model, recording_key
+from egolane_pgm.model import Model, training_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
@@ -298,10 +298,9 @@ class Study:
         (place / STUDY_FILE).unlink(missing_ok=True)
         content = self.experiment()
         if any(name.startswith(TABLES) for name in self.fitted):
-            # The training recording; empty for several.
-            origin = recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
-            graph = graph_yaml(self.model, f"tables learned from {origin or 'drives'}")
-            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": origin})
+            origin = self.model.learned_from or "drives"
+            graph = graph_yaml(self.model, f"tables learned from {origin}")
+            write_yaml(place / "best.graph.yaml", graph)
             # The graph of learned tables has no parameters; only the rule's remain.
             of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
             kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
@@ -352,6 +351,7 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
+    keys["free_parameters"] = apply_fit(drives[0].model, fitted[0]).free_parameters
     if fit != "none":
         keys["tuned_on"] = "other_frames"
     notes = [*notes, *found]
@@ -439,15 +439,20 @@ def run_study(
     notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    model = fitted_drives[0].model
+    if model.learned_from == "":
+        model = replace(model, learned_from=training_key(experiments))
     in_sample = make_result(
-        fitted_drives[0].experiment, drives, frames, notes, begin=begin, tuned_on="same_frames"
+        model.experiment, fitted_drives, frames, notes, begin=begin, tuned_on="same_frames"
     )
+    # The experiment alone would give the model before the fit.
+    vars(in_sample)["model"] = model
     held_out = held_out_result(drives, folds, fitted, notes, begin, method) if folds else None
     study = Study(
         name or first.experiment.name,
         experiments,
         method,
-        fitted_drives[0].model,
+        model,
         whole,
         in_sample,
         held_out,

@@ -23,6 +23,8 @@ def learn(
     experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
     graph: options.Graph = None,
+    ground_truth: options.TruthInMemory = None,
+    n_lanes: options.LanesInMemory = None,
     overrides: options.Overrides = (),
     out: Annotated[StrPath | None, Option("DIR", default="results/learning/*")] = None,
     folds: options.Folds = None,
@@ -38,8 +40,9 @@ def learn(
     from lines and labels, or from lines alone (fit.labels=false); the best of fit.trials starts is
     kept. Each fold is scored with a fit to the frames of the other folds.
 
-    - experiments: one, or a list: experiments or results.
+    - experiments: one, or a list: experiments, results, studies or lines.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
     - out: directory of the study. A `*` in it is the experiment's name.
     - folds: number of folds, by default 5, 0 for none: blocks of each drive; with a table, groups
@@ -65,6 +68,8 @@ def learn(
         experiments,
         overrides=overrides,
         graph=graph,
+        ground_truth=ground_truth,
+        n_lanes=n_lanes,
         table=table,
         by_tag=by_tag,
         folds=folds,

@@ -26,6 +26,8 @@ def tune(
     experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
     graph: options.Graph = None,
+    ground_truth: options.TruthInMemory = None,
+    n_lanes: options.LanesInMemory = None,
     trials: Annotated[int | None, Ge(1)] = None,
     parameter: Annotated[options.Overrides, Option("NAME=VALUE", names=("-p",))] = (),
     profile: Annotated[Sequence[str], Option("NAME")] = (),
@@ -45,8 +47,9 @@ def tune(
     Studies are Optuna's, in study.journal of the directory or in a storage. A repeated command
     resumes them; the same command on other machines with the same storage joins in.
 
-    - experiments: one, or a list: experiments or results.
+    - experiments: one, or a list: experiments, results, studies or lines.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - trials: total of a study, by default 3000.
     - parameter: narrow the range of a parameter, p1=[0.5,1], or fix it, p1=0.9.
     - profile: a parameter whose profile is made: at each of some values all others are searched
@@ -80,6 +83,8 @@ def tune(
         experiments,
         overrides=merge(parse_overrides(overrides), {"fit": fit}) if fit else overrides,
         graph=graph,
+        ground_truth=ground_truth,
+        n_lanes=n_lanes,
         table=table,
         by_tag=by_tag,
         folds=folds,
