@@ -19,7 +19,7 @@ from egolane_pgm.inference.compile import (
     with_initial_lane,
     with_tables,
 )
-from egolane_pgm.inference.expected_counts import counted_tables
+from egolane_pgm.inference.expected_counts import counted_tables, free_numbers
 from egolane_pgm.inference.filtering import METHODS, harden, joint_input
 from egolane_pgm.loading import IN_MEMORY
 from egolane_pgm.parameters import Value, resolve_parameters, smoothing_defaults
@@ -90,15 +90,12 @@ class Model:
     def free_parameters(self) -> int:
         """Number of free parameters: the searched numbers of rule and graph.
 
-        Of a graph without parameters, and of fitted tables, the free entries of the tables count:
-        those above zero but one of each row.
+        Of a graph without parameters, and of fitted tables, `free_numbers` of the tables count.
         """
         own = () if self.learned_from is not None else getattr(self.graph, "PARAMETERS", ())
         specs = {spec.name: spec for spec in (*getattr(self.rule, "PARAMETERS", ()), *own)}
         total = sum(np.size(self.parameters[n]) for n, spec in specs.items() if spec.is_searched)
-        for table in () if own else counted_tables(self.compiled).values():
-            total += int(np.maximum((table.values > 0).sum(axis=-1) - 1, 0).sum())
-        return total
+        return total + (0 if own else free_numbers(counted_tables(self.compiled)))
 
     def __getstate__(self) -> dict[str, Any]:
         # Modules are not pickled, but loaded by the names in the experiment.

@@ -22,7 +22,7 @@ from scipy.special import stdtrit
 from egolane_pgm.drives import Drive, data_files, digest, drive_key
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
-from egolane_pgm.inference.expected_counts import counted_tables
+from egolane_pgm.inference.expected_counts import counted_tables, free_numbers
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, make_evidence, training_key
 from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
@@ -36,7 +36,6 @@ from egolane_pgm.studies.structures import (
     Edge,
     Structure,
     edges_of,
-    free_numbers,
     parse_edge,
     repetition_step,
     spelled,
@@ -330,8 +329,8 @@ def explore(
     """Try each edge alone, then search the best set of edges.
 
     - edges: as `parse_edge` reads them, by default all candidates.
-    - trials: 0 for a greedy search, which adds the best edge as long as the interval of
-      its gain is above zero; otherwise the
+    - trials: 0 for a greedy search, which adds the edge that gains most, as long as there is
+      one whose gain has an interval above zero; otherwise the
       number of trials of an Optuna study with a switch per edge.
     - searches: with another seed each; `chosen` counts over them.
     - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
@@ -393,7 +392,7 @@ def explore(
 
 
 def _greedy(tried: _Tried, edges: Sequence[Edge]) -> Structure:
-    """Change the edge that gains most, as long as the interval of its gain is above zero.
+    """Change the edge that gains most, of those whose gain has an interval above zero.
 
     Without an interval, of BIC and of short recordings, the gain itself has to be above zero.
     """
@@ -402,11 +401,12 @@ def _greedy(tried: _Tried, edges: Sequence[Edge]) -> Structure:
         further = [now | {edge} for edge in edges if edge not in now]
         allowed = [each for each in further if is_allowed(tried.problem, each)]
         tried(allowed)
-        best = max(allowed, key=tried.score, default=now)
-        gain = tried.gain(best, now)
-        if (gain["gain"] if gain["gain_low"] is None else gain["gain_low"]) <= 0:
+        gains = [tried.gain(each, now) for each in allowed]
+        least = [g["gain"] if g["gain_low"] is None else g["gain_low"] for g in gains]
+        better = [each for each, gain in zip(allowed, least, strict=True) if gain > 0]
+        if not better:
             return now
-        now = best
+        now = max(better, key=tried.score)
 
 
 def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:
