@@ -166,15 +166,14 @@ class Result:
         [log] = self.lines.values()
         return make_evidence(self.model, log)[0]
 
-    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+    def to_text(self, *, style: str = "markdown") -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
 
         - style: one of `views.tables.STYLES`.
-        - wide: whether tables may be wider than the terminal.
         """
         from egolane_pgm.views.display import result_text
 
-        return result_text(self, style, wide)
+        return result_text(self, style)
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
         """Draw the posterior over time as strips, and the truth.

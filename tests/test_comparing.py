@@ -199,7 +199,7 @@ def test_log_evidence_of_other_evidence_is_left_empty_with_a_reason(results: lis
         other = run(first.experiment, {"name": name, **changes})
         found = compare([first, other])
         assert "log_evidence" not in found
-        text = " ".join(comparison_text(found, "markdown", wide=False).split())
+        text = " ".join(comparison_text(found, "markdown").split())
         assert "log evidence is not compared: the rows differ in evidence rule" in text
     old = {key: value for key, value in first.run.items() if key != "free_parameters"}
     reason = compare(replace(first, run=old)).attrs["log_evidence"]

@@ -103,7 +103,7 @@ class Exploration:
       (`chosen`).
     - structures: a row per structure: `edges`, `score`, `numbers`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start.
-    - gain: of the best structure over the start, the same columns as in `edges`.
+    - gain: of the best structure over the start: `changes` as text, else as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
     - judge: description of the gains.
@@ -368,11 +368,12 @@ def explore(
         {"edges": spelled(each, there), "score": first.score(each), **row}
         for each, row in first.complete().items()
     ]
+    changes = spelled(best, there)
     done = Exploration(
         pd.DataFrame(sorted(rows, key=lambda row: -row["gain"])),
         pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
         best,
-        first.gain(best),
+        {"changes": changes, **first.gain(best)},
         {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
         replace(
             problem.model,
@@ -386,7 +387,7 @@ def explore(
         make_directory(directory)
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
-        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best, there)}")
+        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {changes}")
         write_yaml(directory / "best.graph.yaml", content)
     return done
 

@@ -277,15 +277,14 @@ class Study:
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
         return content
 
-    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+    def to_text(self, *, style: str = "markdown") -> str:
         """The text that `egolane tune` prints: scores in-sample and held out, and fitted values.
 
         - style: one of `views.tables.STYLES`.
-        - wide: whether tables may be wider than the terminal.
         """
         from egolane_pgm.views.studies import study_text
 
-        return study_text(self, style, wide)
+        return study_text(self, style)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write best.yaml (the fitted experiment), study.json, trials.parquet and held_out/.

@@ -56,8 +56,8 @@ def compare(
     return table
 
 
-def text(done: pd.DataFrame, style: str, wide: bool) -> str:
+def text(done: pd.DataFrame, style: str) -> str:
     """The output of the command."""
     from egolane_pgm.views.comparisons import comparison_text
 
-    return comparison_text(done, style, wide)
+    return comparison_text(done, style)

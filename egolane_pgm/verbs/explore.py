@@ -85,9 +85,9 @@ def explore(
     return found
 
 
-def text(done: Exploration, style: str = "markdown", wide: bool = False) -> str:
+def text(done: Exploration, style: str = "markdown") -> str:
     """Which edge helps."""
-    return exploration_text(done, style, wide)
+    return exploration_text(done, style)
 
 
 def summary(done: Exploration, given: Any) -> str:

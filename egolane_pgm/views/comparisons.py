@@ -35,7 +35,7 @@ JUDGES = (
 _ACCURACIES = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9997)
 
 
-def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
+def comparison_text(found: pd.DataFrame, style: str) -> str:
     """The output of `egolane compare`: a table per score, and one of the lane changes.
 
     - found: as `comparing.compare` returns it.
@@ -64,7 +64,7 @@ def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
         renamed = renamed.rename(columns={"delay_s": "median delay, s"})
         parts.append("lane changes, reported within 1 s")
         parts.append(table(renamed, {"false_per_hour": 1, "median delay, s": "+.2f"}))
-    return page([*parts, LEGEND], style, wide)
+    return page([*parts, LEGEND], style)
 
 
 def comparison_figure(found: pd.DataFrame) -> Figure:

@@ -57,7 +57,7 @@ def study_title(study: Study) -> str:
     return ", ".join(parts)
 
 
-def study_text(study: Study, style: str, wide: bool) -> str:
+def study_text(study: Study, style: str) -> str:
     """The output of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
     parts: list[str | Table] = [study_title(study)]
     scores, folds, held_out = {"in-sample": study.in_sample.scores}, [], study.held_out
@@ -92,7 +92,7 @@ def study_text(study: Study, style: str, wide: bool) -> str:
     tables = [name for name in study.fitted if name not in values]
     if tables:
         parts.append(f"fitted tables and lists: {', '.join(tables)}")
-    return page(parts, style, wide)
+    return page(parts, style)
 
 
 def _range(values: Sequence[Any]) -> str:
@@ -127,7 +127,7 @@ def profile_table(profile: pd.DataFrame) -> Table:
     return table(pd.DataFrame.from_dict(rows, "index").rename_axis("parameter"))
 
 
-def exploration_text(found: Exploration, style: str, wide: bool) -> str:
+def exploration_text(found: Exploration, style: str) -> str:
     """The output of `egolane explore`: which edge helps."""
     edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
@@ -135,18 +135,16 @@ def exploration_text(found: Exploration, style: str, wide: bool) -> str:
     shown = [["gain", "gain_low", "gain_high", "chosen" if max(edges["chosen"]) > 1 else "numbers"]]
     if edges["over_drives_low"].notna().any():
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
-    best = found.structures.iloc[0]
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     return page(
         [
             f"{len(found.structures)} graphs were fitted; {found.judge}",
             "each edge alone [95 % interval over blocks of frames, or over drives]:",
             *[table(edges[columns], forms) for columns in shown],
-            f"best set: {best['edges']}\n  gain {interval}, {best['numbers']} free numbers\n"
+            f"best set: {gain['changes']}\n  gain {interval}, {gain['numbers']:+} free numbers\n"
             "  (chosen by its score on these frames, which is therefore optimistic)",
         ],
         style,
-        wide,
     )
 
 

@@ -111,14 +111,14 @@ def with_interval(value: Any, interval: Sequence[Any] | None, form: int | str = 
 # --- printing ------------------------------------------------------------------------------------
 
 #: The styles of tables (`--format`).
-STYLES = ("markdown", "latex", "csv")
+STYLES = ("markdown", "wide", "latex", "csv")
 
 
-def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = False) -> str:
+def page(parts: Iterable[str | Table], style: str = "markdown") -> str:
     """The output of a command: text and tables, separated by empty lines.
 
-    - style: one of STYLES; LaTeX has the tables only, CSV the first table only.
-    - wide: whether Markdown tables may be wider than the terminal.
+    - style: one of STYLES: Markdown that fits the terminal or is as wide as its tables, LaTeX of
+      the tables only, or CSV of the first table only.
     """
     shown = list(parts)
     tables = [part for part in shown if isinstance(part, Table)]
@@ -126,7 +126,7 @@ def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = Fal
         return str(tables[0].frame.to_csv(lineterminator="\n")).rstrip("\n") if tables else ""
     if style == "latex":
         return "\n\n".join(latex(each.header, each.rows) for each in tables)
-    texts = [wrapped(p) if isinstance(p, str) else _fitted(p, wide) for p in shown]
+    texts = [wrapped(p) if isinstance(p, str) else _fitted(p, style == "wide") for p in shown]
     return "\n\n".join(filter(None, texts))
 
 
