@@ -67,6 +67,9 @@ paper: .venv/.run
 # of one core). Structures whose fits are in results/runs are not fitted again.
 graphs: .venv/.run
 	$(BIN)/python -m makers.graphs edges checks
+	$(BIN)/egolane tune experiments/paper/run01_italy_ml.yaml --trials 600 --folds 0 \
+		$(addprefix --profile ,sigma1 sigma2 p1 p2 p3 p4) --out $(RUNS)/profiled
+	cp $(RUNS)/profiled/figures/profile.png results/graphs/
 
 # results/tuning/runs.md: the paper's parameters searched for each run (three minutes of
 # two cores).

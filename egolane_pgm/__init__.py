@@ -40,8 +40,6 @@ if TYPE_CHECKING:
     from egolane_pgm.result import load_result as load_result
     from egolane_pgm.runs import run as run
     from egolane_pgm.simulation import simulate as simulate
-    from egolane_pgm.studies.black_box import Objective as Objective
-    from egolane_pgm.studies.black_box import objective as objective
     from egolane_pgm.studies.em import fit_tables as fit_tables
     from egolane_pgm.studies.study import Study as Study
     from egolane_pgm.types import Beliefs as Beliefs
@@ -73,8 +71,6 @@ _PUBLIC = {
     "detect": "verbs.detect",
     "label": "verbs.label",
     "simulate": "simulation",
-    "objective": "studies.black_box",
-    "Objective": "studies.black_box",
     "read_lines": "recordings",
     "Parameter": "parameters",
     "cpds": "graphs",

@@ -18,7 +18,7 @@ from egolane_pgm.inference.sampling import posterior_paths, predicted, sampled_s
 from egolane_pgm.model import Model, make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, per_lane
 from egolane_pgm.plugins import declared_parameters
-from egolane_pgm.result import Result
+from egolane_pgm.result import Result, as_result
 from egolane_pgm.running import noting
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
 from egolane_pgm.tools.progress import bar
@@ -114,8 +114,8 @@ def check(
     >>> list(ego.check(result, n=50).index)
     ['lane changes per hour', 'SensorState BAD share', 'SensorState BAD mean run, s']
     """
-    compiled, rate = result.model.compiled, result.frame_rate
-    evidence = single_drive(result).evidence
+    result = single_drive(result)
+    compiled, rate, evidence = result.model.compiled, result.frame_rate, result.evidence
     posterior = Draws(posterior_paths(compiled, evidence, n, seed), rate)
     states = sampled_states(
         compiled, len(evidence), n, np.random.default_rng(seed), evidence.inputs
@@ -161,8 +161,8 @@ def prediction_calibration(result: Result, n_bins: int = N_BINS) -> pd.DataFrame
     >>> ego.prediction_calibration(result).node.unique().tolist()
     ['DetectorOutput', 'WOR']
     """
-    evidence = single_drive(result).evidence
-    tables = []
+    result = single_drive(result)
+    evidence, tables = result.evidence, []
     for node, probability in predicted(result.model, evidence).items():
         if node not in evidence.likelihoods:
             continue
@@ -206,7 +206,8 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
     """
     if not 0 < step <= 1:
         raise InputError(f"step: {step} is not a share of the search range (0 to 1)")
-    model, start = single_drive(result).model, _scores(result, result.model)
+    result = single_drive(result)
+    model, start = result.model, _scores(result, result.model)
     of_rule, rows = getattr(model.rule, "PARAMETERS", ()), {}
     for spec in bar(declared_parameters(model.rule, model.graph), unit="parameter"):
         # A whole number may change the shape of the network.
@@ -262,6 +263,7 @@ def single_drive(result: Result) -> Result:
 
     Raises InputError for several drives, for several models, and for a result without its lines.
     """
+    result = as_result(result, "check")
     what = f"check: {result.directory or result.name}"
     if "drive" in result.frames:
         raise InputError(f"{what}: has several drives; run one of them alone and check that")

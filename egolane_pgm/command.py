@@ -3,7 +3,7 @@
 A verb's parameters before the `*` become arguments, the others options. Types give the checks, the
 docstring gives the help, and `tools.options.Option` the rest. A verb's module may also define:
 
-- `text(done, style, wide)`: the output, if the object that a verb returns has no `to_text`.
+- `text(done, style)`: the output, if the object that a verb returns has no `to_text`.
 - `summary(done, given)`: the last lines of the output, such as the path of a result.
 
 If a verb returns a table whose column `error` is not empty, the exit code is 1.
@@ -59,7 +59,7 @@ GROUPS = {
 #: The short help of each command.
 COMMANDS = {name: help for group in GROUPS.values() for name, help in group.items()}
 
-#: Commands that print wide tables (`--format`, `--wide`), and those with `--json`.
+#: Commands that print wide tables (`--format`), and those with `--json`.
 WITH_TABLES = ("run", "compare", "reproduce")
 WITH_JSON = (*WITH_TABLES, "show")
 
@@ -67,13 +67,10 @@ WITH_JSON = (*WITH_TABLES, "show")
 _TABLES: list[click.Parameter] = [
     click.Option(
         ["--format", "table_style"],
-        type=click.Choice(["markdown", "latex", "csv"]),
+        type=click.Choice(["markdown", "wide", "latex", "csv"]),
         default="markdown",
         show_default=True,
-        help="Format of tables; csv is unrounded.",
-    ),
-    click.Option(
-        ["--wide", "table_wide"], is_flag=True, help="All scores, in tables of any width."
+        help="Format of tables; all but markdown have all scores, csv is unrounded.",
     ),
 ]
 _JSON = click.Option(
@@ -106,6 +103,7 @@ def command_of(name: str) -> click.Command:
     params = [
         _param(each, hints[each.name], helps.get(each.name, ""))
         for each in inspect.signature(verb).parameters.values()
+        if not any(getattr(extra, "in_python", False) for extra in _parts_of(hints[each.name])[1])
     ]
     params += _TABLES * (name in WITH_TABLES) + [_JSON] * (name in WITH_JSON)
     names = {param.name: max(param.opts, key=len) for param in params}
@@ -207,10 +205,10 @@ def _invoke(verb: Callable[..., Any], values: dict[str, Any], module: types.Modu
     from egolane_pgm.tools.files import check_not_read, check_place, json_text, write_json
     from egolane_pgm.tools.options import several_of
 
-    tables = {k.removeprefix("table_"): values.pop(k) for k in [*values] if k.startswith("table_")}
+    tables = {"style": values.pop("table_style")} if "table_style" in values else {}
     json_file = values.pop("json_file", None)
     given = {name: value for name, value in values.items() if value != ()}
-    is_data = tables.get("style", "markdown") != "markdown"
+    is_data = tables.get("style") in ("latex", "csv")
     prints = io.StringIO() if json_file == "-" else sys.stdout
     if json_file not in (None, "-"):
         each_given = (v for value in given.values() for v in several_of(value))

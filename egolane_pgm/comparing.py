@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,17 @@ import numpy as np
 import pandas as pd
 
 from egolane_pgm.drives import drive_key
-from egolane_pgm.plugins import OWN_FILES
-from egolane_pgm.result import TAG, Result, is_result, lanes_of, load_result, truth_of
+from egolane_pgm.experiment import DETECTOR
+from egolane_pgm.plugins import OWN_FILES, load_plugin
+from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
-from egolane_pgm.scoring.bootstrap import on_timeline, score_counts, score_intervals
+from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
 from egolane_pgm.tools.files import read_parquet
-from egolane_pgm.types import InputError, IntArray
+from egolane_pgm.tools.options import several_of
+from egolane_pgm.types import InputError
 
-ResultLike = Result | str | os.PathLike[str]
+#: A Result, a Study, or a directory.
+ResultLike = Any
 
 #: A drive, and per score its summands in each frame (`score_counts`).
 Counts = tuple[str, Mapping[str, Any]]
@@ -33,7 +37,7 @@ EVENT_SCORES = {
 
 
 def compare(
-    results: ResultLike | Iterable[ResultLike],
+    results: ResultLike | Sequence[ResultLike],
     *,
     of: str | None = None,
     by: str | None = None,
@@ -41,7 +45,7 @@ def compare(
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings.
 
-    - results: results, their directories, or folders of result directories.
+    - results: results, studies, their directories, or folders of result directories.
     - of: the sides of the comparison: a key of the experiment (`graph`, `parameters.sigma1`), a
       tag (`tag.driver`), `name`, `directory` (of the result) or `folder` (around it). By default
       the name if all results are of one recording, and the folder otherwise.
@@ -51,7 +55,9 @@ def compare(
     Returns a row per value of `by` and `of`: each score (the mean over the recordings) with its
     95 % interval, and the difference to the first row with a paired interval over the same
     resamples; recordings of one drive are resampled together. `tuned_on` tells in-sample rows
-    apart. Raises InputError unless all rows have the same recordings.
+    apart. For `log_evidence`, `free_parameters` and `bic` see `_log_evidence`; results without
+    ground truth have only these. Rows with different evidence lack them, for the reason in
+    `attrs["log_evidence"]`. Raises InputError unless all rows have the same recordings.
     """
     given = open_results(results)
     if not given:
@@ -59,44 +65,64 @@ def compare(
     for option, name in (("of", of), ("by", by)):
         if name is not None and all(_value(each, name) is None for each in given):
             raise InputError(f"{option}: no result has a value of {name}")
-    rows, key = [], of or _default_key(given)
+    rows, key, note = [], of or _default_key(given), ""
+    has_truth = any(each.truth is not None for each in given)
     for group, members in _groups(given, by).items():
-        sides = {str(name): _by_recording(s, name) for name, s in _groups(members, key).items()}
+        named = _groups(members, key).items()
+        sides = {str(name): _by_recording(side, name, has_truth) for name, side in named}
         first = next(iter(sides.values()))
         nodes = [(name, side, "Lane") for name, side in sides.items()]
         if detector and all("detector" in each.scores for each in first.values()):
             nodes.append(("detector alone", first, "detector"))
-        of_first = _counts([*first.values()], "Lane")
-        for name, side, node in nodes:
+        for name, side in sides.items():
             if side.keys() != first.keys():
                 raise InputError(f"{key} {name}: has other recordings, frames or labels")
+        of_first = _counts([*first.values()], "Lane") if has_truth else []
+        pairs = [[side[each] for each in first] for side in sides.values()]
+        why = _differ_in(pairs)
+        evidence = iter([{}] * len(pairs)) if why else _log_evidence(pairs)
+        note = f"log evidence is not compared: {why}" if why else note
+        for name, side, node in nodes:
             aligned = [side[recording] for recording in first]
-            counts = _counts(aligned, node)
             row = {} if by is None else {by: group}
-            row |= {key: name, "recordings": len(aligned), **_intervals(counts)}
-            if side is not first or node != "Lane":
-                row |= _intervals(counts, of_first)
+            row |= {key: name, "recordings": len(aligned)}
+            if has_truth:
+                counts = _counts(aligned, node)
+                row |= _intervals(counts)
+                if side is not first or node != "Lane":
+                    row |= _intervals(counts, of_first)
             row["tuned_on"] = ""
             if node == "Lane":
+                row |= next(evidence)
                 # The means of the defined scores of lane changes.
                 table = pd.DataFrame([numbers(each.scores) for each in aligned])
                 means = table.reindex(columns=list(EVENT_SCORES)).astype(float).mean()
                 row |= means.rename(EVENT_SCORES).to_dict()
                 row["tuned_on"] = ", ".join(dict.fromkeys(e.run["tuned_on"] for e in aligned))
             rows.append(row)
-    return pd.DataFrame(rows).set_index([key] if by is None else [by, key])
+    table = pd.DataFrame(rows).set_index([key] if by is None else [by, key])
+    table.attrs["log_evidence"] = note
+    return table
 
 
-def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
-    """Results as given, or read from directories and from the directories below a folder.
+def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
+    """Results as given, or read from directories and from the directories below a folder; of a
+    Study its held-out result, or the in-sample one without folds.
 
     Results of a table of runs come in the order of the table.
     """
-    several = [results] if isinstance(results, (Result, str, os.PathLike)) else list(results)
     found: list[Result] = []
-    for each in several:
-        if isinstance(each, Result) or is_result(each):
-            found.append(each if isinstance(each, Result) else load_result(each))
+    for each in results if isinstance(results, Iterator) else several_of(results):
+        if not isinstance(each, (str, os.PathLike)):
+            result = as_result(each, "results")
+            if result is not each:
+                result = result if each.held_out is None else each.held_out
+                name = {"name": each.experiment()["name"]}
+                result = replace(result, experiment=result.experiment.model_copy(update=name))
+            found.append(result)
+            continue
+        if is_result(each):
+            found.append(load_result(each))
             continue
         folder = Path(each)
         below = sorted(file.parent for file in folder.glob("**/run.json"))
@@ -113,7 +139,10 @@ def open_results(results: ResultLike | Iterable[ResultLike]) -> list[Result]:
 def _default_key(results: Sequence[Result]) -> str:
     if len({_recording(each) for each in results}) > 1:
         return "folder"
-    return "name" if len({each.name for each in results}) == len(results) else "directory"
+    # Held-out results of studies are all in directories `held_out`.
+    keys = ("name", "directory", "folder")
+    is_fit = (k for k in keys if len({_value(each, k) for each in results}) == len(results))
+    return next(is_fit, "directory")
 
 
 def _recording(result: Result) -> str:
@@ -124,8 +153,8 @@ def _recording(result: Result) -> str:
 
 def _value(result: Result, key: str | None) -> Any:
     """The value of a key; a plugin in a file is named by the file's stem."""
-    if key is None:
-        return None
+    if key is None or key == "name":
+        return key and result.name
     if key in ("folder", "directory"):
         place = result.directory
         if place is None:
@@ -159,11 +188,11 @@ def _kept(result: Result) -> tuple[pd.DataFrame, pd.DataFrame]:
     return frames, truth
 
 
-def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
-    """Results by their recordings, which are identified by file, frames and labels."""
+def _by_recording(results: Sequence[Result], side: Any, has_truth: bool) -> dict[str, Result]:
+    """Results by their recordings, which are identified by file, annotated frames and labels."""
     found: dict[str, Result] = {}
     for result in results:
-        _, truth = _kept(result)
+        truth = _kept(result)[1] if has_truth else pd.DataFrame()
         key = f"{_recording(result)} {pd.util.hash_pandas_object(truth).sum()}"
         if key in found:
             raise InputError(
@@ -180,18 +209,34 @@ def _by_recording(results: Sequence[Result], side: Any) -> dict[str, Result]:
 def _counts(results: Sequence[Result], node: str) -> list[Counts]:
     """Per recording its drive, and the summands of the scores on the frames of the whole drive."""
     column = "assigned_lane" if node == "Lane" else "detector_lane"
-    drives = [drive_key(each.experiment, each.run["data"]) for each in results]
-    kept = [_kept(each) for each in results]
-    timeline: dict[str, IntArray] = {}
-    for drive, (_, truth) in zip(drives, kept, strict=True):
-        ids = truth.index.to_numpy()
-        timeline[drive] = np.union1d(timeline.get(drive, ids), ids)
-    found: list[Counts] = []
-    for drive, (frames, truth) in zip(drives, kept, strict=True):
+    parts = []
+    for frames, truth in map(_kept, results):
         lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
         assigned = frames[column].to_numpy()
         counts = score_counts(lanes_of(frames, node), lane, crossing, assigned=assigned)
-        found.append((drive, on_timeline(counts, truth.index.to_numpy(), timeline[drive])))
+        parts.append((counts, truth.index))
+    return _on_drives(results, parts)
+
+
+def _on_drives(
+    results: Sequence[Result], parts: Sequence[tuple[Mapping[str, Any], pd.Index]]
+) -> list[Counts]:
+    """Place the summands of some frames of each recording among all frames of its drive, with zeros
+    elsewhere: recordings of one drive are resampled together."""
+    # A result of several drives shares its frames with no other.
+    more = (" and more" * ("drive" in each.frames) for each in results)
+    keys = (drive_key(each.experiment, each.run["data"]) for each in results)
+    drives = [key + others for key, others in zip(keys, more, strict=True)]
+    timeline: dict[str, pd.Index] = {}
+    for drive, (_, index) in zip(drives, parts, strict=True):
+        timeline[drive] = timeline.get(drive, index).union(index)
+    found: list[Counts] = []
+    for drive, (counts, index) in zip(drives, parts, strict=True):
+        placed, at = {}, timeline[drive].get_indexer(index)
+        for name, values in counts.items():
+            placed[name] = np.zeros((len(timeline[drive]), *values.shape[1:]), values.dtype)
+            placed[name][at] = values
+        found.append((drive, placed))
     return found
 
 
@@ -207,3 +252,64 @@ def _intervals(
         label = name if minus is None else f"{name}_difference"
         cells |= {label: found.estimate, f"{label}_low": found.low, f"{label}_high": found.high}
     return cells
+
+
+# --- log evidence --------------------------------------------------------------------------------
+
+
+def _differ_in(sides: Sequence[Sequence[Result]]) -> str:
+    """Why log evidence of the sides cannot be compared; empty if it can."""
+    if not all("free_parameters" in each.run for side in sides for each in side):
+        return "a result was written by an older version; run it again"
+    is_same = len({tuple(map(_evidence_key, side)) for side in sides}) == 1
+    return "" if is_same else "the rows differ in evidence rule, its parameters or observed nodes"
+
+
+def _log_evidence(sides: Sequence[Sequence[Result]]) -> Iterator[dict[str, Any]]:
+    """Yield the cells of log evidence of each side, in order.
+
+    - sides: per side its results, of the same recordings.
+
+    `log_evidence` is the mean over the frames that all sides have and none calls impossible, nats,
+    with its interval and the difference to the first side. `bic` is the sum over these frames less
+    half the logarithm of their number for each of the `free_parameters`, so larger is better; held
+    out frames need no such penalty and have none. Both are the mean over the recordings.
+    """
+    pairs = zip(*sides, strict=True)
+    recordings = [pd.concat(map(_by_frame, each), axis=1, join="inner") for each in pairs]
+    first: list[Counts] = []
+    for k, side in enumerate(sides):
+        parts = []
+        for table in recordings:
+            is_possible = table.notna().all(axis=1)
+            values = table.iloc[:, k].where(is_possible, 0.0)
+            parts.append(({"log_evidence": np.stack([values, is_possible], axis=1)}, table.index))
+        counts = _on_drives(sides[0], parts)
+        cells: dict[str, Any] = _intervals(counts)
+        cells |= _intervals(counts, first) if first else {}
+        first = first or counts
+        sizes = np.array([each.run["free_parameters"] for each in side])
+        cells["free_parameters"] = float(sizes.mean())
+        if all(each.run["tuned_on"] != "other_frames" for each in side):
+            total, n_frames = np.transpose([each["log_evidence"].sum(axis=0) for each, _ in parts])
+            cells["bic"] = float(np.mean(total - sizes / 2 * np.log(n_frames)))
+        yield cells
+
+
+def _by_frame(result: Result) -> pd.Series[float]:
+    """Log evidence by frame id, and by drive if there are several; NaN if impossible."""
+    frames = result.frames
+    frames = frames.set_index("drive", append=True) if "drive" in frames else frames
+    return frames["log_evidence"].mask(frames["is_impossible"])
+
+
+def _evidence_key(result: Result) -> str:
+    """A text that is equal for results with the same evidence, up to their graphs."""
+    e, run = result.experiment, result.run
+    rule = load_plugin("evidence", e.evidence, f"{result.name}: evidence")
+    names = {spec.name for spec in getattr(rule, "PARAMETERS", ())}
+    fits = [run["config"]["parameters"], *run.get("fitted", ())]
+    own = [{k: v for k, v in each.items() if k in names or DETECTOR in k} for each in fits]
+    source = Path(e.evidence).read_text() if e.evidence.endswith(OWN_FILES) else e.evidence
+    recording = e.recording.model_dump(include={"format", "topic", "camera", "detector"})
+    return str((source, e.evidence_mode, [*filter(None, own)], recording, run["observed"]))

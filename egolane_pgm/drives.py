@@ -20,7 +20,7 @@ from egolane_pgm.experiment import DETECTOR, FROM_MAP, Experiment, make_experime
 from egolane_pgm.loading import IN_MEMORY, existing
 from egolane_pgm.maps.road_table import lanes_along, unknown_lanes
 from egolane_pgm.maps.road_table import load as load_road
-from egolane_pgm.model import Model, compile_model
+from egolane_pgm.model import Model, compile_model, with_inputs
 from egolane_pgm.plugins import load_plugin, plugin_errors
 from egolane_pgm.recordings import files_of, format_of, read_lines, reader_of
 from egolane_pgm.recordings.ground_truth import read_ground_truth, truth_of
@@ -214,7 +214,10 @@ def read_drives(
     """
     # Report errors of the model before a recording is read, which may take long.
     model = None if experiment.n_lanes == FROM_MAP else compile_model(experiment)
-    log, known, own_rate = read_recording(experiment, lines)
+    experiment = experiment if model is None else model.experiment
+    log, known, own_rate = read_recording(
+        with_inputs(experiment, model.graph if model else None), lines
+    )
     recording, annotated = experiment.recording, experiment.ground_truth
     if truth is not None:
         known = None if isinstance(truth, str) and truth == "none" else truth_of(truth, log)
@@ -235,7 +238,6 @@ def read_drives(
     for frames in [slice(None)] if log.clip is None else clip_slices(log.clip):
         clip = log.take(frames)
         name = experiment.name if clip.clip is None else str(clip.clip[0])
-        clip = replace(clip, clip=None)
         if recording.missing_frames != "skip":
             clip = fill_missing(clip, recording.missing_frames, recording.frame_rate)
         if model is None:

@@ -21,6 +21,7 @@ from pydantic import (
     TypeAdapter,
     ValidationError,
     ValidationInfo,
+    WithJsonSchema,
     field_validator,
     model_validator,
     with_config,
@@ -51,6 +52,20 @@ def _check_range(value: tuple[int, int | None]) -> tuple[int, int | None]:
     first, stop = value
     if stop is not None and first >= stop:
         raise ValueError(f"[{first}, {stop}] is an empty range")
+    return value
+
+
+def _check_sampler(value: Any) -> Any:
+    if not (value is None or isinstance(value, str) or hasattr(value, "sample_relative")):
+        raise ValueError("needs the name of a sampler, or in Python a sampler of Optuna")
+    return value
+
+
+def _check_strength(value: Any) -> Any:
+    weights = value.values() if isinstance(value, Mapping) else (value,)
+    are_numbers = all(isinstance(each, (int, float)) for each in weights)
+    if not are_numbers or not all(0 < weight <= 1e9 for weight in weights):
+        raise ValueError("needs a number greater than 0, at most 1e9, or one by name of the node")
     return value
 
 
@@ -99,9 +114,12 @@ AnySection = TypeVar("AnySection")
 _Theirs = str | tuple[str, ...]
 
 
-@with_config(ConfigDict(extra="forbid"))
+@with_config(ConfigDict(extra="allow"))
 class Columns(TypedDict, total=False):
-    """The columns of a table, or the fields of messages, by our names, and their units."""
+    """The columns of a table, or the fields of messages, by our names, and their units.
+
+    Any other key is an input of the graph (`BOUNDS`), such as Rain.
+    """
 
     frame_id: Annotated[
         str | None, Field(description="frame number; null: frames are numbered by their times")
@@ -135,6 +153,11 @@ class Columns(TypedDict, total=False):
 
 def _columns_per_line(columns: Columns) -> Columns:
     """Refuse columns of which some are given per line and others are not."""
+    for name, value in columns.items():
+        if name not in Columns.__annotations__:
+            meant = near_word(name, Columns.__annotations__) if name.islower() else ""
+            if meant or not isinstance(value, str):
+                raise ValueError(f"unknown key '{name}'{meant}")
     offset = columns.get("offset_m")
     n_lines = len(offset) if isinstance(offset, tuple) else None
     for name in ("is_valid", "is_continuous", "lri"):
@@ -255,31 +278,47 @@ class FitSettings(Section):
         default=("accuracy",),
         min_length=1,
         description="tune: the score to optimise, or several",
-        examples=["accuracy", ["accuracy", "log_loss"]],
+        examples=["accuracy", ["accuracy", "log_loss"], "log_evidence"],
     )
-    sampler: str | None = Field(
+    sampler: Annotated[
+        Any, AfterValidator(_check_sampler), WithJsonSchema({"type": ["string", "null"]})
+    ] = Field(
         default=None,
-        description="tune: the sampler; by default `evolution`, or `nsga2` for several scores",
-        examples=["evolution", "tpe", "cma-es", "random", "nsga2"],
+        description="tune: the sampler; by default `evolution`, or `nsga2` for several scores; also"
+        " the name of a class of `optuna.samplers`, and in Python any sampler of Optuna",
+        examples=["evolution", "tpe", "cma-es", "random", "nsga2", "GPSampler"],
     )
     trials: int | None = Field(
-        default=None, ge=1, le=10**7, description="tune: total number of trials", examples=[3000]
+        default=None,
+        ge=1,
+        le=10**7,
+        description="tune: total number of trials; learn: number of starts of EM, of which the best"
+        " is kept: the declared values, then random ones",
+        examples=[3000],
     )
-    seed: int = Field(default=0, ge=0, description="tune: random seed of the sampler")
+    seed: int = Field(
+        default=0, ge=0, description="random seed of the sampler, and of the starts of EM"
+    )
     parameters: _Keys = Field(
         default_factory=dict,
-        description="tune: by name [low, high], the names of a choice, or one value to keep; if"
+        description="by name [low, high], the names of a choice, or one value to keep; if"
         " parameters of the detector (detector.NAME) are among them, only what is named is"
         " searched",
         examples=[{"sigma1": [0.1, 1], "p1": 0.9}],
     )
-    labels: bool = Field(
-        default=True, description="learn: whether tables are learned from annotated lanes, too"
+    learns: Literal["rule", "tables", "parameters"] | None = Field(
+        default=None,
+        description="learn: parameters of the evidence rule, from labels (`rule`), or tables or"
+        " parameters of the graph, by EM; by default the rule if it can learn, otherwise tables",
     )
-    strength: Positive = Field(
+    labels: bool = Field(default=True, description="learn: whether EM uses annotated lanes, too")
+    strength: Annotated[
+        Any, AfterValidator(_check_strength), WithJsonSchema({"type": ["number", "object"]})
+    ] = Field(
         default=100.0,
-        le=1e9,
-        description="learn: weight of the starting tables, in frames per row",
+        description="learn: weight of the declared tables, in frames per row; or by name of the"
+        " node, 100 for others",
+        examples=[100, {"Lane": 1000, "WOR": 10}],
     )
 
     @field_validator("parameters", mode="before")

@@ -117,8 +117,8 @@ def _read(experiment: ExperimentLike) -> tuple[dict[str, Any], str]:
         return absolute(content, Path.cwd()), "experiment"
     if not isinstance(experiment, (str, os.PathLike)):
         raise InputError(
-            f"{experiment!r} is no experiment; give the path of a YAML file, keys and values, or"
-            " the result of load_experiment"
+            f"{experiment!r:.60} is no experiment; give the path of a YAML file, keys and values,"
+            " lines, a result or a study; a graph goes with `graph`"
         )
     path = experiment_path(experiment)
     return absolute(load_yaml(path), path.parent), str(path)

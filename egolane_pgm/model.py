@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,9 @@ from egolane_pgm.inference.compile import (
     with_initial_lane,
     with_tables,
 )
+from egolane_pgm.inference.expected_counts import counted_tables, free_numbers
 from egolane_pgm.inference.filtering import METHODS, harden, joint_input
+from egolane_pgm.loading import IN_MEMORY
 from egolane_pgm.parameters import Value, resolve_parameters, smoothing_defaults
 from egolane_pgm.plugins import (
     declared_parameters,
@@ -27,12 +29,23 @@ from egolane_pgm.plugins import (
     plugin_errors,
     plugin_names,
 )
-from egolane_pgm.types import Evidence, FloatArray, InputError, LineLog, Observed, problems_in
+from egolane_pgm.types import (
+    Evidence,
+    FloatArray,
+    InputError,
+    IntArray,
+    LineLog,
+    Observed,
+    problems_in,
+)
 
 if TYPE_CHECKING:
     from pgmpy.models import DynamicBayesianNetwork
 
 EvidenceRule = Callable[[LineLog], Evidence]
+
+#: Values of `tuned_on`; a model with two origins has the last one.
+_ORIGINS = ("not_tuned", "other_frames", "unknown", "same_frames")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +56,8 @@ class Model:
     - parameters: the value of every declared parameter.
     - compiled: the graph with these values.
     - unused: evidence of the rule that the graph does not observe.
+    - learned_from: `recording_key` of the training recording of fitted tables; empty for several
+      recordings, None for tables of the graph.
     """
 
     experiment: Experiment
@@ -51,6 +66,7 @@ class Model:
     parameters: Mapping[str, Value]
     compiled: Compiled
     unused: frozenset[Observed]
+    learned_from: str | None = None
 
     @property
     def n_lanes(self) -> int:
@@ -65,7 +81,21 @@ class Model:
     @property
     def network(self) -> DynamicBayesianNetwork:
         """The graph in pgmpy, with these values and the names of the nodes' values."""
-        return self.compiled.network
+        network = self.compiled.network
+        if self.learned_from is not None:
+            network.graph["learned_from"] = self.learned_from
+        return network
+
+    @property
+    def free_parameters(self) -> int:
+        """Number of free parameters: the searched numbers of rule and graph.
+
+        Of a graph without parameters, and of fitted tables, `free_numbers` of the tables count.
+        """
+        own = () if self.learned_from is not None else getattr(self.graph, "PARAMETERS", ())
+        specs = {spec.name: spec for spec in (*getattr(self.rule, "PARAMETERS", ()), *own)}
+        total = sum(np.size(self.parameters[n]) for n, spec in specs.items() if spec.is_searched)
+        return total + (0 if own else free_numbers(counted_tables(self.compiled)))
 
     def __getstate__(self) -> dict[str, Any]:
         # Modules are not pickled, but loaded by the names in the experiment.
@@ -107,7 +137,11 @@ def compile_model(experiment: Experiment) -> Model:
         first = e.start_lane
         start = np.where(lane == first, 1.0, 0.0) if isinstance(first, int) else np.array(first)
         compiled = with_initial_lane(compiled, start)
-    return Model(experiment, rule, graph, parameters, compiled, unused)
+    learned = getattr(graph, "LEARNED_FROM", None)
+    if learned not in (None, "unknown"):
+        origins = (e.tuned_on, tuned_on(experiment, learned))
+        experiment = e.model_copy(update={"tuned_on": max(origins, key=_ORIGINS.index)})
+    return Model(experiment, rule, graph, parameters, compiled, unused, learned)
 
 
 def compile_graph(
@@ -140,12 +174,21 @@ def compile_graph(
                 f" {', '.join(map(str, provides)) or 'nothing (it has no PROVIDES)'}, the graph has"
                 f" {', '.join(sorted(nodes))}"
             )
+    bounds = getattr(graph, "BOUNDS", {})
+    inputs = tuple(dict.fromkeys((*inputs, *bounds)))
     roles = {"observed": observed, "inputs": inputs, "values": getattr(graph, "VALUES", {})}
     if network is None:
         with plugin_errors(graph, "graph"):
             tables = graph.tables(n_lanes, parameters)
-        return compile_tables(tables, hidden=graph.HIDDEN, **roles), unused
-    return compile(network, hidden=getattr(graph, "HIDDEN", None), **roles), unused
+        compiled = compile_tables(tables, hidden=graph.HIDDEN, **roles)
+    else:
+        compiled = compile(network, hidden=getattr(graph, "HIDDEN", None), **roles)
+    for name, cuts in bounds.items():
+        if not (np.isfinite(cuts).all() and (np.diff(cuts) > 0).all()):
+            raise InputError(f"BOUNDS: {name}: {tuple(cuts)} do not increase")
+        if (n_values := compiled.cardinality[name]) != len(cuts) + 1:
+            raise InputError(f"BOUNDS: {name} has {n_values} values, needs {len(cuts) + 1}")
+    return compiled, unused
 
 
 def build_network(
@@ -202,13 +245,18 @@ def with_graph(experiment: Experiment, graph: str) -> Experiment:
     known = {DETECTOR, *(spec.name for spec in declared_parameters(rule, module))}
     kept = {name: value for name, value in experiment.parameters.items() if name in known}
     changes = {"graph": graph, "evidence": evidence, "parameters": kept}
-    learned = getattr(module, "LEARNED_FROM", None)
-    if learned in ("", "unknown"):
-        changes["tuned_on"] = "unknown"
-    elif learned is not None:
-        is_same = learned == recording_key(experiment)
-        changes["tuned_on"] = "same_frames" if is_same else "other_frames"
+    changes["tuned_on"] = tuned_on(experiment, getattr(module, "LEARNED_FROM", None))
     return experiment.model_copy(update=changes)
+
+
+def tuned_on(experiment: Experiment, learned_from: str | None) -> str:
+    """Return `tuned_on` for a graph with fitted tables; None keeps the experiment's."""
+    if learned_from is None:
+        return experiment.tuned_on
+    # Lines in memory have no name, so they may be others.
+    if learned_from in ("", "unknown", IN_MEMORY):
+        return "unknown"
+    return "same_frames" if learned_from == recording_key(experiment) else "other_frames"
 
 
 def recording_key(experiment: Experiment) -> str:
@@ -217,6 +265,12 @@ def recording_key(experiment: Experiment) -> str:
     if recording.simulate is not None:
         return f"{recording.simulate}, seed {recording.seed}, {experiment.n_lanes} lanes"
     return str(recording.path)
+
+
+def training_key(experiments: Iterable[Experiment]) -> str:
+    """Return `Model.learned_from` of a fit to the recordings of some experiments."""
+    keys = {*map(recording_key, experiments)}
+    return keys.pop() if len(keys) == 1 else ""
 
 
 def matching_evidence_rule(graph: ModuleType, n_lanes: int, first: str, where: str) -> str:
@@ -290,12 +344,36 @@ def make_evidence(
         likelihoods = {k: v.copy() for k, v in likelihoods.items()}
         for values in likelihoods.values():
             values[log.is_missing] = 1.0
-    used = Evidence(likelihoods, given.inputs)
+    bounds = getattr(model.graph, "BOUNDS", {})
+    own = {name: input_of(log, name, cuts) for name, cuts in bounds.items()}
+    used = Evidence(likelihoods, {**given.inputs, **own})
     with problems_in(str(file)):
         joint_input(model.compiled, used)
     if model.experiment.evidence_mode == "hard":
         used = harden(used)
     return used, tentative
+
+
+def input_of(log: LineLog, name: str, bounds: Sequence[float]) -> IntArray:
+    """Return the values of an input that is a column of the recording, (T,): the number of bounds
+    that are not larger. Raises InputError for a missing column and for an empty cell."""
+    where, needs = f"{log.source}: ", f"an input of the graph (columns: {name}=COLUMN)"
+    if name not in log.covariates:
+        raise InputError(f"{where}no column {name}, {needs}")
+    is_empty = np.isnan(values := log.covariates[name])
+    if is_empty.any():
+        raise InputError(f"{where}frame {log.frame_id[is_empty.argmax()]}: no {name}, {needs}")
+    return np.searchsorted(bounds, values, side="right")
+
+
+def with_inputs(experiment: Experiment, graph: ModuleType | None = None) -> Experiment:
+    """Return the experiment whose `recording.columns` also name the graph's inputs (BOUNDS)."""
+    graph = graph or load_plugin("graphs", experiment.graph, f"{experiment.source}: graph")
+    if not (names := {name: name for name in getattr(graph, "BOUNDS", {})}):
+        return experiment
+    columns = {**names, **(experiment.recording.columns or {})}
+    recording = experiment.recording.model_copy(update={"columns": columns})
+    return experiment.model_copy(update={"recording": recording})
 
 
 def why_not_causal(model: Model) -> list[str]:

@@ -19,7 +19,7 @@ from egolane_pgm.inference.events import NO_EVENTS, next_events
 from egolane_pgm.loading import existing
 from egolane_pgm.maps.road_table import lanes_at
 from egolane_pgm.maps.road_table import load as load_road
-from egolane_pgm.model import Model, compile_model
+from egolane_pgm.model import Model, compile_model, with_inputs
 from egolane_pgm.running import infer
 from egolane_pgm.types import FloatArray, InputError, LineLog, not_one_of
 
@@ -151,11 +151,12 @@ def read_messages(experiment: Experiment, messages: Iterable[str]) -> Iterator[L
 
     Raises InputError, naming the message, for one that cannot be used.
     """
+    recording = with_inputs(experiment).recording
     after, before = 0, -np.inf
     for number, text in enumerate(messages, start=1):
         if text.strip():
             where = f"message {number}"
-            log = _parse(text, where, experiment.recording, after)
+            log = _parse(text, where, recording, after)
             after, now = int(log.frame_id[0]) + 1, float(log.time_s[0])
             if not before <= now < np.inf:
                 raise InputError(f"{where}: time_s: {now:g} is not after that of the last message")

@@ -29,6 +29,7 @@ from egolane_pgm.inference.events import SURE, lane_events
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import Model, compile_model, make_evidence, why_not_causal
 from egolane_pgm.plugins import OWN_FILES
+from egolane_pgm.recordings.columns import COLUMNS as COLUMNS_OF_LINES
 from egolane_pgm.recordings.select import fill_missing
 from egolane_pgm.recordings.table import lines_of
 from egolane_pgm.scoring import score_all
@@ -165,15 +166,14 @@ class Result:
         [log] = self.lines.values()
         return make_evidence(self.model, log)[0]
 
-    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+    def to_text(self, *, style: str = "markdown") -> str:
         """The text that `egolane run` prints: scores, confusions and lane changes.
 
         - style: one of `views.tables.STYLES`.
-        - wide: whether tables may be wider than the terminal.
         """
         from egolane_pgm.views.display import result_text
 
-        return result_text(self, style, wide)
+        return result_text(self, style)
 
     def plot(self, first: int | None = None, last: int | None = None) -> Figure:
         """Draw the posterior over time as strips, and the truth.
@@ -231,6 +231,14 @@ class Result:
             table = table if len(logs) > 1 else table.drop(columns="drive")
             table.to_parquet(place / "lines.parquet", index=False)
         return config
+
+
+def as_result(given: Any, what: str) -> Result:
+    """A Result, or the in-sample result of a Study; `what` is the argument, for the InputError."""
+    found = getattr(given, "in_sample", given)
+    if not isinstance(found, Result):
+        raise InputError(f"{what}: {type(given).__name__} is neither a result nor a study")
+    return found
 
 
 # --- directories ---------------------------------------------------------------------------------
@@ -292,7 +300,9 @@ def _read_lines(place: Path, experiment: Experiment) -> dict[str, LineLog]:
         table["drive"] = experiment.name
     logs = {}
     for name, part in table.groupby("drive", sort=False):
-        log = lines_of(part.drop(columns="drive"), frame_rate=recording.frame_rate, path=file)
+        part = part.drop(columns="drive")
+        covariates: Any = {name: name for name in part if name not in COLUMNS_OF_LINES} or None
+        log = lines_of(part, frame_rate=recording.frame_rate, path=file, columns=covariates)
         logs[str(name)] = fill_missing(log, recording.missing_frames, recording.frame_rate)
     return logs
 
@@ -444,8 +454,10 @@ def make_result(
         "frame_rate": rate,
         "n_lanes": widest.n_lanes,
         "values": widest.values,
+        "observed": [str(key) for key in model.compiled.observed],
+        "free_parameters": model.free_parameters,
         "frames": len(frames),
-        "tuned_on": e.tuned_on,
+        "tuned_on": model.experiment.tuned_on,
         "is_causal": not reasons,
         "why_not_causal": reasons,
         "tags": dict(first.tags),

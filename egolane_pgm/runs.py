@@ -105,8 +105,8 @@ def run(  # type: ignore[misc]
     summary.parquet. Rows that have a result already are skipped; a row that fails does not stop the
     others.
 
-    - given: an experiment; lines: a file, a DataFrame (see `read_lines`) or a LineLog; or a Result,
-      whose experiment is run again on its recording.
+    - given: an experiment; lines: a file, a DataFrame (see `read_lines`) or a LineLog; or a Result
+      or Study, whose (fitted) experiment is run again on its recording.
     - experiment: the model for LINES (evidence, graph, filter, parameters), by default zero_label.
     - overrides: override a key of the YAML, e.g. parameters.bonus_value=0, recording.topic=/lanes.
     - ground_truth: annotated lanes, a file or a DataFrame with frame_id, lane and crossing; "none"
@@ -116,7 +116,8 @@ def run(  # type: ignore[misc]
     - detector: line detector for a video or pictures.
     - columns: names and units of a table's columns or of fields, e.g.
       offset_m=lateral,unit=cm,left_positive=true (docs/howto/csv.md).
-    - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - graph: another graph: a name or a file; in Python also a module, a pgmpy network, or a result
+      or study, whose graph is taken with its tables.
     - table: table of runs: columns are YAML keys (recording.path, parameters.sigma1) and tag.X.
     - chunk_frames: infer this many frames at a time, to save memory on long drives.
     - held_out: infer each block of the annotated frames with parameters that were fitted to the
@@ -224,7 +225,8 @@ def open_input(
     """Open an experiment, or an experiment's model on lines.
 
     - given: an experiment (YAML file, name, dict, Experiment), a Result (its experiment on its
-      recording), or lines (a file, a DataFrame or a LineLog).
+      recording), a Study (its fitted model on its recording), or lines (a file, a DataFrame or a
+      LineLog).
     - experiment: the model for lines, `zero_label` if not given. Keys of the recording come from
       the other arguments.
     - graph: in place of the experiment's: a name, a file, a module or a network of pgmpy.
@@ -236,10 +238,17 @@ def open_input(
     lines, truth = None, ground_truth
     if experiment is not None and not is_lines(given):
         raise InputError(f"experiment: goes with a recording of lines, which {given} is not")
+    fitted = None
+    if not isinstance(given, Result) and hasattr(given, "in_sample"):
+        if len(given.experiments) > 1:
+            raise InputError(f"{given.name}: a study of several recordings can be a graph only")
+        fitted = make_experiment(given.experiment(), given.name)
+        is_learned = graph is None and given.model.learned_from is not None
+        graph, given = given if is_learned else graph, given.in_sample
     if isinstance(given, Result):
-        found = given.experiment
+        found = given.experiment if fitted is None else fitted
         if found.recording.path == IN_MEMORY:
-            [lines] = given.lines.values()
+            lines = LineLog.concat([*given.lines.values()])
             truth = given.truth if truth is None else truth
         given = found
     of_recording = {key: value for key, value in (recording or {}).items() if value}
@@ -257,6 +266,8 @@ def open_input(
         from egolane_pgm.studies.graph_file import graph_named
 
         loaded = with_graph(loaded, graph_named(graph, loaded))
+    if fitted is not None:
+        loaded = loaded.model_copy(update={"tuned_on": fitted.tuned_on})
     in_memory = None if isinstance(lines, (str, os.PathLike)) else lines
     # A file is in the experiment; "none" also drops the truth that a simulated drive has.
     return Input(loaded, in_memory, truth if name in (None, "none") else None)

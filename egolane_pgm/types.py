@@ -200,6 +200,7 @@ class LineLog(_Frames):
     - is_missing (T,): frames that were filled in (`missing_frames: predict`).
     - source: the file, for messages.
     - clip (T,): the name of each frame's clip; None for a recording of one drive.
+    - covariates: further columns by name, such as rain (T,); NaN if empty.
 
     >>> import numpy as np
     >>> import egolane_pgm as ego
@@ -219,6 +220,7 @@ class LineLog(_Frames):
     is_missing: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=bool))
     source: str = "line log"
     clip: NDArray[np.str_] | None = None
+    covariates: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         width = self.offset_m.shape[1]
@@ -231,9 +233,9 @@ class LineLog(_Frames):
         check_frame_ids(self.frame_id, self.source)
         lines = (n_frames, self.offset_m.shape[-1])
         of_lines = dict.fromkeys(("offset_m", "is_valid", "is_continuous", "lri"), lines)
-        of_frames = dict.fromkeys(("time_s", "is_missing", "clip"), (n_frames,))
+        of_frames = dict.fromkeys(("time_s", "is_missing", "clip", *self.covariates), (n_frames,))
         for name, shape in {**of_frames, **of_lines}.items():
-            array = getattr(self, name)
+            array = self.covariates[name] if name in self.covariates else getattr(self, name)
             if array is not None and array.shape != shape:
                 raise InputError(f"{self.source}: {name} has shape {array.shape}, needs {shape}")
         if not np.isfinite(self.offset_m[self.is_valid]).all():
@@ -293,19 +295,14 @@ class LineLog(_Frames):
         """Return a table with a row per line, as `ego.run` takes it.
 
         The index is `frame_id` and `line`, from 1; columns `time_s`, `offset_m` (negative left),
-        `is_valid`, `is_continuous`, `lri`. A frame without lines has one row with empty cells.
-        """
-        rows = self.rows(np.isfinite(self.offset_m) | np.isfinite(self.lri))
-        return rows.set_index(["frame_id", "line"])
-
-    def rows(self, is_line: BoolArray) -> pd.DataFrame:
-        """Return the rows of `to_pandas`, without an index.
-
-        - is_line (T, L): False in padding.
+        `is_valid`, `is_continuous`, `lri`, and the covariates. A frame without lines has one row
+        with empty cells.
         """
         # pandas is imported for tables only.
         import pandas as pd
 
+        is_placed = ~np.isnan(self.offset_m) | ~np.isnan(self.lri)
+        is_line = self.is_valid | self.is_continuous | is_placed
         frame, line = np.nonzero(np.column_stack([is_line, ~is_line.any(axis=1)]))
 
         def column(values: NDArray[Any], blank: float | bool) -> NDArray[Any]:
@@ -314,17 +311,16 @@ class LineLog(_Frames):
 
         number = pd.array(line + 1, dtype="Int64")
         number[line == is_line.shape[1]] = pd.NA
-        return pd.DataFrame(
-            {
-                "frame_id": self.frame_id[frame],
-                "time_s": self.time_s[frame],
-                "line": number,
-                "offset_m": column(self.offset_m, np.nan),
-                "is_valid": column(self.is_valid, False),
-                "is_continuous": column(self.is_continuous, False),
-                "lri": column(self.lri, np.nan),
-            }
-        )
+        columns = {
+            "time_s": self.time_s[frame],
+            "offset_m": column(self.offset_m, np.nan),
+            "is_valid": column(self.is_valid, False),
+            "is_continuous": column(self.is_continuous, False),
+            "lri": column(self.lri, np.nan),
+            **{name: values[frame] for name, values in self.covariates.items()},
+        }
+        index = pd.MultiIndex.from_arrays([self.frame_id[frame], number])
+        return pd.DataFrame(columns, index.set_names(["frame_id", "line"]))
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ def compared(
         found = found.drop(columns=[c for c in found if str(c).startswith("event_")])
     each = ego.compare(folders, of="folder", by="name", detector=detector)
     order = each.index.get_level_values("folder").unique()
-    table_of_each = page([table(each["accuracy"].unstack()[order])], wide=True)
+    table_of_each = page([table(each["accuracy"].unstack()[order])], style="wide")
     parts = [heading, compare.text(found, "markdown", True), "Accuracy on each recording:"]
     return "\n\n".join([*parts, table_of_each])
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from egolane_pgm.comparing import compare
@@ -16,9 +19,12 @@ from egolane_pgm.paper import paper_experiment
 from egolane_pgm.result import Result, load_result
 from egolane_pgm.runs import open_input, run_input
 from egolane_pgm.scoring.bootstrap import INTERVAL_STATISTICS, bootstrap_interval, score_counts
+from egolane_pgm.studies.study import run_held_out, run_study
 from egolane_pgm.types import InputError
+from egolane_pgm.views.comparisons import comparison_text
 from tests.conftest import needs_compiler
 from tests.kits.drives import geometry, run, simulated, write_drive
+from tests.kits.studies import drive_of
 
 accuracy = INTERVAL_STATISTICS["accuracy"]
 
@@ -129,6 +135,77 @@ def test_untrusted_labels_are_not_compared(results: list[Result]) -> None:
     assert found["tuned_on"].to_list() == ["other_frames"] * 2
 
 
+# --- log evidence --------------------------------------------------------------------------------
+
+
+def test_log_evidence_is_compared_over_the_frames_that_all_have(results: list[Result]) -> None:
+    """The interval is that of the block bootstrap, BIC is computed by hand."""
+    changes = {"name": "other", "graph": "wor_on_lane", "recording.frames": [100, 1100]}
+    changes["parameters.p3"] = [0.5, 0.6, 0.7, 0.8]
+    first, second = results[0], run(results[0].experiment, changes)
+    second.frames.loc[[150, 160], "is_impossible"] = True
+    blind = [replace(each, frames=without_truth(each.frames)) for each in (first, second)]
+    found = compare(blind)
+    assert "accuracy" not in found
+    kept = second.frames.index.drop([150, 160])
+    each = [result.frames["log_evidence"].loc[kept].to_numpy() for result in (first, second)]
+    # Impossible frames keep their place in the blocks.
+    is_kept = second.frames.index.isin(kept)
+    counts = [np.zeros((1000, 2)), np.zeros((1000, 2))]
+    for count, values in zip(counts, each, strict=True):
+        count[is_kept] = np.stack([values, np.ones(998)], axis=1)
+    ratio = INTERVAL_STATISTICS["log_loss"]
+    row = found.loc["other"]
+    expected = bootstrap_interval(counts[1:], ratio, minus=counts[:1])
+    ours = interval(row, "log_evidence_difference")
+    assert ours == pytest.approx([expected.estimate, expected.low, expected.high], abs=1e-12)
+    alone = bootstrap_interval(counts[1:], ratio)
+    ours = interval(row, "log_evidence")
+    assert ours == pytest.approx([alone.estimate, alone.low, alone.high], abs=1e-12)
+    # sigma1, sigma2, p1 to p4 and bonus_value; p3 of each of 4 lanes.
+    sizes = [7, 10]
+    assert found["free_parameters"].to_list() == sizes
+    right = [e.sum() - k * math.log(998) / 2 for e, k in zip(each, sizes, strict=True)]
+    assert found["bic"].to_list() == pytest.approx(right)
+
+
+def without_truth(frames: pd.DataFrame) -> pd.DataFrame:
+    return frames.assign(true_lane=pd.NA, is_crossing=pd.NA)
+
+
+def test_the_free_numbers_of_fitted_tables_count_and_held_out_frames_have_no_bic() -> None:
+    study = run_study([drive_of(simulated())], "learn", [])
+    learned = compare(study.in_sample).iloc[0]
+    # Lane: 3 and 4 x 3, SensorState: 1 and 2 x 1; of each state the output 4 x 3, WOR 1; and
+    # bonus_value. DetectorOutput of a bad sensor is uniform, so its entries are free too.
+    graph = {"Lane": 3 + 12, "SensorState": 1 + 2, "DetectorOutput": 8 * 3, "WOR": 2}
+    assert learned["free_parameters"] == sum(graph.values()) + 1
+    held_out = run_held_out([drive_of(simulated(fit={"method": "learn"}))], 2)
+    row = compare(held_out).iloc[0]
+    assert row["free_parameters"] == learned["free_parameters"]
+    assert "bic" not in row
+    assert "bic" in learned
+
+
+def test_log_evidence_of_other_evidence_is_left_empty_with_a_reason(results: list[Result]) -> None:
+    first = results[0]
+    others: dict[str, dict[str, Any]] = {
+        "rule": {"evidence": "line_geometry", "graph": "position_in_lane"},
+        "parameter": {"parameters.bonus_value": 5},
+        "mode": {"evidence_mode": "hard"},
+        "nodes": {"graph": "no_wor"},
+    }
+    for name, changes in others.items():
+        other = run(first.experiment, {"name": name, **changes})
+        found = compare([first, other])
+        assert "log_evidence" not in found
+        text = " ".join(comparison_text(found, "markdown").split())
+        assert "log evidence is not compared: the rows differ in evidence rule" in text
+    old = {key: value for key, value in first.run.items() if key != "free_parameters"}
+    reason = compare(replace(first, run=old)).attrs["log_evidence"]
+    assert "a result was written by an older version; run it again" in reason
+
+
 def test_scores_of_lane_changes_are_added(results: list[Result]) -> None:
     both = [run(geometry("one")), run(simulated("two", filter="fixed_lag", lag=9))]
     found = compare(both)
@@ -162,7 +239,7 @@ def test_what_cannot_be_compared_is_refused(results: list[Result], tmp_path: Pat
         (results[:3], "graph", "graph lane_only: has other recordings, frames or labels"),
         ([results[0], shorter], "name", "name short: has other recordings, frames or labels"),
         (results[:2], "filter", "assumed_density has two results of one recording, sensor_failure"),
-        ([without], "name", "none: has no ground truth to compare with"),
+        ([results[0], without], "name", "none: has no ground truth to compare with"),
     ):
         with pytest.raises(InputError, match=said):
             compare(given, of=of)

@@ -14,7 +14,7 @@ from egolane_pgm.drives import Drive, drive_names, make_drive, read_drives
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.maps.road_table import save
 from egolane_pgm.recordings.ground_truth import write_ground_truth
-from egolane_pgm.recordings.table import rows_of, write_table
+from egolane_pgm.recordings.table import write_table
 from egolane_pgm.runs import open_input
 from egolane_pgm.simulation import simulate
 from egolane_pgm.types import InputError, LineLog, lane_truth
@@ -27,7 +27,7 @@ ROAD = ((3, 20), (4, 20), (3, 20))
 
 
 def lines(hertz: float = 10.0) -> pd.DataFrame:
-    frame = rows_of(short_drive().log)
+    frame = short_drive().log.to_pandas().reset_index()
     return frame.assign(time_s=frame["frame_id"] / hertz)
 
 

@@ -21,7 +21,8 @@
 `of` names the parents, and so the edges; a parent at time t of a node at t+1 is `<name> before`.
 `values` has an axis for each of them, in their order, and the node's own last: each innermost row
 sums to one.
-Optional keys are `inputs` (nodes whose values are given in every frame, without a table), `unused`
+Optional keys are `inputs` (nodes whose values are given in every frame, without a table), `bounds`
+(of inputs that are columns of the recording: `{Rain: [0.5, 2]}` gives three values), `unused`
 (evidence that the graph does not use) and `description`. Such a graph has no parameters, and its
 number of lanes is fixed: a graph with parameters, or for any number of lanes, is written in Python.
 """
@@ -34,7 +35,7 @@ from types import ModuleType
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import BeforeValidator
+from pydantic import BeforeValidator, Field
 
 from egolane_pgm.experiment import Section, validated
 from egolane_pgm.graphs.cpds import Table, uniform
@@ -76,6 +77,7 @@ class _Graph(Section):
     hidden: tuple[str, ...]
     observed: tuple[str | tuple[str, ...], ...]
     inputs: tuple[str, ...] = ()
+    bounds: dict[str, tuple[float, ...]] = Field(default_factory=dict)
     unused: tuple[str | tuple[str, ...], ...] = ()
     tables: dict[str, dict[str, Any]]
     #: The recording of a fit, see `model.recording_key`.
@@ -101,6 +103,7 @@ def load_graph_file(path: Path, name: str, where: str) -> ModuleType:
         HIDDEN=graph.hidden,
         OBSERVED=graph.observed,
         INPUTS=graph.inputs,
+        BOUNDS=graph.bounds,
         UNUSED=graph.unused,
         LEARNED_FROM=graph.learned_from,
         VALUES={n: values for n, values in graph.nodes.items() if not isinstance(values, int)},
@@ -115,6 +118,7 @@ def _tables(graph: _Graph) -> list[Table]:
     size = {n: v if isinstance(v, int) else len(v) for n, v in graph.nodes.items()}
     _check_nodes(graph.hidden, size, "hidden")
     _check_nodes(graph.inputs, size, "inputs")
+    _check_nodes(graph.bounds, graph.inputs, "bounds")
     for key in graph.observed:
         _check_nodes([key] if isinstance(key, str) else key, size, "observed")
     check_names([n for n in size if n not in graph.inputs], graph.tables, "tables")

@@ -7,7 +7,7 @@ flagged, and both are ignored.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,6 +51,21 @@ def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
         for node in nodes
         if not any(parent in compiled.inputs for parent, _ in compiled.tables[node].parents)
     }
+
+
+def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode] = ()) -> int:
+    """Return the number of free numbers of the tables of later frames: entries above zero but one
+    of each row; for `bases`, tables in the compact form, those without repetition, and one.
+
+    Tables of the first frame alone do not count: one frame of a sequence informs them, and the
+    logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).
+    """
+    bases, total = set(bases), 0
+    for node in (node for node in tables if node[1] == 1):
+        # Repetition adds to one value of each row only.
+        values = tables[node].values.min(axis=-2) if node in bases else tables[node].values
+        total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
+    return total
 
 
 def expected_counts(

@@ -62,12 +62,17 @@ def pass_forward(
 
 
 def smooth_beliefs(
-    compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None
+    compiled: Compiled,
+    evidence: Evidence,
+    *,
+    frame_id: IntArray | None = None,
+    is_first: BoolArray | None = None,
 ) -> Beliefs:
     """Return P(node | evidence of all frames) for every hidden node and frame (Rabiner 1989,
     section III.B, on the joint state).
 
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
+    - is_first: as for `pass_forward`.
 
     Raises InputError as `pass_forward`.
 
@@ -77,12 +82,17 @@ def smooth_beliefs(
     >>> ego.smooth_beliefs(run.model.compiled, run.evidence)
     Beliefs(300 frames, ids 0 to 299: SensorState (2), Lane (4))
     """
-    passed = pass_forward(compiled, evidence)
+    passed = pass_forward(compiled, evidence, is_first=is_first)
     return _beliefs(compiled, passed, _smoothed(compiled, passed), frame_id)
 
 
 def fixed_lag_beliefs(
-    compiled: Compiled, evidence: Evidence, lag: int, *, frame_id: IntArray | None = None
+    compiled: Compiled,
+    evidence: Evidence,
+    lag: int,
+    *,
+    frame_id: IntArray | None = None,
+    is_first: BoolArray | None = None,
 ) -> Beliefs:
     """Return P(node at t | evidence up to frame t + lag) for every hidden node and frame.
 
@@ -90,6 +100,7 @@ def fixed_lag_beliefs(
 
     - lag: frames, not negative.
     - frame_id (T,): the beliefs' frame ids, 0, 1, ... by default.
+    - is_first: as for `pass_forward`.
 
     Raises InputError as `pass_forward`, and for a negative lag.
 
@@ -101,11 +112,12 @@ def fixed_lag_beliefs(
     """
     if lag < 0:
         raise InputError(f"lag {lag}: must not be negative")
-    passed = pass_forward(compiled, evidence)
+    passed = pass_forward(compiled, evidence, is_first=is_first)
     smoothed = np.empty_like(passed.filtered)
     fixed_lag_frames(
-        lag, passed.filtered, passed.likelihood, compiled.transition, passed.input_index, smoothed
-    )
+        lag, passed.filtered, passed.likelihood, compiled.transition, passed.input_index,
+        passed.begins, smoothed,
+    )  # fmt: skip
     return _beliefs(compiled, passed, smoothed, frame_id)
 
 

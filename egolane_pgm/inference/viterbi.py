@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -42,12 +43,19 @@ class Path:
         return self.values["Lane"] + 1
 
 
-def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None = None) -> Path:
+def viterbi(
+    compiled: Compiled,
+    evidence: Evidence,
+    *,
+    frame_id: IntArray | None = None,
+    is_first: BoolArray | None = None,
+) -> Path:
     """The joint states of highest probability given all evidence (Rabiner 1989, section III.B, in
     logarithms). Of equally probable paths it is the one with the lowest-numbered state in the last
     frame, then in the one before, and so on.
 
     - frame_id (T,): the path's frame ids, 0, 1, ... by default.
+    - is_first (T,): True where a sequence begins; by default the first frame only.
 
     A frame of zero joint likelihood is flagged and ignored, as the exact filter does. Raises
     InputError as `smooth_beliefs`.
@@ -60,13 +68,16 @@ def viterbi(compiled: Compiled, evidence: Evidence, *, frame_id: IntArray | None
     [4, 2]
     """
     ids = np.arange(len(evidence)) if frame_id is None else frame_id
-    passed = pass_forward(compiled, evidence)
+    passed = pass_forward(compiled, evidence, is_first=is_first)
     states = np.zeros(len(evidence), dtype=np.int64)
     total = 0.0
-    if len(evidence):
-        with np.errstate(divide="ignore"):
-            log_likelihood = np.log(passed.likelihood)
-            log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
-        total = best_path(log_prior, log_transition, log_likelihood, passed.input_index, states)
+    with np.errstate(divide="ignore"):
+        log_likelihood = np.log(passed.likelihood)
+        log_prior, log_transition = np.log(compiled.prior), np.log(compiled.transition)
+    starts = np.flatnonzero(passed.begins).tolist()
+    for first, stop in pairwise([*starts, len(states)]):
+        here = slice(first, stop)
+        index = passed.input_index[here]
+        total += best_path(log_prior, log_transition, log_likelihood[here], index, states[here])
     values = {name: compiled.node_value[name][states] for name in compiled.hidden}
     return Path(ids, values, total, passed.is_impossible)

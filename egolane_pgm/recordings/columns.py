@@ -87,7 +87,7 @@ def lines_of_columns(
     """The lines of a table, T frames of at most L lines.
 
     - data: N rows.
-    - columns: names, units and signs of the columns; None for our own.
+    - columns: names, units and signs of the columns; None for our own. Other names are covariates.
     - path: the file, for messages.
     - frame_rate: frames per second of a table without times.
     - first: first frame id, if frames are numbered by their times.
@@ -100,7 +100,8 @@ def lines_of_columns(
         raise InputError(f"{path}: the table has no rows")
     names: Any = {ours: ours for ours in COLUMNS if ours in data} | dict(columns or {})
     table = _Table(data, names, path, np.arange(len(data)) if row is None else row)
-    for ours in COLUMNS:
+    covariates = {ours: names[ours] for ours in names if ours not in Columns.__annotations__}
+    for ours in (*COLUMNS, *covariates):
         theirs = names.get(ours)
         for name in theirs if isinstance(theirs, tuple) else (theirs,):
             if name is not None and name not in data:
@@ -118,8 +119,11 @@ def lines_of_columns(
     log = LineLog.from_rows(frame_id[starts], frame_rate, row_frame, **of_line, source=str(path))
     if time_s is not None:
         log = replace(log, time_s=time_s[starts])
+    values = {ours: table.of_frame(ours, theirs, starts) for ours, theirs in covariates.items()}
+    log = replace(log, covariates=values) if values else log
     if row is None and (columns or {}).get("offset_m") is None:
         used = {names.get("frame_id"), names.get("time_s"), *(n for k in lines for n in k.values())}
+        used |= {*covariates.values()}
         known = {*(COLUMNS if "offset_m" in names else ("frame_id", "time_s"))} - used
         unused = [name + near_word(name, known) for name in data if name not in used]
         if any(unused):
@@ -144,6 +148,16 @@ class _Table:
     def numbers(self, ours: str, theirs: str) -> FloatArray:
         """A column as numbers, (N,)."""
         return to_numbers(self.path, ours, self.data[theirs], theirs, self.row)
+
+    def of_frame(self, ours: str, theirs: str, starts: BoolArray) -> FloatArray:
+        """A covariate of each frame, (T,); flags are 0 and 1. starts (N,): first rows of frames."""
+        cells = self.data[theirs]
+        cells = cells.astype("Float64") if pd.api.types.is_bool_dtype(cells) else cells
+        values = to_numbers(self.path, ours, cells, theirs, self.row)
+        first = values[starts][np.cumsum(starts) - 1]
+        same = (values == first) | (np.isnan(values) & np.isnan(first))
+        self.refuse(~same, f"{theirs} differs from the row before, of the same frame")
+        return values[starts]
 
     def refuse(self, bad: BoolArray, problem: str, at: IntArray | None = None) -> None:
         """Raise InputError for the first bad row. at: the rows of `bad`, by default all."""

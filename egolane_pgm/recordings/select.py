@@ -40,6 +40,7 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
 
     - policy: "skip" leaves them out; "hold" repeats the lines of the frame before; "predict"
       adds frames without lines, flagged `is_missing`, so that a filter only predicts there.
+      Covariates keep the value of the frame before.
     - frame_rate: frames per second, for the times of added frames.
 
     Raises InputError for gaps so large that the ids cannot be frame numbers.
@@ -70,6 +71,8 @@ def fill_missing(log: LineLog, policy: str, frame_rate: float) -> LineLog:
         is_continuous=~empty & log.is_continuous[before],
         lri=np.where(empty, np.nan, log.lri[before]),
         is_missing=np.where(is_new, policy == "predict", log.is_missing[before]),
+        clip=None if log.clip is None else log.clip[before],
+        covariates={name: values[before] for name, values in log.covariates.items()},
     )
 
 

@@ -117,33 +117,22 @@ def _check_names(path: Path, table: pd.DataFrame) -> pd.DataFrame:
 def write_table(path: str | Path, log: LineLog) -> None:
     """Write a log as CSV or Parquet, by extension; `read_table` returns its recorded frames.
 
-    Raises InputError for a log of several clips, whose borders a table does not keep, for another
-    extension, and if the file cannot be written.
+    Times are left out if they are frame id over FRAME_RATE. Raises InputError for a log of several
+    clips, whose borders a table does not keep, for another extension, and if the file cannot be
+    written.
     """
-    path = Path(path)
+    path, table = Path(path), log.take(~log.is_missing).to_pandas().reset_index()
     if log.clip is not None:
         raise InputError(f"{log.source}: has several clips; a written file holds one drive")
+    if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
+        del table["time_s"]
     if path.suffix.lower() == ".parquet":
-        write_parquet(path, rows_of(log))
+        write_parquet(path, table)
     elif path.suffix.lower() == ".csv":
-        table = pa.Table.from_pandas(rows_of(log), preserve_index=False)
+        rows = pa.Table.from_pandas(table, preserve_index=False)
         with atomic(path) as temporary, temporary.open("wb") as file:
             # pyarrow would put the names in quotes.
-            file.write((",".join(table.column_names) + "\n").encode())
-            csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+            file.write((",".join(rows.column_names) + "\n").encode())
+            csv.write_csv(rows, file, csv.WriteOptions(include_header=False))
     else:
         raise InputError(f"{path}: unknown extension '{path.suffix}' of a table (.csv, .parquet)")
-
-
-def rows_of(log: LineLog) -> pd.DataFrame:
-    """The rows of the recorded frames of a log, without time_s if it is frame id over
-    FRAME_RATE."""
-    log = log.take(~log.is_missing)
-    # All other cells are padding.
-    is_line = log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
-    if is_line.size and not is_line[:, -1].any():
-        is_line[0, -1] = True  # An empty line keeps the width of the padding.
-    rows = log.rows(is_line)
-    if np.array_equal(log.time_s, log.frame_id / FRAME_RATE):
-        del rows["time_s"]
-    return rows

@@ -75,11 +75,12 @@ def resampled_sums(
 
 
 #: The scores that have an interval in every result. A log-loss without frames is NaN.
-INTERVAL_STATISTICS: Mapping[str, Statistic] = {
+INTERVAL_STATISTICS: dict[str, Statistic] = {
     "accuracy": lambda sums: np.asarray(scores_from_confusion(sums)["accuracy"]),
     "f1": lambda sums: np.asarray(scores_from_confusion(sums)["f1"]),
     "log_loss": lambda sums: sums[..., 0] / np.where(sums[..., 1] == 0, np.nan, sums[..., 1]),
 }
+INTERVAL_STATISTICS["log_evidence"] = INTERVAL_STATISTICS["log_loss"]
 
 
 def bootstrap_interval(
@@ -166,29 +167,15 @@ def score_intervals(
     *,
     seeds: Sequence[int] | None = None,
 ) -> dict[str, Interval]:
-    """The intervals of accuracy, F1 and log-loss, or of their differences.
+    """The intervals of some scores, or of their differences.
 
-    - counts, minus: per recording the counts of `score_counts`.
+    - counts, minus: per recording the counts of `score_counts`, or others by the name of a score.
     - seeds: see `bootstrap_interval`.
     """
     found = {}
-    for name, statistic in INTERVAL_STATISTICS.items():
+    for name in counts[0]:
+        statistic = INTERVAL_STATISTICS[name]
         mine = [each[name] for each in counts]
         theirs = None if minus is None else [each[name] for each in minus]
         found[name] = bootstrap_interval(mine, statistic, minus=theirs, seeds=seeds)
     return found
-
-
-def on_timeline(
-    counts: Mapping[str, NDArray[np.generic]], frame_id: IntArray, timeline: IntArray
-) -> dict[str, NDArray[np.generic]]:
-    """The counts of K frames, placed among all T frames of their drive, with zeros elsewhere.
-
-    This way recordings of one drive by several detectors are resampled together.
-    """
-    at = np.searchsorted(timeline, frame_id)
-    placed = {}
-    for name, values in counts.items():
-        placed[name] = np.zeros((len(timeline), *values.shape[1:]), dtype=values.dtype)
-        placed[name][at] = values
-    return placed

@@ -142,8 +142,8 @@ def _ratio(numerator: IntArray, denominator: IntArray) -> FloatArray:
 
 
 def is_maximised(score: str) -> bool:
-    """Whether larger is better: for `SCORES`, but not for `log_loss`, `brier`, `delay`, ..."""
-    return score in SCORES
+    """Whether larger is better: for `SCORES` and `log_evidence`, not for `log_loss`, `delay`."""
+    return score in (*SCORES, "log_evidence")
 
 
 def frames_off(a: ArrayLike, b: ArrayLike) -> int:

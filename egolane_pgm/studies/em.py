@@ -1,15 +1,19 @@
-"""EM: the most probable tables of a network, given evidence, known values of hidden nodes and a
-Dirichlet prior around the starting tables.
+"""EM: the most probable tables of a network, or numbers from which they follow, given evidence and
+known values of hidden nodes.
 
-The prior of each row is Dirichlet(1 + strength * row). Its mode is the row itself, and it weighs as
-much as `strength` frames. An entry that is above zero at the start stays above zero, however rarely
-it is used; a zero is part of the structure and stays zero.
+The prior of each row of a table is Dirichlet(1 + strength * row). Its mode is the row itself, and
+it weighs as much as `strength` frames. An entry that is above zero at the start stays above zero,
+however rarely it is used; a zero is part of the structure and stays zero.
+
+Tied numbers, such as sigma1 and p1, have a flat prior within their bounds. Soft evidence is linear
+in a table's row, so a maximum often lies at a bound.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass
+import warnings
+from collections.abc import Callable, Container, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,29 +28,67 @@ TOLERANCE = 1e-6
 #: A row with a smaller expected count keeps its start: its counts have lost their digits.
 _NEGLIGIBLE = 1e-280
 
+#: The smallest probability whose logarithm counts in the M step of numbers.
+_TINY = 1e-300
+
 _SMALLEST = float(np.finfo(np.float64).tiny)
+
+#: The prior's weight, frames per row, of tables for which no other one is given.
+STRENGTH = 100.0
 
 #: The M step of a table in a form of its own: from its expected counts to its values and their log
 #: prior, relative to the start.
 Step = Callable[[FloatArray], tuple[FloatArray, float]]
 
+#: From numbers (D,) to the tables of the network, of both slices.
+TablesOf = Callable[[FloatArray], Sequence[Table]]
+
+#: The M step of a network: from the expected counts of its tables to the network and its log prior.
+Maximise = Callable[[Mapping[SliceNode, FloatArray]], tuple[Compiled, float]]
+
 
 @dataclass(frozen=True)
-class LearnedTables:
+class Learned:
     """The result of EM.
 
-    - tables: `counted_tables`, learned or unchanged.
-    - compiled: the network with these tables; `compiled.network` is the one of pgmpy.
-    - log_posterior (I,): log evidence plus log prior (0 for the starting tables), before each
+    - compiled: the network with its learned tables; `compiled.network` is the one of pgmpy.
+    - log_posterior (I,): log evidence plus log prior (0 for the declared tables), before each
       iteration and after the last.
     - is_impossible (T,): marks frames whose evidence, together with the known values, has
       probability zero.
+    - numbers (D,): of tied parameters (`fit_tied`).
     """
 
-    tables: Mapping[SliceNode, Table]
     compiled: Compiled
     log_posterior: FloatArray
     is_impossible: BoolArray
+    numbers: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def tables(self) -> dict[SliceNode, Table]:
+        """The `counted_tables`, learned or unchanged."""
+        return counted_tables(self.compiled)
+
+
+def iterate(
+    compiled: Compiled,
+    log_prior: float,
+    data: tuple[Evidence, Mapping[str, IntArray] | None, BoolArray | None],
+    maximise: Maximise,
+    iterations: int,
+) -> Learned:
+    """Run EM from a network and its log prior until the log posterior hardly grows.
+
+    - data: the arguments of `expected_counts`.
+    """
+    history: list[float] = []
+    while True:
+        expected = expected_counts(compiled, *data)
+        history.append(expected.log_evidence + log_prior)
+        gain = history[-1] - history[-2] if len(history) > 1 else np.inf
+        if gain <= TOLERANCE * max(1, len(data[0])) or len(history) > iterations:
+            return Learned(compiled, np.array(history), expected.is_impossible)
+        compiled, log_prior = maximise(expected.counts)
 
 
 def fit_tables(
@@ -56,18 +98,20 @@ def fit_tables(
     is_first: BoolArray | None = None,
     *,
     nodes: Container[str] | None = None,
-    strength: float = 100.0,
+    strength: float | Mapping[str, float] = STRENGTH,
     iterations: int = 200,
     steps: Mapping[SliceNode, Step] | None = None,
-) -> LearnedTables:
+    start: Mapping[SliceNode, Table] | None = None,
+) -> Learned:
     """Find the most probable tables by EM, starting from the tables of the compiled network.
 
-    - evidence: T frames, of one recording or of several joined (`Evidence.joined`).
+    - evidence: T frames, of one recording or of several joined (`Evidence.concat`).
     - known, is_first: as `expected_counts`.
     - nodes: the nodes whose tables are learned; by default all that can be.
-    - strength: of the prior, frames per row.
+    - strength: of the prior, frames per row; by name of the node if they differ (100 for others).
     - iterations: the largest number of iterations.
     - steps: the M steps of tables that have a form of their own.
+    - start: tables to start from instead; the prior stays around those of the network.
 
     A node that has the same table in the first frame and later keeps one table. Raises InputError
     as `expected_counts`.
@@ -79,26 +123,47 @@ def fit_tables(
     >>> bool(fitted.log_posterior[-1] > fitted.log_posterior[0])
     True
     """
-    start, steps = counted_tables(compiled), steps or {}
-    free = {node: table for node, table in start.items() if node not in steps}
-    now = dict(start)
-    history: list[float] = []
+    declared, steps = counted_tables(compiled), steps or {}
+    free = {node: table for node, table in declared.items() if node not in steps}
+    now = {**declared, **(start or {})}
     of_steps = dict.fromkeys(steps, 0.0)
-    while True:
-        learned = with_learned(compiled, now)
-        expected = expected_counts(learned, evidence, known, is_first)
-        log_prior = strength * _log_prior(free, now) + sum(of_steps.values())
-        history.append(expected.log_evidence + log_prior)
-        gain = history[-1] - history[-2] if len(history) > 1 else np.inf
-        if gain <= TOLERANCE * max(1, len(evidence)) or len(history) > iterations:
-            return LearnedTables(now, learned, np.array(history), expected.is_impossible)
+
+    def current() -> tuple[Compiled, float]:
+        log_prior = sum(
+            strength_of(strength, node[0]) * _log_ratio(table, now[node])
+            for node, table in free.items()
+        )
+        return with_learned(compiled, now), log_prior + sum(of_steps.values())
+
+    def maximise(counts: Mapping[SliceNode, FloatArray]) -> tuple[Compiled, float]:
         for node, step in steps.items():
-            values, of_steps[node] = step(expected.counts[node])
-            now[node] = Table(node, start[node].parents, values)
+            values, of_steps[node] = step(counts[node])
+            now[node] = Table(node, declared[node].parents, values)
         for node, table in free.items():
             if nodes is None or node[0] in nodes:
-                rows = _most_probable(expected.counts[node], table.values, strength)
+                weight = strength_of(strength, node[0])
+                rows = _most_probable(counts[node], table.values, weight)
                 now[node] = Table(node, table.parents, rows)
+        return current()
+
+    return iterate(*current(), (evidence, known, is_first), maximise, iterations)
+
+
+def strength_of(strength: float | Mapping[str, float], node: str) -> float:
+    """The prior's weight for a node, frames per row."""
+    return strength.get(node, STRENGTH) if isinstance(strength, Mapping) else strength
+
+
+def drawn_tables(
+    declared: Mapping[SliceNode, Table], rng: np.random.Generator
+) -> dict[SliceNode, Table]:
+    """Tables to start from: means of the declared rows and random ones; zeros stay zero."""
+    drawn = {}
+    for node, table in declared.items():
+        rows = rng.exponential(size=table.values.shape) * (table.values > 0)
+        rows /= rows.sum(axis=-1, keepdims=True)
+        drawn[node] = Table(node, table.parents, (table.values + rows) / 2)
+    return drawn
 
 
 def with_learned(compiled: Compiled, learned: Mapping[SliceNode, Table]) -> Compiled:
@@ -120,11 +185,73 @@ def _most_probable(counts: FloatArray, start: FloatArray, strength: float) -> Fl
     return np.where((start > 0) & (rows == 0), np.minimum(start, _SMALLEST), rows)
 
 
-def _log_prior(start: Mapping[SliceNode, Table], now: Mapping[SliceNode, Table]) -> float:
-    """The log prior of all tables for a strength of one frame, relative to the starting tables."""
-    total = 0.0
-    for node, table in start.items():
-        old, new = table.values, now[node].values
-        allowed = old > 0
-        total += float((old[allowed] * (np.log(new[allowed]) - np.log(old[allowed]))).sum())
-    return total
+def _log_ratio(declared: Table, now: Table) -> float:
+    """The log prior of a table for a strength of one frame, relative to the declared table."""
+    old, new = declared.values, now.values
+    allowed = old > 0
+    return float((old[allowed] * (np.log(new[allowed]) - np.log(old[allowed]))).sum())
+
+
+# --- tied numbers ---------------------------------------------------------------------------------
+
+
+def fit_tied(
+    compiled: Compiled,
+    evidence: Evidence,
+    tables_of: TablesOf,
+    start: Sequence[float],
+    bounds: Sequence[tuple[float, float]],
+    known: Mapping[str, IntArray] | None = None,
+    is_first: BoolArray | None = None,
+    *,
+    iterations: int = 100,
+) -> Learned:
+    """Find the most probable numbers by EM, with a flat prior.
+
+    - compiled: the network; its structure must be that of the tables.
+    - tables_of: the tables of numbers (D,), of both slices.
+    - start, bounds: of the D numbers; a start out of bounds is moved into them.
+    - known, is_first: as `expected_counts`.
+
+    Raises InputError as `expected_counts`.
+    """
+    low, high = np.array(bounds, dtype=np.float64).reshape(-1, 2).T
+    numbers = np.clip(np.asarray(start, dtype=np.float64), low, high)
+
+    def maximise(counts: Mapping[SliceNode, FloatArray]) -> tuple[Compiled, float]:
+        nonlocal numbers
+        numbers = _maximised(counts, tables_of, numbers, (low, high))
+        return with_tables(compiled, tables_of(numbers)), 0.0
+
+    first = with_tables(compiled, tables_of(numbers))
+    found = iterate(first, 0.0, (evidence, known, is_first), maximise, iterations)
+    return replace(found, numbers=numbers)
+
+
+def _maximised(
+    counts: Mapping[SliceNode, FloatArray],
+    tables_of: TablesOf,
+    numbers: FloatArray,
+    bounds: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return numbers at which the expected log likelihood is at its largest."""
+    # Slow to import.
+    from scipy.optimize import minimize
+
+    def loss(at: FloatArray) -> float:
+        tables = {table.node: table.values for table in tables_of(np.clip(at, *bounds))}
+        logs = {node: np.log(np.maximum(tables[node], _TINY)) for node in counts}
+        return -sum(float((count * logs[node]).sum()) for node, count in counts.items())
+
+    with warnings.catch_warnings():
+        # Nelder and Mead's start is moved into the bounds.
+        warnings.simplefilter("ignore")
+        found = minimize(
+            loss,
+            numbers,
+            method="Nelder-Mead",
+            bounds=np.stack(bounds, axis=1),
+            options={"xatol": 1e-5, "fatol": 1e-4, "maxfev": 200 * len(numbers)},
+        )
+    # The expected log likelihood never falls, so the log evidence does not.
+    return np.clip(found.x, *bounds) if found.fun <= loss(numbers) else numbers

@@ -22,12 +22,12 @@ from scipy.special import stdtrit
 from egolane_pgm.drives import Drive, data_files, digest, drive_key
 from egolane_pgm.graphs.cpds import SliceNode, Table
 from egolane_pgm.inference.compile import Compiled, compile_tables, with_initial_lane
-from egolane_pgm.inference.expected_counts import counted_tables
+from egolane_pgm.inference.expected_counts import counted_tables, free_numbers
 from egolane_pgm.inference.filtering import filter_beliefs
-from egolane_pgm.model import Model, make_evidence, recording_key
+from egolane_pgm.model import Model, make_evidence, training_key
 from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
 from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
-from egolane_pgm.studies.em import fit_tables
+from egolane_pgm.studies.em import fit_tables, strength_of
 from egolane_pgm.studies.fits import learnable_nodes, start_of_learning, training_of
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.search import make_sampler, quiet, settings_of
@@ -36,7 +36,6 @@ from egolane_pgm.studies.structures import (
     Edge,
     Structure,
     edges_of,
-    free_numbers,
     parse_edge,
     repetition_step,
     spelled,
@@ -104,7 +103,7 @@ class Exploration:
       (`chosen`).
     - structures: a row per structure: `edges`, `score`, `numbers`, `log_evidence`, `bic`.
     - best: the edges in which the best structure differs from the start.
-    - gain: of the best structure over the start, the same columns as in `edges`.
+    - gain: of the best structure over the start: `changes` as text, else as in `edges`.
     - gains: of each edge that was added, alone, by parent, child and lag.
     - model: the best structure, fitted to all frames.
     - judge: description of the gains.
@@ -222,7 +221,10 @@ def fitted(problem: Problem, structure: Structure, fold: Fold) -> tuple[Compiled
     learned = fit_tables(
         compiled, Evidence.concat(evidence), {"Lane": np.concatenate(lanes)},
         np.concatenate(begins), strength=options.strength, iterations=ITERATIONS,
-        steps={node: repetition_step(base, options.strength) for node, base in bases.items()},
+        steps={
+            node: repetition_step(base, strength_of(options.strength, node[0]))
+            for node, base in bases.items()
+        },
     ).compiled  # fmt: skip
     return learned, free_numbers(counted_tables(learned), bases)
 
@@ -327,8 +329,8 @@ def explore(
     """Try each edge alone, then search the best set of edges.
 
     - edges: as `parse_edge` reads them, by default all candidates.
-    - trials: 0 for a greedy search, which adds the best edge as long as the interval of
-      its gain is above zero; otherwise the
+    - trials: 0 for a greedy search, which adds the edge that gains most, as long as there is
+      one whose gain has an interval above zero; otherwise the
       number of trials of an Optuna study with a switch per edge.
     - searches: with another seed each; `chosen` counts over them.
     - sampler: Optuna's, or a name as in `fit.sampler`, by default tpe.
@@ -366,13 +368,18 @@ def explore(
         {"edges": spelled(each, there), "score": first.score(each), **row}
         for each, row in first.complete().items()
     ]
+    changes = spelled(best, there)
     done = Exploration(
         pd.DataFrame(sorted(rows, key=lambda row: -row["gain"])),
         pd.DataFrame(sorted(structures, key=lambda row: -row["score"])),
         best,
-        first.gain(best),
+        {"changes": changes, **first.gain(best)},
         {(e.parent, e.child, e.lag): gains[e]["gain"] for e in best if e not in there},
-        replace(problem.model, compiled=fitted(problem, best, everything(problem.drives))[0]),
+        replace(
+            problem.model,
+            compiled=fitted(problem, best, everything(problem.drives))[0],
+            learned_from=training_key(drive.experiment for drive in problem.drives),
+        ),
         JUDGES[problem.judge],
         directory,
     )
@@ -380,15 +387,13 @@ def explore(
         make_directory(directory)
         done.edges.to_csv(directory / "edges.csv", index=False)
         done.structures.to_csv(directory / "structures.csv", index=False)
-        origins = {recording_key(drive.experiment) for drive in problem.drives}
-        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {spelled(best, there)}")
-        content["learned_from"] = origins.pop() if len(origins) == 1 else ""
+        content = graph_yaml(done.model, f"edges chosen by {problem.judge}: {changes}")
         write_yaml(directory / "best.graph.yaml", content)
     return done
 
 
 def _greedy(tried: _Tried, edges: Sequence[Edge]) -> Structure:
-    """Change the edge that gains most, as long as the interval of its gain is above zero.
+    """Change the edge that gains most, of those whose gain has an interval above zero.
 
     Without an interval, of BIC and of short recordings, the gain itself has to be above zero.
     """
@@ -397,11 +402,12 @@ def _greedy(tried: _Tried, edges: Sequence[Edge]) -> Structure:
         further = [now | {edge} for edge in edges if edge not in now]
         allowed = [each for each in further if is_allowed(tried.problem, each)]
         tried(allowed)
-        best = max(allowed, key=tried.score, default=now)
-        gain = tried.gain(best, now)
-        if (gain["gain"] if gain["gain_low"] is None else gain["gain_low"]) <= 0:
+        gains = [tried.gain(each, now) for each in allowed]
+        least = [g["gain"] if g["gain_low"] is None else g["gain_low"] for g in gains]
+        better = [each for each, gain in zip(allowed, least, strict=True) if gain > 0]
+        if not better:
             return now
-        now = best
+        now = max(better, key=tried.score)
 
 
 def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -> optuna.Study:

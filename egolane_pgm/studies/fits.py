@@ -19,6 +19,7 @@ import joblib
 import numpy as np
 import optuna
 import pandas as pd
+from optuna.distributions import FloatDistribution
 from optuna.trial import TrialState
 
 from egolane_pgm.drives import Drive
@@ -28,21 +29,36 @@ from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
 from egolane_pgm.inference.filtering import METHODS
 from egolane_pgm.model import Model, make_evidence, with_parameters
-from egolane_pgm.parameters import Parameter, Value, not_searched, resolve_parameters
+from egolane_pgm.parameters import (
+    Parameter,
+    Value,
+    check_names,
+    not_searched,
+    resolve_parameters,
+)
 from egolane_pgm.plugins import declared_parameters, plugin_errors
 from egolane_pgm.studies import em
 from egolane_pgm.studies.objective import (
     PREFIX,
-    posterior_at,
+    beliefs_at,
     score_of,
     searched_of_detector,
     split,
     with_detector,
 )
-from egolane_pgm.studies.search import best_trial, new_study, quiet, search, settings_of
+from egolane_pgm.studies.sampler import from_unit
+from egolane_pgm.studies.search import (
+    best_trial,
+    new_study,
+    quiet,
+    sampler_name,
+    search,
+    settings_of,
+)
 from egolane_pgm.studies.space import (
     Point,
     SearchSpace,
+    coordinates,
     describe,
     make_space,
     to_parameters,
@@ -50,7 +66,8 @@ from egolane_pgm.studies.space import (
 )
 from egolane_pgm.studies.storage import open_storage, storage_errors
 from egolane_pgm.tools.files import to_jsonable
-from egolane_pgm.types import BoolArray, Evidence, InputError, IntArray
+from egolane_pgm.tools.progress import bar
+from egolane_pgm.types import BoolArray, Evidence, FloatArray, InputError, IntArray
 
 
 class Fitted(dict[str, Value]):
@@ -63,6 +80,9 @@ class Fitted(dict[str, Value]):
 
 
 Fit = Callable[[Sequence[Drive], Sequence[IntArray], int | None], Fitted]
+
+#: The largest number of starts of EM: more were meant for a search.
+MOST_STARTS = 100
 
 #: The prefix of a learned table: `tables.Lane.next`; without a suffix if a node has one table.
 TABLES = "tables."
@@ -102,7 +122,8 @@ def apply_fit(model: Model, fitted: Fitted) -> Model:
             for name, table in _by_name(start, counted_tables(start)).items()
             if name in tables
         }
-        model = replace(model, compiled=em.with_learned(start, learned))
+        # `run_study` knows the recordings.
+        model = replace(model, compiled=em.with_learned(start, learned), learned_from="")
     return model
 
 
@@ -115,14 +136,28 @@ def _resolve(model: Model, given: Mapping[str, Any]) -> dict[str, Value]:
 
 
 def fit_learn(drives: Sequence[Drive], train: Sequence[IntArray], fold: int | None) -> Fitted:
-    """Learn parameters of the evidence rule from labels, or else tables of the graph by EM."""
-    learn = fit_rule if learns_rule(drives[0].model) else fit_tables
+    """Learn what `fit.learns` names: parameters of the evidence rule from labels, or the tables or
+    parameters of the graph by EM."""
+    learn = fit_rule if what_is_learned(drives[0].model) == "rule" else fit_graph
     return learn(drives, train)
 
 
-def learns_rule(model: Model) -> bool:
-    """Whether the evidence rule defines `fit` and `LEARNED`."""
-    return hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
+def what_is_learned(model: Model) -> str:
+    """The part of a model that is learned: rule, tables or parameters.
+
+    By default it is the rule if it defines `fit` and `LEARNED`, and otherwise the tables. Raises
+    InputError for a part that cannot be learned.
+    """
+    can_learn = hasattr(model.rule, "fit") and hasattr(model.rule, "LEARNED")
+    e = model.experiment
+    found = e.fit.learns or ("rule" if can_learn else "tables")
+    if found == "rule" and not can_learn:
+        raise InputError(f"{e.source}: fit.learns: evidence rule {e.evidence} has no fit()")
+    if found == "tables":
+        learnable_nodes(model)
+    elif found == "parameters":
+        tied_space([model])
+    return found
 
 
 def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
@@ -143,19 +178,22 @@ def fit_rule(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     return Fitted(found)
 
 
-def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
-    """Learn the tables of the graph by EM over all drives.
+def fit_graph(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
+    """Learn the tables or the parameters of the graph by EM over all drives.
 
-    With `fit.labels` the lane of a labelled frame is known, except while crossing.
+    With `fit.labels` the lane of a labelled frame is known, except while crossing. The best of
+    `fit.trials` starts is kept: the declared values, then random ones.
     """
     model = drives[0].model
     options, source = model.experiment.fit, model.experiment.source
     n_lanes = sorted({drive.model.n_lanes for drive in drives})
     if len(n_lanes) > 1:
         raise InputError(
-            f"{source}: n_lanes: tables need drives with the same number of lanes; these have"
+            f"{source}: n_lanes: EM needs drives with the same number of lanes; these have"
             f" {', '.join(map(str, n_lanes))}"
         )
+    if (n_starts := options.trials or 1) > MOST_STARTS:
+        raise InputError(f"{source}: fit.trials: EM takes at most {MOST_STARTS} starts")
     if kept := kept_though_tuned(model):
         note = f"{', '.join(kept)} kept, so held-out scores may be in-sample"
         tuned_on = model.experiment.tuned_on
@@ -163,17 +201,15 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     pairs = zip(drives, train, strict=True)
     training = [training_of(drive, frames, labels=options.labels) for drive, frames in pairs]
     evidence, lanes, begins = zip(*training, strict=True)
-    start = start_of_learning(model).compiled
-    fitted = em.fit_tables(
-        start,
-        Evidence.concat(evidence),
-        {"Lane": np.concatenate(lanes)},
-        np.concatenate(begins),
-        nodes=learnable_nodes(model),
-        strength=options.strength,
+    data = Evidence.concat(evidence), {"Lane": np.concatenate(lanes)}, np.concatenate(begins)
+    fit_from = _tables_from if what_is_learned(model) == "tables" else _parameters_from
+    fits = [fit_from(drives, data, k) for k in bar(range(n_starts), unit="start")]
+    # The log posterior leaves impossible frames out.
+    learned, found = max(
+        fits, key=lambda each: (-each[0].is_impossible.sum(), each[0].log_posterior[-1])
     )
-    impossible, graph = int(fitted.is_impossible.sum()), f"graph {model.experiment.graph}"
-    if impossible == len(fitted.is_impossible):
+    impossible, graph = int(learned.is_impossible.sum()), f"graph {model.experiment.graph}"
+    if impossible == len(learned.is_impossible):
         raise InputError(
             f"{source}: {graph} allows no frame of the {impossible} to learn from; do the evidence"
             " rule and the graph fit together?"
@@ -181,8 +217,60 @@ def fit_tables(drives: Sequence[Drive], train: Sequence[IntArray]) -> Fitted:
     if impossible:
         note = f"{graph} does not allow {impossible} frame(s) to learn from; they are left out"
         warnings.warn(f"{source}: {note}", UserWarning, stacklevel=2)
-    tables = _by_name(start, fitted.tables).items()
-    return Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
+    return found
+
+
+#: Evidence, known lanes and the beginnings of sequences, as `expected_counts` takes them.
+Data = tuple[Evidence, Mapping[str, IntArray], BoolArray]
+
+
+def _tables_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
+    """Learn tables from start k; start 0 is the declared tables, around which the prior is."""
+    model, options = drives[0].model, drives[0].experiment.fit
+    compiled, nodes = start_of_learning(model).compiled, learnable_nodes(model)
+    own = {node: t for node, t in counted_tables(compiled).items() if node[0] in nodes}
+    start = em.drawn_tables(own, np.random.default_rng([options.seed, k])) if k else None
+    learned = em.fit_tables(compiled, *data, nodes=nodes, strength=options.strength, start=start)
+    tables = _by_name(compiled, learned.tables).items()
+    return learned, Fitted({name: tuple(table.values.ravel().tolist()) for name, table in tables})
+
+
+def _parameters_from(drives: Sequence[Drive], data: Data, k: int) -> tuple[em.Learned, Fitted]:
+    """Learn parameters from start k; start 0 is the experiment's values. The prior is flat."""
+    start, space = start_of_learning(drives[0].model), tied_space([d.model for d in drives])
+    ends = list(space.distributions.values())
+    if k:
+        units = np.random.default_rng([start.experiment.fit.seed, k]).random(len(ends))
+        first = [from_unit(d, unit) for d, unit in zip(ends, units.tolist(), strict=True)]
+    else:
+        first = list(coordinates(space, start.parameters).values())
+
+    def point(numbers: FloatArray) -> dict[str, float]:
+        return dict(zip(space.distributions, numbers.tolist(), strict=True))
+
+    def tables_of(numbers: FloatArray) -> Sequence[Table]:
+        values = to_parameters(space, point(numbers))
+        if hasattr(start.graph, "tables"):
+            tables: Sequence[Table] = start.graph.tables(start.n_lanes, values)
+            return tables
+        return list(with_parameters(start, values).compiled.tables.values())
+
+    bounds = [(d.low, d.high) for d in ends]
+    learned = em.fit_tied(start.compiled, data[0], tables_of, first, bounds, *data[1:])
+    tuning = start.experiment.fit
+    return learned, Fitted(searched_values(space, tuning, point(learned.numbers)))
+
+
+def tied_space(models: Sequence[Model]) -> SearchSpace:
+    """The parameters of the graph that EM learns: real numbers. Raises InputError for others."""
+    e = models[0].experiment
+    space = search_space(models, e.fit.model_copy(update={"objective": ("log_evidence",)}))
+    for name, d in space.distributions.items():
+        if not isinstance(d, FloatDistribution):
+            raise InputError(
+                f"{e.source}: fit.parameters.{name}: EM learns real numbers only; give it one value"
+            )
+    return space
 
 
 def training_of(
@@ -212,9 +300,9 @@ def training_of(
 def learnable_nodes(model: Model) -> set[str]:
     """The nodes whose tables are neither certain nor selected by an input.
 
-    Raises InputError, naming the YAML key, if there are none.
+    Raises InputError, naming the YAML key, if there are none, or if `fit.strength` names others.
     """
-    source = model.experiment.source
+    source, strength = model.experiment.source, model.experiment.fit.strength
     names = {
         name
         for (name, _), table in counted_tables(start_of_learning(model).compiled).items()
@@ -225,6 +313,7 @@ def learnable_nodes(model: Model) -> set[str]:
             f"{source}: all tables of graph {model.experiment.graph} are certain or selected by an"
             " input and cannot be learned; search parameters with `egolane tune`"
         )
+    check_names(names, strength if isinstance(strength, Mapping) else (), f"{source}: fit.strength")
     return names
 
 
@@ -237,7 +326,7 @@ def start_of_learning(model: Model) -> Model:
     if model.experiment.tuned_on in ("same_frames", "unknown"):
         specs = getattr(model.graph, "PARAMETERS", ())
         values |= {spec.name: spec.default for spec in specs if spec.is_searched}
-    return replace(with_parameters(model, _resolve(model, values)), parameters=model.parameters)
+    return with_parameters(model, _resolve(model, values))
 
 
 def kept_though_tuned(model: Model) -> list[str]:
@@ -315,16 +404,27 @@ def trials_of(study: optuna.Study) -> pd.DataFrame:
 def search_space(models: Sequence[Model], tuning: FitSettings) -> SearchSpace:
     """The search space of a model, or of several whose dimensions are the same.
 
+    For the objective log_evidence, parameters of the evidence rule and of the detector keep their
+    values: evidence is not normalised, so only models of the same evidence can be compared.
+
     Raises InputError for models with other parameters or lanes than the first one.
     """
-    spaces = []
+    spaces, is_rule_kept = [], "log_evidence" in tuning.objective
     for model in models:
         specs: Sequence[Parameter] = declared_parameters(model.rule, model.graph)
         if searches_detector(tuning):
             specs = not_searched([*specs, *searched_of_detector(model.experiment)[0]])
         current, source = current_values(model, tuning), model.experiment.source
-        where = f"{source}: fit.parameters"
+        where, own = f"{source}: fit.parameters", getattr(model.graph, "PARAMETERS", ())
+        if is_rule_kept:
+            specs = [s if s in own else replace(s, search=None) for s in specs]
         spaces.append(make_space(specs, current, tuning.parameters, model.n_lanes, where))
+        moved = {key.partition("[")[0] for key in spaces[-1].distributions}
+        if is_rule_kept and (others := moved - {spec.name for spec in own}):
+            raise InputError(
+                f"{where}.{min(others)}: changes the evidence, and log evidence compares models of"
+                " the same evidence only; give it one value"
+            )
         if spaces[-1].distributions != spaces[0].distributions:
             raise InputError(
                 f"{source}: has other parameters or lanes than {models[0].experiment.source}; one"
@@ -372,13 +472,13 @@ def objective(
             raise InputError(
                 f"{e.source}: filter: a search takes assumed_density or exact, not {e.filter}"
             )
-    posteriors = [posterior_at(drive) for drive in drives]
+    beliefs = [beliefs_at(drive) for drive in drives]
     currents = [current_values(drive.model, tuning) for drive in drives]
 
     def values(point: Point) -> list[float]:
         changed = searched_values(space, tuning, point)
-        pairs = zip(posteriors, currents, strict=True)
-        found = [posterior({**current, **changed}) for posterior, current in pairs]
+        pairs = zip(beliefs, currents, strict=True)
+        found = [of_drive({**current, **changed}) for of_drive, current in pairs]
         return [score_of(drives, found, used, name, pooled=pooled) for name in names]
 
     return values
@@ -399,7 +499,7 @@ def open_study(
     study = new_study(settings, storage=open_storage(storage), study_name=name)
     content = {
         "objective": settings.objective,
-        "sampler": settings.sampler,
+        "sampler": sampler_name(settings.sampler),
         "seed": settings.seed,
         "space": describe(space),
         "data": [drive_digest(drive, frames) for drive, frames in zip(drives, train, strict=True)],
@@ -430,6 +530,6 @@ def drive_digest(drive: Drive, train: IntArray) -> str:
     files = [Path(plugin) for plugin in (e.evidence, e.graph)]
     plugins = [f.read_bytes() if f.is_absolute() else f.name for f in files]
     lines = log.frame_id, log.offset_m, log.is_valid, log.is_continuous, log.lri
-    labels = drive.true_lane, drive.is_crossing, train
+    labels = drive.true_lane, drive.is_crossing, train, *log.covariates.values()
     model = plugins, e.filter, e.evidence_mode, e.min_confidence
     return str(joblib.hash((lines, labels, model)))

@@ -8,6 +8,7 @@ import hashlib
 import json
 import os
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -24,8 +25,9 @@ from egolane_pgm.types import InputError, problems_in
 def graph_named(graph: Any, experiment: Experiment) -> str:
     """The value of the key `graph` for a graph of any kind: a name or an absolute path.
 
-    - graph: a name, a file, a module, or a network of pgmpy. A network is written as a YAML graph
-      in numbers to a folder that stays until this process ends; a result has a copy.
+    - graph: a name, a file, a module, a network of pgmpy, or anything with a model (a result, a
+      study, an exploration). A network or model is written as a YAML graph in numbers to a folder
+      that stays until this process ends; a result has a copy.
     - experiment: its evidence rule, or the one that fits the network, defines what is observed.
 
     Raises InputError for anything else, and for a network that cannot be compiled.
@@ -39,6 +41,10 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         if not str(getattr(graph, "__file__", "")).endswith(OWN_FILES):
             raise InputError(f"graph: the module {graph.__name__} has no file; write it to one")
         return os.path.abspath(str(graph.__file__))
+    if isinstance(model := getattr(graph, "model", graph), Model):
+        # Parameters without fitted tables may have been tuned on any frames.
+        origin = "unknown" if model.learned_from is None else model.learned_from
+        return _written(replace(model, learned_from=origin), "the graph of a model in memory")
     if not hasattr(graph, "get_cpds"):
         kind = type(graph).__name__
         raise InputError(f"graph: {kind} is no name, file or module, and no network of pgmpy")
@@ -49,10 +55,14 @@ def graph_named(graph: Any, experiment: Experiment) -> str:
         evidence = matching_evidence_rule(module, n_lanes, experiment.evidence, "network")
         rule = load_plugin("evidence", evidence, "evidence")
         compiled, unused = compile_graph(rule, module, n_lanes, {})
-    model = Model(experiment, rule, module, {}, compiled, unused)
-    content = graph_yaml(model, "a network of pgmpy that was in memory")
-    # A network of unknown origin may have seen any frames.
-    content["learned_from"] = "unknown"
+    origin = graph.graph.get("learned_from", "unknown")
+    model = Model(experiment, rule, module, {}, compiled, unused, origin)
+    return _written(model, "a network of pgmpy that was in memory")
+
+
+def _written(model: Model, description: str) -> str:
+    """Write a graph to the folder of this process; return its path."""
+    content = graph_yaml(model, description)
     digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()[:12]
     file = Path(_folder().name, f"network_{digest}.yaml")
     write_yaml(file, content)
@@ -80,10 +90,12 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
         nodes[name] = len(values) if are_default else list(values)
     content: dict[str, Any] = {
         "description": description,
+        "learned_from": model.learned_from,
         "nodes": nodes,
         "hidden": list(compiled.hidden),
         "observed": [list(key) if isinstance(key, tuple) else key for key in compiled.observed],
         "inputs": list(compiled.inputs),
+        "bounds": {k: list(v) for k, v in getattr(model.graph, "BOUNDS", {}).items()},
         "unused": [list(k) if isinstance(k, tuple) else k for k in sorted(model.unused, key=str)],
         "tables": {
             name: _rows(by_node[name, 1])
@@ -93,7 +105,7 @@ def graph_yaml(model: Model, description: str) -> dict[str, Any]:
             if name not in compiled.inputs
         },
     }
-    return {key: value for key, value in content.items() if value not in ([], "")}
+    return {key: value for key, value in content.items() if value not in ([], {}, None)}
 
 
 def _rows(table: Table) -> dict[str, Any]:

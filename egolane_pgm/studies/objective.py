@@ -25,6 +25,7 @@ from egolane_pgm.scoring.confusion import (
 )
 from egolane_pgm.scoring.events import stability_scores
 from egolane_pgm.types import (
+    Beliefs,
     BoolArray,
     Evidence,
     FloatArray,
@@ -34,9 +35,12 @@ from egolane_pgm.types import (
     suggestion,
 )
 
-#: Scores of a belief: smaller is better.
+#: Means over all annotated frames, crossing ones included.
+FRAME_MEANS = ("log_loss", "log_evidence")
+
+#: Scores of a belief; of all but the log evidence smaller is better.
 BELIEF_SCORES = (
-    "log_loss",
+    *FRAME_MEANS,
     "brier",
     "expected_calibration_error",
     "false_switches_per_minute",
@@ -85,8 +89,8 @@ def with_detector(experiment: Experiment, parameters: Mapping[str, Value]) -> Ex
     return experiment.model_copy(update={"parameters": changed})
 
 
-def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
-    """A function of all parameters: the posterior over lanes in the annotated frames, (K, n).
+def beliefs_at(drive: Drive) -> Callable[[Mapping[str, Value]], Beliefs]:
+    """A function of all parameters: the beliefs in the K annotated frames.
 
     The last evidences are cached, since most trials change only the graph, and `bonus_value`, which
     is searched, has 10 values. Parameters of the
@@ -105,18 +109,18 @@ def posterior_at(drive: Drive) -> Callable[[Mapping[str, Value]], FloatArray]:
         changed = replace(drive.model, parameters=values)
         return make_evidence(changed, here.log)[0]
 
-    def posterior(parameters: Mapping[str, Value]) -> FloatArray:
+    def beliefs(parameters: Mapping[str, Value]) -> Beliefs:
         own, detector = split(parameters)
         compiled = with_parameters(drive.model, own).compiled
         given = evidence(tuple(own[name] for name in names), tuple(sorted(detector.items())))
-        return filter_beliefs(compiled, given, drive.experiment.filter).lane[drive.rows]
+        return filter_beliefs(compiled, given, drive.experiment.filter).take(drive.rows)
 
-    return posterior
+    return beliefs
 
 
 def score_of(
     drives: Sequence[Drive],
-    posteriors: Sequence[FloatArray],
+    beliefs: Sequence[Beliefs],
     is_used: Sequence[BoolArray],
     name: str,
     *,
@@ -127,50 +131,58 @@ def score_of(
     Drives with an undefined score are left out, such as drives without a lane change for the delay;
     a score that no drive defines is `UNDEFINED`.
 
-    - posteriors: per drive (K, n).
+    - beliefs: per drive, of K frames.
     - is_used: per drive (K,), marks the annotated frames that count.
     - name: of the score.
     - pooled: whether all frames count alike instead: confusion matrices are added, other scores
       are weighted by frames.
     """
-    given = list(zip(drives, posteriors, is_used, strict=True))
+    given = list(zip(drives, beliefs, is_used, strict=True))
     if pooled and name in SCORES:
         matrices = on_widest([drive_confusion(*each) for each in given])
         return float(scores_from_confusion(matrices.sum(axis=0))[name])
     scores = np.array([drive_score(*each, name) for each in given])
     weights = np.ones(len(given))
     if pooled:
-        # The log-loss counts crossing frames as well.
-        left_out = [d.is_crossing[d.rows] & (name != "log_loss") for d in drives]
+        left_out = [d.is_crossing[d.rows] & (name not in FRAME_MEANS) for d in drives]
         weights = np.array([np.sum(u & ~out) for u, out in zip(is_used, left_out, strict=True)])
     known = ~np.isnan(scores)
     return float(np.average(scores[known], weights=weights[known])) if known.any() else UNDEFINED
 
 
-def drive_confusion(drive: Drive, belief: FloatArray, is_used: BoolArray) -> IntArray:
-    """The confusion matrix of a posterior (K, n) of a drive over the frames that are used (K,)."""
-    assigned = assigned_lane(belief, drive.experiment.min_confidence)
+def drive_confusion(drive: Drive, beliefs: Beliefs, is_used: BoolArray) -> IntArray:
+    """The confusion matrix of the beliefs of a drive over the frames that are used (K,)."""
+    lane = beliefs.lane
+    assigned = assigned_lane(lane, drive.experiment.min_confidence)
     is_left_out = drive.is_crossing[drive.rows] | ~is_used
-    return confusion(assigned, drive.true_lane[drive.rows], is_left_out, belief.shape[1])
+    return confusion(assigned, drive.true_lane[drive.rows], is_left_out, lane.shape[1])
 
 
-def drive_score(drive: Drive, belief: FloatArray, is_used: BoolArray, name: str) -> float:
-    """One score of a posterior (K, n) of a drive over the frames that are used (K,).
+def frame_values(drive: Drive, beliefs: Beliefs, name: str) -> FloatArray:
+    """(K,): the values whose mean is one of FRAME_MEANS."""
+    if name == "log_loss":
+        return log_loss_per_frame(beliefs.lane, drive.true_lane[drive.rows])
+    # A frame that the model does not allow counts, so that no search excludes frames.
+    return np.where(beliefs.is_impossible, -UNDEFINED, beliefs.log_evidence)
+
+
+def drive_score(drive: Drive, beliefs: Beliefs, is_used: BoolArray, name: str) -> float:
+    """One score of the beliefs of a drive over the frames that are used (K,).
 
     Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
     are all used. NaN without any; `UNDEFINED`, a large number, if no change is followed.
     """
     rows = drive.rows
-    lane, crossing = drive.true_lane[rows], drive.is_crossing[rows]
+    if name in FRAME_MEANS:
+        values = frame_values(drive, beliefs, name)[is_used]
+        return float(values.mean()) if values.size else float("nan")
+    lane, crossing, belief = drive.true_lane[rows], drive.is_crossing[rows], beliefs.lane
     is_left_out = crossing | ~is_used
-    if name == "log_loss":
-        losses = log_loss_per_frame(belief, lane)[is_used]
-        return float(losses.mean()) if losses.size else float("nan")
     if name in ("brier", "expected_calibration_error"):
         score = brier if name == "brier" else expected_calibration_error
         return score(belief, lane, is_left_out)
     if name in SCORES:
-        return float(scores_from_confusion(drive_confusion(drive, belief, is_used))[name])
+        return float(scores_from_confusion(drive_confusion(drive, beliefs, is_used))[name])
     assigned = assigned_lane(belief, drive.experiment.min_confidence)
     truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     rate = drive.experiment.recording.frame_rate

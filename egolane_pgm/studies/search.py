@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import copy
+import inspect
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -20,10 +23,9 @@ from egolane_pgm.scoring.confusion import is_maximised
 from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.studies.space import Point, SearchSpace
-from egolane_pgm.tools.extras import needed
 from egolane_pgm.types import InputError, suggestion
 
-#: The samplers, each made with its `seed`; `evolution` takes the search space as well.
+#: Our names of samplers; the name of any other class of `optuna.samplers` is one, too.
 SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
     "evolution": Shade,
     "tpe": samplers.TPESampler,
@@ -31,6 +33,9 @@ SAMPLERS: dict[str, Callable[..., samplers.BaseSampler]] = {
     "random": samplers.RandomSampler,
     "nsga2": samplers.NSGAIISampler,
 }
+
+#: Packages that Optuna imports only when such a sampler draws.
+_PACKAGES = {"cma-es": "cmaes", "CmaEsSampler": "cmaes", "GPSampler": "torch"}
 
 #: The default number of trials of a study.
 TRIALS = 3000
@@ -63,17 +68,19 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     if len(set(names)) < len(names):
         raise InputError(f"{where}.objective: a score is named twice")
     sampler = tuning.sampler or ("evolution" if len(names) == 1 else "nsga2")
-    if sampler not in SAMPLERS:
-        hint = suggestion(sampler, SAMPLERS)
-        raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
-    if len(names) > 1 and sampler in ("evolution", "cma-es"):
+    name = sampler_name(sampler)
+    if len(names) > 1 and name in ("evolution", "cma-es"):
         raise InputError(
-            f"{where}.sampler: {sampler} searches one objective; for {', '.join(names)} take nsga2,"
+            f"{where}.sampler: {name} searches one objective; for {', '.join(names)} take nsga2,"
             " tpe or random"
         )
-    if sampler == "cma-es":
-        with needed(f"{where}.sampler: cma-es", "cmaes"):
-            import cmaes  # noqa: F401
+    known = {*SAMPLERS, *(each for each in samplers.__all__ if each.endswith("Sampler"))}
+    if isinstance(sampler, str) and sampler not in known:
+        hint = suggestion(sampler, known)
+        raise InputError(f"{where}.sampler: unknown sampler '{sampler}'{hint}")
+    package = _PACKAGES.get(name, "optuna")
+    if find_spec(package) is None:
+        raise InputError(f"{where}.sampler: {name} needs {package}: pip install {package}")
     seed = tuning.seed
     if fold is not None:
         seed = int(np.random.SeedSequence([tuning.seed, fold + 1]).generate_state(1)[0])
@@ -81,18 +88,31 @@ def settings_of(tuning: FitSettings, fold: int | None = None, source: str = "fit
     return tuning.model_copy(update={"sampler": sampler, "trials": trials, "seed": seed})
 
 
+def sampler_name(sampler: Any) -> str:
+    """The name of a sampler, or of the class of an object."""
+    return sampler if isinstance(sampler, str) else type(sampler).__name__
+
+
 def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> samplers.BaseSampler:
-    """Make the sampler of a study.
+    """Make the sampler of a study, or copy the one that is given.
 
     - n_trials: existing trials of the study. Shade continues from them. Optuna's samplers, which
       keep no state, get another seed, so that a resumed study repeats no trial.
     """
-    if settings.sampler == "evolution":
+    given = settings.sampler
+    if not isinstance(given, str):
+        own: samplers.BaseSampler = copy.deepcopy(given)
+        if n_trials:
+            own.reseed_rng()
+        return own
+    if given == "evolution":
         return Shade(settings.seed, space.distributions)
     entropy = [settings.seed, n_trials, 0] if n_trials else [settings.seed]
     seed = int(np.random.SeedSequence(entropy).generate_state(1)[0])
+    make = SAMPLERS.get(given) or getattr(samplers, given)
+    has_seed = "seed" in inspect.signature(make).parameters
     with quiet():
-        return SAMPLERS[str(settings.sampler)](seed=seed)
+        return make(**({"seed": seed} if has_seed else {}))
 
 
 def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
@@ -108,15 +128,20 @@ def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
 
 
 def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitSettings) -> None:
-    """Run a study until its number of trials, by all workers, is complete."""
+    """Run a study until its number of trials, by all workers, is complete.
+
+    Raises InputError if the sampler does not fit the space.
+    """
     total, complete = settings.trials or TRIALS, (TrialState.COMPLETE,)
     n_before, is_first = len(study.get_trials(deepcopy=False)), True
-    study.sampler = make_sampler(settings, space, n_before)
+    with sampler_errors(settings.sampler):
+        study.sampler = make_sampler(settings, space, n_before)
     with quiet():
         while len(study.get_trials(deepcopy=False, states=complete)) < total:
             # Trials that a study begins with have their values.
             waiting = is_first and study.get_trials(deepcopy=False, states=(TrialState.WAITING,))
-            trial = study.ask(space.distributions)
+            with sampler_errors(settings.sampler):
+                trial = study.ask(space.distributions)
             if is_first and not waiting:
                 is_first = False
                 if trial.number != n_before:
@@ -124,7 +149,18 @@ def search(study: optuna.Study, space: SearchSpace, score: Score, settings: FitS
                     study.sampler = make_sampler(settings, space, trial.number)
                     study.tell(trial, state=TrialState.FAIL)
                     continue
-            study.tell(trial, score(trial.params))
+            found = score(trial.params)
+            with sampler_errors(settings.sampler):
+                study.tell(trial, found)
+
+
+@contextmanager
+def sampler_errors(sampler: Any) -> Iterator[None]:
+    """Turn errors of a sampler that does not fit a study into InputError."""
+    try:
+        yield
+    except (ImportError, TypeError, ValueError, RuntimeError) as error:
+        raise InputError(f"fit.sampler: {sampler_name(sampler)}: {error}") from error
 
 
 def best_trial(study: optuna.Study) -> FrozenTrial:

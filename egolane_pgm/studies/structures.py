@@ -11,7 +11,7 @@ with one number instead of a full table of all values before.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -149,18 +149,3 @@ def repetition_step(base: FloatArray, strength: float) -> Step:
         return repetition(now, rho), strength * float((base[allowed] * ratio).sum())
 
     return step
-
-
-def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode]) -> int:
-    """Return the number of free numbers of the tables of later frames: entries above zero but one
-    of each row; for the compact form those without repetition, and one.
-
-    Tables of the first frame alone do not count: one frame of a sequence informs them, and the
-    logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).
-    """
-    bases, total = set(bases), 0
-    for node in (node for node in tables if node[1] == 1):
-        # Repetition adds to one value of each row only.
-        values = tables[node].values.min(axis=-2) if node in bases else tables[node].values
-        total += int(np.maximum((values > 0).sum(axis=-1) - 1, 0).sum()) + (node in bases)
-    return total

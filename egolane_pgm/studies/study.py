@@ -20,7 +20,7 @@ import pandas as pd
 
 from egolane_pgm.drives import Drive, data_files, digest, drive_key, read_drives, with_rate
 from egolane_pgm.experiment import DETECTOR, Experiment, resolved
-from egolane_pgm.model import Model, recording_key
+from egolane_pgm.model import Model, training_key
 from egolane_pgm.result import Result, is_result, make_result
 from egolane_pgm.running import concat_drives, frames_of, noting
 from egolane_pgm.studies.fits import (
@@ -30,13 +30,13 @@ from egolane_pgm.studies.fits import (
     apply_fit,
     fit_by_name,
     fit_nothing,
-    learnable_nodes,
-    learns_rule,
     search_space,
+    what_is_learned,
 )
 from egolane_pgm.studies.graph_file import graph_yaml
 from egolane_pgm.studies.objective import with_detector
-from egolane_pgm.studies.search import settings_of
+from egolane_pgm.studies.profile import make_profile, values_of
+from egolane_pgm.studies.search import new_study, sampler_name, search, settings_of
 from egolane_pgm.studies.space import describe
 from egolane_pgm.studies.storage import JOURNAL_NAME
 from egolane_pgm.tools.files import check_place, make_directory, to_jsonable, write_json, write_yaml
@@ -221,6 +221,7 @@ class Study:
     - held_out: the result of the test frames of all folds, each with the fit of its fold; None
       without folds.
     - trials: a row per trial of the final search; empty without one.
+    - profile: of parameters, see `profile.make_profile`; empty without one.
     - settings: of the search.
     - directory: the study directory; None in memory.
 
@@ -244,6 +245,7 @@ class Study:
     trials: pd.DataFrame = field(default_factory=pd.DataFrame)
     settings: Mapping[str, Any] = field(default_factory=dict)
     directory: Path | None = None
+    profile: pd.DataFrame = field(default_factory=pd.DataFrame)
 
     def __repr__(self) -> str:
         from egolane_pgm.views.studies import study_title
@@ -275,37 +277,38 @@ class Study:
         content["tuned_on"] = "same_frames" if len(self.experiments) == 1 else "unknown"
         return content
 
-    def to_text(self, *, style: str = "markdown", wide: bool = False) -> str:
+    def to_text(self, *, style: str = "markdown") -> str:
         """The text that `egolane tune` prints: scores in-sample and held out, and fitted values.
 
         - style: one of `views.tables.STYLES`.
-        - wide: whether tables may be wider than the terminal.
         """
         from egolane_pgm.views.studies import study_text
 
-        return study_text(self, style, wide)
+        return study_text(self, style)
 
     def save(self, directory: str | os.PathLike[str]) -> Path:
         """Write best.yaml (the fitted experiment), study.json, trials.parquet and held_out/.
 
-        Learned tables are in best.graph.yaml. study.json is written last.
+        Learned tables are in best.graph.yaml, a profile in profile.parquet. study.json is written
+        last.
         """
         place = Path(directory)
         make_directory(place)
         (place / STUDY_FILE).unlink(missing_ok=True)
         content = self.experiment()
         if any(name.startswith(TABLES) for name in self.fitted):
-            # The training recording; empty for several.
-            origin = recording_key(self.experiments[0]) if len(self.experiments) == 1 else ""
-            graph = graph_yaml(self.model, f"tables learned from {origin or 'drives'}")
-            write_yaml(place / "best.graph.yaml", {**graph, "learned_from": origin})
+            origin = self.model.learned_from or "drives"
+            graph = graph_yaml(self.model, f"tables learned from {origin}")
+            write_yaml(place / "best.graph.yaml", graph)
             # The graph of learned tables has no parameters; only the rule's remain.
             of_rule = {spec.name for spec in getattr(self.model.rule, "PARAMETERS", ())}
             kept = {k: v for k, v in content["parameters"].items() if k in of_rule}
             content |= {"graph": "./best.graph.yaml", "parameters": kept}
         write_yaml(place / "best.yaml", content)
-        if len(self.trials):
-            self.trials.to_parquet(place / "trials.parquet", index=False)
+        for name, rows in (("trials", self.trials), ("profile", self.profile)):
+            (place / f"{name}.parquet").unlink(missing_ok=True)
+            if len(rows):
+                rows.to_parquet(place / f"{name}.parquet", index=False)
         if self.held_out is not None:
             self.held_out.save(place / "held_out")
         write_json(place / STUDY_FILE, self.document)
@@ -347,6 +350,7 @@ def held_out_result(
     with noting() as found:
         frames = test_frames(drives, folds, fitted)
     keys = {"blocks": len(folds), "fitted": [dict(each) for each in fitted], "fit": fit}
+    keys["free_parameters"] = apply_fit(drives[0].model, fitted[0]).free_parameters
     if fit != "none":
         keys["tuned_on"] = "other_frames"
     notes = [*notes, *found]
@@ -380,6 +384,7 @@ def run_study(
     storage: str | None = None,
     directory: Path | None = None,
     pooled: bool = False,
+    profile: Sequence[str] = (),
     notes: Sequence[str] = (),
     jobs: int = 1,
     cluster: str | None = None,
@@ -394,6 +399,7 @@ def run_study(
     - storage: Optuna's storage of a study per fold; by default a journal in `directory`, or memory.
     - directory: the study is saved here.
     - pooled: whether all frames count alike in a search; otherwise all drives do.
+    - profile: parameters of a search whose profile is made.
     """
     begin, first = time.perf_counter(), drives[0]
     check_labels(drives, method)
@@ -406,10 +412,16 @@ def run_study(
     if method == "tune":
         tuning = settings_of(first.experiment.fit, None, first.experiment.source)
         space = search_space([drive.model for drive in drives], tuning)
-        settings = {"objectives": list(tuning.objective)}
-        settings |= tuning.model_dump(include={"sampler", "trials", "seed"}) | describe(space)
-    elif not learns_rule(first.model):
-        learnable_nodes(first.model)
+        settings = {"objectives": tuning.objective, "sampler": sampler_name(tuning.sampler)}
+        settings |= tuning.model_dump(include={"trials", "seed"}) | describe(space)
+        for each in profile:
+            values_of(space, each, tuning.objective[0])
+        # A sampler that does not fit is refused before anything is written.
+        once, nothing = tuning.model_copy(update={"trials": 1}), [0.0] * len(tuning.objective)
+        search(new_study(once), space, lambda point: nothing, once)
+    else:
+        kept, of_fit = {"labels", "strength", "trials", "seed"}, first.experiment.fit
+        settings = {"learns": what_is_learned(first.model), **of_fit.model_dump(include=kept)}
     starts = [drive.model.parameters for drive in drives] if starts is None else list(starts)
     fit = fit_by_name(method, storage=storage, starts=starts, pooled=pooled)
     # As in the paper, the search on everything uses all frames; no held-out score does.
@@ -419,24 +431,34 @@ def run_study(
         whole, *fitted = fit_folds(drives, fit, numbered, jobs=jobs, cluster=cluster)
         fitted_drives = [fitted_drive(drive, whole) for drive in drives]
         frames = concat_drives(fitted_drives, [inferred_frames(d) for d in fitted_drives])
+    trials, profiled = pd.DataFrame() if whole.trials is None else whole.trials, pd.DataFrame()
+    if profile:
+        shared: Any = {"pooled": pooled, "directory": directory, "jobs": jobs, "cluster": cluster}
+        profiled = make_profile(drives, profile, tuning, trials, **shared)
     notes = [*notes, *of_fits]
     if experiments is None:
         experiments = list(dict.fromkeys(drive.experiment for drive in drives))
+    model = fitted_drives[0].model
+    if model.learned_from == "":
+        model = replace(model, learned_from=training_key(experiments))
     in_sample = make_result(
-        fitted_drives[0].experiment, drives, frames, notes, begin=begin, tuned_on="same_frames"
+        model.experiment, fitted_drives, frames, notes, begin=begin, tuned_on="same_frames"
     )
+    # The experiment alone would give the model before the fit.
+    vars(in_sample)["model"] = model
     held_out = held_out_result(drives, folds, fitted, notes, begin, method) if folds else None
     study = Study(
         name or first.experiment.name,
         experiments,
         method,
-        fitted_drives[0].model,
+        model,
         whole,
         in_sample,
         held_out,
-        pd.DataFrame() if whole.trials is None else whole.trials,
+        trials,
         settings,
         directory,
+        profiled,
     )
     if directory is not None:
         study.save(directory)
@@ -452,8 +474,9 @@ def check_labels(drives: Sequence[Drive], method: str) -> None:
                 f"{e.source}: filter: viterbi is for `egolane run`; fits and held-out scores need"
                 " another one"
             )
-        is_by_em = method == "learn" and not learns_rule(drive.model)
-        if method == "none" or (is_by_em and not e.fit.labels):
+        is_by_em = method == "learn" and what_is_learned(drive.model) != "rule"
+        is_of_lines = method == "tune" and e.fit.objective == ("log_evidence",)
+        if method == "none" or is_of_lines or (is_by_em and not e.fit.labels):
             continue
         if not drive.has_truth:
             what = "a search needs it" if method == "tune" else "learning needs it"

@@ -27,6 +27,7 @@ class Option:
     - default: default of the command, if it differs from the function's.
     - envvar: environment variable that gives it.
     - required: whether a command needs it.
+    - in_python: whether the command does without it.
     """
 
     metavar: str | None = None
@@ -34,8 +35,12 @@ class Option:
     default: Any = None
     envvar: str | None = None
     required: bool = False
+    in_python: bool = False
 
 
+#: Of lines in memory the ground truth (a list for several drives) and the number of lanes.
+TruthInMemory = Annotated[Any, Option(in_python=True)]
+LanesInMemory = Annotated[int | None, Option(in_python=True)]
 #: A file that the command writes.
 Target = Annotated[StrPath | None, Option("FILE", names=("-o",), required=True)]
 #: Number of folds; 0 for none.

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 import pandas as pd
 
 from egolane_pgm.comparing import compare as compare_results
-from egolane_pgm.tools.options import Option, StrPath, several_of
+from egolane_pgm.tools.options import Option, StrPath
 
 EXAMPLES = (
     "egolane compare results/a results/b",
@@ -27,7 +27,8 @@ def compare(
 ) -> pd.DataFrame:
     """Compare results on the annotated frames of the same recordings, with paired intervals.
 
-    - results: result directories, folders of them (as `run --table` writes), or Results.
+    - results: result directories, folders of them (as `run --table` writes), Results, or Studies,
+      which count as their held-out results.
     - of: sides of the comparison: a key of the experiment (graph, parameters.sigma1), or tag.X. By
       default the name of each result; of several recordings the folder of their results.
     - by: a second such key: results with different values of it are compared separately.
@@ -46,7 +47,7 @@ def compare(
     >>> ego.compare([one, other], of="filter")["accuracy"].round(3).to_dict()
     {'assumed_density': 0.836, 'exact': 0.832}
     """
-    table = compare_results(several_of(results), of=of, by=by, detector=detector)
+    table = compare_results(results, of=of, by=by, detector=detector)
     if out is not None:
         from egolane_pgm.views.comparisons import comparison_figure
         from egolane_pgm.views.style import write_figure
@@ -55,8 +56,8 @@ def compare(
     return table
 
 
-def text(done: pd.DataFrame, style: str, wide: bool) -> str:
+def text(done: pd.DataFrame, style: str) -> str:
     """The output of the command."""
     from egolane_pgm.views.comparisons import comparison_text
 
-    return comparison_text(done, style, wide)
+    return comparison_text(done, style)

@@ -26,6 +26,8 @@ def explore(
     experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
     graph: options.Graph = None,
+    ground_truth: options.TruthInMemory = None,
+    n_lanes: options.LanesInMemory = None,
     overrides: options.Overrides = (),
     judge: Literal["log_loss", "accuracy", "log_evidence", "bic"] = "log_loss",
     edge: Annotated[Sequence[str], Option("EDGE")] = (),
@@ -41,8 +43,10 @@ def explore(
     (`fit.folds`). First each edge is tried alone, then the best set is searched: greedily, or with
     `fit.trials` by an Optuna study (`fit.sampler`) with a switch per edge.
 
-    - experiments: one, or a list: experiments or results, of the same number of lanes.
+    - experiments: one, or a list: experiments, results, studies or lines, of the same number of
+      lanes.
     - graph: the graph to start from: a name or a file; in Python also a module or a pgmpy network.
+    - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
     - judge: the score to improve: log_loss or accuracy of Lane, or log_evidence of the lines, in
       held-out frames; or bic of all frames.
@@ -63,7 +67,7 @@ def explore(
     >>> found.edges.columns[:3].tolist()
     ['edge', 'change', 'gain']
     """
-    name, inputs = open_studied(experiments, overrides, graph)
+    name, inputs = open_studied(experiments, overrides, graph, ground_truth, n_lanes)
     drives = [drive for each in inputs for drive in each.drives()]
     fit, place = inputs[0].experiment.fit, place_of(out, name)
     folds = block_folds(drives, fit.folds)
@@ -81,9 +85,9 @@ def explore(
     return found
 
 
-def text(done: Exploration, style: str = "markdown", wide: bool = False) -> str:
+def text(done: Exploration, style: str = "markdown") -> str:
     """Which edge helps."""
-    return exploration_text(done, style, wide)
+    return exploration_text(done, style)
 
 
 def summary(done: Exploration, given: Any) -> str:

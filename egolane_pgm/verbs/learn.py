@@ -15,6 +15,7 @@ from egolane_pgm.verbs.studied import summary as summary
 EXAMPLES = (
     "egolane learn drive/experiment.yaml",
     "egolane learn experiments/quickstart.yaml --set fit.labels=false",
+    "egolane learn X.yaml --set fit.learns=parameters --set fit.trials=5",
 )
 
 
@@ -22,6 +23,8 @@ def learn(
     experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
     graph: options.Graph = None,
+    ground_truth: options.TruthInMemory = None,
+    n_lanes: options.LanesInMemory = None,
     overrides: options.Overrides = (),
     out: Annotated[StrPath | None, Option("DIR", default="results/learning/*")] = None,
     folds: options.Folds = None,
@@ -33,11 +36,13 @@ def learn(
     """Fit a model to its recording; write the fitted experiment and its held-out scores.
 
     An evidence rule that can learn (line_geometry) learns its parameters from the labels; with any
-    other rule the tables of the graph are learned by EM, from lines and labels, or from lines alone
-    (fit.labels=false). Each fold is scored with a fit to the frames of the other folds.
+    other rule the tables of the graph are learned by EM, or its parameters (fit.learns=parameters),
+    from lines and labels, or from lines alone (fit.labels=false); the best of fit.trials starts is
+    kept. Each fold is scored with a fit to the frames of the other folds.
 
-    - experiments: one, or a list: experiments or results.
+    - experiments: one, or a list: experiments, results, studies or lines.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - overrides: override a key of the YAML, e.g. fit.labels=false.
     - out: directory of the study. A `*` in it is the experiment's name.
     - folds: number of folds, by default 5, 0 for none: blocks of each drive; with a table, groups
@@ -63,6 +68,8 @@ def learn(
         experiments,
         overrides=overrides,
         graph=graph,
+        ground_truth=ground_truth,
+        n_lanes=n_lanes,
         table=table,
         by_tag=by_tag,
         folds=folds,

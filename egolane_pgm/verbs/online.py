@@ -11,6 +11,7 @@ from egolane_pgm.loading import ExperimentLike, load_experiment
 from egolane_pgm.online import online as answers
 from egolane_pgm.online import read_messages
 from egolane_pgm.recordings.columns import column_keys
+from egolane_pgm.runs import open_input
 from egolane_pgm.tools.options import ColumnNames, Option, Overrides
 
 EXAMPLES = ("egolane online experiments/quickstart.yaml < lines.jsonl",)
@@ -39,7 +40,7 @@ def online(
     # Standard input as an iterator would be read ahead in blocks.
     sys.stdin.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
     messages = iter(sys.stdin.readline, "")
-    chosen = load_experiment(experiment, overrides)
+    chosen = open_input(experiment, overrides=overrides).experiment
     if columns is not None:
         chosen = load_experiment(chosen, {"recording": {"columns": column_keys(columns)}})
     for answer in answers(chosen, read_messages(chosen, messages), nodes):

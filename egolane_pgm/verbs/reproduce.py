@@ -46,7 +46,7 @@ def reproduce(
     return Reproduction(done, parameters)
 
 
-def text(done: Reproduction, style: str, wide: bool) -> str:
+def text(done: Reproduction, style: str) -> str:
     """The output of the command: accuracy, F1 and log-loss, with the paper's in parentheses."""
     scores = done.table()
     shown = pd.DataFrame({"off": scores["frames_off"]})
@@ -57,4 +57,4 @@ def text(done: Reproduction, style: str, wide: bool) -> str:
         f"{done.summary}: cells of the published matrices that differ (parameters:"
         f" {done.parameters}; in-sample, as in the paper)"
     )
-    return page([table(scores if style == "csv" else shown), last], style, wide)
+    return page([table(scores if style == "csv" else shown), last], style)

@@ -20,11 +20,11 @@ EXAMPLES = (
 )
 
 
-def text(done: pd.DataFrame | str, style: str, wide: bool) -> str:
+def text(done: pd.DataFrame | str, style: str) -> str:
     """The output for a table of runs, or for a dry run."""
     from egolane_pgm.views.display import runs_text
 
-    return done if isinstance(done, str) else runs_text(done, style, wide)
+    return done if isinstance(done, str) else runs_text(done, style)
 
 
 def summary(done: Result | pd.DataFrame, given: Mapping[str, Any]) -> str:

@@ -52,6 +52,8 @@ def fit_study(
     *,
     overrides: Overrides,
     graph: Any,
+    ground_truth: Any,
+    n_lanes: int | None,
     table: Any,
     by_tag: str | None,
     folds: int | None,
@@ -61,12 +63,12 @@ def fit_study(
     """Read the drives of some experiments or of a table of runs, make the folds, and fit.
 
     - method: learn or tune.
-    - experiments: as `open_input` takes them, or a file with a list of them.
+    - experiments, ground_truth, n_lanes: as for `open_studied`.
     - folds: number of blocks of each drive, or of groups of a table's drives; 0 for no folds; by
       default `fit.folds` of the first experiment.
     - options: of `run_study`.
     """
-    name, inputs = open_studied(experiments, overrides, graph)
+    name, inputs = open_studied(experiments, overrides, graph, ground_truth, n_lanes)
     if by_tag is not None and table is None:
         raise InputError("by_tag: goes with a table of runs")
     if table is not None:
@@ -98,8 +100,17 @@ def fit_study(
     )
 
 
-def open_studied(experiments: Any, overrides: Overrides, graph: Any) -> tuple[str, list[Input]]:
-    """The name of a study, and its experiments, which may be listed in a file."""
+def open_studied(
+    experiments: Any,
+    overrides: Overrides,
+    graph: Any,
+    ground_truth: Any = None,
+    n_lanes: int | None = None,
+) -> tuple[str, list[Input]]:
+    """The name of a study, and its experiments, which may be listed in a file.
+
+    - ground_truth: as for `open_input`, or a list with one for each experiment.
+    """
     given, name = several_of(experiments), None
     if not given:
         raise InputError("experiments: name at least one")
@@ -110,7 +121,13 @@ def open_studied(experiments: Any, overrides: Overrides, graph: Any) -> tuple[st
             file = validated(TuningFile, content, str(path))
             name, fit = file.name, file.fit.model_dump(exclude_unset=True)
             given = [load_experiment(path.parent / each, {"fit": fit}) for each in file.experiments]
-    inputs = [open_input(each, overrides=overrides, graph=graph) for each in given]
+    truths = ground_truth if isinstance(ground_truth, list) else [ground_truth] * len(given)
+    if len(truths) != len(given):
+        raise InputError(f"ground_truth: a list of {len(truths)} for {len(given)} experiments")
+    inputs = [
+        open_input(each, overrides=overrides, graph=graph, ground_truth=truth, n_lanes=n_lanes)
+        for each, truth in zip(given, truths, strict=True)
+    ]
     return name or inputs[0].experiment.name, inputs
 
 

@@ -17,6 +17,7 @@ from egolane_pgm.verbs.studied import summary as summary
 EXAMPLES = (
     "egolane tune drive/experiment.yaml --trials 300",
     "egolane tune experiments/quickstart.yaml -p sigma1=[0.1,0.5] --set fit.sampler=tpe --jobs 2",
+    "egolane tune X.yaml --profile sigma1 --profile p1 --jobs 2",
     "egolane tune experiments/quickstart.yaml --table drives.csv --by-tag weather",
 )
 
@@ -25,8 +26,11 @@ def tune(
     experiments: Annotated[ExperimentLike | Sequence[Any], Option("EXPERIMENT...")],
     *,
     graph: options.Graph = None,
+    ground_truth: options.TruthInMemory = None,
+    n_lanes: options.LanesInMemory = None,
     trials: Annotated[int | None, Ge(1)] = None,
     parameter: Annotated[options.Overrides, Option("NAME=VALUE", names=("-p",))] = (),
+    profile: Annotated[Sequence[str], Option("NAME")] = (),
     overrides: options.Overrides = (),
     folds: options.Folds = None,
     table: options.TableOfRuns = None,
@@ -43,10 +47,13 @@ def tune(
     Studies are Optuna's, in study.journal of the directory or in a storage. A repeated command
     resumes them; the same command on other machines with the same storage joins in.
 
-    - experiments: one, or a list: experiments or results.
+    - experiments: one, or a list: experiments, results, studies or lines.
     - graph: another graph: a name or a file; in Python also a module or a pgmpy network.
+    - ground_truth, n_lanes: of lines in memory, as for `run`; of several a list of ground truths.
     - trials: total of a study, by default 3000.
     - parameter: narrow the range of a parameter, p1=[0.5,1], or fix it, p1=0.9.
+    - profile: a parameter whose profile is made: at each of some values all others are searched
+      again, and values that the frames rule out are listed. Repeatable.
     - overrides: override a key of the YAML, e.g. fit.objective=log_loss, fit.sampler=tpe,
       fit.seed=1.
     - folds: number of folds, by default 5, 0 for none: blocks of each drive; with a table, groups
@@ -76,11 +83,14 @@ def tune(
         experiments,
         overrides=merge(parse_overrides(overrides), {"fit": fit}) if fit else overrides,
         graph=graph,
+        ground_truth=ground_truth,
+        n_lanes=n_lanes,
         table=table,
         by_tag=by_tag,
         folds=folds,
         out=out,
         storage=storage,
+        profile=profile,
         jobs=jobs,
         cluster=cluster,
     )

@@ -16,7 +16,7 @@ from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.style import CROSSING, FAINT, INK, new_figure
 from egolane_pgm.views.style import DETECTOR_COLOUR as ORANGE
 from egolane_pgm.views.style import MODEL_COLOUR as BLUE
-from egolane_pgm.views.tables import Table, cell, page, table
+from egolane_pgm.views.tables import LOG_EVIDENCE, Table, cell, page, table
 
 #: The three values of a statistic: colour and marker.
 _SOURCES = {"posterior": (BLUE, "o"), "model": (ORANGE, "s"), "truth": (INK, "D")}
@@ -139,10 +139,6 @@ def sensitivity_figure(found: pd.DataFrame, title: str) -> Figure:
     ]
     axes[0].set_yticks(y, names)
     axes[0].set_ylim(len(found) - 0.5, -0.5)
-    judges = (
-        "log evidence judges how well the model describes the lines; on the paper's recordings it"
-        " ranked models nearly opposite to held-out lanes"
-    )
     look: dict[str, Any] = {"loc": "outside lower left", "ncols": 2, "alignment": "left"}
-    figure.legend(*axes[0].get_legend_handles_labels(), title=judges, **look)
+    figure.legend(*axes[0].get_legend_handles_labels(), title=LOG_EVIDENCE, **look)
     return figure

@@ -7,22 +7,35 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from egolane_pgm.types import InputError
 from egolane_pgm.views.style import FAINT, INK, MODEL_COLOUR, new_figure
 from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, page, table
 
 #: The scores of a comparison, and their names.
-_SCORES = {"accuracy": "accuracy", "f1": "F1", "log_loss": "log-loss"}
+_SCORES = {
+    "accuracy": "accuracy",
+    "f1": "F1",
+    "log_loss": "log-loss",
+    "log_evidence": "log evidence",
+}
 
 LEGEND = (
     "Means over the recordings, with 95 % intervals (block bootstrap); differences to the first"
     " row, with paired intervals. Frames of untrusted labels are left out."
 )
 
+#: What log evidence and BIC judge.
+JUDGES = (
+    "Log evidence (nats per frame) and BIC (nats, larger is better) judge how well a model"
+    " describes the lines, not the lane: on the paper's recordings they ranked models nearly"
+    " opposite to held-out lanes."
+)
+
 #: Ticks of the axis; accuracies above the last are drawn there.
 _ACCURACIES = (0.2, 0.4, 0.6, 0.8, 0.9, 0.95, 0.98, 0.99, 0.995, 0.998, 0.999, 0.9997)
 
 
-def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
+def comparison_text(found: pd.DataFrame, style: str) -> str:
     """The output of `egolane compare`: a table per score, and one of the lane changes.
 
     - found: as `comparing.compare` returns it.
@@ -35,18 +48,23 @@ def comparison_text(found: pd.DataFrame, style: str, wide: bool) -> str:
     ]
     counts = sorted(set(found["recordings"].astype(str)))
     parts: list[str | Table] = [f"recordings per row: {', '.join(counts)}"]
-    for key, name in _SCORES.items():
+    scores = {key: name for key, name in _SCORES.items() if key in found}
+    for key, name in scores.items():
         of_score = found[[c for c in found if c == key or c.startswith(f"{key}_")]]
         renamed = of_score.rename(columns=lambda c, key=key, name=name: c.replace(key, name, 1))
-        renamed = renamed.assign(tuned_on=short) if key == "accuracy" else renamed
+        renamed = renamed.assign(tuned_on=short) if key == next(iter(scores)) else renamed
         parts.append(table(renamed, {f"{name}_difference": "+.3f"}))
+    if "log_evidence" in found:
+        sizes = found.reindex(columns=["free_parameters", "bic"]).rename(columns={"bic": "BIC"})
+        parts += [table(sizes, {"free_parameters": "g", "BIC": 1}), JUDGES]
+    parts.append(found.attrs.get("log_evidence", ""))
     events = found.filter(regex="^event_").dropna(how="all")
     if len(events.columns) and len(events):
         renamed = events.rename(columns=lambda c: c.removeprefix("event_"))
         renamed = renamed.rename(columns={"delay_s": "median delay, s"})
         parts.append("lane changes, reported within 1 s")
         parts.append(table(renamed, {"false_per_hour": 1, "median delay, s": "+.2f"}))
-    return page([*parts, LEGEND], style, wide)
+    return page([*parts, LEGEND], style)
 
 
 def comparison_figure(found: pd.DataFrame) -> Figure:
@@ -54,6 +72,8 @@ def comparison_figure(found: pd.DataFrame) -> Figure:
 
     Rows with several index levels are grouped by the first; hollow markers are in-sample.
     """
+    if "accuracy" not in found:
+        raise InputError("out: the figure is of accuracy, which needs ground truth")
     names = [
         ", ".join(map(str, name)) if isinstance(name, tuple) else str(name) for name in found.index
     ]

@@ -11,6 +11,7 @@ from egolane_pgm.result import TAG, Result, by_drive, lanes_of
 from egolane_pgm.views.answers import is_known
 from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
 from egolane_pgm.views.tables import (
+    LOG_EVIDENCE,
     TUNED_ON,
     TUNED_ON_SHORT,
     Table,
@@ -56,13 +57,13 @@ def result_title(result: Result) -> str:
     return f"{', '.join(parts)}; {TUNED_ON_SHORT[run['tuned_on']]}, {causal}"
 
 
-def result_text(result: Result, style: str = "markdown", wide: bool = False) -> str:
+def result_text(result: Result, style: str = "markdown") -> str:
     """The output of `egolane run`: the score, or the lane over time, then the lane changes.
 
-    - style: of the tables; LaTeX and CSV are always wide.
-    - wide: add all scores, confusion matrices, and every drive and lane change.
+    - style: of the tables; all but markdown add all scores, confusion matrices, and every drive
+      and lane change.
     """
-    wide = wide or style != "markdown"
+    wide = style != "markdown"
     run, sides, events = result.run, scores_by_side(result), result.events
     several = "drive" in result.frames
     most = None if wide else LISTED
@@ -85,14 +86,14 @@ def result_text(result: Result, style: str = "markdown", wide: bool = False) -> 
         share = f"{percent(result.scores['sure'])} % of the frames"
         parts.append(
             f"graph {run['config']['graph']}: mean log evidence {mean}; probability of the lane at"
-            f" least {SURE:g} in {share}"
+            f" least {SURE:g} in {share}\n({LOG_EVIDENCE})"
         )
     else:
-        more = f"all {len(events)} lane changes: events.csv or --wide"
+        more = f"all {len(events)} lane changes: events.csv or --format wide"
         last = [more] * (len(events) > LISTED and not several)
-        last += ["all scores and confusion matrices: scores.json or --wide"] * bool(sides)
+        last += ["all scores and confusion matrices: scores.json or --format wide"] * bool(sides)
         parts.append("\n".join(last))
-    return page(parts, style, wide)
+    return page(parts, style)
 
 
 def _head(result: Result, sides: dict[str, Any]) -> list[str]:
@@ -163,7 +164,7 @@ def drive_parts(result: Result, most: int | None = LISTED) -> list[str | Table]:
     return parts
 
 
-def runs_text(summary: pd.DataFrame, style: str, wide: bool) -> str:
+def runs_text(summary: pd.DataFrame, style: str) -> str:
     """The output of `egolane run --table`: a row per run.
 
     - summary: as `runs.run_table` returns it.
@@ -175,4 +176,4 @@ def runs_text(summary: pd.DataFrame, style: str, wide: bool) -> str:
     counts = [c for c in ("frames", "frames_scored") if c in shown]
     shown = shown.astype(dict.fromkeys(counts, "Int64"))
     names = {tag: str(tag).removeprefix(TAG) for tag in tags}
-    return page([table(shown.rename(columns=names | _COLUMNS), {"seconds": 1})], style, wide)
+    return page([table(shown.rename(columns=names | _COLUMNS), {"seconds": 1})], style)

@@ -17,18 +17,24 @@ from egolane_pgm.types import InputError
 from egolane_pgm.views.display import drive_parts
 from egolane_pgm.views.style import (
     DETECTOR_COLOUR,
+    FAINT,
     MODEL_COLOUR,
     new_figure,
     write_figures,
 )
-from egolane_pgm.views.tables import Table, cell, page, score_table, table, with_interval
+from egolane_pgm.views.tables import (
+    LOG_EVIDENCE,
+    Table,
+    cell,
+    page,
+    score_table,
+    table,
+    with_interval,
+)
 
 if TYPE_CHECKING:
     from egolane_pgm.studies.explore import Exploration
     from egolane_pgm.studies.study import Study
-
-#: Importances of fewer trials would be mostly chance.
-FEWEST = 20
 
 _DOTS = "#8aa9c0"
 
@@ -51,7 +57,7 @@ def study_title(study: Study) -> str:
     return ", ".join(parts)
 
 
-def study_text(study: Study, style: str, wide: bool) -> str:
+def study_text(study: Study, style: str) -> str:
     """The output of `egolane tune` and `learn`: scores in-sample and held out, and the best fit."""
     parts: list[str | Table] = [study_title(study)]
     scores, folds, held_out = {"in-sample": study.in_sample.scores}, [], study.held_out
@@ -63,7 +69,7 @@ def study_text(study: Study, style: str, wide: bool) -> str:
     if held_out is not None and "drive" in held_out.frames:
         parts += drive_parts(held_out)
     evidence = [f"{cell(each['mean_log_evidence'], 4)} {name}" for name, each in scores.items()]
-    parts.append(f"mean log evidence per frame: {', '.join(evidence)}")
+    parts.append(f"mean log evidence per frame: {', '.join(evidence)}\n({LOG_EVIDENCE})")
     values = {name: value for name, value in study.fitted.items() if np.ndim(value) == 0}
     if values:
         before = study.experiments[0].parameters
@@ -72,10 +78,21 @@ def study_text(study: Study, style: str, wide: bool) -> str:
         if folds:
             columns["folds"] = [_range([f[name] for f in folds if name in f]) for name in values]
         parts.append(table(pd.DataFrame(columns, index=pd.Index(values, name="parameter"))))
+    objectives = list(study.settings.get("objectives", ()))
+    if len(objectives) > 1:
+        front = pareto_front(study.trials, objectives).set_index("number").rename_axis("trial")
+        best = {int((_sign(name) * front[name]).argmax()) for name in objectives}
+        between = np.linspace(0, len(front) - 1, 10 - len(best)).astype(int).tolist()
+        shown = sorted({*best, *between})
+        parts.append(f"Pareto front (in-sample), {len(shown)} of its {len(front)} trials:")
+        parts.append(table(front[objectives].iloc[shown]))
+    if len(study.profile):
+        parts.append(f"profile of {objectives[0]} (in-sample), others searched again:")
+        parts.append(profile_table(study.profile))
     tables = [name for name in study.fitted if name not in values]
     if tables:
         parts.append(f"fitted tables and lists: {', '.join(tables)}")
-    return page(parts, style, wide)
+    return page(parts, style)
 
 
 def _range(values: Sequence[Any]) -> str:
@@ -85,7 +102,32 @@ def _range(values: Sequence[Any]) -> str:
     return ", ".join(dict.fromkeys(map(str, values)))
 
 
-def exploration_text(found: Exploration, style: str, wide: bool) -> str:
+def pareto_front(trials: pd.DataFrame, objectives: Sequence[str]) -> pd.DataFrame:
+    """The complete trials that no other one beats in every objective, ordered by the first."""
+    done = trials[trials["state"] == "COMPLETE"].drop_duplicates(objectives)
+    values = done[objectives].to_numpy() * list(map(_sign, objectives))
+    beaten = [((values >= row).all(axis=1) & (values > row).any(axis=1)).any() for row in values]
+    first, front = objectives[0], done[~np.array(beaten)]
+    return front.sort_values(first, ascending=_sign(first) < 0, kind="stable")
+
+
+def profile_table(profile: pd.DataFrame) -> Table:
+    """A row per parameter: its best value, and the range of the values that are not ruled out."""
+    rows = {}
+    for name, found in profile.groupby("parameter", sort=False):
+        value, kept = found["value"], found["value"][~found["is_ruled_out"]]
+        words = f"{cell(kept.min())} to {cell(kept.max())}"
+        if (kept.min(), kept.max()) == (value.min(), value.max()):
+            words = "any value" if found["low"].notna().any() else "unknown: too few frames"
+        elif kept.min() == value.min():
+            words = f"at most {cell(kept.max())}"
+        elif kept.max() == value.max():
+            words = f"at least {cell(kept.min())}"
+        rows[name] = {"best": value[found["difference"].idxmin()], "not ruled out (95 %)": words}
+    return table(pd.DataFrame.from_dict(rows, "index").rename_axis("parameter"))
+
+
+def exploration_text(found: Exploration, style: str) -> str:
     """The output of `egolane explore`: which edge helps."""
     edges, gain, forms = found.edges, found.gain, {"gain": "+.3f", "over_drives": "+.3f"}
     removed = np.where(edges["change"] == "remove", "without ", "")
@@ -93,18 +135,16 @@ def exploration_text(found: Exploration, style: str, wide: bool) -> str:
     shown = [["gain", "gain_low", "gain_high", "chosen" if max(edges["chosen"]) > 1 else "numbers"]]
     if edges["over_drives_low"].notna().any():
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
-    best = found.structures.iloc[0]
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
     return page(
         [
             f"{len(found.structures)} graphs were fitted; {found.judge}",
             "each edge alone [95 % interval over blocks of frames, or over drives]:",
             *[table(edges[columns], forms) for columns in shown],
-            f"best set: {best['edges']}\n  gain {interval}, {best['numbers']} free numbers\n"
+            f"best set: {gain['changes']}\n  gain {interval}, {gain['numbers']:+} free numbers\n"
             "  (chosen by its score on these frames, which is therefore optimistic)",
         ],
         style,
-        wide,
     )
 
 
@@ -124,15 +164,21 @@ def draw_study(
     place = Path(directory)
     document, trials = read_trials(place)
     name = f"{document['name']}: {len(trials)} trials"
+    file = place / "profile.parquet"
+    profile = (
+        pd.read_parquet(file) if file.is_file() else pd.DataFrame({"parameter": [], "score": []})
+    )
     figures: dict[str, Callable[[], Figure]] = {
         "history": lambda: history_figure(trials, document, name),
-        "profile": lambda: profile_figure(trials, document, name),
+        "profile": lambda: profile_figure(trials, document, name, profile),
     }
+    if len(document["settings"]["objectives"]) > 1:
+        figures["front"] = lambda: front_figure(trials, document, name)
     return write_figures(figures, Path(target or place / "figures"), style)
 
 
 def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
-    """The content of study.json, and the complete trials: `number`, `score`, the parameters."""
+    """The content of study.json, and the complete trials, the first objective as `score`."""
     if not (directory / "trials.parquet").is_file():
         raise InputError(
             f"{directory}: is not the directory of a search; draw the results of another study with"
@@ -140,40 +186,12 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
         )
     document = json.loads((directory / "study.json").read_text())
     trials = pd.read_parquet(directory / "trials.parquet")
-    trials = trials[trials["state"] == "COMPLETE"]
+    trials = trials[trials["state"] == "COMPLETE"].copy()
     settings = document["settings"]
-    score = settings["objectives"][0]
-    trials = trials[["number", score, *settings["searched"]]].rename(columns={score: "score"})
+    trials["score"] = trials[settings["objectives"][0]]
     if trials.empty:
         raise InputError(f"{directory}: has no complete trial to draw")
     return document, trials.sort_values("number", ignore_index=True)
-
-
-def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
-    """Importance of each parameter for reaching the best tenth of the trials (PED-ANOVA).
-
-    The most important one is first. Empty for too few trials, and if all have one score.
-    """
-    if len(trials) < FEWEST or np.ptp(trials["score"]) == 0:
-        return {}
-    import optuna
-
-    from egolane_pgm.studies.search import quiet
-
-    space: dict[str, Any] = {
-        name: optuna.distributions.CategoricalDistribution(ends)
-        if isinstance(ends[0], str)
-        else optuna.distributions.FloatDistribution(*ends)
-        for name, ends in settings["searched"].items()
-    }
-    with quiet():
-        is_up = is_maximised(settings["objectives"][0])
-        study = optuna.create_study(direction="maximize" if is_up else "minimize")
-        for row in trials.to_dict("records"):
-            given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
-            study.add_trial(optuna.trial.create_trial(distributions=space, **given))
-        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
-        return optuna.importance.get_param_importances(study, evaluator=evaluator)
 
 
 def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
@@ -192,7 +210,7 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     if held_out is not None:
         label = f"held out: {held_out:.3f}"
         ax.axhline(held_out, color=DETECTOR_COLOUR, ls=(0, (4, 2)), label=label)
-    low, high = _limits(trials, sign, held_out)
+    low, high = _limits(trials["score"], sign, held_out)
     n_outside = int((~trials["score"].between(low, high)).sum())
     ax.set(ylim=(low, high), ylabel=score.replace("_", " "))
     ax.set_xlabel(f"trial ({n_outside} of {len(trials)} outside the axis)")
@@ -200,14 +218,16 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     return figure
 
 
-def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
+def profile_figure(
+    trials: pd.DataFrame, document: Mapping[str, Any], title: str, profile: pd.DataFrame
+) -> Figure:
     """Draw the score over each parameter, and the best values of all frames and of the folds.
 
-    With enough trials, parameters are in order of importance.
+    - profile: of the parameters that have one; the others get none. Values that are not ruled out
+      are shaded.
     """
     score, sign = _score(document)
-    importance = importances(trials, document["settings"])
-    names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
+    names = list(document["settings"]["searched"])
     best = trials.loc[(sign * trials["score"]).idxmax()]
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
@@ -215,7 +235,9 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     axes = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for ax in axes.flat[len(names) :]:
         ax.remove()
-    low, high = _limits(trials, sign)
+    # The profile may find a better point than the trials.
+    top = sign * max(sign * score for score in (best["score"], *profile["score"]))
+    low, high = _limits(trials["score"], sign, top)
     for ax, name in zip(axes.flat, names, strict=False):
         values = trials[name]
         if values.dtype.kind in "if":
@@ -227,26 +249,54 @@ def profile_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
         if folds:
             look: Any = {"color": DETECTOR_COLOUR, "ms": 12, "mew": 1.5, "zorder": 3}
             ax.plot(folds, [low] * len(folds), "|", label="best of a fold (no score)", **look)
-        share = f" ({100 * importance.get(name, 0):.0f} %)" if importance else ""
-        ax.set(xlabel=f"{name}{share}", ylim=(low, high))
+        found = profile[profile["parameter"] == name.partition("[")[0]]
+        if len(found):
+            ends = [top - sign * found[end].astype(float) for end in ("low", "high")]
+            kept = found["value"][~found["is_ruled_out"]]
+            look = {"color": MODEL_COLOUR, "label": "others searched again, 95 % interval"}
+            ax.plot(found["value"], found["score"], lw=1.2, **look)
+            ax.fill_between(found["value"], *ends, color=MODEL_COLOUR, alpha=0.25, lw=0)
+            ax.axvspan(kept.min(), kept.max(), color=FAINT, alpha=0.4, lw=0, label="not ruled out")
+        ax.set(xlabel=name, ylim=(low, high))
     for ax in axes[:, 0]:
-        ax.set_ylabel(score.replace("_", " "))
-    note = "in brackets: importance for reaching the best tenth of the trials (PED-ANOVA)"
-    entries = axes[0, 0].get_legend_handles_labels()
-    place: Any = {"loc": "outside lower left", "ncols": 4, "alignment": "left"}
-    figure.legend(*entries, title=note if importance else None, **place)
+        ax.set_ylabel(f"{score.replace('_', ' ')} (in-sample)")
+    entries = max((ax.get_legend_handles_labels() for ax in figure.axes), key=lambda e: len(e[1]))
+    figure.legend(*entries, loc="outside lower left", ncols=3)
+    return figure
+
+
+def front_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
+    """Draw all trials in the first objective and each other one, with the Pareto front."""
+    objectives = document["settings"]["objectives"]
+    front = pareto_front(trials, objectives)
+    limits = [_limits(trials[each], _sign(each), *front[each]) for each in objectives]
+    first, *others = objectives
+    figure = new_figure(max(3.2 * len(others) + 0.6, 5), 3.6, title)
+    axes = figure.subplots(1, len(others), squeeze=False)[0]
+    for ax, name, ylim in zip(axes, others, limits[1:], strict=True):
+        ax.plot(trials[first], trials[name], ".", ms=4, color=_DOTS, label="trial")
+        ax.plot(front[first], front[name], ".", ms=6, color=MODEL_COLOUR, label="Pareto front")
+        ax.plot(*front.iloc[0][[first, name]], "s", color=DETECTOR_COLOUR, label="chosen")
+        ax.set(xlim=limits[0], ylim=ylim, ylabel=name.replace("_", " "))
+        ax.set_xlabel(f"{first.replace('_', ' ')} (in-sample)")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
     return figure
 
 
 def _score(document: Mapping[str, Any]) -> tuple[str, int]:
-    """The name of the score, and 1 if it is maximised or -1."""
+    """The name of the score and its `_sign`."""
     name = document["settings"]["objectives"][0]
-    return name, 1 if is_maximised(name) else -1
+    return name, _sign(name)
 
 
-def _limits(trials: pd.DataFrame, sign: int, *others: float | None) -> tuple[float, float]:
+def _sign(score: str) -> int:
+    """1 for a score that is maximised, else -1."""
+    return 1 if is_maximised(score) else -1
+
+
+def _limits(scores: pd.Series, sign: int, *others: float | None) -> tuple[float, float]:
     """The range of the score axis, without the worst trials."""
-    gain = sign * trials["score"]
+    gain = sign * scores
     shown = [sign * gain.max(), sign * gain.quantile(0.3), *(v for v in others if v is not None)]
     margin = 0.08 * float(np.ptp(shown)) or 0.01
     return min(shown) - margin, max(shown) + margin

@@ -22,6 +22,12 @@ TUNED_ON = {
 #: The same in a narrow column.
 TUNED_ON_SHORT = {key: words.split(" (")[0] for key, words in TUNED_ON.items()}
 
+#: The meaning of log evidence, printed next to it.
+LOG_EVIDENCE = (
+    "log evidence judges how well a model describes the lines; on the paper's recordings it ranked"
+    " models nearly opposite to held-out lanes"
+)
+
 #: The scores of a result: the name in a table by the key in scores.json.
 SCORES = {
     "accuracy": "accuracy",
@@ -105,14 +111,14 @@ def with_interval(value: Any, interval: Sequence[Any] | None, form: int | str = 
 # --- printing ------------------------------------------------------------------------------------
 
 #: The styles of tables (`--format`).
-STYLES = ("markdown", "latex", "csv")
+STYLES = ("markdown", "wide", "latex", "csv")
 
 
-def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = False) -> str:
+def page(parts: Iterable[str | Table], style: str = "markdown") -> str:
     """The output of a command: text and tables, separated by empty lines.
 
-    - style: one of STYLES; LaTeX has the tables only, CSV the first table only.
-    - wide: whether Markdown tables may be wider than the terminal.
+    - style: one of STYLES: Markdown that fits the terminal or is as wide as its tables, LaTeX of
+      the tables only, or CSV of the first table only.
     """
     shown = list(parts)
     tables = [part for part in shown if isinstance(part, Table)]
@@ -120,7 +126,7 @@ def page(parts: Iterable[str | Table], style: str = "markdown", wide: bool = Fal
         return str(tables[0].frame.to_csv(lineterminator="\n")).rstrip("\n") if tables else ""
     if style == "latex":
         return "\n\n".join(latex(each.header, each.rows) for each in tables)
-    texts = [wrapped(p) if isinstance(p, str) else _fitted(p, wide) for p in shown]
+    texts = [wrapped(p) if isinstance(p, str) else _fitted(p, style == "wide") for p in shown]
     return "\n\n".join(filter(None, texts))
 
 

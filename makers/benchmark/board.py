@@ -170,4 +170,4 @@ def board(recordings: Sequence[Recording], scored: Mapping[str, pd.DataFrame]) -
             parts += [f"### {track}", Table(["entry", *others], rows)]
     header = ["entry", *tracks]
     tables = [Table(header, [*accuracy.values()]), "The first entry less each other one, paired:"]
-    return page([*tables, Table(header, [*gap.values()][1:]), *parts], wide=True) + "\n"
+    return page([*tables, Table(header, [*gap.values()][1:]), *parts], style="wide") + "\n"

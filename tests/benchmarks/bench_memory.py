@@ -20,7 +20,6 @@ from pathlib import Path
 import pyarrow as pa
 from pyarrow import parquet
 
-from egolane_pgm.recordings.table import rows_of
 from egolane_pgm.simulation import SimulatedDrive, simulate
 
 ROOT = Path(__file__).parents[2]
@@ -69,11 +68,15 @@ def write_long_drive(folder: Path, n_frames: int) -> tuple[Path, Path]:
     """A recording of so many frames, and its ground truth."""
     drive = simulate("quickstart", seed=1, frames=12_000, n_lanes=N_LANES)
     recording, truth = folder / "lines.parquet", folder / "truth.txt"
-    schema = pa.Table.from_pandas(rows_of(drive.log)[COLUMNS], preserve_index=False).schema
+    schema = pa.Table.from_pandas(
+        drive.log.to_pandas().reset_index()[COLUMNS], preserve_index=False
+    ).schema
     writer = parquet.ParquetWriter(recording, schema)
     with writer, truth.open("w", encoding="utf-8") as lines:
         for lap in laps(drive, n_frames):
-            writer.write_table(pa.Table.from_pandas(rows_of(lap.log)[COLUMNS], schema))
+            writer.write_table(
+                pa.Table.from_pandas(lap.log.to_pandas().reset_index()[COLUMNS], schema)
+            )
             rows = lap.truth.astype(int).itertuples()
             lines.writelines(f"{k};{lane};{crossing}\n" for k, lane, crossing in rows)
     return recording, truth

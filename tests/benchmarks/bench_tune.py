@@ -11,15 +11,17 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from statistics import median
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from egolane_pgm.experiment import FitSettings
-from egolane_pgm.studies.black_box import Objective, objective
+from egolane_pgm.loading import load_experiment
+from egolane_pgm.studies.fits import objective, search_space
 from egolane_pgm.studies.search import new_study, search
+from egolane_pgm.studies.space import Point, SearchSpace
 from egolane_pgm.studies.storage import open_storage
-from tests.kits.studies import points_at, search_in_memory
+from tests.kits.studies import drive_of, points_at, search_in_memory
 
 ROOT = Path(__file__).parents[2]
 EXPERIMENT = ROOT / "experiments" / "paper" / "run01_italy_ml.yaml"
@@ -29,9 +31,17 @@ HEADER = ("parameter search", "per trial", "trials per second")
 Line = tuple[str, float]
 
 
-def load() -> Objective:
+class Problem(NamedTuple):
+    score: Callable[[Point], list[float]]
+    search_space: SearchSpace
+
+
+def load() -> Problem:
     """Accuracy on run 1 of the paper if EGOLANE_DATA has it, otherwise on the simulated drive."""
-    return objective(EXPERIMENT if os.environ.get("EGOLANE_DATA") else SIMULATED)
+    drive = drive_of(load_experiment(EXPERIMENT if os.environ.get("EGOLANE_DATA") else SIMULATED))
+    fit, used = drive.experiment.fit, np.ones(len(drive), dtype=bool)
+    space = search_space([drive.model], fit)
+    return Problem(objective([drive], space, fit, [used], ["accuracy"]), space)
 
 
 def tune_lines(rounds: int = 3) -> Iterator[Line]:
@@ -71,7 +81,7 @@ def tune_lines(rounds: int = 3) -> Iterator[Line]:
         yield from _at(problem, sampler)
 
 
-def _kept(problem: Objective, place: str, settings: FitSettings) -> Callable[[], object]:
+def _kept(problem: Problem, place: str, settings: FitSettings) -> Callable[[], object]:
     def run() -> None:
         study = new_study(settings, storage=open_storage(place), study_name="bench")
         search(study, problem.search_space, problem.score, settings)
@@ -79,7 +89,7 @@ def _kept(problem: Objective, place: str, settings: FitSettings) -> Callable[[],
     return run
 
 
-def _at(problem: Objective, sampler: str) -> list[Line]:
+def _at(problem: Problem, sampler: str) -> list[Line]:
     """A sampler that slows down: its 100th and its 1,000th trial (mean of 20 around it)."""
     clock: list[float] = []
 

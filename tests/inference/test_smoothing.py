@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -19,6 +20,7 @@ from egolane_pgm.inference.smoothing import (
     lag_step,
     smooth_beliefs,
 )
+from egolane_pgm.inference.viterbi import viterbi
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError
 from tests.conformance.networks import (
     any_compiled,
@@ -179,6 +181,36 @@ def test_no_frames_give_no_beliefs_and_the_frame_ids_given_are_kept() -> None:
         np.testing.assert_array_equal(found.frame_id, ids)
         nothing = infer(compiled, evidence.take(slice(0, 0)))
         assert nothing.lane.shape == (0, 3)
+
+
+SEQUENCES: dict[str, Callable[..., Beliefs]] = {
+    "exact": partial(filter_beliefs, method="exact"),
+    "assumed_density": partial(filter_beliefs, method="assumed_density"),
+    "smoothed": smooth_beliefs,
+    "lag 0": partial(fixed_lag_beliefs, lag=0),
+    "lag 20": partial(fixed_lag_beliefs, lag=20),
+}
+
+
+@pytest.mark.parametrize("name", SEQUENCES)
+@pytest.mark.parametrize("seed", range(8))
+def test_joined_sequences_are_inferred_one_by_one(seed: int, name: str) -> None:
+    """To the bit. One sequence is shorter than the lag; BLAS sums 16 rows at a time."""
+    compiled, infer = any_compiled(seed), SEQUENCES[name]
+    rng, lengths = np.random.default_rng(seed), [48, 16, 32, 64]
+    parts = [draw_evidence(compiled, n, rng) for n in lengths]
+    is_first = np.zeros(sum(lengths), dtype=bool)
+    is_first[np.cumsum([0, *lengths[:-1]])] = True
+    joined = infer(compiled, Evidence.concat(parts), is_first=is_first)
+    apart = Beliefs.concat([infer(compiled, part) for part in parts])
+    for node, values in apart.marginals.items():
+        np.testing.assert_array_equal(joined[node], values)
+    np.testing.assert_array_equal(joined.log_evidence, apart.log_evidence)
+    path = viterbi(compiled, Evidence.concat(parts), is_first=is_first)
+    paths = [viterbi(compiled, part) for part in parts]
+    for node, value in path.values.items():
+        np.testing.assert_array_equal(value, np.concatenate([each.values[node] for each in paths]))
+    assert path.log_probability == sum(each.log_probability for each in paths)
 
 
 def test_what_cannot_be_smoothed_is_refused_in_a_line() -> None:

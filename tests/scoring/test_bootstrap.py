@@ -13,7 +13,6 @@ from egolane_pgm.scoring.bootstrap import (
     INTERVAL_STATISTICS,
     bootstrap_interval,
     circular_blocks,
-    on_timeline,
     resampled_sums,
     score_counts,
     score_intervals,
@@ -35,7 +34,7 @@ def mean_counts(values: np.ndarray, is_counted: np.ndarray | None = None) -> np.
     return np.stack([values * counted, counted], axis=1)
 
 
-accuracy, macro_f1, ratio = INTERVAL_STATISTICS.values()
+accuracy, macro_f1, ratio, _ = INTERVAL_STATISTICS.values()
 
 
 def confusion_counts(
@@ -179,12 +178,3 @@ def counts_of(seed: int) -> dict[str, np.ndarray]:
     belief = rng.dirichlet(np.ones(3), N_COUNTED)
     lane = np.repeat([1, 2, 3], N_COUNTED // 3)
     return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0, assigned_lane(belief))
-
-
-def test_frames_that_one_recording_lacks_count_nothing_on_the_timeline_of_the_drive() -> None:
-    counts = {name: values[::2] for name, values in counts_of(0).items()}
-    frames = np.arange(0, 2 * N_COUNTED, 4)
-    placed = on_timeline(counts, frames, np.arange(0, 2 * N_COUNTED, 2))
-    for name, values in placed.items():
-        np.testing.assert_array_equal(values[::2], counts[name])
-        assert not values[1::2].any()

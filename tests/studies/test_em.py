@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from egolane_pgm.inference.compile import Compiled
 from egolane_pgm.inference.expected_counts import FREE, counted_tables
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.parameters import Parameters
-from egolane_pgm.studies.em import fit_tables
+from egolane_pgm.studies.em import drawn_tables, fit_tables
 from egolane_pgm.types import Evidence, IntArray
 from tests.conformance.networks import compiled_graph, draw_evidence, draw_graph, graph
 from tests.conftest import needs_compiler
@@ -105,3 +106,23 @@ def test_the_prior_is_worth_as_many_frames_as_it_says() -> None:
     np.testing.assert_allclose(fitted.tables["Lane", 1].values, right, atol=1e-12)
     strong = fit_tables(compiled, evidence, {"Lane": lane}, strength=1e9)
     np.testing.assert_allclose(strong.tables["Lane", 1].values, start, atol=1e-7)
+
+
+def test_each_table_has_its_own_strength_and_the_prior_does_not_depend_on_the_start() -> None:
+    compiled = paper_case(sigma1=0.45, p1=0.97, p3=0.9, p4=0.8)
+    evidence, _ = a_drive_of(compiled, 2000, seed=1)
+    declared = counted_tables(compiled)
+    start = drawn_tables(declared, np.random.default_rng(0))
+    strength = {"Lane": 1e9, "WOR": 1e-6, "SensorState": 1e9, "DetectorOutput": 1e9}
+    fitted = fit_tables(compiled, evidence, strength=strength, start=start)
+    for node, table in declared.items():
+        moved = np.abs(fitted.tables[node].values - table.values).max()
+        assert (moved > 1e-3) == (node[0] == "WOR")
+        np.testing.assert_array_equal(start[node].values > 0, table.values > 0)
+        np.testing.assert_allclose(start[node].values.sum(axis=-1), 1)
+    prior = sum(
+        strength[node[0]] * (table.values * np.log(fitted.tables[node].values / table.values)).sum()
+        for node, table in declared.items()
+    )
+    log_evidence = filter_beliefs(fitted.compiled, evidence).log_evidence.sum()
+    assert fitted.log_posterior[-1] == pytest.approx(log_evidence + prior)

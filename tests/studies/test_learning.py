@@ -12,13 +12,14 @@ import yaml
 
 from egolane_pgm.drives import Drive
 from egolane_pgm.graphs.cpds import lane_normals
+from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
 from egolane_pgm.studies.fits import (
     Fitted,
     apply_fit,
+    fit_graph,
     fit_learn,
-    fit_tables,
     start_of_learning,
     training_of,
 )
@@ -126,7 +127,7 @@ def test_a_lane_without_a_label_keeps_its_start() -> None:
 def test_tables_of_several_drives_do_not_depend_on_their_order() -> None:
     drives = two_drives()
     train = [np.arange(len(each)) for each in drives]
-    found, again = fit_tables(drives, train), fit_tables(drives[::-1], train[::-1])
+    found, again = fit_graph(drives, train), fit_graph(drives[::-1], train[::-1])
     for name, values in found.items():
         np.testing.assert_allclose(again[name], values, atol=1e-9)
 
@@ -147,6 +148,90 @@ def test_frames_that_the_graph_does_not_allow_are_left_out_and_counted(tmp_path:
     nothing = "return Evidence({'DetectorOutput': np.zeros((len(log), n_lanes))})"
     with pytest.raises(InputError, match="graph lane_only allows no frame of the 100 to learn"):
         learned(with_rule(tmp_path, nothing))
+
+
+# --- parameters of the graph, and several starts -------------------------------------------------
+
+NAMES = ("sigma1", "sigma2", "p1", "p2", "p3", "p4")
+NO_LABELS = {"fit.labels": False, "tuned_on": "not_tuned"}
+
+
+@pytest.mark.parametrize(
+    ("run", "right"), [("01", [0.329, 0.998, 0.956]), ("08", [0.307, 0.996, 0.979])]
+)
+def test_parameters_of_the_paper_by_maximum_likelihood(
+    recordings: Path, run: str, right: Any
+) -> None:
+    [path] = (ROOT / "experiments" / "paper").glob(f"run{run}*")
+    found = learned(drive_of(load_experiment(path, {**NO_LABELS, "fit.learns": "parameters"})))
+    assert [found[name] for name in ("sigma1", "p1", "p2")] == pytest.approx(right, abs=0.002)
+    # A normal distribution this narrow stays in its lane.
+    assert found["sigma2"] < 0.2
+    assert [found["p3"], found["p4"]] == pytest.approx([1, 1], abs=1e-3)
+
+
+def test_several_starts_leave_a_local_optimum(recordings: Path) -> None:
+    [path] = (ROOT / "experiments" / "paper").glob("run08*")
+    changes = {**NO_LABELS, "fit.strength": 1e-6, "filter": "exact"}
+    evidence = []
+    for trials in (1, 4):
+        one = drive_of(load_experiment(path, {**changes, "fit.trials": trials}))
+        found = apply_fit(one.model, learned(one))
+        evidence.append(
+            filter_beliefs(found.compiled, make_evidence(found, one.log)[0]).log_evidence.mean()
+        )
+    assert evidence[1] > evidence[0] + 0.1
+
+
+def test_learned_parameters_have_bounds_and_are_run_from_their_file(tmp_path: Path) -> None:
+    fit = {
+        "learns": "parameters",
+        "parameters": {"p1": 0.7, "sigma1": [0.2, 0.3], "bonus_value": 2},
+    }
+    one = drive_of(load_experiment(write_drive(tmp_path, 300, fit={**fit, "trials": 2})))
+    study = run_study([one], "learn", block_folds([one], 2), directory=tmp_path / "out")
+    assert set(study.fitted) == {*NAMES, "bonus_value"}
+    assert (study.fitted["p1"], study.fitted["bonus_value"]) == (0.7, 2)
+    assert 0.2 <= float(str(study.fitted["sigma1"])) <= 0.3
+    again = run(tmp_path / "out" / "best.yaml")
+    np.testing.assert_allclose(again.node("Lane"), study.in_sample.node("Lane"), atol=1e-12)
+
+
+def test_a_graph_in_pgmpy_has_parameters_to_learn(tmp_path: Path) -> None:
+    (tmp_path / "g.py").write_text(
+        "from egolane_pgm.graphs import lane_only\n"
+        "from egolane_pgm.inference.compile import compile_tables\n"
+        "PARAMETERS, HIDDEN, OBSERVED, UNUSED = (\n"
+        "    lane_only.PARAMETERS, lane_only.HIDDEN, lane_only.OBSERVED, ('WOR',))\n"
+        "def build(n, p):\n"
+        "    tables = lane_only.tables(n, p)\n"
+        "    return compile_tables(tables, hidden=HIDDEN, observed=OBSERVED).network\n"
+    )
+    changes = {"fit.learns": "parameters", "fit.parameters": {"sigma1": [0.1, 0.9]}}
+    found = []
+    for graph in (str(tmp_path / "g.py"), "lane_only"):
+        path = write_drive(tmp_path, 200, graph=graph)
+        found.append(learned(drive_of(load_experiment(path, changes))))
+    assert found[0] == pytest.approx(found[1], rel=1e-3)
+
+
+REFUSED = {
+    "fit.learns: evidence rule counting has no fit": {"learns": "rule"},
+    "fit.strength: unknown key 'Lan' .did you mean 'Lane'": {"strength": {"Lan": 3}},
+    "fit.strength: needs a number greater than 0": {"strength": {"Lane": 0}},
+    "fit.strength: needs a number greater than 0, at": {"strength": "much"},
+    "fit.parameters.bonus_value: changes the evidence": {"parameters": {"bonus_value": [0, 3]}},
+    "fit.parameters: every parameter is fixed": {
+        "parameters": dict.fromkeys(("sigma1", "sigma2", "p1", "p2", "p3", "p4"), 0.5)
+    },
+}
+
+
+@pytest.mark.parametrize("message", REFUSED)
+def test_settings_of_learning_that_do_not_fit_are_refused(message: str) -> None:
+    fit = {"learns": "parameters"} if "parameters" in message else {}
+    with pytest.raises(InputError, match=message):
+        run_study([drive(fit={**fit, **REFUSED[message]})], "learn", [])
 
 
 # --- studies -------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -18,9 +19,10 @@ from egolane_pgm.studies import objective
 from egolane_pgm.studies.fits import search_space
 from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import to_parameters
-from egolane_pgm.types import InputError, lane_truth
+from egolane_pgm.studies.study import run_study
+from egolane_pgm.types import Beliefs, InputError, lane_truth
 from tests.kits.drives import run
-from tests.kits.studies import drive_of, points_at, scrambled
+from tests.kits.studies import drive_of, fitting, points_at, scrambled
 
 NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
 OF_CHANGES = ("delay", "share_missed")
@@ -36,13 +38,13 @@ def everything() -> Any:
 
 
 @cache
-def posteriors(n: int) -> list[tuple[dict[str, Any], np.ndarray]]:
-    """Some parameter sets, and the posterior (K, lanes) of each."""
+def posteriors(n: int) -> list[tuple[dict[str, Any], Beliefs]]:
+    """Some parameter sets, and the beliefs at each."""
     space = search_space([quickstart().model], FitSettings())
     units = np.random.default_rng(0).random((n, len(space.distributions)))
     sets = [to_parameters(space, point) for point in points_at(space, units)]
-    posterior_at = objective.posterior_at(quickstart())
-    return [(each, posterior_at(each)) for each in sets]
+    beliefs_at = objective.beliefs_at(quickstart())
+    return [(each, beliefs_at(each)) for each in sets]
 
 
 def scores(drives: Sequence[Drive], used: Sequence[Any], names: Sequence[str], n: int) -> Any:
@@ -83,10 +85,10 @@ def test_evidence_is_made_again_only_when_its_own_parameters_change(
     made = []
     name = "egolane_pgm.studies.objective.make_evidence"
     monkeypatch.setattr(name, lambda *given: made.append(1) or make_evidence(*given))
-    posterior_at = objective.posterior_at(quickstart())
+    beliefs_at = objective.beliefs_at(quickstart())
     parameters = quickstart().model.parameters
     for k in range(40):
-        posterior_at({**parameters, "bonus_value": k % 3, "p1": k / 40})
+        beliefs_at({**parameters, "bonus_value": k % 3, "p1": k / 40})
     assert len(made) == 3
 
 
@@ -103,6 +105,30 @@ def test_drives_weigh_the_same_whatever_their_length_unless_they_are_pooled() ->
                 for drives, used in (([drive, drive], [few, ~few]), ([drive], [everything()]))
             )
             assert pooled == pytest.approx(whole)
+
+
+def test_log_evidence_is_that_of_a_run_and_an_impossible_frame_counts() -> None:
+    [(parameters, beliefs)] = posteriors(1)
+    drive, found = quickstart(), run("quickstart", {"parameters": parameters})
+    score = objective.drive_score(drive, beliefs, everything(), "log_evidence")
+    assert score == pytest.approx(found.scores["mean_log_evidence"])
+    impossible = replace(beliefs, is_impossible=np.arange(len(beliefs)) == 7)
+    assert objective.drive_score(drive, impossible, everything(), "log_evidence") < score - 100
+
+
+def test_a_search_for_log_evidence_ends_below_the_maximum_of_em_and_needs_no_labels() -> None:
+    """On a short stretch. Parameters of the evidence rule keep their values."""
+    fit = {"labels": False, "learns": "parameters", "objective": "log_evidence"}
+    changes = {"recording.frames": [0, 400], "filter": "exact", "fit": fit, "name": "x"}
+    drive = drive_of(load_experiment("quickstart", changes))
+    unlabelled = replace(drive, true_lane=0 * drive.true_lane)
+    learned = run_study([unlabelled], "learn", [])
+    tuned = run_study([fitting(unlabelled, trials=600)], "tune", [])
+    found, most = (each.in_sample.scores["mean_log_evidence"] for each in (tuned, learned))
+    assert most - 0.005 < found < most + 1e-5
+    assert "bonus_value" not in tuned.fitted
+    with pytest.raises(InputError, match=r"parameters.bonus_value: changes the evidence"):
+        run_study([fitting(drive, parameters={"bonus_value": [0, 5]})], "tune", [])
 
 
 @pytest.mark.parametrize("pooled", [False, True])
@@ -127,7 +153,8 @@ def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() ->
     drive = quickstart()
     rows = drive.rows
     changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
-    belief = np.tile(np.eye(drive.model.n_lanes)[changes["from_lane"][0] - 1], (len(drive), 1))
+    lane = np.tile(np.eye(drive.model.n_lanes)[changes["from_lane"][0] - 1], (len(drive), 1))
+    belief = Beliefs(rows, {"Lane": lane}, np.zeros(len(rows)), np.zeros(len(rows), dtype=bool))
     used = np.arange(len(drive)) < changes["until"][0]
     assert objective.drive_score(drive, belief, used, "share_missed") == 1
     assert objective.drive_score(drive, belief, used, "delay") == objective.UNDEFINED
@@ -136,8 +163,8 @@ def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() ->
 def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
     given = load_experiment("quickstart", {"evidence_mode": "hard", "filter": "exact"})
     drive = drive_of(given)
-    posterior = objective.posterior_at(drive)(drive.model.parameters)
-    np.testing.assert_allclose(posterior, run(given).node("Lane"), rtol=0, atol=1e-12)
+    beliefs = objective.beliefs_at(drive)(drive.model.parameters)
+    np.testing.assert_allclose(beliefs.lane, run(given).node("Lane"), rtol=0, atol=1e-12)
 
 
 def test_settings_that_do_not_fit_are_refused() -> None:

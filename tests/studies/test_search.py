@@ -60,8 +60,12 @@ def test_an_interrupted_study_goes_on_to_its_total(stops: tuple[int, ...]) -> No
     assert len(study.get_trials(states=(TrialState.RUNNING,))) == len(stops)
 
 
-@pytest.mark.parametrize("sampler", ["tpe", "cma-es", "nsga2", "random"])
-def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: str) -> None:
+@pytest.mark.parametrize(
+    "sampler",
+    ["tpe", "cma-es", "nsga2", "random", "NSGAIIISampler", optuna.samplers.TPESampler(seed=1)],
+    ids=str,
+)
+def test_a_sampler_of_optuna_repeats_no_trial_after_an_interruption(sampler: Any) -> None:
     settings = FitSettings(objective=("accuracy",), sampler=sampler, trials=15, seed=0)
     study = new_study(settings)
     search(study, SPACE, bowl, settings)
@@ -98,10 +102,28 @@ def test_of_a_front_the_best_in_the_first_objective_is_taken() -> None:
     assert best_trial(done).values[0] == max(t.values[0] for t in done.trials)
 
 
-def test_a_sampler_that_does_not_fit_is_refused() -> None:
+def test_a_sampler_that_does_not_fit_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "egolane_pgm.studies.search.find_spec", lambda name: name != "torch" or None
+    )
     assert settings_of(FitSettings()).sampler == "evolution"
     assert settings_of(FitSettings(objective=("accuracy", "log_loss"))).sampler == "nsga2"
     with pytest.raises(InputError, match=r"unknown sampler 'tpee' \(did you mean 'tpe'\?\)"):
         settings_of(FitSettings(sampler="tpee"))
     with pytest.raises(InputError, match="evolution searches one objective; for accuracy, f1"):
         settings_of(FitSettings(objective=("accuracy", "f1"), sampler="evolution"))
+    with pytest.raises(InputError, match="GPSampler needs torch: pip install torch"):
+        settings_of(FitSettings(sampler="GPSampler"))
+    with pytest.raises(InputError, match=r"sampler: BruteForceSampler: FloatDistribution\.step"):
+        search_in_memory(SPACE, bowl, settings_of(FitSettings(sampler="BruteForceSampler")))
+    with pytest.raises(ValueError, match="needs the name of a sampler"):
+        FitSettings(sampler=3)
+
+
+def test_each_study_has_its_own_copy_of_a_sampler_object() -> None:
+    given = optuna.samplers.RandomSampler(seed=1)
+    settings = settings_of(FitSettings(sampler=given, trials=5))
+    first, second = (tried(search_in_memory(SPACE, bowl, settings).trials) for _ in range(2))
+    assert first == second
+    direct = optuna.create_study(direction="maximize", sampler=given)
+    assert [direct.ask(SPACE.distributions).params for _ in range(5)] == [p for p, _ in first]

@@ -70,8 +70,8 @@ def test_a_folder_of_results_is_compared_of_a_key_and_by_a_tag(
         ),
         ("{0} --of tuned_on", "--of: not_tuned has two results of one recording"),
         ("{0} --by tag.drivr", "--by: no result has a value of tag.drivr"),
-        ("{0} --of graph --out {0}/x.txt", "x.txt"),
-        ("{0}/../blind", "lines: has no ground truth to compare with"),
+        ("{0}/lane_only_0 --out {0}/x.txt", "x.txt"),
+        ("{0}/lane_only_0 {0}/../blind --of name", "lines: has no ground truth to compare"),
     ],
 )
 def test_what_cannot_be_compared_is_refused(

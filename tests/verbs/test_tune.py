@@ -126,6 +126,14 @@ def test_whole_drives_of_a_table_are_held_out_by_a_tag(tmp_path: Path) -> None:
         ("--folds 5000", "--folds: 5000 is not between 2 and the 1"),
         ("--folds 1", "--folds: 1 leaves nothing to fit to; 0 holds out nothing"),
         ("--trials 0", "'--trials'"),
+        ("--profile sigma", "--profile: no number 'sigma' is searched (did you mean"),
+        ("--profile p1 --set fit.objective=delay", "--profile: delay is no mean over frames"),
+        ("--set fit.sampler=BruteForceSampler", "BruteForceSampler: FloatDistribution.step must"),
+        ("--set fit.sampler=CmaEsSampler --set fit.objective=[f1,delay]", "CmaEsSampler: If the"),
+        (
+            "--set fit.sampler=GridSampler",
+            "fit.sampler: GridSampler: GridSampler.__init__()",
+        ),
         ("--by-tag weather", "--by-tag: goes with a table of runs"),
         ("--table gone.csv", "gone.csv: cannot be read as a table"),
         ("--storage nosuch://me:secret@host/base", "nosuch://me:***@host/base"),
@@ -255,7 +263,7 @@ def test_what_is_learned_elsewhere_reads_the_same_labels_and_camera(tmp_path: Pa
             "allows no frame of the 150 to",
         ),
         ({"ground_truth": None}, "", "ground_truth: is missing"),
-        ({}, "--set fit.strength=0", "fit.strength: input should be greater than 0"),
+        ({}, "--set fit.strength=0", "fit.strength: needs a number greater than 0"),
     ],
 )
 def test_what_cannot_be_learned_is_one_line(

@@ -31,10 +31,10 @@ def test_the_text_of_a_result_starts_with_the_score(result: Result) -> None:
     assert lines[0] == "quickstart: right in 87.7 % of 260 frames, detector alone 55.8 %"
     assert lines[1] == "300 frames, 4 lanes, causal; parameters: not tuned"
     assert lines[2].startswith("lane changes: 2 annotated, 2 reported; within 1 s recall 1.00")
-    assert lines[-1] == "all scores and confusion matrices: scores.json or --wide"
+    assert lines[-1] == "all scores and confusion matrices: scores.json or --format wide"
     assert len(lines) < 25
     assert max(map(len, lines)) <= 80
-    wide = result.to_text(wide=True)
+    wide = result.to_text(style="wide")
     for words in ("| accuracy ", "| support ", "2 true lane changes, 2 reported:", "of the frames"):
         assert words in wide
     assert result.to_text(style="csv").splitlines()[0] == "score,detector,model"
@@ -46,7 +46,7 @@ def test_without_ground_truth_it_has_the_lane_over_time(result: Result) -> None:
     assert text.startswith("quickstart: lane 4 from 0:00")
     assert "most probable at the end: lane " in text
     assert "; no ground truth, no scores" in text
-    assert "--wide" not in text
+    assert "--format wide" not in text
 
 
 def event_frame(n: int) -> pd.DataFrame:
@@ -87,16 +87,16 @@ def test_a_table_of_runs_and_a_comparison_have_a_row_each(tmp_path: object) -> N
     )
     keys = {"simulate": "quickstart", "frames": [0, 400]}
     summary = run_table(table_inputs(simulated(recording=keys), rows), str(tmp_path))
-    text = runs_text(summary, "markdown", True)
+    text = runs_text(summary, "wide")
     assert text.startswith("| name | driver |")
     assert "sigma1" in text, "the reason of the failure"
-    assert len(runs_text(summary, "csv", True).splitlines()) == 4
+    assert len(runs_text(summary, "csv").splitlines()) == 4
     compared = compare(f"{tmp_path}", of="tag.driver", detector=True)
-    text = comparison_text(compared, "markdown", False)
+    text = comparison_text(compared, "markdown")
     for words in ("| accuracy ", "| F1 ", "| log-loss ", "| detector alone ", "lane changes"):
         assert words in text
     assert max(map(len, text.splitlines())) <= 80
-    header = comparison_text(compared, "csv", False).splitlines()[0]
+    header = comparison_text(compared, "csv").splitlines()[0]
     assert header.startswith("tag.driver,recordings,accuracy,accuracy_low,accuracy_high,")
 
 

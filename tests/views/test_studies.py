@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,9 +14,11 @@ from egolane_pgm.studies.study import Study, block_folds, run_study
 from egolane_pgm.types import InputError
 from egolane_pgm.views.studies import (
     draw_study,
+    front_figure,
     history_figure,
-    importances,
+    pareto_front,
     profile_figure,
+    profile_table,
     read_trials,
 )
 from tests.kits.drives import simulated
@@ -56,11 +59,17 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     np.testing.assert_array_equal(best.get_ydata(), trials["score"].cummax())
     assert study.held_out is not None
     assert set(np.asarray(lines[-1].get_ydata())) == {study.held_out.scores["model"]["accuracy"]}
-    panels = profile_figure(trials, document, "").axes
-    found = importances(trials, document["settings"])
-    assert [ax.get_xlabel() for ax in panels] == [
-        f"{k} ({100 * v:.0f} %)" for k, v in found.items()
-    ]
+    columns = {"value": [0.3, 0.6], "score": [0.5, 0.99], "difference": [0.49, 0.0]}
+    columns |= {"low": [0.2, 0.0], "high": [0.7, 0.0], "is_ruled_out": [True, False]}
+    profile = pd.DataFrame({"parameter": "sigma1", **columns})
+    panels = profile_figure(trials, document, "", profile).axes
+    assert [ax.get_xlabel() for ax in panels] == list(document["settings"]["searched"])
+    [line] = [each for each in panels[1].lines if "searched again" in str(each.get_label())]
+    assert np.asarray(line.get_ydata()).tolist() == [0.5, 0.99]
+    assert panels[1].get_ylim()[1] > 0.99
+    band = panels[1].collections[0].get_paths()[0].get_extents()
+    assert (band.ymin, band.ymax) == pytest.approx((0.99 - 0.7, 0.99))
+    assert not panels[0].collections
 
 
 @pytest.mark.parametrize(
@@ -74,16 +83,44 @@ def test_the_held_out_score_of_lane_changes_is_drawn(score: str, delay: dict[str
     assert set(np.asarray(line.get_ydata())) == set(delay.values())
 
 
-def test_the_parameter_that_decides_the_score_is_the_most_important_one() -> None:
-    rng = np.random.default_rng(0)
-    x, y = rng.random((2, 300))
-    trials = pd.DataFrame({"score": (1 - np.abs(x - 0.3)).round(2), "y": y, "x": x})
-    settings = {"objectives": ["accuracy"], "searched": {"y": [0.0, 1.0], "x": [0.0, 1.0]}}
-    found = importances(trials, settings)
-    assert next(iter(found)) == "x"
-    assert found["x"] > 0.8
-    assert importances(trials.assign(score=0.5), settings) == {}
-    assert importances(trials.head(2), settings) == {}
+def test_a_pareto_front_is_printed_and_drawn(tmp_path: Path) -> None:
+    """Against a plain loop; the table has the best in each objective and at most ten rows."""
+    objectives = ["accuracy", "false_switches_per_minute"]
+    keys = {"recording": {"simulate": "quickstart", "frames": [0, 400]}}
+    fit = {"objective": objectives, "trials": 60, "sampler": "random"}
+    drives = open_input(simulated(fit=fit, **keys)).drives()
+    found = run_study(drives, "tune", [], directory=tmp_path)
+    values = found.trials[objectives].to_numpy() * [1, -1]
+    beaten = [any((a >= b).all() and (a > b).any() for a in values) for b in values]
+    front = pareto_front(found.trials, objectives)
+    assert set(front["number"]) == set(np.flatnonzero(~np.array(beaten)))
+    assert found.trials.loc[front["number"].iloc[0], "accuracy"] == values[:, 0].max()
+    rows = found.to_text().split("Pareto front")[1].split("\n\n")[1].splitlines()[2:]
+    assert 2 <= len(rows) <= 10
+    assert f"{-values[:, 1].max():.3f}" in "".join(rows)
+    files = draw_study(tmp_path, style="svg")
+    assert [file.name for file in files] == ["history.svg", "profile.svg", "front.svg"]
+    document, trials = read_trials(tmp_path)
+    [ax] = front_figure(trials, document, "").axes
+    assert np.asarray(ax.lines[1].get_xdata()).tolist() == front["accuracy"].tolist()
+    for axis, name in zip((ax.get_xlim(), ax.get_ylim()), objectives, strict=True):
+        assert front[name].between(*axis).all()
+
+
+@pytest.mark.parametrize(
+    ("low", "out", "words"),
+    [
+        ([0.0, 0.0, 0.0], [False] * 3, "any value"),
+        ([None] * 3, [False] * 3, "unknown: too few frames"),
+        ([0.1, 0.0, 0.1], [True, False, True], "0.200 to 0.200"),
+        ([0.0, 0.0, 0.1], [False, False, True], "at most 0.200"),
+        ([0.1, 0.0, 0.0], [True, False, False], "at least 0.200"),
+    ],
+)
+def test_a_profile_is_printed_in_words(low: list[Any], out: list[bool], words: str) -> None:
+    columns = {"value": [0.1, 0.2, 0.3], "difference": [1.0, 0.0, 1.0], "low": low}
+    profile = pd.DataFrame({"parameter": "p1", **columns, "is_ruled_out": out})
+    assert profile_table(profile).rows == [["p1", "0.200", words]]
 
 
 def test_a_directory_without_a_search_is_refused(tmp_path: Path, study: Study) -> None:

@@ -64,7 +64,7 @@ def test_columns_that_do_not_fit_are_named(monkeypatch: pytest.MonkeyPatch) -> N
         "and text and text and text and text and",
         "text and text and text",
     ]
-    assert page([long], wide=True) == tables.markdown(*long[:2])
+    assert page([long], style="wide") == tables.markdown(*long[:2])
 
 
 def test_a_confusion_table_has_the_totals() -> None:

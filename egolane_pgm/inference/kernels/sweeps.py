@@ -108,19 +108,23 @@ def fixed_lag_frames(
     likelihood: FloatArray,
     transition: FloatArray,
     index: IntArray,
+    begins: BoolArray,
     smoothed: FloatArray,
 ) -> None:
     """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
     n_frames, n_states = filtered.shape
     ahead, weight, onward = np.ones(n_states), np.empty(n_states), np.empty(n_states)
     nothing = np.empty((0, 0))
-    for t in range(n_frames):
+    stop = n_frames
+    for t in range(n_frames - 1, -1, -1):
         for s in range(n_states):
             ahead[s] = 1.0
-        for k in range(min(t + lag, n_frames - 1), t, -1):
+        for k in range(min(t + lag, stop - 1), t, -1):
             into = transition[index[k]]
             _look_back(filtered[k - 1], into, likelihood[k], ahead, weight, onward, nothing)
         _combine(filtered[t], ahead, smoothed[t])
+        if begins[t]:
+            stop = t
 
 
 @kernel()
