@@ -104,8 +104,8 @@ def edges() -> None:
     forms = dict.fromkeys(found, 0) | dict.fromkeys([*ROADS, "BIC", *names], "+.3f")
     parts = [
         "# Which edge helps\n\nMade by `make graphs`; [how](README.md#how).",
-        page([table(found, forms)], wide=True),
-        page([table(gained[n:], forms)], wide=True),
+        page([table(found, forms)], style="wide"),
+        page([table(gained[n:], forms)], style="wide"),
         "\n".join(f"- {n}: {spelled(s, there)}." for n, s in zip(names, best, strict=True)),
     ]
     write_text(PAGES / "edges.md", "\n\n".join(parts) + "\n")
@@ -162,7 +162,7 @@ def checks() -> None:
         found = pd.DataFrame(means).T.dropna(axis=1).rename_axis("graph")
         found.columns = [f"{name}: {of}" for name, of in found]
         digits = {name: 0 if "hour" in name else 2 for name in found}
-        parts += [f"## {road}, mean of five runs", page([table(found, digits)], wide=True)]
+        parts += [f"## {road}, mean of five runs", page([table(found, digits)], style="wide")]
     write_text(PAGES / "checks.md", "\n\n".join(parts) + "\n")
 
 
