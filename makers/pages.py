@@ -55,7 +55,7 @@ def compared(
     each = ego.compare(folders, of="folder", by="name", detector=detector)
     order = each.index.get_level_values("folder").unique()
     table_of_each = page([table(each["accuracy"].unstack()[order])], style="wide")
-    parts = [heading, compare.text(found, "markdown", True), "Accuracy on each recording:"]
+    parts = [heading, compare.text(found, "wide"), "Accuracy on each recording:"]
     return "\n\n".join([*parts, table_of_each])
 
 
