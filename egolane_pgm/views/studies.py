@@ -198,10 +198,7 @@ def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str
     """Draw the score of each trial, the best so far, and the held-out score."""
     score, sign = _score(document)
     best = sign * (sign * trials["score"]).cummax()
-    scores = (document["held_out"] or {}).get("model") or {}
-    delay = scores.get("delay") or {}
-    of_changes = {"delay": delay.get("median_frames"), "share_missed": delay.get("share_missed")}
-    held_out = {**scores, **of_changes}.get(score)
+    held_out = ((document["held_out"] or {}).get("model") or {}).get(score)
     figure = new_figure(8, 3.2, title)
     ax = figure.subplots()
     ax.plot(trials["number"], trials["score"], ".", ms=4, color=_DOTS, label="trial")

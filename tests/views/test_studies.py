@@ -72,17 +72,6 @@ def test_a_study_is_drawn_from_its_directory(study: Study, tmp_path: Path) -> No
     assert not panels[0].collections
 
 
-@pytest.mark.parametrize(
-    ("score", "delay"), [("delay", {"median_frames": 4}), ("share_missed", {"share_missed": 0.5})]
-)
-def test_the_held_out_score_of_lane_changes_is_drawn(score: str, delay: dict[str, float]) -> None:
-    trials = pd.DataFrame({"number": range(3), "score": [1.0, 2.0, 3.0]})
-    held_out = {"model": {"delay": delay}}
-    document = {"settings": {"objectives": [score]}, "held_out": held_out}
-    line = history_figure(trials, document, "").axes[0].lines[-1]
-    assert set(np.asarray(line.get_ydata())) == set(delay.values())
-
-
 def test_a_pareto_front_is_printed_and_drawn(tmp_path: Path) -> None:
     """Against a plain loop; the table has the best in each objective and at most ten rows."""
     objectives = ["accuracy", "false_switches_per_minute"]
