@@ -402,11 +402,7 @@ def score(frames: pd.DataFrame, frame_rate: float, lag: int | None = None) -> di
             if "drive" in rows:
                 drives = [(part[column], truth_of(part)) for _, part in by_drive(rows)]
                 scores[side] |= stability_scores(drives, frame_rate)
-    column = "line_crossing_probability"
-    reported = [
-        Reported(events[name], truth_of(part), part[column].to_numpy() if column in part else None)
-        for name, part in by_drive(kept)
-    ]
+    reported = [Reported(events[name], truth_of(part)) for name, part in by_drive(kept)]
     scores["events"] = score_events(reported, frame_rate)
     return scores
 

@@ -142,7 +142,7 @@ def _ratio(numerator: IntArray, denominator: IntArray) -> FloatArray:
 
 
 def is_maximised(score: str) -> bool:
-    """Whether larger is better: for `SCORES` and `log_evidence`, not for `log_loss`, `delay`."""
+    """Whether larger is better: for `SCORES` and `log_evidence`, not for other scores."""
     return score in (*SCORES, "log_evidence")
 
 

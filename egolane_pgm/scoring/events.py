@@ -29,18 +29,10 @@ Scores of reported lane changes (events):
   negative if reported earlier.
 - **False**: an event without a match. Only events in annotated frames between the first and the
   last non-crossing one can be false.
-
-Scores of the line crossing probability:
-
-- **Warning**: successive rows with a probability of at least WARNED. A change is warned of if a
-  warning is on in one of its rows, from `begin` to before `end`; its **lead** is the time from the
-  first row of the first such warning to the row in which the label changes. A warning is false if
-  no crossing row is less than the largest tolerance from it.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -48,16 +40,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray, runs_of
+from egolane_pgm.types import UNASSIGNED, BoolArray, FloatArray, IntArray
 
 #: The new lane counts as found once it is held for this many frames.
 HELD_FRAMES = 5
 
 #: Seconds before and after a true crossing in which an event may be reported.
 TOLERANCES_S = (0.5, 1.0, 2.0)
-
-#: The line crossing probability that counts as a warning.
-WARNED = 0.5
 
 
 def lane_changes(truth: pd.DataFrame) -> pd.DataFrame:
@@ -157,12 +146,10 @@ class Reported(NamedTuple):
 
     - events: E of them, see `inference.events.lane_events`.
     - truth: K annotated frames, those that count.
-    - crossing (K,): the line crossing probability, if there is one.
     """
 
     events: pd.DataFrame
     truth: pd.DataFrame
-    crossing: FloatArray | None = None
 
 
 def match_events(
@@ -230,15 +217,14 @@ def score_events(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any
 
     Keys: `changes` (true ones), `detected` (events that can be right or false), `hours` (of
     annotated frames), `within` (for each tolerance, by its seconds, "0.5": `right`, `false`,
-    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}, `crossing` (see
-    `score_crossing`; None without a probability).
+    `missed`, `precision`, `recall`, `false_per_hour`), `delay_s` {`median`, `p90`}.
     """
-    changes = sum(len(lane_changes(truth)) for _, truth, _ in drives)
-    hours = sum(len(truth) for _, truth, _ in drives) / frame_rate / 3600
+    changes = sum(len(lane_changes(truth)) for _, truth in drives)
+    hours = sum(len(truth) for _, truth in drives) / frame_rate / 3600
     within: dict[str, dict[str, Any]] = {}
     for tolerance in TOLERANCES_S:
         right, false = 0, 0
-        for events, truth, _ in drives:
+        for events, truth in drives:
             is_right = match_events(events, truth, frame_rate, tolerance) >= 0
             right += int(is_right.sum())
             false += int((is_judged(events, truth) & ~is_right).sum())
@@ -250,64 +236,14 @@ def score_events(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any
             "recall": _ratio(right, changes),
             "false_per_hour": _ratio(false, hours),
         }
-    delay = np.concatenate([event_delays(events, truth, frame_rate) for events, truth, _ in drives])
-    has_crossing = all(each.crossing is not None for each in drives)
+    delay = np.concatenate([event_delays(events, truth, frame_rate) for events, truth in drives])
     return {
         "changes": changes,
         "detected": right + false,
         "hours": hours,
         "within": within,
         "delay_s": {"median": _percentile(delay, 50), "p90": _percentile(delay, 90)},
-        "crossing": score_crossing(drives, frame_rate) if has_crossing else None,
     }
-
-
-# --- early warnings ------------------------------------------------------------------------------
-
-
-def score_crossing(drives: Sequence[Reported], frame_rate: float) -> dict[str, Any]:
-    """The scores of the line crossing probability as early warning; None if undefined.
-
-    Keys: `changes` (true ones), `warned` (how many of them), `lead_s` (median), `false_per_hour`.
-    """
-    reach = max(TOLERANCES_S) * frame_rate
-    false, leads = 0, []
-    for _, truth, crossing in drives:
-        ids, is_crossing = truth.index.to_numpy(), truth["is_crossing"].to_numpy()
-        runs = runs_of(np.asarray(crossing) >= WARNED)
-        begin, end = np.array(runs, dtype=np.int64).reshape(-1, 2).T
-        end = end - 1
-        leads.append(_leads(begin, end, truth) / frame_rate)
-        # The nearest crossing frame at or after the warning's first row, and the last before it.
-        after = np.searchsorted(ids[is_crossing], ids[begin])
-        padded = np.concatenate([[-math.inf], ids[is_crossing], [math.inf]])
-        is_far = (padded[after + 1] - ids[end] >= reach) & (ids[begin] - padded[after] >= reach)
-        false += int(is_far.sum())
-    lead = np.concatenate(leads)
-    frames = sum(len(each.truth) for each in drives)
-    return {
-        "changes": len(lead),
-        "warned": int(np.count_nonzero(~np.isnan(lead))),
-        "lead_s": _percentile(lead, 50),
-        "false_per_hour": _ratio(false, frames / frame_rate / 3600),
-    }
-
-
-def _leads(begin: IntArray, end: IntArray, truth: pd.DataFrame) -> FloatArray:
-    """(C,): frames from the first warning of each change to its label; NaN without a warning.
-
-    - begin, end: the first and the last rows of the warnings, in order.
-    """
-    changes, ids = lane_changes(truth), truth.index.to_numpy()
-    actual = truth["true_lane"].to_numpy()
-    lead = np.full(len(changes), np.nan)
-    for c, change in enumerate(changes.itertuples()):
-        start, stop = change.start, change.end
-        label = start + int(np.argmax(actual[start : stop + 1] == change.to_lane))
-        first = int(np.searchsorted(end, start))
-        if first < len(begin) and begin[first] < max(stop, start + 1):
-            lead[c] = ids[label] - ids[begin[first]]
-    return lead
 
 
 def _ratio(count: float, of: float) -> float | None:

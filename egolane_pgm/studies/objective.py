@@ -44,14 +44,12 @@ BELIEF_SCORES = (
     "brier",
     "expected_calibration_error",
     "false_switches_per_minute",
-    "delay",
-    "share_missed",
 )
 
 #: The prefix of a detector's parameters in a search.
 PREFIX = f"{DETECTOR}."
 
-#: The value of an undefined score, such as the delay if no lane change was followed.
+#: The value of an undefined score.
 UNDEFINED = 1e6
 
 
@@ -93,8 +91,7 @@ def beliefs_at(drive: Drive) -> Callable[[Mapping[str, Value]], Beliefs]:
     """A function of all parameters: the beliefs in the K annotated frames.
 
     The last evidences are cached, since most trials change only the graph, and `bonus_value`, which
-    is searched, has 10 values. Parameters of the
-    detector make it process all pictures again.
+    is searched, has 10 values. Parameters of the detector make it process all pictures again.
     """
     names = [spec.name for spec in getattr(drive.model.rule, "PARAMETERS", ())]
 
@@ -128,8 +125,7 @@ def score_of(
 ) -> float:
     """Score a parameter set: the mean over the drives, equal weight each.
 
-    Drives with an undefined score are left out, such as drives without a lane change for the delay;
-    a score that no drive defines is `UNDEFINED`.
+    Drives with an undefined score are left out; a score that no drive defines is `UNDEFINED`.
 
     - beliefs: per drive, of K frames.
     - is_used: per drive (K,), marks the annotated frames that count.
@@ -169,8 +165,7 @@ def frame_values(drive: Drive, beliefs: Beliefs, name: str) -> FloatArray:
 def drive_score(drive: Drive, beliefs: Beliefs, is_used: BoolArray, name: str) -> float:
     """One score of the beliefs of a drive over the frames that are used (K,).
 
-    Scores over time count the pairs of neighbouring frames, and the lane changes, whose frames
-    are all used. NaN without any; `UNDEFINED`, a large number, if no change is followed.
+    False switches count the pairs of neighbouring frames that are both used. NaN without any.
     """
     rows = drive.rows
     if name in FRAME_MEANS:
@@ -186,9 +181,5 @@ def drive_score(drive: Drive, beliefs: Beliefs, is_used: BoolArray, name: str) -
     assigned = assigned_lane(belief, drive.experiment.min_confidence)
     truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
     rate = drive.experiment.recording.frame_rate
-    found = stability_scores([(assigned, truth)], rate, [is_used])
-    delay = found["delay"]
-    if name == "delay" and delay["changes"] and delay["median_frames"] is None:
-        return UNDEFINED
-    value = {**found, "delay": delay["median_frames"], **delay}[name]
+    value = stability_scores([(assigned, truth)], rate, [is_used])[name]
     return float("nan") if value is None else float(value)

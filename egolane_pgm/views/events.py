@@ -69,11 +69,4 @@ def event_lines(scores: Mapping[str, Any]) -> list[str]:
         )
     median, p90 = (cell(scores["delay_s"][key], "+.1f") for key in ("median", "p90"))
     lines.append(f"  delay from the end of the crossing: {median} s (median), {p90} s (90 %)")
-    warning = scores["crossing"]
-    if warning is not None:
-        lines.append(
-            f"line crossing: {warning['warned']} of {warning['changes']} changes with a warning,"
-            f" {cell(warning['lead_s'], 1)} s (median) before the label changes,"
-            f" {cell(warning['false_per_hour'], 1)} false warnings per hour"
-        )
     return lines

@@ -36,6 +36,9 @@ if TYPE_CHECKING:
     from egolane_pgm.studies.explore import Exploration
     from egolane_pgm.studies.study import Study
 
+#: Importances of fewer trials would be mostly chance.
+FEWEST = 20
+
 _DOTS = "#8aa9c0"
 
 
@@ -194,14 +197,38 @@ def read_trials(directory: Path) -> tuple[dict[str, Any], pd.DataFrame]:
     return document, trials.sort_values("number", ignore_index=True)
 
 
+def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, float]:
+    """Importance of each parameter for reaching the best tenth of the trials (PED-ANOVA).
+
+    The most important one is first. Empty for too few trials, and if all have one score.
+    """
+    if len(trials) < FEWEST or np.ptp(trials["score"]) == 0:
+        return {}
+    import optuna
+
+    from egolane_pgm.studies.search import quiet
+
+    space: dict[str, Any] = {
+        name: optuna.distributions.CategoricalDistribution(ends)
+        if isinstance(ends[0], str)
+        else optuna.distributions.FloatDistribution(*ends)
+        for name, ends in settings["searched"].items()
+    }
+    with quiet():
+        is_up = is_maximised(settings["objectives"][0])
+        study = optuna.create_study(direction="maximize" if is_up else "minimize")
+        for row in trials.to_dict("records"):
+            given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
+            study.add_trial(optuna.trial.create_trial(distributions=space, **given))
+        evaluator = optuna.importance.PedAnovaImportanceEvaluator()
+        return optuna.importance.get_param_importances(study, evaluator=evaluator)
+
+
 def history_figure(trials: pd.DataFrame, document: Mapping[str, Any], title: str) -> Figure:
     """Draw the score of each trial, the best so far, and the held-out score."""
     score, sign = _score(document)
     best = sign * (sign * trials["score"]).cummax()
-    scores = (document["held_out"] or {}).get("model") or {}
-    delay = scores.get("delay") or {}
-    of_changes = {"delay": delay.get("median_frames"), "share_missed": delay.get("share_missed")}
-    held_out = {**scores, **of_changes}.get(score)
+    held_out = ((document["held_out"] or {}).get("model") or {}).get(score)
     figure = new_figure(8, 3.2, title)
     ax = figure.subplots()
     ax.plot(trials["number"], trials["score"], ".", ms=4, color=_DOTS, label="trial")
@@ -227,7 +254,8 @@ def profile_figure(
       are shaded.
     """
     score, sign = _score(document)
-    names = list(document["settings"]["searched"])
+    importance = importances(trials, document["settings"])
+    names = list(dict.fromkeys([*importance, *document["settings"]["searched"]]))
     best = trials.loc[(sign * trials["score"]).idxmax()]
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
@@ -257,11 +285,14 @@ def profile_figure(
             ax.plot(found["value"], found["score"], lw=1.2, **look)
             ax.fill_between(found["value"], *ends, color=MODEL_COLOUR, alpha=0.25, lw=0)
             ax.axvspan(kept.min(), kept.max(), color=FAINT, alpha=0.4, lw=0, label="not ruled out")
-        ax.set(xlabel=name, ylim=(low, high))
+        share = f" ({100 * importance.get(name, 0):.0f} %)" if importance else ""
+        ax.set(xlabel=f"{name}{share}", ylim=(low, high))
     for ax in axes[:, 0]:
         ax.set_ylabel(f"{score.replace('_', ' ')} (in-sample)")
     entries = max((ax.get_legend_handles_labels() for ax in figure.axes), key=lambda e: len(e[1]))
-    figure.legend(*entries, loc="outside lower left", ncols=3)
+    note = "in brackets: importance for reaching the best tenth of the trials (PED-ANOVA)"
+    place: Any = {"loc": "outside lower left", "ncols": 3, "alignment": "left"}
+    figure.legend(*entries, title=note if importance else None, **place)
     return figure
 
 

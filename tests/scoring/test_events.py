@@ -16,7 +16,6 @@ from egolane_pgm.scoring.events import (
     event_delays,
     lane_changes,
     match_events,
-    score_crossing,
     score_events,
 )
 from egolane_pgm.types import lane_truth
@@ -86,12 +85,11 @@ def test_the_delay_is_counted_from_the_end_of_the_crossing() -> None:
 def test_several_drives_are_scored_as_one_with_their_counts_added() -> None:
     other = truth_of("2" * 50, "." * 50)
     drives = [
-        Reported(events_at((110, 1, 2)), ONE, np.linspace(0, 1, 200)),
-        Reported(events_at((10, 2, 1)), other, np.zeros(50)),
+        Reported(events_at((110, 1, 2)), ONE),
+        Reported(events_at((10, 2, 1)), other),
     ]
     both, alone = score_events(drives, 10.0), score_events(drives[:1], 10.0)
     assert both["delay_s"] == alone["delay_s"]
-    assert both["crossing"]["lead_s"] == alone["crossing"]["lead_s"]
     assert both["hours"] == pytest.approx(250 / 10 / 3600)
     found = both["within"]["1"]
     assert (found["right"], found["false"], found["missed"]) == (1, 1, 0)
@@ -195,45 +193,3 @@ def test_no_other_matching_has_more_pairs(
     pairs = [(e, c) for e, c in enumerate(found.tolist()) if c >= 0]
     assert all(fits[e][c] for e, c in pairs)
     assert len({c for _, c in pairs}) == len(pairs) == most_pairs(fits)
-
-
-# --- early warning -------------------------------------------------------------------------------
-
-
-def warned(truth: pd.DataFrame, *frames: int) -> dict[str, Any]:
-    crossing = np.zeros(len(truth))
-    crossing[list(frames)] = 0.5
-    return score_crossing([Reported(events_at(), truth, crossing)], 10.0)
-
-
-def test_the_lead_is_from_the_beginning_of_the_warning_to_the_change_of_the_label() -> None:
-    found = warned(ONE, *range(96, 118))
-    assert found["lead_s"] == pytest.approx(1.4)
-    assert (found["changes"], found["warned"]) == (1, 1)
-    assert found["false_per_hour"] == 0
-    # The first of two warnings counts, and one that comes after the label has a lead below zero.
-    assert warned(ONE, 104, 108)["lead_s"] == pytest.approx(0.6)
-    assert warned(ONE, 115)["lead_s"] == pytest.approx(-0.5)
-
-
-def test_a_change_that_is_not_warned_of_has_no_lead() -> None:
-    found = warned(ONE, 90, 99, 120)
-    assert (found["warned"], found["lead_s"]) == (0, None)
-    # All of them are near the crossing, and none of them is false.
-    assert found["false_per_hour"] == 0
-
-
-@pytest.mark.parametrize(
-    ("frames", "false"),
-    [([80], 1), ([81], 0), ([138], 0), ([139], 1), (range(60, 140), 0), ([10, 11, 20], 2)],
-)
-def test_a_warning_is_false_where_no_crossing_is_near(frames: Any, false: int) -> None:
-    hours = len(ONE) / 10 / 3600
-    assert warned(ONE, *frames)["false_per_hour"] == pytest.approx(false / hours)
-
-
-def test_a_change_without_crossing_frames_is_warned_of_in_its_first_row() -> None:
-    truth = truth_of("1" * 10 + "2" * 10, "." * 20)
-    assert warned(truth, 10)["warned"] == 1
-    assert warned(truth, 9)["warned"] == warned(truth, 11)["warned"] == 0
-    assert warned(truth, 8, 9, 10)["lead_s"] == pytest.approx(0.2)

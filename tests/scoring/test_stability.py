@@ -20,7 +20,6 @@ from egolane_pgm.scoring.events import (
     answer_delays,
     false_switches,
     lane_changes,
-    score_crossing,
     score_events,
     stability_scores,
 )
@@ -257,9 +256,8 @@ def test_sure_beliefs_have_plain_scores(n_lanes: int, n_frames: int, seed: int) 
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         scores = score_all(lane, truth, 10.0)
-        reported = Reported(lane_events(beliefs, 10.0), truth, rng.choice(SHARES, n_frames))
+        reported = Reported(lane_events(beliefs, 10.0), truth)
         events = score_events([reported], 10.0)
-        warned = score_crossing([reported], 10.0)
     # Neither NaN nor infinity.
-    json.dumps([scores, events, warned], allow_nan=False)
+    json.dumps([scores, events], allow_nan=False)
     assert 0 <= scores["log_loss"] <= -np.log(SMALLEST_PROBABILITY)

@@ -14,18 +14,16 @@ from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.loading import load_experiment
 from egolane_pgm.model import make_evidence
-from egolane_pgm.scoring.events import lane_changes
 from egolane_pgm.studies import objective
 from egolane_pgm.studies.fits import search_space
 from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.space import to_parameters
 from egolane_pgm.studies.study import run_study
-from egolane_pgm.types import Beliefs, InputError, lane_truth
+from egolane_pgm.types import Beliefs, InputError
 from tests.kits.drives import run
 from tests.kits.studies import drive_of, fitting, points_at, scrambled
 
 NAMES = ("accuracy", "f1", "precision", "recall", "coverage")
-OF_CHANGES = ("delay", "share_missed")
 
 
 @cache
@@ -60,19 +58,15 @@ def scores(drives: Sequence[Drive], used: Sequence[Any], names: Sequence[str], n
 def test_scores_are_those_of_a_run_with_the_same_parameters() -> None:
     names = (*NAMES, "log_loss", "brier", "expected_calibration_error", "false_switches_per_minute")
     found = scores([quickstart()], [everything()], names, 12)
-    of_changes = scores([quickstart()], [everything()], OF_CHANGES, 12)
-    for row, delays, (parameters, _) in zip(found, of_changes, posteriors(12), strict=True):
+    for row, (parameters, _) in zip(found, posteriors(12), strict=True):
         model = run("quickstart", {"parameters": parameters}).scores["model"]
         assert row == pytest.approx([model[name] for name in names], rel=1e-9)
-        median = model["delay"]["median_frames"]
-        assert delays[0] == (objective.UNDEFINED if median is None else median)
-        assert delays[1] == pytest.approx(model["delay"]["share_missed"])
 
 
 def test_only_frames_that_are_used_count_and_labels_of_others_do_not_matter() -> None:
     drive, used = quickstart(), np.zeros(len(quickstart()), dtype=bool)
     used[200:700] = True
-    names = (*NAMES, *(n for n in objective.BELIEF_SCORES if n not in OF_CHANGES))
+    names = (*NAMES, *objective.BELIEF_SCORES)
     before = scores([drive], [used], names, 12)
     changed = scrambled(drive, np.flatnonzero(~used))
     np.testing.assert_array_equal(scores([changed], [used], names, 12), before)
@@ -129,35 +123,6 @@ def test_a_search_for_log_evidence_ends_below_the_maximum_of_em_and_needs_no_lab
     assert "bonus_value" not in tuned.fitted
     with pytest.raises(InputError, match=r"parameters.bonus_value: changes the evidence"):
         run_study([fitting(drive, parameters={"bonus_value": [0, 5]})], "tune", [])
-
-
-@pytest.mark.parametrize("pooled", [False, True])
-def test_a_drive_without_a_lane_change_has_no_part_in_their_delay(pooled: bool) -> None:
-    drive = quickstart()
-    rows = drive.rows
-    changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
-    straight = np.arange(len(drive)) < changes["start"][0]
-    for _, posterior in posteriors(5):
-
-        def found(*used: Any, posterior: Any = posterior) -> list[float]:
-            many = [drive] * len(used), [posterior] * len(used)
-            return [objective.score_of(*many, used, n, pooled=pooled) for n in OF_CHANGES]
-
-        alone = found(everything())
-        assert 0 <= alone[1] <= 1
-        assert found(everything(), straight) == pytest.approx(alone)
-        assert found(straight) == [objective.UNDEFINED] * 2
-
-
-def test_a_drive_whose_lane_changes_are_not_followed_is_no_better_than_none() -> None:
-    drive = quickstart()
-    rows = drive.rows
-    changes = lane_changes(lane_truth(rows, drive.true_lane[rows], drive.is_crossing[rows]))
-    lane = np.tile(np.eye(drive.model.n_lanes)[changes["from_lane"][0] - 1], (len(drive), 1))
-    belief = Beliefs(rows, {"Lane": lane}, np.zeros(len(rows)), np.zeros(len(rows), dtype=bool))
-    used = np.arange(len(drive)) < changes["until"][0]
-    assert objective.drive_score(drive, belief, used, "share_missed") == 1
-    assert objective.drive_score(drive, belief, used, "delay") == objective.UNDEFINED
 
 
 def test_evidence_of_a_search_is_read_as_in_a_run() -> None:
