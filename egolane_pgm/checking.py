@@ -27,9 +27,6 @@ from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 #: The bins of predicted probabilities.
 N_BINS = 10
 
-#: The statistic that the ground truth has.
-TRUE_CHANGES = "lane changes per hour"
-
 #: The interval of the draws, per cent.
 INTERVAL = (5.0, 95.0)
 
@@ -82,7 +79,7 @@ def mean_run(node: str, value: int) -> Statistic:
 def usual_statistics(result: Result) -> dict[str, Statistic]:
     """Return the statistics of any graph: lane changes per hour; and of each other hidden node with
     at most four values the share and the mean run length of all but its first value."""
-    found: dict[str, Statistic] = {TRUE_CHANGES: changes_per_hour}
+    found: dict[str, Statistic] = {"lane changes per hour": changes_per_hour}
     for node, names in result.model.compiled.values.items():
         if node in result.model.compiled.hidden and node != "Lane" and len(names) <= 4:
             for k, name in list(enumerate(names))[1:]:

@@ -21,9 +21,6 @@ from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.tools.options import several_of
 from egolane_pgm.types import InputError
 
-#: A Result, a Study, or a directory.
-ResultLike = Any
-
 #: A drive, and per score its summands in each frame (`score_counts`).
 Counts = tuple[str, Mapping[str, Any]]
 
@@ -37,7 +34,7 @@ EVENT_SCORES = {
 
 
 def compare(
-    results: ResultLike | Sequence[ResultLike],
+    results: Any,
     *,
     of: str | None = None,
     by: str | None = None,
@@ -105,7 +102,7 @@ def compare(
     return table
 
 
-def open_results(results: ResultLike | Sequence[ResultLike]) -> list[Result]:
+def open_results(results: Any) -> list[Result]:
     """Results as given, or read from directories and from the directories below a folder; of a
     Study its held-out result, or the in-sample one without folds.
 

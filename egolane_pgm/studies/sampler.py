@@ -6,11 +6,6 @@ current-to-pbest/1 with an archive and a memory of successful scale factors and 
 population is redrawn after PATIENCE generations without improvement. Every draw depends on the
 seed and the generation alone, so the state of a search follows from the seed and its finished
 trials.
-
-    import optuna
-    from egolane_pgm.studies.sampler import Shade
-
-    study = optuna.create_study(direction="maximize", sampler=Shade(0, distributions))
 """
 
 from __future__ import annotations

@@ -41,12 +41,6 @@ EXAMPLES = (
 _FILES = (".html", ".mp4", ".mcap")
 
 
-class Files(list[Path]):
-    """The files that were written, and the text of the checks."""
-
-    text = ""
-
-
 def plot(
     results: StrPath | Sequence[StrPath],
     *,
@@ -54,7 +48,7 @@ def plot(
     out: Annotated[StrPath | None, Option("DIR|FILE")] = None,
     style: Literal["png", "pdf", "svg"] = "png",
     check: bool = False,
-) -> Files:
+) -> list[Path]:
     """Draw result directories and studies; the extension of --out sets the format:
 
     \b
@@ -79,7 +73,7 @@ def plot(
     if check and (is_file or frames or any(map(is_study, places))):
         raise InputError("check: goes with figures of results, without frames")
     if out is not None and is_file:
-        return Files([_write_file(places, Path(out), frames)])
+        return [_write_file(places, Path(out), frames)]
     studies = [place for place in places if is_study(place)]
     if frames and studies:
         raise InputError("frames: goes with results; the figures of a study have no frames")
@@ -93,10 +87,9 @@ def plot(
             return place / "figures"
         return Path(out) / place.name if is_several else Path(out)
 
-    files = Files(file for place in studies for file in draw_study(place, target(place), style))
+    files = [file for place in studies for file in draw_study(place, target(place), style)]
     for result in found if check else ():
-        text, makes = _checked(result)
-        files.text += f"{text}\n\n"
+        makes = _checked(result)
         files += write_figures(makes, target(Path(str(result.directory))), style)
     for result in found if not check else ():
         makes = {"strips": partial(result_strips, result, *(frames or ()))}
@@ -113,14 +106,15 @@ def plot(
     return files
 
 
-def _checked(result: Result) -> tuple[str, dict[str, Callable[[], Figure]]]:
-    """The text and the figures of the checks of a result."""
+def _checked(result: Result) -> dict[str, Callable[[], Figure]]:
+    """Print the checks of a result; return their figures."""
     found, title = (check_model(result), prediction_calibration(result)), title_of(result)
-    makes = {"check": partial(check_figure, *found, title)}
+    print(check_text(result, *found), end="\n\n")
+    makes: dict[str, Callable[[], Figure]] = {"check": partial(check_figure, *found, title)}
     numbers = sensitivity(result)
     if len(numbers):
         makes["sensitivity"] = partial(sensitivity_figure, numbers, title)
-    return check_text(result, *found), {**makes}
+    return makes
 
 
 def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | None) -> Path:
@@ -144,6 +138,6 @@ def _write_file(places: Sequence[Path], file: Path, frames: tuple[int, int] | No
     return file
 
 
-def summary(done: Files, given: Mapping[str, Any]) -> str:
-    """The text of the checks and the files."""
-    return done.text + "\n".join(map(str, done))
+def summary(done: list[Path], given: Mapping[str, Any]) -> str:
+    """The files."""
+    return "\n".join(map(str, done))

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from egolane_pgm.checking import INTERVAL, TRUE_CHANGES
+from egolane_pgm.checking import INTERVAL
 from egolane_pgm.result import Result
 from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.style import CROSSING, FAINT, INK, new_figure
@@ -38,8 +38,8 @@ def check_text(result: Result, found: pd.DataFrame, calibration: pd.DataFrame) -
     - found, calibration: as `check` and `prediction_calibration` return them.
     """
     parts: list[str | Table] = [f"{title_of(result)}: does the model look like the data?"]
-    if found["truth"].notna().any():
-        parts.append(f"ground truth: {found['truth'][TRUE_CHANGES]:.0f} {TRUE_CHANGES}")
+    for name, value in found["truth"].dropna().items():
+        parts.append(f"ground truth: {value:.0f} {name}")
     if impossible := result.scores.get("impossible_frames"):
         parts.append(f"the model does not allow {impossible} frame(s); their evidence is ignored")
     shown = found.drop(columns=["truth", "probability"]).rename_axis("statistic")

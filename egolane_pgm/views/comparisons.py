@@ -9,7 +9,7 @@ from matplotlib.ticker import NullLocator
 
 from egolane_pgm.types import InputError
 from egolane_pgm.views.style import FAINT, INK, MODEL_COLOUR, new_figure
-from egolane_pgm.views.tables import TUNED_ON_SHORT, Table, page, table
+from egolane_pgm.views.tables import LOG_EVIDENCE, TUNED_ON_SHORT, Table, page, table
 
 #: The scores of a comparison, and their names.
 _SCORES = {
@@ -22,13 +22,6 @@ _SCORES = {
 LEGEND = (
     "Means over the recordings, with 95 % intervals (block bootstrap); differences to the first"
     " row, with paired intervals. Frames of untrusted labels are left out."
-)
-
-#: What log evidence and BIC judge.
-JUDGES = (
-    "Log evidence (nats per frame) and BIC (nats, larger is better) judge how well a model"
-    " describes the lines, not the lane: on the paper's recordings they ranked models nearly"
-    " opposite to held-out lanes."
 )
 
 #: Ticks of the axis; accuracies above the last are drawn there.
@@ -56,7 +49,8 @@ def comparison_text(found: pd.DataFrame, style: str) -> str:
         parts.append(table(renamed, {f"{name}_difference": "+.3f"}))
     if "log_evidence" in found:
         sizes = found.reindex(columns=["free_parameters", "bic"]).rename(columns={"bic": "BIC"})
-        parts += [table(sizes, {"free_parameters": "g", "BIC": 1}), JUDGES]
+        parts.append(table(sizes, {"free_parameters": "g", "BIC": 1}))
+        parts.append(f"In nats; larger is better. {LOG_EVIDENCE}")
     parts.append(found.attrs.get("log_evidence", ""))
     events = found.filter(regex="^event_").dropna(how="all")
     if len(events.columns) and len(events):

@@ -24,8 +24,8 @@ TUNED_ON_SHORT = {key: words.split(" (")[0] for key, words in TUNED_ON.items()}
 
 #: The meaning of log evidence, printed next to it.
 LOG_EVIDENCE = (
-    "log evidence judges how well a model describes the lines; on the paper's recordings it ranked"
-    " models nearly opposite to held-out lanes"
+    "Log evidence and BIC judge how well a model describes the lines; on the paper's recordings"
+    " they ranked models nearly opposite to held-out lanes."
 )
 
 #: The scores of a result: the name in a table by the key in scores.json.

@@ -36,7 +36,6 @@ def compiled(name: str, n_lanes: int, given: Parameters) -> Compiled:
         ("sensor_dynamics", "sensor_failure", {"sigma1_bad": "sigma1"}),
         ("wor_on_lane", "sensor_failure", {}),
         ("autoregressive", "sensor_failure", {"p_repeat_ok": 0.0, "p_repeat_bad": 0.0}),
-        ("failure_duration", "sensor_failure", {"failure_phases": 1}),
     ],
 )
 def test_a_variant_with_these_parameters_is_the_graph_that_it_extends(
@@ -61,20 +60,3 @@ def assert_filtered_alike(ours: Compiled, right: Compiled, rng: np.random.Genera
         found, expected = (filter_beliefs(each, evidence, method) for each in (ours, right))
         shared = {name: found.marginals[name] for name in expected.marginals}
         assert_same_beliefs(replace(found, marginals=shared), expected, 1e-12)
-
-
-@pytest.mark.parametrize(("p2", "mean"), [(0.9, 10), (0.99, 100), (0.5, 3)])
-def test_a_failure_of_three_phases_keeps_its_mean_duration(p2: float, mean: float) -> None:
-    """A failure that begins lasts 1 / (1 - p2) frames on average, but a frame for each phase at
-    least; its variance is that of three durations of a third each."""
-    module = graph("failure_duration")
-    parameters = resolve_parameters(module.PARAMETERS, {"p2": p2}, 3)
-    moves = {t.node: t.values for t in module.tables(3, parameters)}["Phase", 1]
-    phases, longer_than = np.array([1.0, 0.0, 0.0]), []
-    for _ in range(5000):
-        longer_than.append(phases.sum())
-        phases = phases @ moves[1:, 1:]
-    first = np.sum(longer_than)
-    second = np.sum((2 * np.arange(5000) + 1) * longer_than)
-    assert first == pytest.approx(mean)
-    assert second - first**2 == pytest.approx(3 * (mean / 3) * (mean / 3 - 1), abs=1e-6)
