@@ -43,7 +43,7 @@ EDGES = [
 ROADS = {"Italy": slice(0, 5), "Spain": slice(5, 10), "ten runs": slice(0, 10)}
 
 #: Graphs whose predictions are checked.
-CHECKED = ("sensor_failure", "wor_on_lane", "autoregressive", "sensor_dynamics", "failure_duration")
+CHECKED = ("sensor_failure", "wor_on_lane", "autoregressive", "sensor_dynamics", "no_wor")
 
 
 def experiment(run: int) -> Any:

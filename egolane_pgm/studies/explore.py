@@ -234,9 +234,9 @@ def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> Judged:
 
     - task: the edges of a structure, sorted, and the number of the fold.
 
-    Returns per recording the value of each test frame, larger is better, NaN in crossing frames, or
-    one BIC per frame for all; and the free numbers, the log evidence of all frames, and BIC: log
-    evidence less half the logarithm of the number of frames for each free number.
+    Returns per recording the value of each test frame, larger is better, NaN if it is crossing or
+    not trusted, or one BIC per frame for all; and the free numbers, the log evidence of all frames,
+    and BIC: log evidence less half the logarithm of the number of frames for each free number.
     """
     fold = problem.folds[task[1]]
     compiled, numbers = fitted(problem, frozenset(task[0]), fold)
@@ -258,7 +258,8 @@ def _values(judge: str, drive: Drive, beliefs: Beliefs, test: IntArray) -> Float
         values = -log_loss_per_frame(beliefs.lane[rows], true)
     elif judge == "accuracy":
         values = (assigned_lane(beliefs.lane[rows]) == true).astype(float)
-    return np.where(drive.is_crossing[rows], np.nan, values)
+    is_scored = drive.is_trusted[test] & ~drive.is_crossing[rows]
+    return np.where(is_scored, values, np.nan)
 
 
 class _Tried:

@@ -23,7 +23,7 @@ from egolane_pgm.studies.structures import Edge, parse_edge, with_structure
 from egolane_pgm.studies.study import block_folds, everything
 from tests.benchmarks.workbench import search
 from tests.kits.line_logs import line_log
-from tests.kits.studies import drive_of
+from tests.kits.studies import drive_of, fitting
 
 KEYS = {"recording.frames": [0, 300], "fit.strength": 1.0}
 DRIVE = drive_of(ego.load_experiment("quickstart", KEYS))
@@ -98,6 +98,14 @@ def test_recordings_of_one_drive_count_once_over_drives() -> None:
     of_drives = [gain["over_drives"], gain["over_drives_low"], gain["over_drives_high"]]
     np.testing.assert_allclose(of_drives, [0.25, *stats.t.interval(0.95, 1, 0.25, 0.15)])
     assert (gain["drives"], gain["numbers"]) == (2, 1)
+
+
+def test_only_frames_of_trusted_labels_outside_of_crossings_are_judged() -> None:
+    drive = fitting(DRIVE, untrusted_frames=[[40, 90]])
+    problem = make_problem([drive], block_folds([drive], 2))
+    values = np.concatenate([judged(problem, ((), k))[0][0] for k in (0, 1)])
+    is_untrusted = (drive.log.frame_id[drive.rows] >= 40) & (drive.log.frame_id[drive.rows] < 90)
+    np.testing.assert_array_equal(np.isnan(values), is_untrusted | drive.is_crossing[drive.rows])
 
 
 def test_a_gain_by_chance_ends_a_greedy_search() -> None:
