@@ -57,7 +57,7 @@ def tuned(drives: list[Drive], folds: Any = (), trials: int = 6, **options: Any)
         simulated(fit={"method": "learn", "labels": False}),
         geometry(fit={"method": "learn"}),
         simulated(fit={"method": "tune", **FEW}),
-        simulated(fit={"method": "tune", **FEW, "objective": ["log_loss", "delay"]}),
+        simulated(fit={"method": "tune", **FEW, "objective": ["log_loss", "brier"]}),
     ],
     ids=["tables", "evidence", "rule", "tune", "front"],
 )

@@ -9,11 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from egolane_pgm.experiment import FitSettings
 from egolane_pgm.maps.lane_graph import Plane
 from egolane_pgm.maps.osm import read_osm
 from egolane_pgm.maps.positions import read_positions
-from egolane_pgm.studies.search import settings_of
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.types import InputError
 from egolane_pgm.verbs.plot import plot
@@ -27,10 +25,6 @@ AT_ONCE = ("page.document", "page.timeline", "export.mcap_file")
 
 def exported(file: Path) -> None:
     plot(run(write_drive(file.parent, 20)).save(file.parent / "result"), out=file)
-
-
-def sampler(_: Path) -> None:
-    settings_of(FitSettings(objective=("f1",), sampler="cma-es"))
 
 
 def cluster(_: Path) -> None:
@@ -55,7 +49,6 @@ def position(_: Path) -> None:
         ("pyproj", "", position, "a position on a map needs pyproj|maps"),
         ("onnx", "a.onnx", lambda p: read_onnx(p, "net.yaml"), "net.yaml: {} needs onnx|vision"),
         ("distributed", "", cluster, "a cluster needs distributed|cluster"),
-        ("cmaes", "", sampler, "fit: fit.sampler: cma-es needs cmaes|cmaes"),
     ],
 )  # fmt: skip
 def test_a_package_that_is_not_installed_is_named_with_its_extra(
