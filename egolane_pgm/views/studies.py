@@ -139,16 +139,16 @@ def exploration_text(found: Exploration, style: str) -> str:
     if edges["over_drives_low"].notna().any():
         shown.append(["over_drives", "over_drives_low", "over_drives_high", "drives"])
     interval = with_interval(gain["gain"], [gain["gain_low"], gain["gain_high"]], "+.3f")
-    return page(
-        [
-            f"{len(found.structures)} graphs were fitted; {found.judge}",
-            "each edge alone [95 % interval over blocks of frames, or over drives]:",
-            *[table(edges[columns], forms) for columns in shown],
-            f"best set: {gain['changes']}\n  gain {interval}, {gain['numbers']:+} free numbers\n"
-            "  (chosen by its score on these frames, which is therefore optimistic)",
-        ],
-        style,
-    )
+    about = f"gain {interval}, {gain['numbers']:+} free numbers\n  (chosen by its score on these"
+    about += " frames, which is therefore optimistic)"
+    about = about if found.best else "no edge has a clear gain"
+    parts: list[str | Table] = [
+        f"{len(found.structures)} graphs were fitted; {found.judge}",
+        "each edge alone [95 % interval over blocks of frames, or over drives]:",
+        *[table(edges[columns], forms) for columns in shown],
+        f"best set: {gain['changes']}\n  {about}",
+    ]
+    return page(parts, style)
 
 
 # --- figures -------------------------------------------------------------------------------------
