@@ -19,7 +19,7 @@ from egolane_pgm.checking import Draws, Statistic, changes_per_hour, mean_run, s
 from egolane_pgm.paper import paper_experiment
 from egolane_pgm.runs import open_input
 from egolane_pgm.scoring.bootstrap import bootstrap_interval
-from egolane_pgm.studies.explore import _Tried, explore, make_problem
+from egolane_pgm.studies.explore import Tried, explore, make_problem
 from egolane_pgm.studies.structures import Structure, edges_of, parse_edge, spelled
 from egolane_pgm.studies.study import block_folds
 from egolane_pgm.tools.files import write_text
@@ -53,7 +53,7 @@ def experiment(run: int) -> Any:
     return ego.load_experiment(paper_experiment(run), keys)
 
 
-def searched(run: int) -> tuple[Structure, pd.Series, Structure, _Tried]:
+def searched(run: int) -> tuple[Structure, pd.Series, Structure, Tried]:
     """Search the edges of the graph on a run.
 
     Returns the best set by log-loss, the gains in BIC, the best set by BIC, and what fits more.
@@ -62,11 +62,11 @@ def searched(run: int) -> tuple[Structure, pd.Series, Structure, _Tried]:
     problem = make_problem(drives, block_folds(drives, 3))
     bic = explore(make_problem(drives, (), judge="bic"), EDGES, directory=place / "bic")
     best = explore(problem, EDGES, directory=place).best
-    tried = _Tried(problem, place, jobs=1, cluster=None)
+    tried = Tried(problem, place, jobs=1, cluster=None)
     return best, bic.edges.set_index("edge")["gain"], bic.best, tried
 
 
-def gain_of(tried: _Tried, structure: Structure) -> FloatArray:
+def gain_of(tried: Tried, structure: Structure) -> FloatArray:
     """The gain in held-out log-loss of each frame, and whether it counts (K, 2)."""
     tried([frozenset(), structure])
     (mine,), (start,) = (tried.values(each) for each in (structure, frozenset()))

@@ -262,7 +262,7 @@ def _values(judge: str, drive: Drive, beliefs: Beliefs, test: IntArray) -> Float
     return np.where(is_scored, values, np.nan)
 
 
-class _Tried:
+class Tried:
     """The structures that were tried, kept on disk if there is a directory."""
 
     def __init__(self, problem: Problem, directory: Path | None, **shared: Any) -> None:
@@ -346,12 +346,12 @@ def explore(
     for each in alone.values():
         made(problem, each)
     pruner = pruner or optuna.pruners.NopPruner()
-    several: list[_Tried] = []
+    several: list[Tried] = []
     chosen: list[Structure] = []
     for k in range(searches):
         seeded = replace(problem, seed=problem.seed + k)
         study = _study(seeded, list(alone), sampler, pruner)
-        tried = _Tried(seeded, directory, jobs=jobs, cluster=cluster)
+        tried = Tried(seeded, directory, jobs=jobs, cluster=cluster)
         tried([frozenset(), *alone.values()])
         if trials:
             _optuna(tried, list(alone), study, trials)
@@ -393,7 +393,7 @@ def explore(
     return done
 
 
-def _greedy(tried: _Tried, edges: Sequence[Edge]) -> Structure:
+def _greedy(tried: Tried, edges: Sequence[Edge]) -> Structure:
     """Change the edge that gains most, of those whose gain has an interval above zero.
 
     Without an interval, of BIC and of short recordings, the gain itself has to be above zero.
@@ -425,7 +425,7 @@ def _study(problem: Problem, edges: Sequence[Edge], sampler: Any, pruner: Any) -
     return study
 
 
-def _optuna(tried: _Tried, edges: Sequence[Edge], study: optuna.Study, trials: int) -> None:
+def _optuna(tried: Tried, edges: Sequence[Edge], study: optuna.Study, trials: int) -> None:
     """Search; prune a set of edges with which the network cannot be filtered."""
 
     def score(trial: optuna.Trial) -> float:

@@ -89,7 +89,7 @@ def test_a_pruned_set_is_not_the_answer(sampler: Any) -> None:
 
 
 def test_recordings_of_one_drive_count_once_over_drives() -> None:
-    tried, edge = module._Tried(replace(BIC, drive_ids=(0, 1, 1)), None), frozenset({REPEATS})
+    tried, edge = module.Tried(replace(BIC, drive_ids=(0, 1, 1)), None), frozenset({REPEATS})
     tried.found[frozenset(), 0] = [np.zeros(700)] * 3, {"numbers": 1}
     tried.found[edge, 0] = [np.full(700, each) for each in (0.1, 0.2, 0.6)], {"numbers": 2}
     gain = tried.gain(edge)
@@ -109,7 +109,7 @@ def test_only_frames_of_trusted_labels_outside_of_crossings_are_judged() -> None
 
 
 def test_a_gain_by_chance_ends_a_greedy_search() -> None:
-    tried, (clear, other) = module._Tried(BIC, None), ADDED
+    tried, (clear, other) = module.Tried(BIC, None), ADDED
     chance = np.random.default_rng(1).normal(0.01, 1, 3000)
     assert 0 < chance.mean() < 0.1
     gains = {frozenset[Edge](): 0.0, frozenset({clear}): 0.1, frozenset({other}): chance}
