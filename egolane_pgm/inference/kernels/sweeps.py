@@ -9,69 +9,8 @@ from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import BoolArray, FloatArray, IntArray
 
 
-@kernel(fastmath={"reassoc", "contract"})
-def _look_ahead(
-    filtered: FloatArray, transition: FloatArray, weight: FloatArray, onward: FloatArray
-) -> None:
-    """onward (S,): written, the transition times weight (S,), for the states that are possible."""
-    n_states = filtered.shape[0]
-    for r in range(n_states):
-        total = 0.0
-        if filtered[r] > 0.0:
-            for s in range(n_states):
-                total += transition[r, s] * weight[s]
-        onward[r] = total
-
-
-@kernel()
-def _look_back(
-    filtered: FloatArray,
-    transition: FloatArray,
-    likelihood: FloatArray,
-    ahead: FloatArray,
-    weight: FloatArray,
-    onward: FloatArray,
-    moves: FloatArray,
-) -> None:
-    """One frame back. filtered (S,): the belief after it. transition (S, S): out of it.
-
-    ahead (S,): P(evidence after the later frame | its state), divided by the largest one;
-        overwritten by the values of the earlier frame.
-    likelihood (S,): of the later frame's evidence.
-    weight, onward (S,): room for intermediate results.
-    moves (S, S): P(state before, state now | all evidence) is added, unless it is (0, 0).
-
-    Later evidence that no state of the filter can lead to, in floating-point numbers, is ignored.
-    """
-    n_states = filtered.shape[0]
-    for s in range(n_states):
-        weight[s] = likelihood[s] * ahead[s]
-    _look_ahead(filtered, transition, weight, onward)
-    largest, total = 0.0, 0.0
-    for r in range(n_states):
-        largest = max(largest, onward[r])
-        total += filtered[r] * onward[r]
-    for r in range(n_states):
-        ahead[r] = onward[r] / largest if largest > 0.0 else 1.0
-    if moves.shape[0] > 0 and total >= LEAST:
-        for r in range(n_states):
-            share = filtered[r] / total
-            for s in range(n_states):
-                moves[r, s] += transition[r, s] * weight[s] * share
-
-
-@kernel()
-def _combine(filtered: FloatArray, ahead: FloatArray, smoothed: FloatArray) -> None:
-    """smoothed (S,): filtered times ahead, normalised; filtered if the product is zero."""
-    total = 0.0
-    for s in range(filtered.shape[0]):
-        smoothed[s] = filtered[s] * ahead[s]
-        total += smoothed[s]
-    for s in range(filtered.shape[0]):
-        smoothed[s] = smoothed[s] / total if total > 0.0 else filtered[s]
-
-
-@kernel()
+# Of fast arithmetic only the fusing of a multiplication with an addition, as in the filter.
+@kernel(fastmath={"contract"}, error_model="numpy")
 def smooth_frames(
     filtered: FloatArray,
     likelihood: FloatArray,
@@ -89,16 +28,50 @@ def smooth_frames(
     begins (T,): True where a sequence begins.
     smoothed (T, S): written, the joint belief about each frame.
     moves (S, S): the expected number of moves between states is added; (0, 0) to count none.
+
+    Later evidence that no state of the filter can lead to, in floating-point numbers, is ignored.
     """
-    n_frames, n_states = filtered.shape
-    ahead, weight, onward = np.ones(n_states), np.empty(n_states), np.empty(n_states)
+    n_frames, n = filtered.shape
+    # One array, so that the compiler sees that its parts do not overlap. `backward` is the
+    # transposed transition, whose rows are added up as vectors; `ahead` is P(evidence after the
+    # frame | its state), divided by the largest one.
+    work = np.ones(n * n + 3 * n)
+    backward, ahead = work[: n * n], work[n * n : n * n + n]
+    weight, onward = work[n * n + n : n * n + 2 * n], work[n * n + 2 * n :]
+    held = -1
     for t in range(n_frames - 1, -1, -1):
-        _combine(filtered[t], ahead, smoothed[t])
-        if begins[t]:
+        total = 0.0
+        for s in range(n):
+            onward[s] = filtered[t, s] * ahead[s]
+            total += onward[s]
+        for s in range(n):
+            smoothed[t, s] = onward[s] / total if total > 0.0 else filtered[t, s]
+        if begins[t] or t == 0:
             ahead[:] = 1.0
-        elif t > 0:
-            into = transition[index[t]]
-            _look_back(filtered[t - 1], into, likelihood[t], ahead, weight, onward, moves)
+            continue
+        if index[t] != held:
+            held = index[t]
+            for r in range(n):
+                for s in range(n):
+                    backward[s * n + r] = transition[held, r, s]
+        onward[:] = 0.0
+        for s in range(n):
+            weight[s] = likelihood[t, s] * ahead[s]
+            for r in range(n):
+                onward[r] += backward[s * n + r] * weight[s]
+        largest, total = 0.0, 0.0
+        for r in range(n):
+            if filtered[t - 1, r] <= 0.0:
+                onward[r] = 0.0
+            largest = max(largest, onward[r])
+            total += filtered[t - 1, r] * onward[r]
+        for r in range(n):
+            ahead[r] = onward[r] / largest if largest > 0.0 else 1.0
+        if moves.shape[0] > 0 and total >= LEAST:
+            for r in range(n):
+                share = filtered[t - 1, r] / total
+                for s in range(n):
+                    moves[r, s] += backward[s * n + r] * weight[s] * share
 
 
 @kernel()
@@ -113,18 +86,16 @@ def fixed_lag_frames(
 ) -> None:
     """As `smooth_frames`, frame t given the evidence up to frame t + lag."""
     n_frames, n_states = filtered.shape
-    ahead, weight, onward = np.ones(n_states), np.empty(n_states), np.empty(n_states)
-    nothing = np.empty((0, 0))
-    stop = n_frames
+    window, nothing = np.empty((min(lag + 1, n_frames), n_states)), np.empty((0, 0))
+    end = n_frames
     for t in range(n_frames - 1, -1, -1):
-        for s in range(n_states):
-            ahead[s] = 1.0
-        for k in range(min(t + lag, stop - 1), t, -1):
-            into = transition[index[k]]
-            _look_back(filtered[k - 1], into, likelihood[k], ahead, weight, onward, nothing)
-        _combine(filtered[t], ahead, smoothed[t])
+        part = slice(t, min(t + lag + 1, end))
+        smooth_frames(
+            filtered[part], likelihood[part], transition, index[part], begins[part], window, nothing
+        )
+        smoothed[t] = window[0]
         if begins[t]:
-            stop = t
+            end = t
 
 
 @kernel()
