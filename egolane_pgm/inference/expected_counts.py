@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 
@@ -129,7 +130,8 @@ def _seen(group: Group, block: FloatArray, smoothed: FloatArray) -> FloatArray:
 
     P(state, value | all) = P(state | all) P(value | state) e(value) / P(evidence | state).
     """
-    largest = block.max(axis=1, keepdims=True)
+    # Faster than `max` over a short axis.
+    largest = reduce(np.maximum, block.T)[:, None]
     shares = block / np.where(largest > 0, largest, 1.0)
     of_state = shares @ group.emission.T
     weight = np.divide(smoothed, of_state, out=np.zeros_like(smoothed), where=of_state >= LEAST)
