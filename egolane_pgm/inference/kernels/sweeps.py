@@ -71,7 +71,7 @@ def smooth_frames(
             for r in range(n):
                 share = filtered[t - 1, r] / total
                 for s in range(n):
-                    moves[r, s] += backward[s * n + r] * weight[s] * share
+                    moves[r, s] += transition[held, r, s] * weight[s] * share
 
 
 @kernel()
