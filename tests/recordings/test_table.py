@@ -63,7 +63,20 @@ def test_any_log_comes_back_as_it_was(
 ) -> None:
     path = tmp_path_factory.getbasetemp() / f"round_trip.{extension}"
     write_table(path, log)
-    assert_same(log, read_table(path))
+    # Columns of padding at the end are no lines.
+    is_line = log.is_valid | log.is_continuous | ~np.isnan(log.offset_m) | ~np.isnan(log.lri)
+    width = int(np.flatnonzero(is_line.any(axis=0)).max(initial=-1)) + 1
+    of_lines = ("offset_m", "is_valid", "is_continuous", "lri")
+    kept = replace(log, **{name: getattr(log, name)[:, :width] for name in of_lines})
+    assert_same(kept, read_table(path))
+
+
+def test_padding_is_not_written(tmp_path: Path) -> None:
+    none = np.zeros((2, 2), dtype=bool)
+    nowhere = np.array([[1.0, np.nan], [2.0, np.nan]])
+    log = LineLog(np.arange(2), np.arange(2) / 10, nowhere, none, none, np.full((2, 2), np.nan))
+    write_table(tmp_path / "a.csv", log)
+    np.testing.assert_array_equal(read_table(tmp_path / "a.csv").offset_m, nowhere[:, :1])
 
 
 @pytest.mark.parametrize("extension", FORMATS)
