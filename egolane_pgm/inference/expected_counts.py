@@ -55,8 +55,12 @@ def counted_tables(compiled: Compiled) -> dict[SliceNode, Table]:
 
 
 def free_numbers(tables: Mapping[SliceNode, Table], bases: Iterable[SliceNode] = ()) -> int:
-    """Return the number of free numbers of the tables of later frames: entries above zero but one
-    of each row; for `bases`, tables in the compact form, those without repetition, and one.
+    """Return the number of free numbers of the tables of later frames.
+
+    These are the entries above zero but one of each row.
+
+    - bases: nodes whose table repeats the value before with one probability; its other entries are
+      counted without the repetition, and one for it.
 
     Tables of the first frame alone do not count: one frame of a sequence informs them, and the
     logarithm of one, in BIC, is zero (Friedman, Murphy and Russell 1998).

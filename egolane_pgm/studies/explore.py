@@ -341,10 +341,10 @@ def explore(
     Raises InputError for an edge with which the network cannot be filtered.
     """
     names = list(dict.fromkeys(table.node[0] for table in problem.tables))
-    given = dict.fromkeys(parse_edge(each, names) for each in edges) or candidates(problem)
-    alone = {edge: frozenset({edge}) for edge in given}
-    for each in alone.values():
-        made(problem, each)
+    named = dict.fromkeys(parse_edge(each, names) for each in edges)
+    for edge in named:
+        made(problem, frozenset({edge}))
+    alone = {edge: frozenset({edge}) for edge in named or candidates(problem)}
     pruner = pruner or optuna.pruners.NopPruner()
     several: list[Tried] = []
     chosen: list[Structure] = []
