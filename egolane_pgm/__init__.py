@@ -53,8 +53,8 @@ if TYPE_CHECKING:
     from egolane_pgm.verbs.learn import learn as learn
     from egolane_pgm.verbs.reproduce import reproduce as reproduce
     from egolane_pgm.verbs.tune import tune as tune
+    from egolane_pgm.views.heat_maps import draw_tables as draw_tables
     from egolane_pgm.views.network import draw_network as draw_network
-    from egolane_pgm.views.numbers import draw_tables as draw_tables
 
 __version__ = "0.2.0"
 
@@ -77,7 +77,7 @@ _PUBLIC = {
     "load_result": "result",
     "compile": "inference.compile",
     "draw_network": "views.network",
-    "draw_tables": "views.numbers",
+    "draw_tables": "views.heat_maps",
     "Result": "result",
     "Study": "studies.study",
     "Labels": "labelling",

@@ -20,7 +20,8 @@ from egolane_pgm.parameters import Parameter, per_lane
 from egolane_pgm.plugins import declared_parameters
 from egolane_pgm.result import Result, as_result
 from egolane_pgm.running import noting
-from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
+from egolane_pgm.scoring.confusion import assigned_lane
+from egolane_pgm.scoring.scores import SCORES, Answers
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
 
@@ -34,7 +35,7 @@ INTERVAL = (5.0, 95.0)
 STEP = 0.01
 
 #: The scores of a sensitivity.
-SCORES = ("accuracy", "log_loss", "log_evidence")
+MOVED = ("accuracy", "log_loss", "log_evidence")
 
 
 class Draws(NamedTuple):
@@ -220,9 +221,9 @@ def sensitivity(result: Result, step: float = STEP) -> pd.DataFrame:
                     moved = (*values[:k], there, *values[k + 1 :]) if spec.per_lane else there
                     changed = with_parameters(model, {**model.parameters, spec.name: moved})
                     found = _scores(result, changed, spec in of_rule)
-                    row |= {f"{name}_{side}": found[name] - start[name] for name in SCORES}
+                    row |= {f"{name}_{side}": found[name] - start[name] for name in MOVED}
     columns = ["value", "value_low", "value_high"]
-    columns += [f"{name}_{side}" for name in SCORES for side in ("down", "up")]
+    columns += [f"{name}_{side}" for name in MOVED for side in ("down", "up")]
     return pd.DataFrame.from_dict(rows, "index", float, columns).rename_axis("number")
 
 
@@ -235,7 +236,7 @@ def _moved(spec: Parameter, value: float, share: float) -> float:
 
 
 def _scores(result: Result, model: Model, moves_evidence: bool = False) -> dict[str, float]:
-    """Return SCORES of a result with another model; NaN if undefined."""
+    """Return the MOVED scores of a result with another model; NaN if undefined."""
     e, frames, evidence = result.experiment, result.frames, result.evidence
     if moves_evidence:
         with noting():  # The result has these warnings.
@@ -244,15 +245,14 @@ def _scores(result: Result, model: Model, moves_evidence: bool = False) -> dict[
     beliefs = filter_beliefs(model.compiled, evidence, method)
     is_comparable = not moves_evidence and not beliefs.is_impossible.any()
     known = (frames["true_lane"].notna() & frames.get("is_trusted", True)).to_numpy(bool)
-    lane, truth = beliefs.lane[known], frames["true_lane"][known].to_numpy(int)
-    right = assigned_lane(lane, e.min_confidence) == truth
-    right = right[~frames["is_crossing"][known].to_numpy(bool)]
-    losses = log_loss_per_frame(lane, truth)
-    return {
-        "accuracy": right.mean() if len(right) else np.nan,
-        "log_loss": losses.mean() if len(losses) else np.nan,
-        "log_evidence": beliefs.log_evidence.sum() if is_comparable else np.nan,
-    }
+    truth, lane = frames[known], beliefs.lane[known]
+    assigned = assigned_lane(lane, e.min_confidence)
+    is_crossing = truth["is_crossing"].to_numpy(bool)
+    answers = Answers(lane, truth["true_lane"].to_numpy(int), is_crossing, assigned)
+    names = ("accuracy", "log_loss")
+    found = {name: SCORES[name].of(answers) if known.any() else np.nan for name in names}
+    total = float(beliefs.log_evidence.sum()) if is_comparable else np.nan
+    return {**found, "log_evidence": total}
 
 
 def single_drive(result: Result) -> Result:

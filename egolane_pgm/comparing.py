@@ -17,12 +17,13 @@ from egolane_pgm.experiment import DETECTOR
 from egolane_pgm.plugins import OWN_FILES, load_plugin
 from egolane_pgm.result import TAG, Result, as_result, is_result, lanes_of, load_result, truth_of
 from egolane_pgm.runs import SUMMARY, numbers
-from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
+from egolane_pgm.scoring.bootstrap import score_intervals
+from egolane_pgm.scoring.scores import SCORES, Answers
 from egolane_pgm.tools.files import read_parquet
 from egolane_pgm.tools.options import several_of
 from egolane_pgm.types import InputError
 
-#: A drive, and per score its summands in each frame (`score_counts`).
+#: A drive, and per score its summands in each frame.
 Counts = tuple[str, Mapping[str, Any]]
 
 #: Scores without an interval: the name of a column by the key in scores.json.
@@ -208,10 +209,17 @@ def _counts(results: Sequence[Result], node: str) -> list[Counts]:
     """Per recording its drive, and the summands of the scores on the frames of the whole drive."""
     column = "assigned_lane" if node == "Lane" else "detector_lane"
     parts = []
-    for frames, truth in map(_kept, results):
-        lane, crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
-        assigned = frames[column].to_numpy()
-        counts = score_counts(lanes_of(frames, node), lane, crossing, assigned=assigned)
+    for result in results:
+        frames, truth = _kept(result)
+        answers = Answers(
+            lanes_of(frames, node),
+            truth["true_lane"].to_numpy(),
+            truth["is_crossing"].to_numpy(),
+            frames[column].to_numpy(),
+            frame_rate=result.frame_rate,
+        )
+        counts = {name: score.summands(answers) for name, score in SCORES.items()}
+        del counts["log_evidence"]
         parts.append((counts, truth.index))
     return _on_drives(results, parts)
 

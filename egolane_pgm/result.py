@@ -107,7 +107,7 @@ class Result:
         return len(self.frames)
 
     def __repr__(self) -> str:
-        from egolane_pgm.views.display import result_title
+        from egolane_pgm.views.result_text import result_title
 
         return f"Result({result_title(self)})"
 
@@ -171,7 +171,7 @@ class Result:
 
         - style: one of `views.tables.STYLES`.
         """
-        from egolane_pgm.views.display import result_text
+        from egolane_pgm.views.result_text import result_text
 
         return result_text(self, style)
 

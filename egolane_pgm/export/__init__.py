@@ -6,7 +6,7 @@ import pandas as pd
 
 from egolane_pgm.result import Result
 from egolane_pgm.types import InputError
-from egolane_pgm.views.answers import frames_between
+from egolane_pgm.views.frames import frames_between
 
 
 def chosen_frames(result: Result, frames: tuple[int, int] | None) -> pd.DataFrame:

@@ -20,8 +20,8 @@ from egolane_pgm.result import Result
 from egolane_pgm.tools.extras import needed
 from egolane_pgm.tools.files import write_text
 from egolane_pgm.types import InputError
-from egolane_pgm.views.display import result_title, scores_by_side
 from egolane_pgm.views.events import event_lines
+from egolane_pgm.views.result_text import result_title, scores_by_side
 from egolane_pgm.views.tables import cell, confusion_table, score_table
 
 with needed("a page of results", "page"):

@@ -12,7 +12,7 @@ from egolane_pgm.result import Result, lanes_of, truth_of
 from egolane_pgm.scoring.events import TOLERANCES_S, match_events
 from egolane_pgm.scoring.events import lane_changes as true_changes
 from egolane_pgm.types import SIDES, merged_runs
-from egolane_pgm.views.answers import is_known, outcomes, true_lane
+from egolane_pgm.views.frames import is_known, outcomes, true_lane
 from egolane_pgm.views.tables import cell
 
 #: Wrong segments that are closer to each other are joined, seconds.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.result import Result
 from egolane_pgm.views import style
-from egolane_pgm.views.answers import answers, is_known, true_lane
+from egolane_pgm.views.frames import answers, is_known, true_lane
 
 #: The most steps of a timeline; a step of a longer drive shows one of several frames.
 MAX_STEPS = 20_000
@@ -81,9 +81,10 @@ def panels(
         place = {"x": x_s[0] - step_s / 2, "dw": step_s * n_steps, "y": y, "dh": height}
         panel.image([image], color_mapper=mapper, level="image", **place)
 
-    for who, (belief, lane) in reversed(answers(frames).items()):
-        image = image_of(CERTAIN * belief)
-        error = np.where(known & (lane != truth), np.where(lane > 0, 1, 2), 0)
+    for who, each in reversed(answers(frames).items()):
+        image = image_of(CERTAIN * each.belief)
+        kind = np.where(each.assigned > 0, 1, 2)
+        error = np.where(known & (each.assigned != truth), kind, 0)
         errors = image_of(error[:, None])
         title = f"{who}: probability of each lane"
         panel = panel_of(title, n + 0.6, range(1, n + 1), (n + 1.1, 0.5))
@@ -128,9 +129,10 @@ def _hovered(frames: pd.DataFrame) -> tuple[ColumnDataSource, list[tuple[str, st
     columns = {"time": frames["time_s"], "frame": frames.index}
     columns["truth"] = frames["true_lane"].astype(object).fillna("-")
     tips = [("time", "@time{0.0} s, frame @frame"), ("true lane", "@truth")]
-    for who, (belief, lane) in reversed(answers(frames).items()):
-        percent = np.round(100 * belief).astype(np.uint8).T
-        columns |= {who: lane, **{f"{who}{k}": each for k, each in enumerate(percent, 1)}}
+    for who, each in reversed(answers(frames).items()):
+        percent = np.round(100 * each.belief).astype(np.uint8).T
+        columns[who] = each.assigned
+        columns |= {f"{who}{k}": of_lane for k, of_lane in enumerate(percent, 1)}
         lanes = ", ".join(f"@{who}{k}" for k in range(1, len(percent) + 1))
         tips.append((who.lower(), f"lane @{who} (P in %: {lanes})"))
     return ColumnDataSource({key: np.array(each) for key, each in columns.items()}), tips

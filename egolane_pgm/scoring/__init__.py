@@ -12,16 +12,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike
 
-from egolane_pgm.scoring.bootstrap import score_counts, score_intervals
-from egolane_pgm.scoring.confusion import (
-    assigned_lane,
-    brier,
-    expected_calibration_error,
-    log_loss_per_frame,
-    scores_from_confusion,
-)
+from egolane_pgm.scoring.bootstrap import score_intervals
+from egolane_pgm.scoring.confusion import assigned_lane, confusion, scores_from_confusion
 from egolane_pgm.scoring.events import stability_scores
+from egolane_pgm.scoring.scores import SCORES, Answers
 from egolane_pgm.tools.files import to_jsonable
+
+#: The scores with an interval in every result. Those of the others are made by `compare`.
+INTERVALS = ("accuracy", "f1")
+
+#: The scores that do not depend on the answers.
+OF_BELIEF = ("log_loss", "brier", "expected_calibration_error")
 
 
 def score_all(
@@ -47,18 +48,14 @@ def score_all(
     """
     values = np.asarray(belief)
     lane, is_crossing = truth["true_lane"].to_numpy(), truth["is_crossing"].to_numpy()
-    if assigned is None:
-        assigned = assigned_lane(values)
-    counts = score_counts(values, lane, is_crossing, assigned)
-    intervals = {k: i for k, i in score_intervals([counts]).items() if k in ("accuracy", "f1")}
-    losses = log_loss_per_frame(values, lane)
+    given = assigned_lane(values) if assigned is None else np.asarray(assigned)
+    answers = Answers(values, lane, is_crossing, given)
+    intervals = score_intervals([{name: SCORES[name].summands(answers) for name in INTERVALS}])
     found = {
-        **scores_from_confusion(counts["accuracy"].sum(axis=0)),
+        **scores_from_confusion(confusion(given, lane, is_crossing, values.shape[1])),
         "frames": len(values),
-        "log_loss": losses.mean() if len(losses) else None,
-        "brier": brier(values, lane, is_crossing),
-        "expected_calibration_error": expected_calibration_error(values, lane, is_crossing),
-        **stability_scores([(assigned, truth)], frame_rate),
+        **{name: SCORES[name].of(answers) for name in OF_BELIEF},
+        **stability_scores([(given, truth)], frame_rate),
         "intervals": {k: None if i.low is None else [i.low, i.high] for k, i in intervals.items()},
     }
     result: dict[str, Any] = to_jsonable(found)

@@ -7,22 +7,23 @@ too short: contiguous blocks of frames are drawn instead.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from egolane_pgm.scoring.confusion import confusion_cell, log_loss_per_frame, scores_from_confusion
-from egolane_pgm.types import FloatArray, InputError, IntArray
+from egolane_pgm.scoring.scores import SCORES, Statistic
+from egolane_pgm.types import InputError, IntArray
 
+#: Frames of a block: half a minute at 10 Hz, much longer than most errors last.
 BLOCK_FRAMES = 300
-RESAMPLES = 2000
-LEVEL = 0.95
 
-#: Sums (R, ...) of per-frame counts -> the statistic of each resample (R,).
-Statistic = Callable[[NDArray[Any]], FloatArray]
+#: Number of resamples.
+RESAMPLES = 2000
+
+#: Share of the resamples within an interval.
+LEVEL = 0.95
 
 
 @dataclass(frozen=True)
@@ -74,15 +75,6 @@ def resampled_sums(
     return np.asarray(sums.reshape(len(starts), *values.shape[1:]))
 
 
-#: The scores that have an interval in every result. A log-loss without frames is NaN.
-INTERVAL_STATISTICS: dict[str, Statistic] = {
-    "accuracy": lambda sums: np.asarray(scores_from_confusion(sums)["accuracy"]),
-    "f1": lambda sums: np.asarray(scores_from_confusion(sums)["f1"]),
-    "log_loss": lambda sums: sums[..., 0] / np.where(sums[..., 1] == 0, np.nan, sums[..., 1]),
-}
-INTERVAL_STATISTICS["log_evidence"] = INTERVAL_STATISTICS["log_loss"]
-
-
 def bootstrap_interval(
     counts: Sequence[NDArray[np.generic]],
     statistic: Statistic,
@@ -97,9 +89,9 @@ def bootstrap_interval(
     For several recordings, the mean over them; for two sides, their difference over the same
     resamples.
 
-    - counts: per recording (T, ...), the per-frame summands (`score_counts`) in the order of the
+    - counts: per recording (T, ...), the summands of a score in the order of the
       drive; crossing frames are included and count zero.
-    - statistic: sums (R, ...) -> (R,), see `INTERVAL_STATISTICS`.
+    - statistic: sums (R, ...) -> (R,), see `Score`.
     - minus: the other side of a difference, the same frames of the same recordings.
     - seeds: one per recording; recordings of the same length with the same seed are resampled
       together. By default 0, 1, 2, ...
@@ -134,33 +126,6 @@ def bootstrap_interval(
     return Interval(estimate, float(low), float(high))
 
 
-def score_counts(
-    belief: ArrayLike,
-    lane: ArrayLike,
-    is_crossing: ArrayLike,
-    assigned: ArrayLike,
-) -> dict[str, NDArray[np.generic]]:
-    """The per-frame summands of each score that has an interval; for `score_intervals`.
-
-    belief (T, n), lane (T,), is_crossing (T,), assigned (T,): 1..n or UNASSIGNED.
-
-    The summand of accuracy and F1 is the frame's confusion matrix, (n + 1, n): True in one cell,
-    in none if the frame is crossing.
-    """
-    n_lanes = np.shape(belief)[1]
-    cell = confusion_cell(assigned, lane, is_crossing, n_lanes)
-    counts = np.zeros((len(cell), (n_lanes + 1) * n_lanes), dtype=bool)
-    is_scored = cell >= 0
-    counts[np.flatnonzero(is_scored), cell[is_scored]] = True
-    counts = counts.reshape(len(cell), n_lanes + 1, n_lanes)
-    losses = log_loss_per_frame(belief, lane)
-    return {
-        "accuracy": counts,
-        "f1": counts,
-        "log_loss": np.stack([losses, np.ones_like(losses)], axis=1),
-    }
-
-
 def score_intervals(
     counts: Sequence[Mapping[str, NDArray[np.generic]]],
     minus: Sequence[Mapping[str, NDArray[np.generic]]] | None = None,
@@ -169,12 +134,12 @@ def score_intervals(
 ) -> dict[str, Interval]:
     """The intervals of some scores, or of their differences.
 
-    - counts, minus: per recording the counts of `score_counts`, or others by the name of a score.
+    - counts, minus: per recording the summands of each score, by its name.
     - seeds: see `bootstrap_interval`.
     """
     found = {}
     for name in counts[0]:
-        statistic = INTERVAL_STATISTICS[name]
+        statistic = SCORES[name].statistic
         mine = [each[name] for each in counts]
         theirs = None if minus is None else [each[name] for each in minus]
         found[name] = bootstrap_interval(mine, statistic, minus=theirs, seeds=seeds)

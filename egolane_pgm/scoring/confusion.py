@@ -1,4 +1,4 @@
-"""Scores of single frames: confusion matrices, log-loss, Brier score, calibration, coverage.
+"""Assigned lanes, confusion matrices and their scores, log-loss of single frames.
 
 Rows of a confusion matrix are the predicted lane 1..n, then Unassigned; columns are the actual lane
 1..n. Crossing frames are left out.
@@ -13,7 +13,6 @@ lane's precision. Scores of the posterior are NaN without frames (None in JSON):
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -22,14 +21,8 @@ from numpy.typing import ArrayLike
 from egolane_pgm.tools.jit import kernel
 from egolane_pgm.types import TIE_TOLERANCE, UNASSIGNED, FloatArray, InputError, IntArray
 
-#: The scores of a confusion matrix; larger is better.
-SCORES = ("accuracy", "f1", "precision", "recall", "coverage")
-
 #: Smaller probabilities count as this in the log-loss: a certain error costs 34.5, not infinity.
 SMALLEST_PROBABILITY = 1e-15
-
-#: Equal-width bins of the maximum in the calibration curve.
-N_BINS = 15
 
 
 def assigned_lane(belief: ArrayLike, min_confidence: float = 0.0) -> IntArray:
@@ -86,19 +79,6 @@ def confusion(
     return counts.reshape(n_lanes + 1, n_lanes)
 
 
-def on_widest(matrices: Sequence[IntArray]) -> IntArray:
-    """D confusion matrices of roads with different numbers of lanes, as one array (D, n + 1, n).
-
-    n is the largest number; lane 1 is the leftmost of each.
-    """
-    most = max(matrix.shape[1] for matrix in matrices)
-    found = np.zeros((len(matrices), most + 1, most), dtype=np.int64)
-    for each, matrix in zip(found, matrices, strict=True):
-        n = matrix.shape[1]
-        each[:n, :n], each[most, :n] = matrix[:n], matrix[n]
-    return found
-
-
 def scores_from_confusion(matrix: ArrayLike) -> dict[str, Any]:
     """All scores of a confusion matrix (n + 1, n), or of several, (..., n + 1, n).
 
@@ -141,11 +121,6 @@ def _ratio(numerator: IntArray, denominator: IntArray) -> FloatArray:
     return ratio
 
 
-def is_maximised(score: str) -> bool:
-    """Whether larger is better: for `SCORES` and `log_evidence`, not for other scores."""
-    return score in (*SCORES, "log_evidence")
-
-
 def frames_off(a: ArrayLike, b: ArrayLike) -> int:
     """The number of frames by which two confusion matrices (n + 1, n) differ.
 
@@ -176,56 +151,3 @@ def log_loss_per_frame(belief: ArrayLike, lane: ArrayLike) -> FloatArray:
     values = np.asarray(belief)
     given = values[np.arange(len(values)), np.asarray(lane) - 1]
     return np.asarray(-np.log(np.maximum(given, SMALLEST_PROBABILITY)))
-
-
-def brier(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
-    """Multi-class Brier score, the mean over the non-crossing frames.
-
-    `brier = (1 / N) sum_t sum_k (belief[t, k] - [k = lane[t]])^2`, over N frames
-
-    0 is perfect, 2 the worst. belief (T, n), rows sum to 1; lane (T,), is_crossing (T,). NaN
-    without a non-crossing frame.
-    """
-    values = np.asarray(belief)
-    truth = np.asarray(lane)[:, None] == np.arange(1, values.shape[1] + 1)
-    scored = ((values - truth) ** 2).sum(axis=1)[~np.asarray(is_crossing)]
-    return float(scored.mean()) if scored.size else float("nan")
-
-
-def calibration_curve(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> dict[str, Any]:
-    """The calibration curve over the non-crossing frames, equal-width bins of the maximum.
-
-    Arguments as `brier`. Bin k has the frames whose largest probability lies in
-    (k / N_BINS, (k + 1) / N_BINS]. An Unassigned frame counts as wrong, as everywhere.
-
-    Keys, (N_BINS,) each: `confidence` (mean of the largest probability), `accuracy` (share of
-    frames with the right lane; both NaN in an empty bin), `count` (frames).
-    """
-    is_scored = ~np.asarray(is_crossing)
-    values, actual = np.asarray(belief)[is_scored], np.asarray(lane)[is_scored]
-    largest = values.max(axis=1)
-    is_right = assigned_lane(values) == actual
-    k = np.clip(np.ceil(largest * N_BINS).astype(np.int64) - 1, 0, N_BINS - 1)
-    count = np.bincount(k, minlength=N_BINS)
-    divisor = np.where(count == 0, np.nan, count)
-    return {
-        "confidence": np.bincount(k, weights=largest, minlength=N_BINS) / divisor,
-        "accuracy": np.bincount(k, weights=is_right, minlength=N_BINS) / divisor,
-        "count": count,
-    }
-
-
-def expected_calibration_error(belief: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike) -> float:
-    """Mean over the non-crossing frames of |confidence - accuracy| of their bin, 0 to 1.
-
-    `ece = sum_b (N_b / N) |accuracy_b - confidence_b|`, over bins b of N_b frames
-
-    Arguments and the treatment of ties as `calibration_curve`. NaN without a non-crossing frame.
-    """
-    curve = calibration_curve(belief, lane, is_crossing)
-    count = curve["count"]
-    filled = count > 0
-    if not filled.any():
-        return float("nan")
-    gap = np.abs(curve["confidence"][filled] - curve["accuracy"][filled])
-    return float((gap * count[filled]).sum() / count.sum())

@@ -73,32 +73,24 @@ def lane_changes(truth: pd.DataFrame) -> pd.DataFrame:
 def stability_scores(
     drives: Sequence[tuple[ArrayLike, pd.DataFrame]],
     frame_rate: float,
-    used: Sequence[BoolArray] | None = None,
 ) -> dict[str, Any]:
     """False switches and delays in one or more drives; None if a score is undefined.
 
     - drives: per drive the answers (T,), 0 for Unassigned, and the ground truth of these frames.
     - frame_rate: frames per second.
-    - used: per drive (T,), marks frames; pairs of frames and lane changes count if all their frames
-      are marked. By default all.
 
     Keys: `false_switches_per_minute`, `delay` {`median_frames`, `p90_frames`, `share_missed`,
     `changes`}.
     """
-    false, counted = 0, 0
-    delays: list[float] = []
-    for k, (assigned, truth) in enumerate(drives):
-        is_used = np.ones(len(truth), dtype=bool) if used is None else used[k]
-        is_false, is_counted = false_switches(assigned, truth)
-        is_counted[1:] &= is_used[1:] & is_used[:-1]
-        false += int((is_false & is_counted).sum())
+    false = 0
+    counted = 0
+    delays = [np.zeros(0)]
+    for assigned, truth in drives:
+        is_false, is_counted = false_switches(assigned, truth["true_lane"], truth["is_crossing"])
+        false += int(is_false.sum())
         counted += int(is_counted.sum())
-        changes = lane_changes(truth)
-        found = answer_delays(assigned, truth, changes)
-        for delay, start, until in zip(found, changes["start"], changes["until"], strict=True):
-            if is_used[start:until].all():
-                delays.append(float(delay))
-    delay = np.array(delays)
+        delays.append(answer_delays(assigned, truth, lane_changes(truth)))
+    delay = np.concatenate(delays)
     followed = np.count_nonzero(~np.isnan(delay))
     return {
         "false_switches_per_minute": _ratio(false, counted / (60 * frame_rate)),
@@ -111,10 +103,11 @@ def stability_scores(
     }
 
 
-def false_switches(assigned: ArrayLike, truth: pd.DataFrame) -> tuple[BoolArray, BoolArray]:
-    """(T,) each: marks false switches from the row before, and rows that can be one."""
-    predicted, actual = np.asarray(assigned), truth["true_lane"].to_numpy()
-    crossing = truth["is_crossing"].to_numpy()
+def false_switches(
+    assigned: ArrayLike, lane: ArrayLike, is_crossing: ArrayLike
+) -> tuple[BoolArray, BoolArray]:
+    """(T,) each: marks false switches from the row before, and rows in which one is possible."""
+    predicted, actual, crossing = map(np.asarray, (assigned, lane, is_crossing))
     is_counted = np.zeros(len(predicted), dtype=bool)
     is_counted[1:] = ~crossing[1:] & ~crossing[:-1] & (actual[1:] == actual[:-1])
     is_false = is_counted.copy()

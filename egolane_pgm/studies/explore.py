@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import optuna
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from egolane_pgm.drives import Drive, drive_key
@@ -27,7 +28,7 @@ from egolane_pgm.inference.expected_counts import counted_tables, free_parameter
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import Model, graph_in_memory, make_evidence, with_own_values
 from egolane_pgm.scoring.bootstrap import LEVEL, bootstrap_interval
-from egolane_pgm.scoring.confusion import assigned_lane, log_loss_per_frame
+from egolane_pgm.scoring.scores import SCORES, Score
 from egolane_pgm.studies.em import fit_tables, strength_of
 from egolane_pgm.studies.fits import (
     drives_digest,
@@ -35,6 +36,7 @@ from egolane_pgm.studies.fits import (
     start_of_learning,
     training_of,
 )
+from egolane_pgm.studies.objective import check_objective, drive_summands
 from egolane_pgm.studies.search import make_sampler, quiet, settings_of
 from egolane_pgm.studies.space import SearchSpace
 from egolane_pgm.studies.structures import (
@@ -54,18 +56,24 @@ from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
 from egolane_pgm.types import Beliefs, Evidence, FloatArray, InputError, IntArray, problems_in
 
-#: The judges.
+#: The judges: any score of held-out frames, or BIC. The description of the gain by the name.
 JUDGES = {
+    **{name: f"gain in held-out {score.short_label} of Lane" for name, score in SCORES.items()},
     "log_loss": "gain in held-out log-loss of Lane, nats per frame",
-    "accuracy": "gain in held-out accuracy of Lane",
     "log_evidence": "gain in held-out log evidence of the lines, nats per frame; it ranked graphs"
     " nearly opposite to held-out lanes",
     "bic": "gain in BIC over all frames, nats per frame; it judges the lines, and ranked graphs"
     " nearly opposite to held-out lanes",
 }
 
-#: A larger table is refused, and an edge to a node that then has more parents.
-MOST_NUMBERS, MOST_PARENTS = 2000, 3
+#: The judges that need no ground truth.
+_OF_LINES = ("log_evidence", "bic")
+
+#: The largest number of numbers in a table.
+MOST_NUMBERS = 2000
+
+#: The largest number of parents of a node that an edge is added to.
+MOST_PARENTS = 3
 
 #: The largest number of EM steps for each structure.
 ITERATIONS = 50
@@ -139,14 +147,13 @@ def make_problem(
     Raises InputError for drives of different lanes, and for a judge without its data.
     """
     model = drives[0].model
-    if judge not in JUDGES:
-        raise InputError(f"judge: '{judge}' is not one of {', '.join(JUDGES)}")
+    check_objective(judge, "judge", JUDGES)
     if len({drive.model.n_lanes for drive in drives}) > 1:
         raise InputError("explore: the drives differ in n_lanes; explore them apart")
     if judge != "bic" and not folds:
         raise InputError(f"judge: {judge} needs held-out frames (folds); without them take bic")
     is_scored = [(drive.true_lane[~drive.is_crossing] > 0).any() for drive in drives]
-    if judge in ("log_loss", "accuracy") and not all(is_scored):
+    if judge not in _OF_LINES and not all(is_scored):
         raise InputError(f"judge: {judge} needs ground truth; without it take log_evidence or bic")
     learnable_nodes(model)
     start = start_of_learning(model).compiled
@@ -238,10 +245,10 @@ def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame
 
     - task: the edges of a structure, sorted, and the number of the fold.
 
-    Returns the value of each test frame of each recording, larger is better, NaN if it is crossing
-    or not trusted, or one BIC per frame for all; in `attrs` the free parameters, the log evidence
-    of all frames, and BIC: log evidence less half the logarithm of the number of frames for each
-    free parameter.
+    Returns the summands of the judge in each test frame of each recording, zeros if the frame is
+    crossing or not trusted; for BIC one row of it and 1, as of a mean. In `attrs` the free
+    parameters, the log evidence of all frames, and BIC: log evidence less half the logarithm of the
+    number of frames for each free parameter.
     """
     fold = problem.folds[task[1]]
     compiled, numbers = fitted(problem, frozenset(task[0]), fold)
@@ -250,24 +257,21 @@ def judged(problem: Problem, task: tuple[tuple[Edge, ...], int]) -> pd.DataFrame
     log_evidence = sum(float(each.log_evidence.sum()) for each in beliefs)
     n_frames = sum(map(len, beliefs))
     bic = log_evidence - numbers / 2 * math.log(n_frames)
-    values = [*map(partial(_values, problem.judge), problem.drives, beliefs, fold.test)]
-    if problem.judge == "bic":
-        values = [np.array([bic / n_frames])]
+    values = [np.array([[bic / n_frames, 1.0]])]
+    if problem.judge != "bic":
+        values = [*map(partial(_summands, problem.judge), problem.drives, beliefs, fold.test)]
     recording = np.repeat(np.arange(len(values)), [len(each) for each in values])
-    table = pd.DataFrame({"recording": recording, "value": np.concatenate(values)})
+    table = pd.DataFrame(np.concatenate(values)).rename(columns=str).assign(recording=recording)
     table.attrs = {"free_parameters": numbers, "log_evidence": log_evidence, "bic": bic}
     return table
 
 
-def _values(judge: str, drive: Drive, beliefs: Beliefs, test: IntArray) -> FloatArray:
-    rows = drive.rows[test]
-    values, true = beliefs.log_evidence[rows], drive.true_lane[rows]
-    if judge == "log_loss":
-        values = -log_loss_per_frame(beliefs.lane[rows], true)
-    elif judge == "accuracy":
-        values = (assigned_lane(beliefs.lane[rows]) == true).astype(float)
-    is_scored = drive.is_trusted[test] & ~drive.is_crossing[rows]
-    return np.where(is_scored, values, np.nan)
+def _summands(judge: str, drive: Drive, beliefs: Beliefs, test: IntArray) -> NDArray[Any]:
+    """The summands of a judge in the test frames of a drive."""
+    is_used = np.zeros(len(drive), dtype=bool)
+    is_used[test] = True
+    is_used &= drive.is_trusted & ~drive.is_crossing[drive.rows]
+    return drive_summands([drive], [beliefs.take(drive.rows)], [is_used], judge)[0][test]
 
 
 class Tried:
@@ -301,27 +305,36 @@ class Tried:
         """The free parameters, log evidence and BIC of structures that were judged in all folds."""
         return {each: row.attrs for (each, k), row in self.found.items() if k == self.folds[-1]}
 
-    def values(self, structure: Structure) -> list[FloatArray]:
-        """The values of `judged` in all folds so far, per recording."""
+    def summands(self, structure: Structure) -> list[NDArray[Any]]:
+        """The summands of `judged` in all folds so far, per recording."""
         found = [self.found[structure, k] for k in self.folds if (structure, k) in self.found]
-        values = pd.concat(found).groupby("recording")["value"]
-        return [each.to_numpy() for _, each in values]
+        tables = pd.concat(found).set_index("recording").groupby(level=0)
+        return [each.to_numpy() for _, each in tables]
+
+    @property
+    def judge(self) -> Score:
+        """The score; BIC is a mean as the log evidence."""
+        return SCORES.get(self.problem.judge, SCORES["log_evidence"])
+
+    def scores(self, structure: Structure) -> FloatArray:
+        """The score of each recording, turned so that larger is better."""
+        sums = [each.sum(axis=0) for each in self.summands(structure)]
+        scores = np.array([self.judge.statistic(each) for each in sums])
+        return scores if self.judge.is_maximised else -scores
 
     def score(self, structure: Structure) -> float:
-        """The mean over recordings of the mean over frames."""
-        return float(np.mean([np.nanmean(each) for each in self.values(structure)]))
+        """The mean over the recordings."""
+        return float(np.mean(self.scores(structure)))
 
     def gain(self, structure: Structure, start: Structure = frozenset()) -> dict[str, Any]:
         """The gain over another one with its paired intervals, as in `Exploration.edges`."""
-        pairs = zip(self.values(structure), self.values(start), strict=True)
-        gains = [of_structure - of_start for of_structure, of_start in pairs]
-        ids = list(self.problem.drive_ids[: len(gains)])
-        counts = [np.stack([np.nan_to_num(each), ~np.isnan(each)], axis=1) for each in gains]
-        found = bootstrap_interval(counts, lambda sums: sums[..., 0] / sums[..., 1], seeds=ids)
-        means = pd.Series(map(np.nanmean, gains)).groupby(ids).mean()
+        sides = [self.summands(structure), self.summands(start)]
+        better, worse = sides if self.judge.is_maximised else sides[::-1]
+        ids = list(self.problem.drive_ids[: len(better)])
+        found = bootstrap_interval(better, self.judge.statistic, minus=worse, seeds=ids)
+        means = pd.Series(self.scores(structure) - self.scores(start)).groupby(ids).mean()
         half = stdtrit(len(means) - 1, (1 + LEVEL) / 2) * means.std() / math.sqrt(len(means))
-        ends = "", "_low", "_high"
-        names = [name + end for name in ("gain", "over_drives") for end in ends]
+        names = [name + end for name in ("gain", "over_drives") for end in ("", "_low", "_high")]
         over_drives = means.mean(), means.mean() - half, means.mean() + half
         row = dict(zip(names, (found.estimate, found.low, found.high, *over_drives), strict=True))
         mine, before = (self.complete()[each]["free_parameters"] for each in (structure, start))

@@ -2,49 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from egolane_pgm.drives import Drive, read_drives
 from egolane_pgm.experiment import DETECTOR, Experiment
 from egolane_pgm.inference.filtering import filter_beliefs
 from egolane_pgm.model import make_evidence, with_parameters
 from egolane_pgm.parameters import Parameter, Value
-from egolane_pgm.scoring.confusion import (
-    SCORES,
-    assigned_lane,
-    brier,
-    confusion,
-    expected_calibration_error,
-    log_loss_per_frame,
-    on_widest,
-    scores_from_confusion,
-)
-from egolane_pgm.scoring.events import stability_scores
-from egolane_pgm.types import (
-    Beliefs,
-    BoolArray,
-    Evidence,
-    FloatArray,
-    InputError,
-    IntArray,
-    lane_truth,
-    suggestion,
-)
-
-#: Means over all annotated frames, crossing ones included.
-FRAME_MEANS = ("log_loss", "log_evidence")
-
-#: Scores of a belief; of all but the log evidence smaller is better.
-BELIEF_SCORES = (
-    *FRAME_MEANS,
-    "brier",
-    "expected_calibration_error",
-    "false_switches_per_minute",
-)
+from egolane_pgm.scoring.confusion import assigned_lane
+from egolane_pgm.scoring.scores import SCORES, Answers
+from egolane_pgm.types import Beliefs, BoolArray, Evidence, InputError, suggestion
 
 #: The prefix of a detector's parameters in a search.
 PREFIX = f"{DETECTOR}."
@@ -53,9 +26,8 @@ PREFIX = f"{DETECTOR}."
 UNDEFINED = 1e6
 
 
-def check_objective(name: str, where: str = "objective") -> str:
+def check_objective(name: str, where: str = "objective", known: Collection[str] = SCORES) -> str:
     """Return the name of a score. Raises InputError for an unknown one, with a suggestion."""
-    known = {*SCORES, *BELIEF_SCORES}
     if name not in known:
         raise InputError(f"{where}: unknown score '{name}'{suggestion(name, known)}")
     return name
@@ -115,6 +87,48 @@ def beliefs_at(drive: Drive) -> Callable[[Mapping[str, Value]], Beliefs]:
     return beliefs
 
 
+def drive_answers(
+    drive: Drive, beliefs: Beliefs, is_used: BoolArray | bool = True, n_lanes: int = 0
+) -> Answers:
+    """Return the answers of a drive in its K annotated frames.
+
+    - beliefs: of these frames.
+    - is_used, n_lanes: see `Answers`.
+    """
+    rows, e = drive.rows, drive.experiment
+    return Answers(
+        beliefs.lane,
+        drive.true_lane[rows],
+        drive.is_crossing[rows],
+        assigned_lane(beliefs.lane, e.min_confidence),
+        is_used,
+        e.recording.frame_rate,
+        # A frame that the model does not allow counts, so that no search excludes frames.
+        np.where(beliefs.is_impossible, -UNDEFINED, beliefs.log_evidence),
+        n_lanes,
+    )
+
+
+def drive_summands(
+    drives: Sequence[Drive],
+    beliefs: Sequence[Beliefs],
+    is_used: Sequence[BoolArray | bool],
+    name: str,
+    *,
+    pooled: bool = False,
+) -> list[NDArray[Any]]:
+    """Return the summands of a score, (K, C) per drive, or of all drives one after the other.
+
+    - beliefs: per drive, of K frames.
+    - is_used: per drive (K,), marks the annotated frames that count; True for all.
+    - pooled: whether all frames count alike.
+    """
+    n_lanes = max(each.lane.shape[1] for each in beliefs) if pooled else 0
+    given = zip(drives, beliefs, is_used, strict=True)
+    found = [SCORES[name].summands(drive_answers(*each, n_lanes)) for each in given]
+    return [np.concatenate(found)] if pooled else found
+
+
 def score_of(
     drives: Sequence[Drive],
     beliefs: Sequence[Beliefs],
@@ -123,63 +137,12 @@ def score_of(
     *,
     pooled: bool = False,
 ) -> float:
-    """Score a parameter set: the mean over the drives, equal weight each.
+    """Score a parameter set: the mean over the drives, equal weight each, or over all frames.
 
     Drives with an undefined score are left out; a score that no drive defines is `UNDEFINED`.
-
-    - beliefs: per drive, of K frames.
-    - is_used: per drive (K,), marks the annotated frames that count.
-    - name: of the score.
-    - pooled: whether all frames count alike instead: confusion matrices are added, other scores
-      are weighted by frames.
+    Arguments as `drive_summands`.
     """
-    given = list(zip(drives, beliefs, is_used, strict=True))
-    if pooled and name in SCORES:
-        matrices = on_widest([drive_confusion(*each) for each in given])
-        return float(scores_from_confusion(matrices.sum(axis=0))[name])
-    scores = np.array([drive_score(*each, name) for each in given])
-    weights = np.ones(len(given))
-    if pooled:
-        left_out = [d.is_crossing[d.rows] & (name not in FRAME_MEANS) for d in drives]
-        weights = np.array([np.sum(u & ~out) for u, out in zip(is_used, left_out, strict=True)])
-    known = ~np.isnan(scores)
-    return float(np.average(scores[known], weights=weights[known])) if known.any() else UNDEFINED
-
-
-def drive_confusion(drive: Drive, beliefs: Beliefs, is_used: BoolArray) -> IntArray:
-    """The confusion matrix of the beliefs of a drive over the frames that are used (K,)."""
-    lane = beliefs.lane
-    assigned = assigned_lane(lane, drive.experiment.min_confidence)
-    is_left_out = drive.is_crossing[drive.rows] | ~is_used
-    return confusion(assigned, drive.true_lane[drive.rows], is_left_out, lane.shape[1])
-
-
-def frame_values(drive: Drive, beliefs: Beliefs, name: str) -> FloatArray:
-    """(K,): the values whose mean is one of FRAME_MEANS."""
-    if name == "log_loss":
-        return log_loss_per_frame(beliefs.lane, drive.true_lane[drive.rows])
-    # A frame that the model does not allow counts, so that no search excludes frames.
-    return np.where(beliefs.is_impossible, -UNDEFINED, beliefs.log_evidence)
-
-
-def drive_score(drive: Drive, beliefs: Beliefs, is_used: BoolArray, name: str) -> float:
-    """One score of the beliefs of a drive over the frames that are used (K,).
-
-    False switches count the pairs of neighbouring frames that are both used. NaN without any.
-    """
-    rows = drive.rows
-    if name in FRAME_MEANS:
-        values = frame_values(drive, beliefs, name)[is_used]
-        return float(values.mean()) if values.size else float("nan")
-    lane, crossing, belief = drive.true_lane[rows], drive.is_crossing[rows], beliefs.lane
-    is_left_out = crossing | ~is_used
-    if name in ("brier", "expected_calibration_error"):
-        score = brier if name == "brier" else expected_calibration_error
-        return score(belief, lane, is_left_out)
-    if name in SCORES:
-        return float(scores_from_confusion(drive_confusion(drive, beliefs, is_used))[name])
-    assigned = assigned_lane(belief, drive.experiment.min_confidence)
-    truth = lane_truth(drive.log.frame_id[rows], lane, crossing)
-    rate = drive.experiment.recording.frame_rate
-    value = stability_scores([(assigned, truth)], rate, [is_used])[name]
-    return float("nan") if value is None else float(value)
+    found = drive_summands(drives, beliefs, is_used, name, pooled=pooled)
+    scores = np.array([SCORES[name].statistic(each.sum(axis=0)) for each in found])
+    known = scores[~np.isnan(scores)]
+    return float(known.mean()) if known.size else UNDEFINED

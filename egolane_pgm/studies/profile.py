@@ -18,8 +18,8 @@ from optuna.distributions import CategoricalDistribution, IntDistribution
 from egolane_pgm.drives import Drive
 from egolane_pgm.experiment import FitSettings
 from egolane_pgm.identity import digest_of
-from egolane_pgm.scoring.bootstrap import bootstrap_interval, score_counts
-from egolane_pgm.scoring.confusion import SCORES, assigned_lane, is_maximised, scores_from_confusion
+from egolane_pgm.scoring.bootstrap import bootstrap_interval
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.studies.fits import (
     current_values,
     drives_digest,
@@ -27,30 +27,30 @@ from egolane_pgm.studies.fits import (
     search_space,
     searched_values,
 )
-from egolane_pgm.studies.objective import FRAME_MEANS, beliefs_at, frame_values
+from egolane_pgm.studies.objective import beliefs_at, drive_summands
 from egolane_pgm.studies.sampler import from_unit, to_unit
 from egolane_pgm.studies.space import SearchSpace, describe
 from egolane_pgm.tools.jobs import parallel
 from egolane_pgm.tools.kept import kept_tables
 from egolane_pgm.tools.progress import bar
-from egolane_pgm.types import Beliefs, FloatArray, InputError, suggestion
+from egolane_pgm.types import FloatArray, InputError, suggestion
 
-#: Steps of the search at each value in each pass; a pass begins at the points that the one before
-#: found for the value and its neighbours.
-STEPS, PASSES = 60, 4
+#: Steps of the search at each value in each pass.
+STEPS = 60
+
+#: Passes; each begins at the points that the previous one found for a value and its neighbours.
+PASSES = 4
 
 
-def values_of(space: SearchSpace, name: str, score: str) -> FloatArray:
+def values_of(space: SearchSpace, name: str) -> FloatArray:
     """The values of a parameter that are tried: up to 25 whole numbers; 25 with equal ratios for a
     range beyond 1; otherwise 11 at equal distances.
 
-    Raises InputError for a parameter or a score without a profile.
+    Raises InputError for a parameter that is not searched or not a number.
     """
     known = {key.partition("[")[0]: d for key, d in space.distributions.items()}
     if name not in known or isinstance(known[name], CategoricalDistribution):
         raise InputError(f"profile: no number '{name}' is searched{suggestion(name, known)}")
-    if score not in (*SCORES, *FRAME_MEANS):
-        raise InputError(f"profile: {score} is no mean over frames; search for another score")
     d = known[name]
     if isinstance(d, IntDistribution):
         return np.unique(np.linspace(d.low, d.high, 25).round())
@@ -81,7 +81,7 @@ def make_profile(
     tuning = drives[0].experiment.fit
     score = tuning.objective[0]
     space = search_space([drive.model for drive in drives], tuning)
-    sign = 1 if is_maximised(score) else -1
+    sign = 1 if SCORES[score].is_maximised else -1
     done = trials[trials["state"] == "COMPLETE"]
     tried = done.sort_values(score, ascending=sign < 0, kind="stable")[[*space.distributions]]
     folder = None if directory is None else directory / "profiled"
@@ -91,7 +91,7 @@ def make_profile(
     for name in names:
         key = next(key for key in tried if key.partition("[")[0] == name)
         # The best value of the study belongs to the profile.
-        values = np.unique([*values_of(space, name, score), tried[key].iloc[0]])
+        values = np.unique([*values_of(space, name), tried[key].iloc[0]])
         starts, top = [], tried.iloc[0].to_dict()
         for value in values:
             away = (tried[key] - value).abs().argsort().to_numpy()
@@ -113,21 +113,16 @@ def make_profile(
             starts = [[*best[max(k - 1, 0) : k + 2], top] for k in range(len(best))]
         rows += [{"parameter": name, "value": value} for value in values]
         points += best
-    beliefs_of, counts = [beliefs_at(drive) for drive in drives], []
+    beliefs_of = [beliefs_at(drive) for drive in drives]
+    currents = [current_values(drive.model, tuning) for drive in drives]
+    statistic = SCORES[score].statistic
+    every = [True] * len(drives)
+    counts = []
     for point in points:
         changed = searched_values(space, tuning, point)
-        each = [
-            _counts(drive, at({**current_values(drive.model, tuning), **changed}), score)
-            for drive, at in zip(drives, beliefs_of, strict=True)
-        ]
-        counts.append([np.concatenate(each)] if pooled else each)
-
-    def statistic(sums: Any) -> FloatArray:
-        is_mean = score in FRAME_MEANS
-        return np.asarray(
-            sums[..., 0] / sums[..., 1] if is_mean else scores_from_confusion(sums)[score]
-        )
-
+        pairs = zip(beliefs_of, currents, strict=True)
+        beliefs = [at({**current, **changed}) for at, current in pairs]
+        counts.append(drive_summands(drives, beliefs, every, score, pooled=pooled))
     scores = [float(np.mean([statistic(c.sum(axis=0)) for c in each])) for each in counts]
     top = counts[int(np.argmax(sign * np.array(scores)))]
     for row, mine, reached in zip(rows, counts, scores, strict=True):
@@ -154,7 +149,7 @@ def search_at(
     space = search_space([drive.model for drive in drives], tuning)
     used = [np.ones(len(drive), dtype=bool) for drive in drives]
     scored = objective(drives, space, tuning, used, [score], pooled=pooled)
-    sign = 1 if is_maximised(score) else -1
+    sign = 1 if SCORES[score].is_maximised else -1
     held: dict[str, Any] = {
         key: int(value) if isinstance(d, IntDistribution) else value
         for key, d in space.distributions.items()
@@ -174,13 +169,3 @@ def search_at(
         if found >= reached:
             best, reached = tried, found
     return best
-
-
-def _counts(drive: Drive, beliefs: Beliefs, score: str) -> Any:
-    """(K, ...): the summands of a score in the annotated frames."""
-    if score in FRAME_MEANS:
-        values = frame_values(drive, beliefs, score)
-        return np.stack([values, np.ones_like(values)], axis=1)
-    assigned = assigned_lane(beliefs.lane, drive.experiment.min_confidence)
-    truth = drive.true_lane[drive.rows], drive.is_crossing[drive.rows]
-    return score_counts(beliefs.lane, *truth, assigned)["accuracy"]

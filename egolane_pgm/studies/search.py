@@ -19,7 +19,7 @@ from optuna.study import StudyDirection
 from optuna.trial import FrozenTrial, TrialState
 
 from egolane_pgm.experiment import FitSettings
-from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.studies.objective import check_objective
 from egolane_pgm.studies.sampler import Shade
 from egolane_pgm.studies.space import Point, SearchSpace
@@ -118,7 +118,7 @@ def make_sampler(settings: FitSettings, space: SearchSpace, n_trials: int) -> sa
 def new_study(settings: FitSettings, **given: Any) -> optuna.Study:
     """Create a study, in memory unless a storage and a name are given, or load that one."""
     up, down = StudyDirection.MAXIMIZE, StudyDirection.MINIMIZE
-    directions = [up if is_maximised(name) else down for name in settings.objective]
+    directions = [up if SCORES[name].is_maximised else down for name in settings.objective]
     given["load_if_exists"] = "storage" in given
     with quiet():
         study = optuna.create_study(directions=directions, **given)

@@ -487,7 +487,7 @@ def settings_of_study(
     tuning = settings_of(first.experiment.fit, None, first.experiment.source)
     space = search_space([drive.model for drive in drives], tuning)
     for each in profile:
-        values_of(space, each, tuning.objective[0])
+        values_of(space, each)
     # A sampler that does not fit shows it in a trial.
     once = tuning.model_copy(update={"trials": 1})
     search(new_study(once), space, lambda point: [0.0] * len(tuning.objective), once)

@@ -15,13 +15,13 @@ from egolane_pgm.studies.study import is_study
 from egolane_pgm.tools.files import check_place
 from egolane_pgm.tools.options import Option, StrPath, several_of
 from egolane_pgm.types import InputError
-from egolane_pgm.views.answers import title_of
 from egolane_pgm.views.checks import check_figure, check_text, sensitivity_figure
 from egolane_pgm.views.figures import (
     confusion_figure,
     dispersion_figure,
     reliability_figure,
 )
+from egolane_pgm.views.frames import title_of
 from egolane_pgm.views.strips import result_strips
 from egolane_pgm.views.studies import draw_study
 from egolane_pgm.views.style import write_figures

@@ -22,7 +22,7 @@ EXAMPLES = (
 
 def text(done: pd.DataFrame | str, style: str) -> str:
     """The output for a table of runs, or for a dry run."""
-    from egolane_pgm.views.display import runs_text
+    from egolane_pgm.views.result_text import runs_text
 
     return done if isinstance(done, str) else runs_text(done, style)
 

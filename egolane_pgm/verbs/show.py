@@ -28,8 +28,8 @@ from egolane_pgm.views.description import (
     describe_rule,
     description_text,
 )
+from egolane_pgm.views.heat_maps import tables_figure
 from egolane_pgm.views.network import write_network
-from egolane_pgm.views.numbers import tables_figure
 from egolane_pgm.views.style import write_figure
 from egolane_pgm.views.tables import line_width
 from egolane_pgm.vision.detectors.networks.description import ready_networks

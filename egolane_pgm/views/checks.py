@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.checking import INTERVAL
 from egolane_pgm.result import Result
-from egolane_pgm.views.answers import title_of
+from egolane_pgm.views.frames import title_of
 from egolane_pgm.views.style import CROSSING, FAINT, INK, new_figure
 from egolane_pgm.views.style import DETECTOR_COLOUR as ORANGE
 from egolane_pgm.views.style import MODEL_COLOUR as BLUE

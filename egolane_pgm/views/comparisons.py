@@ -7,17 +7,13 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.types import InputError
 from egolane_pgm.views.style import FAINT, INK, MODEL_COLOUR, new_figure
 from egolane_pgm.views.tables import LOG_EVIDENCE, TUNED_ON_SHORT, Table, page, table
 
-#: The scores of a comparison, and their names.
-_SCORES = {
-    "accuracy": "accuracy",
-    "f1": "F1",
-    "log_loss": "log-loss",
-    "log_evidence": "log evidence",
-}
+#: The scores of a comparison that are printed; a wide table and CSV have all.
+_PRINTED = ("accuracy", "f1", "log_loss", "log_evidence")
 
 LEGEND = (
     "Means over the recordings, with 95 % intervals (block bootstrap); differences to the first"
@@ -41,7 +37,8 @@ def comparison_text(found: pd.DataFrame, style: str) -> str:
     ]
     counts = sorted(set(found["recordings"].astype(str)))
     parts: list[str | Table] = [f"recordings per row: {', '.join(counts)}"]
-    scores = {key: name for key, name in _SCORES.items() if key in found}
+    names = SCORES if style == "wide" else _PRINTED
+    scores = {key: SCORES[key].short_label for key in names if key in found}
     for key, name in scores.items():
         of_score = found[[c for c in found if c == key or c.startswith(f"{key}_")]]
         renamed = of_score.rename(columns=lambda c, key=key, name=name: c.replace(key, name, 1))

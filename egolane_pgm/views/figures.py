@@ -5,23 +5,18 @@ Each is a function of the frames of a result (`Result.frames`); InputError witho
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 
-from egolane_pgm.scoring.confusion import (
-    N_BINS,
-    calibration_curve,
-    confusion,
-    expected_calibration_error,
-    scores_from_confusion,
-)
-from egolane_pgm.types import FloatArray, IntArray
-from egolane_pgm.views.answers import answers, scored
+from egolane_pgm.scoring.confusion import confusion, scores_from_confusion
+from egolane_pgm.scoring.scores import N_BINS, SCORES, calibration_curve
+from egolane_pgm.types import IntArray
+from egolane_pgm.views.frames import answers, scored
 from egolane_pgm.views.style import (
     ANSWER_STYLE,
     ERROR_RAMP,
@@ -35,8 +30,6 @@ from egolane_pgm.views.style import (
 )
 from egolane_pgm.views.tables import percent
 
-T = TypeVar("T")
-
 #: Reliability bins with fewer frames are drawn hollow and not connected: mostly chance.
 FEW_FRAMES = 30
 
@@ -44,23 +37,12 @@ FEW_FRAMES = 30
 LABELLED = 0.04
 
 
-def _measured(frames: pd.DataFrame, measure: Callable[..., T]) -> dict[str, T]:
-    """A score of the detector, if it has an answer, and of the model.
-
-    - measure: function of posterior, assigned lane, true lane and crossing flag.
-    """
-    known = scored(frames)
-    truth = known["true_lane"].to_numpy(np.int64), np.zeros(len(known), dtype=bool)
-    return {name: measure(*answer, *truth) for name, answer in answers(known).items()}
-
-
 def confusions(frames: pd.DataFrame) -> dict[str, IntArray]:
     """The confusion matrices (n + 1, n) of the answers."""
-
-    def measure(belief: FloatArray, lane: Any, truth: Any, crossing: Any) -> IntArray:
-        return confusion(lane, truth, crossing, belief.shape[1])
-
-    return _measured(frames, measure)
+    return {
+        who: confusion(each.assigned, each.lane, each.is_crossing, each.belief.shape[1])
+        for who, each in answers(scored(frames)).items()
+    }
 
 
 def _titled(frames: pd.DataFrame, title: str) -> str:
@@ -107,18 +89,18 @@ def reliability_figure(frames: pd.DataFrame, title: str = "") -> Figure:
 
     The legend has the expected calibration error (ECE).
     """
-    curves = _measured(frames, lambda belief, _, *truth: calibration_curve(belief, *truth))
-    errors = _measured(frames, lambda belief, _, *truth: expected_calibration_error(belief, *truth))
+    both = answers(scored(frames))
     figure = new_figure(5, 5.4, _titled(frames, title))
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     upper.plot([0, 1], [0, 1], color=FAINT, lw=1.2, label="perfect calibration")
-    edges, width, lowest = np.arange(N_BINS) / N_BINS, 0.84 / N_BINS / len(curves), 1.0
-    for k, (name, curve) in enumerate(curves.items()):
+    edges, width, lowest = np.arange(N_BINS) / N_BINS, 0.84 / N_BINS / len(both), 1.0
+    for k, (name, each) in enumerate(both.items()):
+        curve, error = calibration_curve(each), SCORES["expected_calibration_error"].of(each)
         colour, marker, dashes = ANSWER_STYLE[name]
         x, y, count = curve["confidence"], curve["accuracy"], curve["count"]
         few = (count < FEW_FRAMES) & (count > 0)
         look: Any = {"color": colour, "marker": marker, "ms": 5, "lw": 1.3}
-        label = f"{name}, ECE {errors[name]:.3f}"
+        label = f"{name}, ECE {error:.3f}"
         upper.plot(x[count >= FEW_FRAMES], y[count >= FEW_FRAMES], ls=dashes, label=label, **look)
         label = f"{name}, fewer than {FEW_FRAMES} frames"
         upper.plot(x[few], y[few], ls="", mfc="w", label=label if few.any() else None, **look)

@@ -19,7 +19,8 @@ from matplotlib.ticker import MaxNLocator
 
 from egolane_pgm.result import Result, by_drive
 from egolane_pgm.types import FloatArray, runs_of
-from egolane_pgm.views.answers import (
+from egolane_pgm.views.events import clock
+from egolane_pgm.views.frames import (
     answers,
     frames_between,
     is_known,
@@ -27,7 +28,6 @@ from egolane_pgm.views.answers import (
     title_of,
     true_lane,
 )
-from egolane_pgm.views.events import clock
 from egolane_pgm.views.style import (
     CROSSING,
     DETECTOR_COLOUR,
@@ -119,12 +119,12 @@ def strip_cells(frames: pd.DataFrame, low: int, high: int) -> dict[str, FloatArr
     known, truth = is_known(frames), true_lane(frames)
     cells: dict[str, Any] = {"crossing": frames["is_crossing"].eq(True).fillna(False)}
     cells["Changes"] = np.zeros(len(frames))
-    for name, (belief, assigned) in answers(frames).items():
-        cells[name] = belief
-        cells[f"wrong {name}"] = known & (assigned != truth) & (assigned > 0)
-        cells[f"unassigned {name}"] = known & (assigned == 0)
+    for name, each in answers(frames).items():
+        cells[name] = each.belief
+        cells[f"wrong {name}"] = known & (each.assigned != truth) & (each.assigned > 0)
+        cells[f"unassigned {name}"] = known & (each.assigned == 0)
         if not np.isnan(truth).all():
-            one_hot = truth[:, None] == np.arange(1, belief.shape[1] + 1)
+            one_hot = truth[:, None] == np.arange(1, each.belief.shape[1] + 1)
             cells["Truth"] = np.where(np.isnan(truth)[:, None], np.nan, one_hot)
     every = range(low, high + 1)
     return {

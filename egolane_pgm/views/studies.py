@@ -12,9 +12,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from egolane_pgm.scoring.confusion import is_maximised
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.types import InputError
-from egolane_pgm.views.display import drive_parts
+from egolane_pgm.views.result_text import drive_parts
 from egolane_pgm.views.style import (
     DETECTOR_COLOUR,
     FAINT,
@@ -216,7 +216,7 @@ def importances(trials: pd.DataFrame, settings: Mapping[str, Any]) -> dict[str, 
         for name, ends in settings["searched"].items()
     }
     with quiet():
-        is_up = is_maximised(settings["objectives"][0])
+        is_up = SCORES[settings["objectives"][0]].is_maximised
         study = optuna.create_study(direction="maximize" if is_up else "minimize")
         for row in trials.to_dict("records"):
             given: Any = {"params": {name: row[name] for name in space}, "value": row["score"]}
@@ -323,7 +323,7 @@ def _score(document: Mapping[str, Any]) -> tuple[str, int]:
 
 def _sign(score: str) -> int:
     """1 for a score that is maximised, else -1."""
-    return 1 if is_maximised(score) else -1
+    return 1 if SCORES[score].is_maximised else -1
 
 
 def _limits(scores: pd.Series, sign: int, *others: float | None) -> tuple[float, float]:

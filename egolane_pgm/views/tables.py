@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
+from egolane_pgm.scoring.scores import SCORES
+
 #: The words for `tuned_on` next to a score.
 TUNED_ON = {
     "same_frames": "in-sample (tuned on these frames)",
@@ -27,19 +29,6 @@ LOG_EVIDENCE = (
     "Log evidence and BIC judge how well a model describes the lines; on the paper's recordings"
     " they ranked models nearly opposite to held-out lanes."
 )
-
-#: The scores of a result: the name in a table by the key in scores.json.
-SCORES = {
-    "accuracy": "accuracy",
-    "precision": "precision (mean)",
-    "recall": "recall (mean)",
-    "f1": "F1 (mean)",
-    "log_loss": "log-loss (all frames)",
-    "brier": "Brier score",
-    "expected_calibration_error": "calibration error",
-    "coverage": "coverage",
-    "false_switches_per_minute": "false switches / min",
-}
 
 
 class Table(NamedTuple):
@@ -203,10 +192,10 @@ def score_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     """
     columns: dict[str, dict[str, Any]] = {}
     for name, found in scores.items():
-        columns[name] = {label: found[key] for key, label in SCORES.items()}
+        columns[name] = {each.label: found[key] for key, each in SCORES.items() if key in found}
         columns[name]["delay, median (frames)"] = found["delay"]["median_frames"]
         columns[name]["lane changes missed"] = found["delay"]["share_missed"]
-        bounds = {SCORES[key]: ends for key, ends in found["intervals"].items() if ends}
+        bounds = {SCORES[key].label: ends for key, ends in found["intervals"].items() if ends}
         for k, end in enumerate(("low", "high") if bounds else ()):
             columns[f"{name}_{end}"] = {label: ends[k] for label, ends in bounds.items()}
     title = "score [95 % interval]" if len(columns) > len(scores) else "score"

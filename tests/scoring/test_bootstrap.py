@@ -10,14 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from egolane_pgm.scoring.bootstrap import (
-    INTERVAL_STATISTICS,
     bootstrap_interval,
     circular_blocks,
     resampled_sums,
-    score_counts,
     score_intervals,
 )
 from egolane_pgm.scoring.confusion import assigned_lane, confusion
+from egolane_pgm.scoring.scores import SCORES, Answers
 from egolane_pgm.types import InputError
 
 
@@ -34,14 +33,14 @@ def mean_counts(values: np.ndarray, is_counted: np.ndarray | None = None) -> np.
     return np.stack([values * counted, counted], axis=1)
 
 
-accuracy, macro_f1, ratio, _ = INTERVAL_STATISTICS.values()
+accuracy, macro_f1, ratio = (SCORES[name].statistic for name in ("accuracy", "f1", "log_loss"))
 
 
 def confusion_counts(
     assigned: np.ndarray, lane: np.ndarray, is_crossing: np.ndarray, n_lanes: int
 ) -> np.ndarray:
     belief = np.full((len(lane), n_lanes), 1 / n_lanes)
-    return score_counts(belief, lane, is_crossing, assigned)["accuracy"]
+    return SCORES["accuracy"].summands(Answers(belief, lane, is_crossing, assigned))
 
 
 def a_drive(n_frames: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -78,13 +77,13 @@ def test_the_interval_is_the_percentiles_of_the_statistic_over_the_resamples() -
     for statistic in (accuracy, macro_f1):
         interval = bootstrap_interval([counts], statistic, block=20, resamples=200, seeds=[4])
         slow = [
-            statistic(confusion(assigned[f], lane[f], is_crossing[f], 3))
+            statistic(confusion(assigned[f], lane[f], is_crossing[f], 3).ravel())
             for f in resampled(300, 20, 200, 4)
         ]
         assert interval.low == pytest.approx(np.quantile(slow, 0.025))
         assert interval.high == pytest.approx(np.quantile(slow, 0.975))
         assert interval.estimate == pytest.approx(
-            statistic(confusion(assigned, lane, is_crossing, 3))
+            statistic(confusion(assigned, lane, is_crossing, 3).ravel())
         )
         assert interval.low < interval.estimate < interval.high
 
@@ -146,19 +145,21 @@ def test_several_recordings_are_resampled_one_by_one_and_count_alike() -> None:
     assert interval.estimate == pytest.approx(np.mean(each))
 
 
-def test_the_intervals_of_a_result_are_of_accuracy_f1_and_log_loss() -> None:
+def test_every_score_has_an_interval_and_a_short_drive_has_none() -> None:
     assigned, lane, is_crossing = a_drive(700)
     belief = 0.9 * np.eye(3)[np.maximum(assigned, 1) - 1] + 0.1 / 3
-    sides = [
-        score_counts(b, lane, is_crossing, assigned_lane(b))
+    both = [
+        Answers(b, lane, is_crossing, assigned_lane(b), True, 10.0, b[:, 0])
         for b in (belief, np.roll(belief, 1, axis=1))
     ]
+    sides = [{name: score.summands(each) for name, score in SCORES.items()} for each in both]
     found = score_intervals(sides[:1], sides[1:])
-    assert list(found) == ["accuracy", "f1", "log_loss"]
-    for name, statistic in (("accuracy", accuracy), ("f1", macro_f1), ("log_loss", ratio)):
-        counts = [side[name] for side in sides]
-        assert found[name] == bootstrap_interval(counts[:1], statistic, minus=counts[1:])
-    short = score_counts(belief[:599], lane[:599], is_crossing[:599], assigned[:599])
+    assert list(found) == list(SCORES)
+    for name, score in SCORES.items():
+        mine, theirs = ([side[name]] for side in sides)
+        assert found[name] == bootstrap_interval(mine, score.statistic, minus=theirs)
+        assert found[name].estimate == pytest.approx(score.of(both[0]) - score.of(both[1]))
+    short = {name: values[:599] for name, values in sides[0].items()}
     for name, interval in score_intervals([sides[0], short], [sides[1], short]).items():
         assert (interval.low, interval.high) == (None, None)
         assert interval.estimate == pytest.approx(found[name].estimate / 2)
@@ -168,13 +169,3 @@ def test_sides_of_different_lengths_are_refused() -> None:
     counts = mean_counts(np.ones(100))
     with pytest.raises(InputError, match="same frames on both sides, got 100 and 99"):
         bootstrap_interval([counts], ratio, minus=[counts[:99]], block=10)
-
-
-N_COUNTED = 900
-
-
-def counts_of(seed: int) -> dict[str, np.ndarray]:
-    rng = np.random.default_rng(seed)
-    belief = rng.dirichlet(np.ones(3), N_COUNTED)
-    lane = np.repeat([1, 2, 3], N_COUNTED // 3)
-    return score_counts(belief, lane, np.arange(N_COUNTED) % 50 == 0, assigned_lane(belief))

@@ -72,7 +72,7 @@ def drives(draw: st.DrawFn) -> Drive:
 def test_false_switches(
     assigned: str, lane: str, flags: str, switches: list[int], counted: list[int]
 ) -> None:
-    is_false, is_counted = false_switches(digits(assigned), truth_of(lane, flags))
+    is_false, is_counted = false_switches(digits(assigned), digits(lane), crossing(flags))
     assert np.flatnonzero(is_false).tolist() == switches
     assert np.flatnonzero(is_counted).tolist() == counted
 
@@ -85,9 +85,6 @@ def test_the_rate_is_per_minute_of_consecutive_frames() -> None:
     for rate, expected in ((10, 2), (20, 4)):
         found = stability_scores([(assigned, truth)], rate)
         assert found["false_switches_per_minute"] == pytest.approx(expected)
-    used = np.arange(601) != 300
-    found = stability_scores([(assigned, truth)], 10, [used])
-    assert found["false_switches_per_minute"] == 0
     # A second drive adds its minute; the pair of frames between the drives is not counted.
     found = stability_scores([(assigned, truth), (assigned + 1, truth)], 10)
     assert found["false_switches_per_minute"] == pytest.approx(2)
@@ -151,9 +148,6 @@ def test_median_and_percentile_are_of_the_changes_that_were_not_missed() -> None
     assert stability_scores([(assigned, truth)], 10)["delay"] == pytest.approx(expected)
     two = stability_scores([(assigned, truth)] * 2, 10)["delay"]
     assert (two["changes"], two["share_missed"]) == (8, 0.25)
-    # A change counts if all its frames are used, up to the beginning of the next.
-    part = stability_scores([(assigned, truth)], 10, [np.arange(42) < 22])["delay"]
-    assert (part["changes"], part["median_frames"]) == (2, 0.5)
 
 
 @given(drives())

@@ -11,10 +11,11 @@ import pytest
 
 from egolane_pgm.drives import Drive
 from egolane_pgm.loading import load_experiment
-from egolane_pgm.scoring.bootstrap import bootstrap_interval, score_counts
+from egolane_pgm.scoring.bootstrap import bootstrap_interval
+from egolane_pgm.scoring.scores import SCORES, Answers
 from egolane_pgm.studies import profile as module
 from egolane_pgm.studies.fits import search_space
-from egolane_pgm.studies.objective import beliefs_at, drive_score
+from egolane_pgm.studies.objective import beliefs_at, score_of
 from egolane_pgm.studies.profile import make_profile, values_of
 from egolane_pgm.studies.search import settings_of
 from egolane_pgm.studies.study import Study, run_study
@@ -41,7 +42,7 @@ def test_a_profile_finds_what_a_grid_of_the_other_parameters_finds() -> None:
 
     def score(**changes: Any) -> float:
         found = beliefs({**drive.model.parameters, **HELD, **changes})
-        return drive_score(drive, found, used, "log_loss")
+        return score_of([drive], [found], [used], "log_loss")
 
     study = profiled(drive, ["sigma1"], parameters=HELD, objective="log_loss")
     for value, found in zip(study.profile["value"], study.profile["score"], strict=True):
@@ -70,7 +71,8 @@ def test_a_value_is_ruled_out_by_the_interval_of_its_difference_to_the_best(name
             0,
         )
         truth = drive.true_lane[rows], drive.is_crossing[rows]
-        counts.append(score_counts(beliefs.lane, *truth, assigned)[name])
+        answers = Answers(beliefs.lane, *truth, assigned, frame_rate=10.0)
+        counts.append(SCORES[name].summands(answers))
     sign = 1 if name == "accuracy" else -1
     best = int((sign * profile["score"]).argmax())
     assert profile["difference"][best] == 0
@@ -129,7 +131,7 @@ def test_values_lie_over_the_range_and_a_short_drive_has_no_interval() -> None:
         ("sigma2", 25, 0.5, 2),
         ("bonus_value", 10, 0, 9),
     ):
-        values = values_of(space, name, "f1")
+        values = values_of(space, name)
         assert (len(values), values[0], values[-1]) == pytest.approx((count, low, high))
     profile = profiled(drive, ["sigma1"], trials=4, parameters={**HELD, "bonus_value": 3}).profile
     assert profile["low"].isna().all()

@@ -14,7 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from egolane_pgm.result import lanes_of
-from egolane_pgm.scoring.confusion import calibration_curve, scores_from_confusion
+from egolane_pgm.scoring.confusion import scores_from_confusion
+from egolane_pgm.scoring.scores import Answers, calibration_curve
 from egolane_pgm.types import InputError
 from egolane_pgm.views.comparisons import comparison_figure
 from egolane_pgm.views.figures import (
@@ -81,7 +82,8 @@ def test_the_calibration_curve_passes_through_the_points_of_the_bins() -> None:
     frames = long_drive(60).frames
     upper, lower = reliability_figure(frames).axes
     for colour, bars in zip((DETECTOR_COLOUR, MODEL_COLOUR), lower.containers, strict=True):
-        curve = calibration_curve(lanes_of(frames), [2] * 60, [False] * 60)
+        lane = np.full(60, 2)
+        curve = calibration_curve(Answers(lanes_of(frames), lane, lane < 0, lane))
         line = next(x for x in upper.lines if x.get_color() == colour)
         filled = curve["count"] > 0
         np.testing.assert_array_equal(line.get_xdata(), curve["confidence"][filled])

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from egolane_pgm.types import InputError
-from egolane_pgm.views.answers import frames_between
+from egolane_pgm.views.frames import frames_between
 from egolane_pgm.views.strips import result_strips, strip_cells
 from tests.kits.tiny_result import (
     DETECTOR,

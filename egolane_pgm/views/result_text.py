@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from egolane_pgm.inference.events import CONFIDENT, SURE, lane_segments
 from egolane_pgm.result import TAG, Result, by_drive, lanes_of
-from egolane_pgm.views.answers import is_known
+from egolane_pgm.scoring.scores import SCORES
 from egolane_pgm.views.events import LISTED, event_lines, event_table, segments_text
+from egolane_pgm.views.frames import answers, is_known
 from egolane_pgm.views.tables import (
     LOG_EVIDENCE,
     TUNED_ON,
@@ -148,11 +150,10 @@ def drive_parts(result: Result, most: int | None = LISTED) -> list[str | Table]:
         if "n_lanes" in frames:
             row["lanes"] = int(frames["n_lanes"].iloc[0])
         if "model" in result.scores:
-            known = frames[is_known(frames)]
-            row["scored"] = len(known)
-            for who, column in (("detector", "detector_lane"), ("accuracy", "assigned_lane")):
-                if column in frames:
-                    row[who] = known[column].eq(known["true_lane"]).astype(float).mean()
+            row["scored"] = int(is_known(frames).sum())
+            for who, each in answers(frames).items():
+                accuracy = SCORES["accuracy"].of(each) if row["scored"] else np.nan
+                row["accuracy" if who == "Model" else "detector"] = accuracy
         else:
             last = lanes_of(frames)[-1]
             row["lane at the end"] = str(last.argmax() + 1) if last.max() >= CONFIDENT else "-"

@@ -7,7 +7,8 @@ import pandas as pd
 
 from egolane_pgm.result import Result, lanes_of, truth_of
 from egolane_pgm.scoring.events import is_judged
-from egolane_pgm.types import BoolArray, FloatArray, InputError, IntArray
+from egolane_pgm.scoring.scores import Answers
+from egolane_pgm.types import BoolArray, FloatArray, InputError
 
 
 def title_of(result: Result) -> str:
@@ -41,13 +42,15 @@ def frames_between(frames: pd.DataFrame, first: int | None, last: int | None) ->
     return chosen
 
 
-def answers(frames: pd.DataFrame) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Posterior (T, n) and assigned lane (T,) of "Model" and, if it has an answer, "Detector"."""
-    both = {}
-    if "detector_lane" in frames:
-        both["Detector"] = lanes_of(frames, "detector"), frames["detector_lane"].to_numpy()
-    both["Model"] = lanes_of(frames), frames["assigned_lane"].to_numpy()
-    return both
+def answers(frames: pd.DataFrame) -> dict[str, Answers]:
+    """The answers of "Detector", if it has some, and of "Model"; the known frames are scored."""
+    lane = frames["true_lane"].fillna(0).to_numpy(np.int64)
+    nodes = {"Detector": ("detector", "detector_lane"), "Model": ("Lane", "assigned_lane")}
+    return {
+        who: Answers(lanes_of(frames, node), lane, ~is_known(frames), frames[column].to_numpy())
+        for who, (node, column) in nodes.items()
+        if column in frames
+    }
 
 
 def true_lane(frames: pd.DataFrame) -> FloatArray:

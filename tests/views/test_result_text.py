@@ -9,8 +9,8 @@ from egolane_pgm.comparing import compare
 from egolane_pgm.result import Result, score
 from egolane_pgm.runs import open_input, run_input, run_table, table_inputs
 from egolane_pgm.views.comparisons import comparison_text
-from egolane_pgm.views.display import runs_text
 from egolane_pgm.views.events import LISTED, clock, event_table, segments_text
+from egolane_pgm.views.result_text import runs_text
 from tests.kits.drives import simulated
 from tests.kits.tiny_result import RUN, a_result, without_truth
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import egolane_pgm as ego
-from egolane_pgm.views.numbers import tables_figure
+from egolane_pgm.views.heat_maps import tables_figure
 from tests.conformance.networks import template
 from tests.kits.drives import run
 from tests.kits.tiny_result import texts
