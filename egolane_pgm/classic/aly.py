@@ -90,7 +90,8 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
         splines = find_splines(ridges(view, look(view, red), parameters))
         n = int(number(parameters, "lines"))
         grey = red.astype(np.float64)
-        shape, ends = [], []
+        shape = []
+        ends = []
         for point in points_on(splines.control[:n]):
             x = view.x_m[0] - point[:, 1] * view.along_m
             y = view.y_m[0] + point[:, 0] * view.across_m
@@ -98,7 +99,8 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
             x, y = image_to_road(small, *refined(grey, small, seen).T)
             shape.append(shape_of(x, y))
             ends.append((x.min(), x.max()))
-        shapes, end = np.array(shape).reshape(-1, 4), np.array(ends).reshape(-1, 2)
+        shapes = np.array(shape).reshape(-1, 4)
+        end = np.array(ends).reshape(-1, 2)
         order = np.argsort(shapes[:, 0], kind="stable")
         return Found(shapes[order], splines.score[:n][order], *end[order].T)
 
@@ -130,5 +132,6 @@ def start(camera: Camera, parameters: Parameters) -> Step:
 def nearest(lines: FrameLines, count: int) -> FrameLines:
     """The `count` lines nearest to the car, valid ones before others."""
     order = np.sort(np.lexsort((np.abs(lines.offset_m), ~lines.is_valid))[:count])
-    shape, lri = lines.shape[order], lines.lri[order]
+    shape = lines.shape[order]
+    lri = lines.lri[order]
     return FrameLines(shape, lines.is_valid[order], lines.is_continuous[order], lri)

@@ -58,8 +58,11 @@ PARAMETERS = not_searched(
     )
 )
 
-#: How far ahead lines are searched, and the width of the narrowest marking, metres.
-_REACH_M, _NARROWEST_M = 55.0, 0.078
+#: Distance ahead up to which lines are searched, metres.
+_REACH_M = 55.0
+
+#: Width of the narrowest marking, metres.
+_NARROWEST_M = 0.078
 
 #: A line starts only where its markings fill this share of its rows (the authors': .382; dashes of
 #: a motorway fill less).
@@ -69,9 +72,14 @@ _FILLED = 0.1
 #: on in turn, as published.
 _EXACT_UP_TO = 10
 
-#: A line starts from a curve that covers at least this many rows and has, on the road, at most this
-#: heading, m/m, and curvature, 1/m.
-_ROWS, _HEADING, _CURVATURE = 50, 0.15, 0.01
+#: A line starts from a curve that covers at least this number of rows.
+_ROWS = 50
+
+#: Largest heading on the road of a line's first curve, m/m.
+_HEADING = 0.15
+
+#: Largest curvature on the road of a line's first curve, 1/m.
+_CURVATURE = 0.01
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
@@ -81,7 +89,8 @@ def start(camera: Camera, parameters: Parameters) -> Step:
     """
     road = road_of(camera, _REACH_M, _NARROWEST_M, number(parameters, "widest_m"))
     most = int(number(parameters, "lines"))
-    rng, slots = np.random.default_rng(0), no_slots()
+    rng = np.random.default_rng(0)
+    slots = no_slots()
 
     def step(picture: Picture) -> FrameLines:
         nonlocal slots
@@ -118,7 +127,8 @@ def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
 def lines_of(slots: Slots, road: Road, shown_above: float) -> FrameLines:
     """The lines of a frame, left to right, as the detector gives them."""
     slot = np.flatnonzero(slots.is_used)
-    shape, counter = shapes_of(road, slots.curve[slot]), slots.counter[slot]
+    shape = shapes_of(road, slots.curve[slot])
+    counter = slots.counter[slot]
     is_valid = counter > shown_above
     order = np.argsort(shape[:, 0], kind="stable")
     return FrameLines(

@@ -119,7 +119,8 @@ def assumed_lanes(graph: LaneGraph) -> IntArray:
     segment of the kind has a number.
     """
     along = graph.kind[graph.before] == graph.kind[graph.after]
-    before, after = graph.before[along], graph.after[along]
+    before = graph.before[along]
+    after = graph.after[along]
     n_lanes = graph.n_lanes.copy()
     for here, there in ((before, after), (after, before)):
         is_new = True
@@ -169,13 +170,15 @@ def near(graph: LaneGraph, place: FloatArray, radius_m: float) -> Near:
     point = points(place)
     row, segment = graph.tree.query(point, predicate="dwithin", distance=radius_m)
     order = np.lexsort((segment, row))
-    row, segment = row[order], segment[order].astype(np.int64)
+    row = row[order]
+    segment = segment[order].astype(np.int64)
     line = graph.lines[segment]
     along = line_locate_point(line, point[row])
     # The direction of a metre of the line.
     ends = np.maximum(along - 0.5, 0.0), along + 0.5
     begin, end = (get_coordinates(line_interpolate_point(line, at)) for at in ends)
-    (ux, uy), (vx, vy) = (end - begin).T, (place[row] - begin).T
+    ux, uy = (end - begin).T
+    vx, vy = (place[row] - begin).T
     offset = distance(line, point[row])
     return Near(
         np.searchsorted(row, np.arange(len(place) + 1)).astype(np.int64),

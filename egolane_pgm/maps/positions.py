@@ -33,7 +33,11 @@ COLUMNS = {
 #: have the dilution only.
 SIGMA_PER_HDOP_M = 3.0
 
-_KNOT, _HALF_DAY_S = 0.514444, 43_200  # metres per second, seconds
+#: Metres per second.
+_KNOT = 0.514444
+
+#: Seconds.
+_HALF_DAY_S = 43_200
 
 #: The name of the message type of a receiver's fixes, in any package.
 _FIX = "NavSatFix"
@@ -117,7 +121,8 @@ def read_positions(path: str | Path, *, columns: Mapping[str, str] | None = None
     Raises InputError for a file that cannot be read, for columns that do not go with the format,
     and as `Positions.make`.
     """
-    path, columns = Path(path), dict(columns or {})
+    path = Path(path)
+    columns = dict(columns or {})
     kind = ".bag" if path.is_dir() else path.suffix.lower()
     if kind not in _FORMATS:
         raise InputError(f"{path}: unknown extension '{kind}' of positions ({', '.join(_FORMATS)})")
@@ -181,7 +186,9 @@ def _read_nmea(path: Path, columns: Mapping[str, str]) -> Positions:
     with needed(f"{path}", "maps"):
         import pynmea2
     rows: dict[float, dict[str, float]] = {}
-    midnight, last, n_bad = 0.0, 0.0, 0
+    midnight = 0.0
+    last = 0.0
+    n_bad = 0
     for line in read_text(path).splitlines():
         start = line.find("$")
         if line[start + 3 : start + 6] not in ("RMC", "GGA"):

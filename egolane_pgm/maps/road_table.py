@@ -55,7 +55,9 @@ def lanes_along(table: pd.DataFrame, log: LineLog) -> IntArray:
 
     Raises InputError if the clocks do not overlap, and as `lanes_at`.
     """
-    time_s, first, last = log.time_s, table.t_s.iloc[0], table.t_s.iloc[-1]
+    time_s = log.time_s
+    first = table.t_s.iloc[0]
+    last = table.t_s.iloc[-1]
     if time_s[-1] < first or time_s[0] > last:
         raise InputError(
             f"{table.attrs['source']}: has the times {first:g} to {last:g} s, and {log.source} has"
@@ -69,7 +71,8 @@ def lanes_at(table: pd.DataFrame, time_s: FloatArray) -> IntArray:
 
     Raises InputError if no row has a number.
     """
-    source, known = table.attrs["source"], table[table.n_lanes > 0]
+    source = table.attrs["source"]
+    known = table[table.n_lanes > 0]
     if known.empty:
         raise InputError(f"{source}: no row has a number of lanes")
     last = np.maximum(np.searchsorted(known.t_s, time_s, side="right") - 1, 0)

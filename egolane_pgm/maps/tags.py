@@ -66,7 +66,8 @@ def _both_ways(tags: dict[str, str], problems: list[str]) -> tuple[int, int]:
         there = back = 0 if odd else share
     elif total and not (there and back):
         rest = max(total - there - back, 0)
-        there, back = there or rest, back or rest
+        there = there or rest
+        back = back or rest
     return there, back
 
 

@@ -11,15 +11,23 @@ from egolane_pgm.classic.multilane import curves
 from egolane_pgm.types import BoolArray, FloatArray, InputError
 from egolane_pgm.vision.camera.model import Camera, image_to_road, road_to_image, undistorted
 
-#: Width of the pictures that the constants in pixels are meant for, and how many of their rows are
-#: searched; for others the constants are scaled.
-WIDTH, ROWS = 1280, 454
+#: Width of the pictures that the constants in pixels are meant for; they are scaled for others.
+WIDTH = 1280
 
-#: Fewer rows than this, of ROWS, show too little of the road; and fewer than this anyway.
-_FEWEST_ROWS, _FEWEST = 60, 8
+#: Number of rows of such a picture that are searched.
+ROWS = 454
 
-#: The narrowest and the widest marking where it is small, pixels.
-_NARROWEST, _WIDEST = 3.0, 15.0
+#: Least number of rows, of ROWS, that show enough of the road.
+_FEWEST_ROWS = 60
+
+#: Least number of rows of any picture.
+_FEWEST = 8
+
+#: Width of the narrowest marking where it is small, pixels.
+_NARROWEST = 3.0
+
+#: Width of the widest marking where it is small, pixels.
+_WIDEST = 15.0
 
 #: The rows of a curve that become a line on the road, t.
 _T = np.linspace(-1.0, 1.0, 101)
@@ -77,7 +85,8 @@ def road_of(camera: Camera, reach_m: float, narrowest_m: float, widest_m: float)
     """
     row = float(road_to_image(camera, reach_m, camera.lateral_m)[1])
     top = camera.height if np.isnan(row) else int(np.clip(np.ceil(row), 0, camera.height))
-    scale, n_rows = camera.width / WIDTH, camera.height - top
+    scale = camera.width / WIDTH
+    n_rows = camera.height - top
     if n_rows < max(_FEWEST, _FEWEST_ROWS * scale):
         raise InputError(
             f"camera: only {n_rows} rows of the picture show the road up to {reach_m:g} m ahead;"

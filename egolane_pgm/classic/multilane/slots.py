@@ -35,25 +35,43 @@ SAME_M = 0.4
 #: Of two such lines next to the car, one this much farther away, metres, needs e times the frames.
 NEARER_M = 5.0
 
-#: Trials of a robust fit, and the largest distance of its points, pixels.
-TRIALS, ERROR = 15, 6.0
+#: Number of trials of a robust fit.
+TRIALS = 15
 
-#: Number of curves tried around a predicted one, and standard deviation of their places, pixels.
-DRAWS, NOISE = 200, 20.0
+#: Largest distance of the points of a robust fit, pixels.
+ERROR = 6.0
 
-#: The fewest markings of a fit, and the least share of those near the line's last place.
-FEWEST, HELD = 10, 0.5
+#: Number of curves tried around a predicted one.
+DRAWS = 200
 
-#: The fewest markings of a clear line, and the least part of t that they span. With half as many
-#: markings the edges of a car next to the line pull it away.
-LONG, SPAN = 120, 0.6
+#: Standard deviation of the places of these curves, pixels.
+NOISE = 20.0
+
+#: The fewest markings of a fit.
+FEWEST = 10
+
+#: The least share of the markings of a fit near the line's last place.
+HELD = 0.5
+
+#: The fewest markings of a clear line. With half as many markings the edges of a car next to the
+#: line pull it away.
+LONG = 120
+
+#: The least part of t that the markings of a clear line span.
+SPAN = 0.6
 
 #: The weight of the direction of the nearest clear line in that of a line that is not clear; the
 #: rest is the line's own direction before.
 PARALLEL = 0.2
 
-#: The narrowest and the widest lane, and the largest distance of a line that is followed, metres.
-LEAST_M, WIDEST_LANE_M, FARTHEST_M = 2.0, 5.0, 12.0
+#: The narrowest lane, metres.
+LEAST_M = 2.0
+
+#: The widest lane, metres.
+WIDEST_LANE_M = 5.0
+
+#: Largest distance of a line that is followed, metres.
+FARTHEST_M = 12.0
 
 #: A line has passed under the car when it is this far on the other side, metres.
 ACROSS_M = 0.25
@@ -117,20 +135,24 @@ def advance(
     - found: (C, 3) the curves that are found in it without tracking
     - most: the largest number of slots with a line
     """
-    curve, is_clear = slots.curve.copy(), np.zeros(len(PLACES), dtype=bool)
+    curve = slots.curve.copy()
+    is_clear = np.zeros(len(PLACES), dtype=bool)
     for k in np.flatnonzero(slots.is_used):
         draws = rng.random((TRIALS, 3))
         new = _clear(road, t, u, curve[k], draws)
         if new is not None:
-            curve[k], is_clear[k] = new, True
-    clear, is_hit = curve[is_clear], is_clear.copy()
+            curve[k] = new
+            is_clear[k] = True
+    clear = curve[is_clear]
+    is_hit = is_clear.copy()
     motion = curves.common_motion(slots.curve[is_clear], clear)
     for k in np.flatnonzero(slots.is_used & ~is_clear):
         curve[k] += motion
         noise = rng.normal(0.0, NOISE * road.scale, (DRAWS, 2))
         new = _predicted(road, t, u, curve[k], clear, noise)
         if new is not None:
-            curve[k], is_hit[k] = new, True
+            curve[k] = new
+            is_hit[k] = True
     hits = np.concatenate([slots.hits[:, 1:], is_hit[:, None]], axis=1)
     recent = (*slots.recent, found)[-BOOTSTRAP:]
     slots = _without_lost(Slots(curve, hits, slots.left, recent), road)
@@ -159,7 +181,8 @@ def _clear(
     near = _near(road, t, u, before)
     if near.sum() < LONG * road.row_scale:
         return None
-    t, u = t[near], u[near]
+    t = t[near]
+    u = u[near]
     held, degree = curves.consensus(t, u, draws, ERROR * road.scale)
     if held.sum() < max(HELD * len(t), LONG * road.row_scale) or np.ptp(t[held]) < SPAN:
         return None
@@ -183,11 +206,13 @@ def _predicted(
     near = _near(road, t, u, before)
     if near.sum() < FEWEST * road.row_scale:
         return None
-    t, u = t[near], u[near]
+    t = t[near]
+    u = u[near]
     held = curves.nearby(t, u, before, noise, ERROR * road.scale)
     if held.sum() < max(HELD * len(t), FEWEST * road.row_scale):
         return None
-    t, u = t[held], u[held]
+    t = t[held]
+    u = u[held]
     prior = curves.parallel(t, u, before, road.pixels_per_m)
     if len(clear):
         nearest = clear[np.abs(clear[:, 0] - before[0]).argmin()]
@@ -227,7 +252,8 @@ def _filled(slots: Slots, road: Road, most: int) -> Slots:
     found = np.concatenate(slots.recent)
     frame: IntArray = np.repeat(np.arange(BOOTSTRAP), [len(few) for few in slots.recent])
     place = places_of(road, found)
-    curve, hits = slots.curve.copy(), slots.hits.copy()
+    curve = slots.curve.copy()
+    hits = slots.hits.copy()
     for where in PLACES[:most]:
         slot = slots.at(where)
         if np.isfinite(curve[slot, 0]):
@@ -260,11 +286,13 @@ def _often_seen(
     - fits: (C,) which ones are considered
     - prefers_near: whether lines close to the car count more
     """
-    best, most = None, (0.0, 0)
+    best = None
+    most = (0.0, 0)
     for k in np.flatnonzero(fits):
         same = fits & (np.abs(place - place[k]) <= SAME_M)
         n_frames = len(np.unique(frame[same]))
         weight = n_frames * np.exp(-abs(place[k]) / NEARER_M) if prefers_near else n_frames
         if n_frames >= SEEN and (weight, frame[k]) > most:
-            best, most = int(k), (float(weight), int(frame[k]))
+            best = int(k)
+            most = (float(weight), int(frame[k]))
     return best

@@ -25,8 +25,11 @@ _ROUNDS = 20
 #: larger, the distortion formula has folded over and would show the picture a second time.
 _FOLD_PX = 1.0
 
-#: The smallest divisor, and the largest angle, radians, of a ray to the axis of a fisheye.
-_TINY, _MOST_ANGLE = 1e-12, math.radians(89)
+#: The smallest divisor.
+_TINY = 1e-12
+
+#: The largest angle between a ray and the axis of a fisheye, radians.
+_MOST_ANGLE = math.radians(89)
 
 #: The range of each value for a camera in a car, and its unit; a value outside has a wrong unit.
 RANGES = {
@@ -45,8 +48,11 @@ RANGES = {
     "lane_width_m": (2, 6, "metres"),
 }
 
-#: The lowest camera on usual cars, the highest on lorries, and the usual width of lanes, metres.
-USUAL_HEIGHTS, USUAL_LANE_M = (0.9, 3.2), 3.66
+#: The height of the lowest camera on usual cars and of the highest on lorries, metres.
+USUAL_HEIGHTS = (0.9, 3.2)
+
+#: The usual width of lanes, metres.
+USUAL_LANE_M = 3.66
 
 
 #: The distortion models and how many coefficients they have.
@@ -143,7 +149,8 @@ def _check_numbers(name: str, values: object, n: int) -> None:
 
 def said_height(camera: Camera) -> str:
     """Compare the height of the camera with cameras of cars and lorries."""
-    usual, high = "{:g} to {:g} m".format(*USUAL_HEIGHTS), camera.height_m
+    usual = "{:g} to {:g} m".format(*USUAL_HEIGHTS)
+    high = camera.height_m
     return f"the camera is {high:.2f} m above the road, those of cars and lorries {usual}"
 
 
@@ -182,7 +189,8 @@ def road_to_image(
     relative = np.stack([x, y - camera.lateral_m, z - camera.height_m], axis=-1) @ axes(camera).T
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = np.where(relative[..., 2] > 1e-9, relative[..., 2], np.nan)
-        a, b = relative[..., 0] / ahead, relative[..., 1] / ahead
+        a = relative[..., 0] / ahead
+        b = relative[..., 1] / ahead
     if not undistorted:
         a, b = _distort(camera, a, b)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
@@ -197,7 +205,8 @@ def road_seen(camera: Camera, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, F
         back_u, back_v = undistorted(camera, u, v)
         with np.errstate(invalid="ignore"):
             is_folded = ~(np.hypot(back_u - free_u, back_v - free_v) < _FOLD_PX)
-        u, v = np.where(is_folded, np.nan, u), np.where(is_folded, np.nan, v)
+        u = np.where(is_folded, np.nan, u)
+        v = np.where(is_folded, np.nan, v)
     return u, v
 
 
@@ -210,7 +219,8 @@ def image_to_road(
     - undistorted: pixels of the picture without lens distortion
     """
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
-    a, b = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
+    a = (u - camera.cx) / camera.fx
+    b = (v - camera.cy) / camera.fy
     if not undistorted:
         a, b = _undistort(camera, a, b)
     ray = np.stack([a, b, np.ones_like(a)], axis=-1) @ axes(camera)
@@ -228,7 +238,8 @@ def vanishing_point(camera: Camera) -> tuple[float, float]:
 def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
     """The rays (a, b, 1), a to the right and b down, of pixels u, v of the undistorted picture in
     the camera without roll: a, b, (..., 2)."""
-    a, b = (np.asarray(u) - camera.cx) / camera.fx, (np.asarray(v) - camera.cy) / camera.fy
+    a = (np.asarray(u) - camera.cx) / camera.fx
+    b = (np.asarray(v) - camera.cy) / camera.fy
     roll = math.radians(camera.roll_deg)
     return np.stack(
         [math.cos(roll) * a - math.sin(roll) * b, math.sin(roll) * a + math.cos(roll) * b], axis=-1
@@ -252,7 +263,8 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
     Raises InputError for a size of another aspect ratio (by more than a pixel): such a picture was
     cut or stretched in an unknown way.
     """
-    across, along = width / camera.width, height / camera.height
+    across = width / camera.width
+    along = height / camera.height
     if abs(across - along) * min(camera.width, camera.height) > 1:
         raise InputError(
             f"pictures of {width}x{height} pixels have another aspect ratio than the"
@@ -321,13 +333,15 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
         scale = np.tan(np.clip(angle, 0, _MOST_ANGLE)) / np.maximum(radius, _TINY)
         return a * scale, b * scale
     k1, k2, p1, p2, k3 = camera.distortion
-    free_a, free_b = a, b
+    free_a = a
+    free_b = b
     for _ in range(_ROUNDS):
         square = free_a * free_a + free_b * free_b
         radial = 1 + square * (k1 + square * (k2 + square * k3))
         shift_a = 2 * p1 * free_a * free_b + p2 * (square + 2 * free_a * free_a)
         shift_b = p1 * (square + 2 * free_b * free_b) + 2 * p2 * free_a * free_b
-        free_a, free_b = (a - shift_a) / radial, (b - shift_b) / radial
+        free_a = (a - shift_a) / radial
+        free_b = (b - shift_b) / radial
     return free_a, free_b
 
 

@@ -231,7 +231,9 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
         if image is None:
             raise InputError(f"{where}: its {value['format']!r} cannot be read")
         return image  # type: ignore[return-value]
-    height, width, encoding = int(value["height"]), int(value["width"]), str(value["encoding"])
+    height = int(value["height"])
+    width = int(value["width"])
+    encoding = str(value["encoding"])
     try:
         _, _, name, channels = to_cvtype(encoding)
         kind = np.dtype(name).newbyteorder(">" if value.get("is_bigendian") else "<")
@@ -269,7 +271,8 @@ def open_video(path: Path) -> cv2.VideoCapture:
 def _pictures_in_video(path: Path) -> Source:
     """The pictures of a video; reading warns of fewer than the file states."""
     video = open_video(path)
-    count, rate = int(video.get(cv2.CAP_PROP_FRAME_COUNT)), video.get(cv2.CAP_PROP_FPS)
+    count = int(video.get(cv2.CAP_PROP_FRAME_COUNT))
+    rate = video.get(cv2.CAP_PROP_FPS)
     video.release()
     known_rate = float(rate) if _RATES[0] <= rate <= _RATES[1] else None
 

@@ -33,7 +33,8 @@ def open_pictures(
 
     Raises InputError, with the key, for anything that cannot be used.
     """
-    recording, source = experiment.recording, experiment.source
+    recording = experiment.recording
+    source = experiment.source
     if recording.path is None or recording.format is not None:
         wrong = "simulate" if recording.path is None else "format"
         raise InputError(
@@ -121,7 +122,8 @@ def detect_pictures(
 def detector_of(experiment: Experiment, key: str) -> Detector:
     """Return the detector of an experiment. Raises InputError, with the key that needs it, for a
     recording without one."""
-    recording, source = experiment.recording, experiment.source
+    recording = experiment.recording
+    source = experiment.source
     if recording.detector is None:
         raise InputError(
             f"{source}: {key}: the recording has none; it goes with pictures or a video and"

@@ -46,18 +46,32 @@ _ROWS = {48: list(range(240, 720, 10)), 56: list(range(160, 720, 10))}
 #: The classes of continuous lines.
 _SOLID = (2, 4)
 
-#: The paper's k. A line becomes valid at this LRI and stays so until it falls below the second.
-LRI_FRAMES, RELEASE_LRI = 10, 5.0
+#: The paper's k, frames: the LRI at which a line becomes valid.
+LRI_FRAMES = 10
 
-#: Points farther ahead are left out: a pixel is metres long there, and roads are not flat. A line
-#: whose nearest point is farther ahead than the second has no offset.
-FARTHEST_M, NEAREST_M = 50.0, 25.0
+#: A valid line stays valid until its LRI falls below this, frames.
+RELEASE_LRI = 5.0
 
-#: Standard deviations of the fit: of a point, pixels; of heading, radians; of curvature, 1/m.
-POINT_PX, HEADING, CURVATURE = 3.0, 0.1, 0.002
+#: Points farther ahead are left out, metres: a pixel is metres long there, and roads are not flat.
+FARTHEST_M = 50.0
 
-#: How far a line may move between two pictures: metres, and metres for each second between them.
-GATE_M, GATE_M_PER_S = 0.3, 1.5
+#: A line whose nearest point is farther ahead has no offset, metres.
+NEAREST_M = 25.0
+
+#: Standard deviation of a point in the fit, pixels.
+POINT_PX = 3.0
+
+#: Standard deviation of heading in the fit, radians.
+HEADING = 0.1
+
+#: Standard deviation of curvature in the fit, 1/m.
+CURVATURE = 0.002
+
+#: Largest move of a line between two pictures, metres, ...
+GATE_M = 0.3
+
+#: ... plus this for each second between them, metres per second.
+GATE_M_PER_S = 1.5
 
 #: After a gap of more seconds than this no line is followed any further.
 LONGEST_GAP_S = 1.0
@@ -176,9 +190,11 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
         folder = picture.parent
         is_frame = folder.name.isdecimal() and len(folder.name) <= _COUNT_DIGITS
         if is_frame and held[folder] == 1:
-            clip, name = str(folder.parent), folder.name
+            clip = str(folder.parent)
+            name = folder.name
         else:
-            clip, name = str(folder), picture.stem
+            clip = str(folder)
+            name = picture.stem
         number = frame_number(name, where)
         members = clips.setdefault(clip, {})
         if number in members:
@@ -210,7 +226,8 @@ def _log(
         shift = (numbers[-1] + 1 if numbers else 0) - min(members) if len(clips) > 1 else 0
         numbers += [k + shift for k in members]
     ids = np.array(numbers, dtype=np.int64)
-    offsets, flags = [], []
+    offsets = []
+    flags = []
     frames = [lines for members in clips.values() for _, lines in members.values()]
     for lines in frames:
         offset = np.array([offset_of(line, camera) for line in lines])
@@ -224,15 +241,19 @@ def _log(
             " camera; is it the camera of these pictures?"
         )
     names = np.repeat(list(clips), list(map(len, clips.values())))
-    lri, is_valid = [], []
+    lri = []
+    is_valid = []
     for piece in clip_slices(names):
         counts, flag = persistence(offsets[piece], ids[piece] / frame_rate)
         lri += counts
         is_valid += flag
-    all_lri, all_valid = np.concatenate(lri), np.concatenate(is_valid)
-    doubt, apart = "", float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
+    all_lri = np.concatenate(lri)
+    all_valid = np.concatenate(is_valid)
+    doubt = ""
+    apart = float(np.median(np.diff(ids))) / frame_rate if len(ids) > 1 else 0.0
     if len(clips) > 1 and max(map(len, clips.values())) < LRI_FRAMES:
-        all_lri, all_valid = np.full(len(all_lri), float(LRI_FRAMES)), np.ones_like(all_valid)
+        all_lri = np.full(len(all_lri), float(LRI_FRAMES))
+        all_valid = np.ones_like(all_valid)
         doubt = (
             f"its {len(clips)} clips have fewer than {LRI_FRAMES} pictures, too few to follow a"
             " line: every line counts as valid"
@@ -266,7 +287,8 @@ def offset_of(line: ImageLine, camera: Camera) -> float:
     x, y = image_to_road(camera, line.u, line.v)
     with np.errstate(invalid="ignore"):
         near = (x > 0) & (x <= FARTHEST_M) & np.isfinite(y)
-    x, y = x[near], y[near]
+    x = x[near]
+    y = y[near]
     if len(np.unique(x)) < 2 or x.min() > NEAREST_M:
         return float("nan")
     prior = np.diag([0.0, 1 / HEADING, 1 / CURVATURE])[1:]
@@ -284,13 +306,17 @@ def persistence(
     - offsets: per frame (L,) in ascending order, metres.
     - time_s (T,): the times of the frames.
     """
-    place, flag = np.zeros(0), np.zeros(0, dtype=bool)
+    place = np.zeros(0)
+    flag = np.zeros(0, dtype=bool)
     seen = np.zeros((0, LRI_FRAMES), dtype=bool)
-    lri, valid = [], []
+    lri = []
+    valid = []
     for t, offset in enumerate(offsets):
         gap = float(time_s[t] - time_s[t - 1]) if t else 0.0
         if gap > LONGEST_GAP_S + 1e-9:
-            place, flag, seen = place[:0], flag[:0], seen[:0]
+            place = place[:0]
+            flag = flag[:0]
+            seen = seen[:0]
         away = np.abs(np.subtract.outer(offset, place))
         track = closest(np.where(away <= GATE_M + GATE_M_PER_S * gap, away, np.inf))
         is_new = track < 0
@@ -304,5 +330,7 @@ def persistence(
         flag = np.append(flag, is_new[is_new]) & (count >= RELEASE_LRI) | (count == LRI_FRAMES)
         lri.append(count[track].astype(np.float64))
         valid.append(flag[track])
-        place, flag, seen = place[count > 0], flag[count > 0], seen[count > 0]
+        place = place[count > 0]
+        flag = flag[count > 0]
+        seen = seen[count > 0]
     return lri, valid

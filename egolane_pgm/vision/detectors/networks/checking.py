@@ -10,9 +10,11 @@ from egolane_pgm.tools.files import read_yaml
 from egolane_pgm.vision.detectors.networks.description import OUTPUTS, READY, ready_networks
 from egolane_pgm.vision.detectors.networks.running import Shape, lengths, read_onnx, shape_text
 
-#: Lengths of a candidate of LaneATT and CLRNet. Row anchors have no more lines than the second
-#: value, and masks are wider.
-_CANDIDATES, _MOST_LINES = (77, 78), 12
+#: Lengths of a candidate of LaneATT and CLRNet, values.
+_CANDIDATES = (77, 78)
+
+#: The largest number of lines of row anchors; masks are wider.
+_MOST_LINES = 12
 
 
 def describe_onnx(onnx: Path) -> str:

@@ -45,8 +45,13 @@ ROWS = {
     ),
 }
 
-#: The layouts of the keys that some layouts only have, and those that need the key.
-_MASKS, _ANCHORS = ("lanes", "instances"), ("row_anchors", "hybrid_anchors")
+#: The layouts with a mask of each line or class.
+_MASKS = ("lanes", "instances")
+
+#: The layouts with anchors in rows.
+_ANCHORS = ("row_anchors", "hybrid_anchors")
+
+#: For each key, the layouts that have it and those that need it.
 _LAYOUTS = {
     "classes": ((*_MASKS, "row_anchors", "prototypes"), (*_MASKS, "row_anchors")),
     "channels": (_MASKS, ()),

@@ -61,8 +61,10 @@ def fit_of(network: Network, width: int, height: int) -> Fit:
     if network.letterbox is None:
         return Fit(width, height, top, 0, 0, wide, high)
     ratio = min(wide / width, high / (height - top))
-    inner_w, inner_h = max(round(width * ratio), 1), max(round((height - top) * ratio), 1)
-    left, upper = (wide - inner_w) // 2, (high - inner_h) // 2
+    inner_w = max(round(width * ratio), 1)
+    inner_h = max(round((height - top) * ratio), 1)
+    left = (wide - inner_w) // 2
+    upper = (high - inner_h) // 2
     return Fit(width, height, top, left, upper, inner_w, inner_h)
 
 
@@ -189,7 +191,8 @@ def _picture_input(network: Network, declared: Declared) -> str:
             f"inputs: the network takes {', '.join(declared.inputs)}; give the constant of each but"
             f" the picture, e.g. inputs: {{{(left or ['state'])[-1]}: 0}}"
         )
-    shape, needed = declared.inputs[left[0]], (1, 3, network.size[1], network.size[0])
+    shape = declared.inputs[left[0]]
+    needed = (1, 3, network.size[1], network.size[0])
     known = zip(shape or (), needed, strict=False)
     if shape is not None and (len(shape) != 4 or any(a not in (None, b) for a, b in known)):
         raise InputError(
@@ -201,7 +204,8 @@ def _picture_input(network: Network, declared: Declared) -> str:
 
 def _output_names(network: Network, declared: Declared) -> dict[str, str]:
     """Return the output in the file for each role of the layout."""
-    names, given = list(declared.outputs), network.named_outputs
+    names = list(declared.outputs)
+    given = network.named_outputs
     if network.output is None and len(names) == len(given) == 1:
         return dict.fromkeys(given, names[0])
     for name in given.values():
