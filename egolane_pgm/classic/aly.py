@@ -4,11 +4,11 @@ Vehicles Symposium 2008): ridges from above, RANSAC lines and Bezier splines.
 What differs from the paper and its public configuration:
 
 - The view is a region of the road in metres (theirs: of the picture, in pixels), so that it suits
-  any calibrated camera. Pictures are first made smaller until their focal length is twice that of
-  their camera, so that lengths in pixels keep their meaning.
-- Their tracker is not public. Ours takes its place (`simple.tracking`) with what the configuration
-  says of theirs: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame (the
-  0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
+  any calibrated camera. Pictures are first made smaller until their focal length is twice the
+  one of their camera, so that lengths in pixels keep their meaning.
+- Their tracker is not public. Ours takes its place (`simple.tracking`), with the values of
+  their configuration: a line's place may change by 15 pixels of theirs, 1.7 m, from frame to frame
+  (the 0.3 rad by which it may turn are more than any line turns); a new line is dropped after three
   frames without detection; and one that is seen in five of ten frames stays valid.
 - A spline becomes a line on the road by least squares; its painted share decides whether it is
   dashed, as for the simple detectors (`simple.paint`).

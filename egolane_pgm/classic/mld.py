@@ -4,12 +4,12 @@ driving environments using conditional random fields*, IEEE Intelligent Vehicles
 Written from a description of the published program and its constants. What differs: widths of
 markings and the rows that are searched follow from the camera, constants in pixels are scaled by
 the picture's width (1280) or by the rows searched (454); the gaps between lines are metres; only a
-common motion sideways and a common turn are taken over from clear lines to the others; a line is
-clear by itself from 120 markings on, not from 60; and each link of the CRF is merged by its own
+common motion sideways and a common turn are taken over from clear lines to the others; a line
+needs 120 markings to be clear, not 60; and each link of the CRF is merged by its own
 label (see `multilane.crf`).
 
 MLD does not distinguish continuous from dashed lines. A line is a parabola in the picture, as
-published, which is no parabola on the road: in a bend, it is too straight beyond 20 m ahead, and
+published, but not on the road: in a bend, it is too straight beyond 20 m ahead, and
 its curvature is too small.
 """
 
@@ -125,7 +125,7 @@ def starts(road: Road, joined: Markings, filled: float) -> FloatArray:
 
 
 def lines_of(slots: Slots, road: Road, shown_above: float) -> FrameLines:
-    """The lines of a frame, left to right, as the detector gives them."""
+    """Return the output of the detector for a frame, lines from left to right."""
     slot = np.flatnonzero(slots.is_used)
     shape = shapes_of(road, slots.curve[slot])
     counter = slots.counter[slot]

@@ -102,7 +102,7 @@ def write_mcap(file: Path, result: Result, frames: tuple[int, int] | None = None
     # Seconds since 1970 in a float are exact to a microsecond.
     time_ns = (shown["time_s"] * 1e6).round().astype(np.int64).to_numpy() * 1000
     if not result.lines:
-        warnings.warn(f"{result.name}: has no lines; shown without them", stacklevel=2)
+        warnings.warn(f"{result.name}: has no lines; the file shows the rest", stacklevel=2)
     topics = [
         _frame_messages(result, shown),
         _line_messages(_lines_of(result), shown, time_ns),

@@ -55,7 +55,7 @@ class LaneGraph:
 
     - way (S,): OpenStreetMap's id of the first way.
     - kind (S,): its tag `highway`, such as "motorway" or "motorway_link".
-    - name (S,): the road's number (tag `ref`) or name, Python strings; "" without one.
+    - name (S,): the road's number (tag `ref`) or name, Python strings; "" if unknown.
     - n_lanes (S,): 0 if unknown.
     - plane: the origin of the metres.
     - point (P, 2): metres east and north, in the direction of travel.
@@ -115,7 +115,7 @@ def assumed_lanes(graph: LaneGraph) -> IntArray:
     """The number of lanes of each segment, (S,), assumed if it is not in the map.
 
     The assumed number comes from the segment of the same kind before (the widest of several), else
-    from the one after, else it is the most frequent one of the kind, by length. 0 stays if no
+    from the segment after, else it is the most frequent one of the kind, by length. 0 stays if no
     segment of the kind has a number.
     """
     along = graph.kind[graph.before] == graph.kind[graph.after]

@@ -31,7 +31,7 @@ def read_osm(path: str | Path) -> LaneGraph:
     large extract first (`osmium tags-filter`).
 
     Warns of invalid tags, whose lanes are unknown, and of ways with nodes without coordinates,
-    which are left out. Raises InputError for a file that is no map or has no such road.
+    which are left out. Raises InputError for a file that is not a map or has no such road.
     """
     ways, point = _read(path)
     lanes = ways["tags"].map(read_lanes)

@@ -91,7 +91,7 @@ class Positions:
             (rows.latitude.abs() > 90, "has a latitude beyond 90 degrees"),
             (rows.longitude.abs() > 180, "has a longitude beyond 180 degrees"),
             (rows.sigma_m <= 0, "has a sigma_m that is not greater than 0"),
-            (rows.t_s.diff() < 0, "is earlier than the one before; sort by time"),
+            (rows.t_s.diff() < 0, "is earlier than the position before; sort by time"),
         ):
             if bad.any():
                 raise InputError(f"{source}: position {int(bad.argmax()) + 1} {problem}")
@@ -101,7 +101,7 @@ class Positions:
         kept = fixes.drop_duplicates("t_s")
         for n_left, before, what in (
             (len(fixes), rows, "without a fix"),
-            (len(kept), fixes, "with the time of the one before"),
+            (len(kept), fixes, "with the time of the position before"),
         ):
             if n_left < len(before):
                 left_out = f"left out {len(before) - n_left} of {len(before)} positions {what}"

@@ -90,6 +90,6 @@ def unknown_lanes(table: pd.DataFrame, log: LineLog) -> list[str]:
     ways = ", ".join(map(str, pd.unique(way[way > 0])[:3])) or "none"
     return [
         f"{table.attrs['source']}: in {is_unknown.sum()} of {len(log)} frames the number of lanes"
-        f" is not in the map (first ways without it: {ways}); it is assumed, or the number before"
+        f" is not in the map (first such ways: {ways}); it is assumed, or the number before"
         " is kept"
     ]

@@ -84,7 +84,7 @@ class Road:
     - lane, is_crossing: (T,) as annotated
     - line_offset_m: (T, n + 1) lane lines as seen from the vehicle, leftmost first, metres,
       negative on the left; NaN where lanes have not begun yet or have ended
-    - shoulder_offset_m: (T,) the additional line on the right; NaN without one
+    - shoulder_offset_m: (T,) the additional line on the right; NaN if there is none
     """
 
     frame_rate: float

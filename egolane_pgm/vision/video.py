@@ -57,10 +57,10 @@ LEAST_HEIGHT = 360
 class Scene:
     """The data of one frame.
 
-    - lines: as a detector gives them
+    - lines: the output of a detector
     - belief: (n,) over the lanes
     - assigned: the lane that the model answers, 0 for Unassigned
-    - truth: the annotated lane; None without one
+    - truth: the annotated lane; None if unknown
     """
 
     frame_id: int

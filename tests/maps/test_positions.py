@@ -80,7 +80,7 @@ def test_a_bag_is_read_and_fixes_without_status_are_left_out(tmp_path: Path) -> 
     assert found.sigma_m.tolist() == [2.0, 2.0]
 
 
-def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
+def test_a_bag_without_positions_is_refused(tmp_path: Path) -> None:
     from tests.kits.bags import line_bag
 
     bag = line_bag(tmp_path / "a.bag", [1, 2])
@@ -89,7 +89,7 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ("t,lat\n0,52\n", "no column longitude; the table has t, lat"),
         ("t,lat,lon\n0,52,4\n1,x,4\n", r"row 2: lat \(latitude\) is 'x', not a number"),
@@ -101,14 +101,14 @@ def test_a_bag_without_positions_says_so(tmp_path: Path) -> None:
         ("t,lat,lon\n", "has no position"),
     ],
 )
-def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str) -> None:
-    with pytest.raises(InputError, match=said) as error:
+def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as error:
         read_positions(write(tmp_path / "a.csv", text))
     assert "\n" not in str(error.value)
 
 
 @pytest.mark.parametrize(
-    ("name", "columns", "said"),
+    ("name", "columns", "message"),
     [
         ("b.kml", {}, r"unknown extension '\.kml' of positions"),
         ("a.csv", {}, "no such file"),
@@ -118,11 +118,11 @@ def test_bad_tables_are_refused_in_one_line(tmp_path: Path, text: str, said: str
     ],
 )
 def test_other_files_and_options_are_refused(
-    tmp_path: Path, name: str, columns: dict[str, str], said: str
+    tmp_path: Path, name: str, columns: dict[str, str], message: str
 ) -> None:
     for kind in ("csv", "kml", "bag"):
         write(tmp_path / f"b.{kind}", "t,lat,lon\n0,52,4\n")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_positions(tmp_path / name, columns=columns)
 
 
@@ -165,7 +165,7 @@ GGA_NEXT_DAY = "$GPGGA,000001.00,5110.8,N,01424.0,E,1,08,0.9,200.0,M,45.0,M,,"
 def test_nmea_is_read_across_midnight(
     tmp_path: Path, lines: list[str], date: int, speed_mps: float, sigma_m: float
 ) -> None:
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         found = read_positions(write(tmp_path / "a.nmea", "\n".join(lines)))
     assert found.t_s.tolist() == [date + 86_399, date + 86_401]
@@ -173,7 +173,7 @@ def test_nmea_is_read_across_midnight(
     assert found.longitude == pytest.approx([14.4] * 2)
     np.testing.assert_allclose(found.speed_mps[0], speed_mps, atol=0.01)
     np.testing.assert_allclose(found.sigma_m[0], sigma_m)
-    assert ("left out 1 sentence" in "".join(str(w.message) for w in said)) == ("*00" in lines[0])
+    assert ("left out 1 sentence" in "".join(str(w.message) for w in caught)) == ("*00" in lines[0])
 
 
 def test_a_log_without_a_sentence_is_refused(tmp_path: Path) -> None:

@@ -201,7 +201,7 @@ def ransac_spline(
     length_ratio: float,
 ) -> tuple[FloatArray, float]:
     """The best of the splines through samples of points: control points (4, 2), and its score,
-    which is minus infinity if there is none.
+    minus infinity if no spline was found.
 
     - point: (N, 2), sorted by row
     - sample: (I, S) the points of each sample, ascending

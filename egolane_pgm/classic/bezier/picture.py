@@ -16,7 +16,7 @@ _HALF_WIDTH_M = 0.075
 #: Largest move of a point to either side, pixels.
 _BESIDE = 10
 
-#: Least cosine of a moved point's direction to the one before.
+#: Least cosine between the directions of a point before and after its move.
 _KEPT = 0.9
 
 #: Step of the extension, pixels.

@@ -63,7 +63,7 @@ def ridges(view: BirdsEye, above: Image, parameters: Parameters) -> FloatArray:
     Grey levels count from 0 to 1, less their mean; `ridge_weights` make 1 the largest answer.
     """
     ridge = ridge_weights(np.arange(-_RIDGE_REACH, _RIDGE_REACH + 1) / _RIDGE_SIGMA)
-    # The edge of a black part of the picture (a covered lens) is no strip either.
+    # The edge of a black part of the picture (a covered lens) is not a strip either.
     wide = np.ones((len(ridge), len(ridge)), dtype=np.uint8)
     lit = cv2.morphologyEx((above > 0).astype(np.uint8), cv2.MORPH_CLOSE, wide)
     lit[~view.valid] = 0

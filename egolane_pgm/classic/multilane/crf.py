@@ -8,12 +8,12 @@ energy of a group's assignment is
 
     E = sum over links of (-u if on, else -(1 - u)) + (-c if any link is on, else -1/2)
 
-where a seed has at most one link from above and one from below. c = exp(-(MSE / 50)^2) of a cubic
+A seed has at most one link from above and one from below. c = exp(-(MSE / 50)^2) of a cubic
 through the markings of a chain of linked seeds, for the worst chain of the group. At 1/2 a curve is
 as likely wrong as right, so assignments with a worse one are not considered; all off always is.
 
-The last step of the public code, which merges linked seeds, reads the label of another link than
-the one that it merges. That is mended here: each link is merged by its own label.
+The last step of the public code, which merges linked seeds, reads the label of a wrong link. That
+is mended here: each link is merged by its own label.
 """
 
 from __future__ import annotations

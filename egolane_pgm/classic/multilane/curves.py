@@ -110,7 +110,7 @@ def parallel(
 ) -> FloatArray:
     """The curve parallel to another one on the road, (3,), that is nearest to F points.
 
-    - pixels_per_m: (2,) what a metre across is at t = 0, and its change with t, pixels
+    - pixels_per_m: (2,) length of a metre across at t = 0, and its change with t, pixels
     """
     scale = pixels_per_m[0] + pixels_per_m[1] * t
     away = float(scale @ (u - value(curve, t)) / (scale @ scale))

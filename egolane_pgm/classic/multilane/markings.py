@@ -34,7 +34,7 @@ LEAST = 5
 
 @dataclass(frozen=True)
 class Markings:
-    """The N markings of a picture, top to bottom, those of one seed together.
+    """The N markings of a picture, grouped by seed, each seed from top to bottom.
 
     - row, left, right: (N,) pixels
     - starts: (S + 1,) where each of the S seeds begins, and N
@@ -64,7 +64,7 @@ class Markings:
 
 
 def grouped(row: FloatArray, left: FloatArray, right: FloatArray, group: IntArray) -> Markings:
-    """Markings (N,) with those of one group, also (N,), together; negative groups are left out."""
+    """Sort markings (N,) by their groups (N,) and leave out negative groups."""
     order = np.lexsort((row, group))
     order = order[group[order] >= 0]
     starts = np.flatnonzero(np.diff(group[order], prepend=-1, append=-1))
@@ -90,8 +90,8 @@ def find_markings(grey: NDArray[np.uint8], road: Road) -> Markings:
 def edge_pairs(
     grey: NDArray[np.uint8], top: int, narrowest: FloatArray, widest: FloatArray, scale: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Rows and the left and right edges, (N,) each, pixels, of what is brighter than both sides and
-    as wide as a marking.
+    """Find the rows and the left and right edges, (N,) each, pixels, of stripes that are brighter
+    than both sides and as wide as a marking.
 
     - grey: (H, W)
     - top: the first row that is searched

@@ -37,7 +37,7 @@ _T = np.linspace(-1.0, 1.0, 101)
 class Road:
     """The part of a camera's pictures that is searched.
 
-    - top, bottom: its first row, and the one after its last
+    - top, bottom: its first row, and the row after its last
     - narrowest, widest: (R,) limits of a marking's width in each of its rows, pixels
     """
 
@@ -126,8 +126,8 @@ def places_of(road: Road, curve: FloatArray) -> FloatArray:
 
 
 def shapes_of(road: Road, curve: FloatArray) -> FloatArray:
-    """The lines (L, 4) on the road, as FrameLines has them, that curves (L, 3) show: straight lines
-    and parabolas, fitted to what the picture shows of them."""
+    """Fit straight lines and parabolas on the road, (L, 4) with the fields of FrameLines, to the
+    part of curves (L, 3) in the picture."""
     shape = np.zeros((len(curve), 4))
     for k, one in enumerate(curve):
         u = curves.value(one, _T)

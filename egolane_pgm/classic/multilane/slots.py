@@ -60,8 +60,8 @@ LONG = 120
 #: The least part of t that the markings of a clear line span.
 SPAN = 0.6
 
-#: The weight of the direction of the nearest clear line in that of a line that is not clear; the
-#: rest is the line's own direction before.
+#: Weight of the nearest clear line in the direction of a line that is not clear; the rest is the
+#: line's own direction before.
 PARALLEL = 0.2
 
 #: The narrowest lane, metres.

@@ -63,7 +63,7 @@ def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Le
       are left out and reported in `skipped`.
     - columns, rows: inner corners of the board
 
-    Raises InputError for a file that is no picture, and for fewer than MIN_BOARDS boards.
+    Raises InputError for a file that is not a picture, and for fewer than MIN_BOARDS boards.
     """
     skipped: list[str] = []
     images = ((path, read_image(path)) for path in paths)

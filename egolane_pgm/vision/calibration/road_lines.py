@@ -272,7 +272,7 @@ def doubts_of(view: RoadView) -> str:
     return (
         f"doubtful: with lanes of {one:g} m {said_height(view.camera)} ({n_lanes} gaps between"
         f" lines are lanes, {n_double} twice as wide). If {taken} taken for a lane, it is at"
-        f" {other:.2f} m: leave out what is no line of a lane (ignore), or give other stills"
+        f" {other:.2f} m: leave out lines that do not bound a lane (ignore), or give other stills"
     )
 
 
@@ -494,7 +494,7 @@ def fan(
     bright = cv2.remap(grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     seen = cv2.remap(mask.astype(np.uint8), u, v, cv2.INTER_NEAREST, borderValue=0)
     kernel = np.ones((1, round(_MARKING / _STEP) | 1), dtype=np.uint8)
-    # The road between two dark seams is no paint, nor is the gap of a double line a gap.
+    # The road between two dark seams is not paint, and the gap in a double line is closed.
     seam = np.ones((1, round(_SEAM / _STEP) | 1), dtype=np.uint8)
     bright = cv2.morphologyEx(bright, cv2.MORPH_CLOSE, seam)
     paint = cv2.morphologyEx(bright, cv2.MORPH_TOPHAT, kernel)

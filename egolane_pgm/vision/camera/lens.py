@@ -4,7 +4,7 @@
 - OpenCV: a `FileStorage` in YAML or XML, as its calibration samples write it
 - Kalibr: `camchain.yaml`, of which the first camera is taken
 
-The keys of our own camera YAML that describe the mounting may stand beside them.
+The files may also have the keys of our own camera YAML that describe the mounting.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ def _of_opencv(path: Path) -> dict[str, Any]:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
         names = storage.root().keys()
     except (cv2.error, SystemError):
-        raise InputError(f"{path}: is no FileStorage of OpenCV that can be read") from None
+        raise InputError(f"{path}: is not a FileStorage of OpenCV that can be read") from None
     content: dict[str, Any] = {}
     for key in names:
         node = storage.getNode(key)

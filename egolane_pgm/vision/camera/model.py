@@ -122,7 +122,7 @@ class Camera:
         return self.lens == "equidistant" or any(self.distortion)
 
 
-#: What is wanted besides the lens.
+#: How to complete a file that has the lens only.
 _MOUNTING = (
     "; the file has the lens only: add the line `height_m: 1.3` (metres above the road), and"
     " pitch_deg, yaw_deg and roll_deg if they are not 0"
@@ -133,7 +133,7 @@ _KEYS = [f.name for f in fields(Camera) if f.name != "name"]
 
 
 def _check_numbers(name: str, values: object, n: int) -> None:
-    """Raise InputError for what is not n finite numbers, whole ones where pixels are counted."""
+    """Raise InputError for a value that is not n finite numbers, whole numbers for pixels."""
     is_whole = name in ("width", "height", "ignore")
     if not (
         isinstance(values, tuple)
@@ -151,7 +151,7 @@ def said_height(camera: Camera) -> str:
     """Compare the height of the camera with cameras of cars and lorries."""
     usual = "{:g} to {:g} m".format(*USUAL_HEIGHTS)
     high = camera.height_m
-    return f"the camera is {high:.2f} m above the road, those of cars and lorries {usual}"
+    return f"the camera is {high:.2f} m above the road; cars and lorries have {usual}"
 
 
 def axes(camera: Camera) -> FloatArray:
@@ -356,7 +356,7 @@ def read_camera(path: str | Path, height_m: float | None = None) -> Camera:
     """The camera of a YAML file, ours or one of ROS, OpenCV or Kalibr with our keys of the mounting
     added.
 
-    - height_m: that of a file without one; by default it must be there.
+    - height_m: metres, for a file that has none; by default the file must have it.
 
     Raises InputError, one line that names file and key, for a key that is missing, unknown or has a
     wrong value."""

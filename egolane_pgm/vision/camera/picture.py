@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from egolane_pgm.types import InputError
 
-#: (H, W, 3), blue green red, as OpenCV has it.
+#: (H, W, 3), blue green red, the order of OpenCV.
 Image = NDArray[np.uint8]
 
 

@@ -6,8 +6,8 @@ that increases from file to file; if there is none, their positions, from 0. Onl
 memory at a time.
 
 OpenCV gives all pictures of a video in the size of the first one. It also skips pictures that
-cannot be decoded or were never recorded, without a word: such a loss is noticed only by the number
-of pictures that the file states.
+cannot be decoded or were never recorded, without a warning: such a loss is noticed only by the
+number of pictures in the file's header.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Source:
     - path: as the user gave it
     - read: the reader of its pictures
     - n_frames: None if the video lacks it
-    - frame_rate: Hz; None for picture files and for a video without one
+    - frame_rate: Hz; None for picture files and if a video has no frame rate
     - time_s (n_frames,): when each picture in a bag was taken, seconds; None for other sources
     """
 
@@ -79,7 +79,7 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
 
     - topic: of the pictures in a bag; by default the only one that has some
 
-    Raises InputError, naming the path, if there are none or the file is no video.
+    Raises InputError, naming the path, if there are none or the file is not a video.
     """
     path = str(path)
     place = Path(path)
@@ -101,9 +101,9 @@ def open_source(path: str | Path, topic: str | None = None) -> Source:
 
 
 def camera_of_pictures(camera: Camera, source: Source) -> Camera:
-    """The camera as it takes the pictures of a source. If these have another size than it was
-    calibrated for, and the same aspect ratio, it is scaled with a warning. Another warns of
-    a height that no car and no lorry has.
+    """Scale a camera to the pictures of a source, with a warning if they have another size than it
+    was calibrated for, and the same aspect ratio. Another warns of a height that no car and no
+    lorry has.
 
     Raises InputError, naming the source, for pictures of another aspect ratio.
     """
@@ -139,7 +139,7 @@ def read_pictures(
 
     - camera: the calibration, for the size that pictures must have
     - right: the pictures of the second camera of a stereo pair
-    - frames: the first frame id to read and the one after the last; None for all
+    - frames: the first frame id to read and the end, which is not read; None for all
 
     Raises InputError, naming file and frame, for a picture that cannot be read or has another size
     than the calibration, and for two cameras with different numbers of pictures.
@@ -163,7 +163,7 @@ def images_of(source: Source, frames: tuple[int, int] | None) -> Iterator[tuple[
     """The frame id, file and image of each picture of one camera, of any size, one at a time.
 
     frames: as for `read_pictures`. Raises InputError, naming the file, for a picture that cannot be
-    read, and where there is none.
+    read, and if there are none.
     """
     is_empty = True
     for each in source.read(*(frames or (0, math.inf))):
@@ -203,7 +203,7 @@ def _pictures_in_bag(place: Path, topic: str | None) -> Source:
 
 
 def image_topic(path: Path, topic: str | None) -> str:
-    """The topic of the pictures, by default the only one that has some. Raises InputError where
+    """The topic of the pictures, by default the only one that has some. Raises InputError if
     there is none, or several to choose from."""
     there = {
         name
@@ -252,16 +252,16 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
 
 
 def open_video(path: Path) -> cv2.VideoCapture:
-    """Opens a video before its first picture. Raises InputError for a file that is no video."""
+    """Opens a video before its first picture. Raises InputError for another file."""
     # Without this, FFmpeg prints its own lines about files that our one-line error explains.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    # FFmpeg takes what is before a colon for a protocol, unless the path is absolute.
+    # FFmpeg takes the text before a colon for a protocol, unless the path is absolute.
     absolute = os.path.abspath(path)
     video = cv2.VideoCapture(absolute)
     if not video.isOpened() or not video.grab():
         video.release()
         raise InputError(
-            f"{path}: is no video that can be read (another kind of file, or cut off before its"
+            f"{path}: is not a video that can be read (another kind of file, or cut off before its"
             " index was written)"
         )
     video.release()
@@ -346,7 +346,7 @@ def read_image(path: Path) -> Image:
         image = cv2.imread(str(path), cv2.IMREAD_COLOR)
     if image is None:
         raise InputError(
-            f"{path}: is no picture that can be read (missing, another kind of file, or cut off)"
+            f"{path}: is not a picture that can be read (missing, another kind of file, or cut off)"
         )
     return image  # type: ignore[return-value]
 

@@ -37,18 +37,17 @@ def video_writer(
 ) -> Iterator[Callable[[Image], None]]:
     """A context that gives a function to call with each picture of a video (`.mp4`) in turn.
 
-    Whatever ends the block, the pictures written so far are kept. Without any picture there is no
-    file.
+    The pictures written so far are kept if the block raises. Without a picture, no file is written.
 
     - frame_rate: Hz
     - size: width and height of the pictures, pixels
 
-    Raises InputError where the video cannot be written.
+    Raises InputError if the video cannot be written.
     """
     check_place(target)
     with temporary_folder(target.parent) as folder:
-        # FFmpeg takes what is before a colon for a protocol, unless the path is absolute, as that
-        # of a temporary folder is.
+        # FFmpeg takes the text before a colon for a protocol, unless the path is absolute, as in a
+        # temporary folder.
         part = folder / target.name
         with silent():
             video = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*CODEC), frame_rate, size)

@@ -111,8 +111,8 @@ def detect_pictures(
         log = replace(log, time_s=left.time_s[log.frame_id])
     if stopped is None and left.frame_rate is None and not is_given:
         warnings.warn(
-            f"{NOTE}{left.path}: does not say its pictures per second: {frame_rate:g} are assumed"
-            " (recording.frame_rate says another)",
+            f"{NOTE}{left.path}: has no frame rate: {frame_rate:g} pictures per second are assumed"
+            " (set recording.frame_rate)",
             UserWarning,
             stacklevel=2,
         )
@@ -120,8 +120,8 @@ def detect_pictures(
 
 
 def detector_of(experiment: Experiment, key: str) -> Detector:
-    """Return the detector of an experiment. Raises InputError, with the key that needs it, for a
-    recording without one."""
+    """Return the detector of an experiment. Raises InputError, with the key that needs it, if
+    the recording has none."""
     recording = experiment.recording
     source = experiment.source
     if recording.detector is None:

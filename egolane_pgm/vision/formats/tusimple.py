@@ -4,7 +4,7 @@
      "h_samples": [240, ...]}
 
 `lanes` has, per line, its column in each of the rows `h_samples`, negative where it is absent.
-Results as the benchmark takes them have no `h_samples`: the rows are then its own 48 or 56.
+Results for the benchmark have no `h_samples`: the rows are then its own 48 or 56.
 `classes` is optional and has the class of each line; 2 (solid white) and 4 (solid yellow) are
 continuous. (6, a double white line, is not: another lane lies beyond it, and the flag is evidence
 of the road's edge.)
@@ -12,7 +12,7 @@ of the road's edge.)
 A folder that is a count and has one picture is a frame of the drive in the folder above it:
 `clips/0313-1/6040/20.jpg` is frame 6040 of 0313-1. Any other folder is a clip, in which the last
 number of a picture's name is the frame (`frame_00042.jpg`: 42). The frame ids of a clip continue
-those of the clip before, and no line is followed from one into the next.
+from the clip before, and no line is followed into the next clip.
 
 The points of a line are put on the road by the camera, and y(x) = s0 + s1 x + s2 x^2 / 2 is fitted
 to them; the offset is s0. Points are weighted by the width of a pixel on the road; a prior on the
@@ -106,8 +106,8 @@ def read_tusimple(
 
     A line becomes valid once it is seen in ten pictures, as in the paper; of clips of which none
     has ten pictures, every line is valid, with a warning. Another warns of pictures too far
-    apart to follow a line. Raises InputError, with the line of the file, for what is no such file,
-    for frames given twice, and without a camera or a frame.
+    apart to follow a line. Raises InputError, with the line of the file, for another file, for
+    frames given twice, and if the camera or all frames are missing.
     """
     path = Path(path)
     entries = list(read_entries(path))
@@ -124,7 +124,7 @@ def read_tusimple(
 
 def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
     """The place in the file, for messages, and the entry of each picture. Raises InputError, naming
-    the place, for a line that is no entry."""
+    the place, for another line."""
     for number, line in enumerate(read_text(path).splitlines(), start=1):
         if not line.strip():
             continue
@@ -140,7 +140,7 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
             if not isinstance(entry, dict) or key not in entry:
                 raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
         if "h_samples" not in entry:
-            # Results as the benchmark takes them: its own rows, by how many there are.
+            # Results for the benchmark have its own rows, chosen by their number.
             entry["h_samples"] = _ROWS.get(max(map(len, entry["lanes"]), default=0), [])
         yield where, entry
 
@@ -206,7 +206,7 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
 
 
 def frame_number(name: str, where: str) -> int:
-    """The last number in a name. Raises InputError for a name without one."""
+    """Return the last number in a name. Raises InputError if it has none."""
     digits = re.findall(r"\d+", name)
     if not digits:
         raise InputError(f"{where}: '{name}' has no frame number in it")

@@ -26,7 +26,9 @@ def test_a_file_that_is_no_picture_is_refused(
     whole = write(tmp_path / "whole.jpg", images(1)[0]).read_bytes()
     for content in (b"", whole[:99]):
         (tmp_path / "cut.jpg").write_bytes(content)
-        with pytest.raises(InputError, match=r"cut\.jpg: is no picture that can be read \(missing"):
+        with pytest.raises(
+            InputError, match=r"cut\.jpg: is not a picture that can be read \(missing"
+        ):
             read_image(tmp_path / "cut.jpg")
     # OpenCV's own words, in another form, would stand beside the one line.
     assert "WARN" not in capfd.readouterr().err

@@ -108,7 +108,7 @@ def test_the_lens_is_read_and_the_mounting_is_asked_for(
         (_filled(MESSAGE, "plumb_bob", (0.1,)), "D: needs 0 or 2 or 4 or 5 or 8 or 12 or 14"),
         (_filled(KALIBR, "none").replace("pinhole", "omni"), "camera_model: 'omni' is not pinhole"),
         (_filled(KALIBR, "none").replace("[900.0, ", "["), "intrinsics: needs 4 or 9 numbers"),
-        ("<?xml", "is no FileStorage of OpenCV that can be read"),
+        ("<?xml", "is not a FileStorage of OpenCV that can be read"),
     ],
 )
 def test_another_lens_is_refused_in_one_line(tmp_path: Path, text: str, message: str) -> None:

@@ -61,7 +61,7 @@ def test_the_axes_of_a_camera_are_at_right_angles_and_right_handed(camera):
     np.testing.assert_allclose(np.cross(right, down), -forward, atol=1e-12)
 
 
-def test_what_is_behind_the_camera_is_not_in_the_picture():
+def test_points_behind_the_camera_are_not_in_the_picture():
     u, v = road_to_image(replace(LEVEL, distortion=LENS), [-5.0, 0.0, 5.0], 0.0)
     assert np.isnan(u).tolist() == np.isnan(v).tolist() == [True, True, False]
 

@@ -20,7 +20,7 @@ def pictures() -> list[Image]:
 
 
 def read(path: Path, frames: tuple[int, int] | None = None) -> tuple[list[int], list[str]]:
-    """The frame ids of a video, and what is said about it."""
+    """The frame ids of a video and the warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         ids = [p.frame_id for p in read_pictures(open_source(path), CAMERA, frames=frames)]
@@ -30,7 +30,7 @@ def read(path: Path, frames: tuple[int, int] | None = None) -> tuple[list[int], 
 @pytest.mark.parametrize(
     ("ending", "four"), [("avi", "MJPG"), ("avi", "XVID"), ("mkv", "mp4v"), ("mp4", "mp4v")]
 )
-def test_a_good_video_has_every_position_and_nothing_is_said(
+def test_a_good_video_has_every_position_and_no_warning(
     tmp_path: Path, pictures: list[Image], ending: str, four: str
 ) -> None:
     video = write_video(tmp_path / f"a.{ending}", pictures, four=four)
@@ -40,7 +40,7 @@ def test_a_good_video_has_every_position_and_nothing_is_said(
 
 
 @pytest.mark.parametrize(("ending", "four"), [("avi", "XVID"), ("mkv", "mp4v")])
-def test_a_video_damaged_in_its_middle_is_said_to_have_wrong_frame_ids(
+def test_a_video_damaged_in_its_middle_warns_of_wrong_frame_ids(
     tmp_path: Path, pictures: list[Image], ending: str, four: str
 ) -> None:
     video = write_video(tmp_path / f"bad.{ending}", pictures, four=four)
@@ -48,9 +48,11 @@ def test_a_video_damaged_in_its_middle_is_said_to_have_wrong_frame_ids(
     middle, some = len(content) // 2, len(content) // 20
     content[middle : middle + some] = bytes(some)
     video.write_bytes(content)
-    ids, (said,) = read(video)
+    ids, (message,) = read(video)
     assert N_FRAMES // 2 < len(ids) < N_FRAMES
     assert ids == list(range(len(ids)))
-    assert said.startswith(f"{video}: has {len(ids)} of the {N_FRAMES} frames that it should have")
+    assert message.startswith(
+        f"{video}: has {len(ids)} of the {N_FRAMES} frames that it should have"
+    )
     # Before the damage nothing is wrong.
     assert read(video, (0, 10)) == (list(range(10)), [])

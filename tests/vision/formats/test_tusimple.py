@@ -128,7 +128,7 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"lanes": [[1.0, 2.0]]}, f"line 2: lane 1 has 2 values for {len(ROWS)} h_samples"),
         ({"lanes": [["x"] * len(ROWS)]}, "line 2: lane 1 is not a list of numbers"),
@@ -137,10 +137,10 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
     ],
 )
 def test_a_bad_picture_is_refused_with_its_line(
-    tmp_path: Path, change: dict[str, Any], said: str
+    tmp_path: Path, change: dict[str, Any], message: str
 ) -> None:
     path = tusimple(tmp_path / "a.jsonl", [entry(1), {**entry(2), **change}])
-    assert said in whats_wrong(path)
+    assert message in whats_wrong(path)
 
 
 def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(tmp_path: Path) -> None:
@@ -154,5 +154,5 @@ def test_a_camera_that_sees_only_sky_where_the_lines_are_is_refused(tmp_path: Pa
     up = Camera(
         width=1280, height=720, fx=1040, fy=1040, cx=640, cy=360, height_m=1.6, pitch_deg=40
     )
-    said = whats_wrong(path, camera=up)
-    assert "no line has two points on the road within 25 m ahead of this camera" in said
+    message = whats_wrong(path, camera=up)
+    assert "no line has two points on the road within 25 m ahead of this camera" in message

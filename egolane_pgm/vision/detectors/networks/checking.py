@@ -20,7 +20,7 @@ _MOST_LINES = 12
 def describe_onnx(onnx: Path) -> str:
     """Return the inputs, the outputs and the layouts that fit, with the ready networks of each.
 
-    Raises InputError for a file that is no ONNX.
+    Raises InputError for a file that is not ONNX.
     """
     declared = read_onnx(onnx, "network")
     lines = [f"takes {name}: {shape_text(shape)}" for name, shape in declared.inputs.items()]

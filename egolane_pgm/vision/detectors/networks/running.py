@@ -95,7 +95,7 @@ class Declared:
 
 def read_onnx(path: Path, where: str) -> Declared:
     """Read a network with its weights. Raises InputError, starting with `where`, for a file that
-    cannot be read or is no ONNX, and if weights are missing."""
+    cannot be read or is not an ONNX file, and if weights are missing."""
     with extra(f"{where}: {path}", "vision"):
         import onnx
         from google.protobuf.message import DecodeError
@@ -106,9 +106,11 @@ def read_onnx(path: Path, where: str) -> Declared:
         raise InputError(f"{where}: {path}: {error.strerror or error}") from None
     except (DecodeError, ValueError, onnx.checker.ValidationError) as error:
         reason = " ".join(str(error).split())[:240]
-        raise InputError(f"{where}: {path}: is no ONNX file that can be read: {reason}") from None
+        raise InputError(
+            f"{where}: {path}: is not an ONNX file that can be read: {reason}"
+        ) from None
     if not model.graph.output:
-        raise InputError(f"{where}: {path}: is no ONNX file")
+        raise InputError(f"{where}: {path}: is not an ONNX file")
 
     def shapes(ports: list[onnx.ValueInfoProto]) -> dict[str, Shape]:
         tensors = {port.name: port.type.tensor_type for port in ports}
@@ -128,7 +130,7 @@ def read_onnx(path: Path, where: str) -> Declared:
 def load(network: Network, fit: Fit) -> Callable[[Image], Outputs]:
     """Load a network, try it, and make the function from a picture (H, W, 3) to its outputs.
 
-    Raises InputError for a file that is no ONNX or that OpenCV cannot run, for inputs or outputs
+    Raises InputError for a file that is not ONNX or that OpenCV cannot run, for inputs or outputs
     that differ from the YAML, and, while it runs, for an output that is not finite.
     """
     declared = read_onnx(Path(network.model), "model")
@@ -183,8 +185,8 @@ def _opencv_errors(message: str) -> Iterator[None]:
 
 
 def _picture_input(network: Network, declared: Declared) -> str:
-    """Return the name of the input for the picture. Raises InputError for other inputs than those
-    of the YAML."""
+    """Return the name of the input for the picture. Raises InputError if the
+    YAML has other inputs."""
     left = [name for name in declared.inputs if name not in network.inputs]
     if len(left) != 1 or len(declared.inputs) != len(network.inputs) + 1:
         raise InputError(

@@ -100,7 +100,7 @@ def painted_share(
 
 def _rows_in_view(view: BirdsEye, line: FloatArray, aside: int) -> tuple[IntArray, IntArray]:
     """Return the rows of a view that show the first metres of a line (4,), from near to far, with
-    so many columns on either side, and the line's columns in these rows, (N,) each."""
+    that number of columns on either side, and the line's columns in these rows, (N,) each."""
     x = view.x_m
     y = line[0] + x * (line[1] + x * (line[2] / 2 + x * line[3] / 6))
     columns = np.floor((y - view.y_m[0]) / view.across_m + 0.5).astype(np.int64)

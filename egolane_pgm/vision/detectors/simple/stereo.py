@@ -7,7 +7,7 @@ same disparity everywhere, and the matcher finds how much nearer than the road o
 
 A point Z metres away along the optical axis lies f B / Z pixels farther left in the second picture.
 On a flat road this disparity is linear in the pixel, d = a u + b v + c, and it is 0 at the horizon
-("the ground plane equation" of the paper). Pixels are those of the first picture, rectified and at
+("the ground plane equation" of the paper). Pixels are of the first picture, rectified and at
 full size.
 """
 
@@ -125,8 +125,8 @@ class Pair:
     - top: first row of the full picture that is used
     - flat: (H, W) disparities of the calibrated plane
     - u, v: (H, W) pixel of the full picture at the middle of each small pixel
-    - points: (N,) flat indices of the small pixels that the plane is fitted to: those of the road
-      that both pictures show, or some of them
+    - points: (N,) flat indices of the small pixels that the plane is fitted to: the pixels of the
+      road in both pictures, or some of them
     - below_px: range of the search below the road's disparity, small pixels
     - n_disparities: number of disparities that are searched
     - warp: (2, 3) affine map that moves the rows of the right picture by the plane
@@ -365,7 +365,7 @@ def ground_plane(camera: Camera) -> FloatArray:
 
 def pose(camera: Camera, planes: FloatArray) -> FloatArray:
     """Return the camera's height (metres), pitch and roll (degrees), (..., 3), above planes
-    (..., 3): the inverse of `ground_plane`. NaN for coefficients that are no plane."""
+    (..., 3): the inverse of `ground_plane`. NaN for coefficients that do not describe a plane."""
     assert camera.baseline_m is not None
     a, b, c = np.moveaxis(planes, -1, 0)
     up = -np.stack([a * camera.fx, b * camera.fy, c + a * camera.cx + b * camera.cy], axis=-1)

@@ -178,8 +178,8 @@ def rules(parameters: Parameters, *, curve: str, gate_m: float = _GATE_M) -> Rul
 
 
 def _noise_of_clothoids(at: FloatArray) -> FloatArray:
-    """Return the covariance (J, J) of a clothoid's positions: those of a parabola have independent
-    errors, and the rate is known far better, from the fit to all contours."""
+    """Return the covariance (J, J) of a clothoid's positions: a parabola's positions have
+    independent errors, and the rate is known far better, from the fit to all contours."""
     parabola = at[:, :3]
     precision = _SIGMA_M**-2
     covariance = np.linalg.inv((parabola * precision[:, None]).T @ parabola)
@@ -264,7 +264,7 @@ def advance(
 
 
 def lines_of(tracks: Tracks, rule: Rules) -> FrameLines:
-    """Return the lines of a frame, left to right, as the detector gives them."""
+    """Return the lines of a frame, left to right: the output of the detector."""
     n_votes = np.isfinite(tracks.votes).sum(axis=1)
     share = np.nansum(tracks.votes, axis=1) / np.maximum(n_votes, 1)
     is_continuous = share > _CONTINUOUS_SHARE

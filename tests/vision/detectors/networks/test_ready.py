@@ -294,7 +294,9 @@ def test_an_onnx_is_shown_or_refused(tmp_path: Path) -> None:
         "layout lstr_curves fits, as for the ready networks lstr\n"
     )
     file.write_bytes(b"nothing")
-    assert refused("show", file).startswith(f"network: {file}: is no ONNX file that can be read")
+    assert refused("show", file).startswith(
+        f"network: {file}: is not an ONNX file that can be read"
+    )
     absent = tmp_path / "absent.onnx"
     assert refused("show", absent) == f"network: {absent}: No such file or directory"
 
