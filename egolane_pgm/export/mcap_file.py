@@ -34,7 +34,7 @@ from egolane_pgm.vision.camera.pictures import images_of
 from egolane_pgm.vision.camera.writing import as_jpeg
 from egolane_pgm.vision.detectors.pictures import pictures_of
 
-with needed("an .mcap file", "export"):
+with needed("an .mcap file", "mcap"):
     from mcap.writer import Writer
 
 Content = dict[str, Any]

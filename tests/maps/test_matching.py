@@ -13,11 +13,12 @@ pytest.importorskip("pyproj")
 from egolane_pgm.maps import matching
 from egolane_pgm.maps.lane_graph import LaneGraph, assumed_lanes, near
 from egolane_pgm.maps.locating import locate
-from egolane_pgm.maps.matching import lock_on_road, match
+from egolane_pgm.maps.matching import match
 from egolane_pgm.maps.positions import Positions
 from egolane_pgm.types import FloatArray, InputError
 from tests.kits.lane_maps import PLANE, interchange, lane_map, random_trip
 from tests.reference.matching import enumerated, nearest_by_hand
+from tests.reference.nearest_road import lock_on_road
 
 
 @pytest.fixture(scope="module")

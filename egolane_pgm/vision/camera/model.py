@@ -178,15 +178,16 @@ def matrix(camera: Camera) -> FloatArray:
 
 
 def road_to_image(
-    camera: Camera, x: ArrayLike, y: ArrayLike, z: ArrayLike = 0.0, *, undistorted: bool = False
+    camera: Camera, x: ArrayLike, y: ArrayLike, *, undistorted: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Pixels u, v of points in vehicle coordinates; NaN for points behind the camera.
+    """Pixels u, v of points of the road; NaN for points behind the camera.
 
-    - x, y, z: metres, of any shapes that broadcast
+    - x, y: metres ahead and to the right, of any shapes that broadcast
     - undistorted: pixels of the picture without lens distortion
     """
-    x, y, z = np.broadcast_arrays(*(np.asarray(a, dtype=np.float64) for a in (x, y, z)))
-    relative = np.stack([x, y - camera.lateral_m, z - camera.height_m], axis=-1) @ axes(camera).T
+    place = (np.asarray(a, dtype=np.float64) for a in (x, y, -camera.height_m))
+    x, y, z = np.broadcast_arrays(*place)
+    relative = np.stack([x, y - camera.lateral_m, z], axis=-1) @ axes(camera).T
     with np.errstate(divide="ignore", invalid="ignore"):
         ahead = np.where(relative[..., 2] > 1e-9, relative[..., 2], np.nan)
         a = relative[..., 0] / ahead
