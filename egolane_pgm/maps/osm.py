@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +59,6 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
     with needed(f"{path}", "maps"):
         import osmium
     rows: list[tuple[Any, ...]] = []
-    points = bytearray()
-    lacking = 0
     as_bytes = osmium.geom.WKBFactory().create_linestring
     roads: Any = (
         osmium.FileProcessor(str(path), osmium.osm.NODE | osmium.osm.WAY)
@@ -68,29 +67,53 @@ def _read(path: str | Path) -> tuple[pd.DataFrame, FloatArray]:
         .with_filter(osmium.filter.TagFilter(*(("highway", kind) for kind in KINDS)))
     )
     bad_place = (osmium.InvalidLocationError, RuntimeError, ValueError)
+    # The nodes that were not found: they come after their ways, or have negative ids.
+    later: dict[int, tuple[float, float] | None] = {}
     try:
         for road in roads:
             try:
                 # Much faster than a loop over the nodes.
-                line = bytes.fromhex(as_bytes(road))[9:]
+                line: Any = bytes.fromhex(as_bytes(road))[9:]
             except bad_place:
-                lacking += 1
-                continue
+                line = [node.ref for node in road.nodes]
+                later |= dict.fromkeys(line)
             get = road.tags.get
             name = get("ref") or get("name") or ""
-            tags = tuple([get(key) for key in KEYS])
-            rows.append((road.id, name, tags, len(line) // 16))
-            points += line
+            rows.append((road.id, name, tuple([get(key) for key in KEYS]), line))
+        if later:
+            nodes: Any = osmium.FileProcessor(str(path), osmium.osm.NODE)
+            if min(later) > 0:
+                nodes = nodes.with_filter(osmium.filter.IdFilter(later))
+            later |= {
+                node.id: (node.lon, node.lat)
+                for node in nodes
+                if node.id in later and node.location.valid()
+            }
     except bad_place as error:
-        raise InputError(f"{path}: cannot be read as a map: {error}") from None
-    if lacking:
-        _warn(f"{path}: left out {lacking} way(s) with nodes that the file lacks")
-    if not rows:
+        raise InputError(
+            f"{path}: cannot be read as a map: {error} (maps are .osm and .osm.pbf; Overpass writes"
+            " .osm after [out:xml])"
+        ) from None
+    points = bytearray()
+    found = []
+    for *row, line in rows:
+        if isinstance(line, list):
+            corners = [corner for corner, _ in groupby(map(later.get, line))]
+            if None in corners or len(corners) < 2:
+                continue
+            line = np.array(corners).tobytes()
+        found.append((*row, len(line) // 16))
+        points += line
+    if not found:
+        cure = "; end the Overpass query with `(._;>;); out;`: `out geom` is not read"
         raise InputError(
             f"{path}: no motorway and no trunk road with coordinates (highway={', '.join(KINDS)})"
+            + cure * bool(rows)
         )
+    if len(found) < len(rows):
+        _warn(f"{path}: left out {len(rows) - len(found)} way(s) with nodes that the file lacks")
     point = np.frombuffer(points, dtype="<f8").reshape(-1, 2)[:, ::-1]
-    return pd.DataFrame(rows, columns=["way", "name", "tags", "size"]), point
+    return pd.DataFrame(found, columns=["way", "name", "tags", "size"]), point
 
 
 # --- segments ----------------------------------------------------------------------------------

@@ -84,10 +84,10 @@ def unknown_lanes(table: pd.DataFrame, log: LineLog) -> list[str]:
     """A warning of frames whose number of lanes is not in the map, if there are any."""
     row = np.maximum(np.searchsorted(table.t_s, log.time_s, side="right") - 1, 0)
     way, n_lanes = table.iloc[row][["unknown_way", "n_lanes"]].to_numpy().T
-    is_unknown = (way > 0) | (n_lanes == 0)
+    is_unknown = (way != 0) | (n_lanes == 0)
     if not is_unknown.any():
         return []
-    ways = ", ".join(map(str, pd.unique(way[way > 0])[:3])) or "none"
+    ways = ", ".join(map(str, pd.unique(way[way != 0])[:3])) or "none"
     return [
         f"{table.attrs['source']}: in {is_unknown.sum()} of {len(log)} frames the number of lanes"
         f" is not in the map (first such ways: {ways}); it is assumed, or the number before"

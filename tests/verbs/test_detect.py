@@ -161,7 +161,10 @@ def test_a_folder_of_pictures_has_one_checksum(place: Path, tmp_path: Path) -> N
     rewritten(place / "run.yaml", tmp_path / "run.yaml", recording=recording)
     first = run(tmp_path / "run.yaml")
     assert first.frames.index.tolist() == [1, 2]
-    assert any("per second: 10 are assumed (recording.frame_rate" in note for note in first.notes)
+    assert any(
+        "10 pictures per second are assumed (set recording.frame_rate" in note
+        for note in first.notes
+    )
     data = first.run["data"]
     assert [Path(e["path"]).name for e in data] == ["pictures", "cam.yaml", "my_detector.py"]
     cv2.imwrite(str(folder / "0.png"), images(2)[1])
