@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from egolane_pgm.tools.files import write_yaml
 from egolane_pgm.types import FloatArray, InputError, problems_in, suggestion
-from egolane_pgm.vision.camera.lens import read_keys
+from egolane_pgm.vision.camera.lens import COEFFICIENTS, read_keys
 
 #: Rounds of the fixed-point iteration that inverts the lens distortion.
 _ROUNDS = 20
@@ -55,10 +55,6 @@ USUAL_HEIGHTS = (0.9, 3.2)
 USUAL_LANE_M = 3.66
 
 
-#: The distortion models and how many coefficients they have.
-_COEFFICIENTS = {"plumb_bob": 5, "equidistant": 4}
-
-
 @dataclass(frozen=True)
 class Camera:
     """A calibrated camera.
@@ -69,8 +65,9 @@ class Camera:
     - pitch_deg, yaw_deg, roll_deg: turn of the camera against the direction of travel; positive
       is upwards, to the right and clockwise
     - lateral_m: distance to the right of the vehicle's middle
-    - lens: the distortion model, "plumb_bob" or "equidistant" (a fisheye)
-    - distortion: OpenCV's k1, k2, p1, p2, k3 of plumb_bob, or k1 to k4 of equidistant
+    - lens: the distortion model, "plumb_bob", "rational_polynomial" or "equidistant" (a fisheye)
+    - distortion: OpenCV's k1, k2, p1, p2, k3 of plumb_bob, also k4 to k6 of rational_polynomial, or
+      k1 to k4 of equidistant
     - baseline_m: for a rectified stereo pair, how far the second camera is to the right of this
       one; None for a single camera
     - lane_width_m: the width of the lanes that the height follows from, which detectors then
@@ -108,9 +105,9 @@ class Camera:
             _check_numbers(name, (value,), 1)
             if not low <= value <= high:
                 raise InputError(f"{name}: {value} is not between {low} and {high} ({unit})")
-        if self.lens not in _COEFFICIENTS:
-            raise InputError(f"lens: {self.lens!r} is not one of {', '.join(_COEFFICIENTS)}")
-        _check_numbers("distortion", self.distortion, _COEFFICIENTS[self.lens])
+        if self.lens not in COEFFICIENTS:
+            raise InputError(f"lens: {self.lens!r} is not one of {', '.join(COEFFICIENTS)}")
+        _check_numbers("distortion", self.distortion, COEFFICIENTS[self.lens])
         for box in self.ignore:
             _check_numbers("ignore", box, 4)
         if any(box[0] >= box[2] or box[1] >= box[3] for box in self.ignore):
@@ -314,9 +311,9 @@ def _distort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray, 
         angle = np.arctan(radius)
         scale = _bent(camera, angle) / np.maximum(radius, _TINY)
         return a * scale, b * scale
-    k1, k2, p1, p2, k3 = camera.distortion
+    _, _, p1, p2, *_ = camera.distortion
     square = a * a + b * b
-    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    radial = _radial(camera, square)
     return (
         a * radial + 2 * p1 * a * b + p2 * (square + 2 * a * a),
         b * radial + p1 * (square + 2 * b * b) + 2 * p2 * a * b,
@@ -333,17 +330,27 @@ def _undistort(camera: Camera, a: FloatArray, b: FloatArray) -> tuple[FloatArray
             angle = angle * radius / np.maximum(_bent(camera, angle), _TINY)
         scale = np.tan(np.clip(angle, 0, _MOST_ANGLE)) / np.maximum(radius, _TINY)
         return a * scale, b * scale
-    k1, k2, p1, p2, k3 = camera.distortion
+    _, _, p1, p2, *_ = camera.distortion
     free_a = a
     free_b = b
     for _ in range(_ROUNDS):
         square = free_a * free_a + free_b * free_b
-        radial = 1 + square * (k1 + square * (k2 + square * k3))
+        radial = _radial(camera, square)
         shift_a = 2 * p1 * free_a * free_b + p2 * (square + 2 * free_a * free_a)
         shift_b = p1 * (square + 2 * free_b * free_b) + 2 * p2 * free_a * free_b
         free_a = (a - shift_a) / radial
         free_b = (b - shift_b) / radial
     return free_a, free_b
+
+
+def _radial(camera: Camera, square: FloatArray) -> FloatArray:
+    """The factor of a ray's distance from the axis, by the distance's square."""
+    k1, k2, _, _, k3, *further = camera.distortion
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    if further:
+        k4, k5, k6 = further
+        radial = radial / (1 + square * (k4 + square * (k5 + square * k6)))
+    return radial
 
 
 def _bent(camera: Camera, angle: FloatArray) -> FloatArray:
