@@ -25,6 +25,12 @@ def describe_onnx(onnx: Path) -> str:
     declared = read_onnx(onnx, "network")
     lines = [f"takes {name}: {shape_text(shape)}" for name, shape in declared.inputs.items()]
     lines += [f"gives {name}: {shape_text(shape)}" for name, shape in declared.outputs.items()]
+    if not any(map(_is_picture, declared.inputs.values())):
+        lines.append(
+            "no layout fits: the network takes no pictures of 1 x 3 x height x width; export it"
+            " with the three colours before height and width"
+        )
+        return "\n".join(lines)
     for layout in sorted(OUTPUTS, key=lambda layout: -len(OUTPUTS[layout])):
         if _fits(layout, declared.outputs):
             files = {name: read_yaml(READY / f"{name}.yaml", "") for name in ready_networks()}
@@ -33,6 +39,10 @@ def describe_onnx(onnx: Path) -> str:
     if len(lines) == len(declared.inputs) + len(declared.outputs):
         lines.append("no layout fits (docs/networks.md has the shapes of each)")
     return "\n".join(lines)
+
+
+def _is_picture(shape: Shape) -> bool:
+    return shape is None or (len(shape) == 4 and shape[1] in (None, 3))
 
 
 def _fits(layout: str, declared: Mapping[str, Shape]) -> bool:
