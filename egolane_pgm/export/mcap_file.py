@@ -224,7 +224,7 @@ def _picture_messages(result: Result, frames: pd.DataFrame, time_ns: IntArray) -
     except InputError as error:
         warnings.warn(f"shown without pictures: {error}", stacklevel=2)
         return
-    for frame_id, _, image in images_of(source, (int(ids[0]), int(ids[-1]) + 1)):
+    for frame_id, _, (image,) in images_of((source,), (int(ids[0]), int(ids[-1]) + 1)):
         if frame_id in ids:
             row = int(ids.get_loc(frame_id))
             content: Content = {"timestamp": _time(int(time_ns[row])), "frame_id": "camera"}
