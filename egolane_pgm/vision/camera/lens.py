@@ -117,7 +117,7 @@ def _of_opencv(path: Path) -> dict[str, Any]:
     try:
         storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
         return dict(_value(storage.root()))
-    except (cv2.error, SystemError, ValueError, TypeError, RecursionError):
+    except (cv2.error, SystemError, AttributeError, TypeError, ValueError, RecursionError):
         raise InputError(f"{path}: is not a FileStorage of OpenCV that can be read") from None
 
 

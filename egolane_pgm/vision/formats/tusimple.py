@@ -79,6 +79,9 @@ LONGEST_GAP_S = 1.0
 #: A number in a name with more digits is a time stamp, not a frame number.
 _COUNT_DIGITS = 12
 
+#: A number with more digits does not fit a frame id.
+_ID_DIGITS = 18
+
 
 @dataclass(frozen=True)
 class ImageLine:
@@ -136,12 +139,15 @@ def read_entries(path: Path) -> Iterator[tuple[str, dict[str, Any]]]:
                 f"{where}: is not JSON, which TuSimple's format needs in each line: {error}"
                 f" (formats: {known_formats()})"
             ) from None
-        for key in ("raw_file", "lanes"):
-            if not isinstance(entry, dict) or key not in entry:
-                raise InputError(f"{where}: has no {key}, which TuSimple's format needs")
+        for key, kind in (("raw_file", str), ("lanes", list)):
+            if not isinstance(entry, dict) or not isinstance(entry.get(key), kind):
+                raise InputError(
+                    f"{where}: has no {key} ({kind.__name__}), which TuSimple's format needs"
+                )
         if "h_samples" not in entry:
             # Results for the benchmark have its own rows, chosen by their number.
-            entry["h_samples"] = _ROWS.get(max(map(len, entry["lanes"]), default=0), [])
+            counts = [len(lane) for lane in entry["lanes"] if isinstance(lane, list)]
+            entry["h_samples"] = _ROWS.get(max(counts, default=0), [])
         yield where, entry
 
 
@@ -150,7 +156,7 @@ def entry_lines(entry: dict[str, Any], where: str) -> list[ImageLine]:
     `read_tusimple` does."""
     rows = _numbers(entry["h_samples"], where, "h_samples")
     classes = entry.get("classes", [0] * len(entry["lanes"]))
-    if len(classes) != len(entry["lanes"]):
+    if not isinstance(classes, list) or len(classes) != len(entry["lanes"]):
         raise InputError(
             f"{where}: classes needs one class for each of {len(entry['lanes'])} lanes"
         )
@@ -208,7 +214,7 @@ def _clips(entries: Sequence[tuple[str, dict[str, Any]]]) -> dict[str, dict[int,
 def frame_number(name: str, where: str) -> int:
     """Return the last number in a name. Raises InputError if it has none."""
     digits = re.findall(r"\d+", name)
-    if not digits:
+    if not digits or len(digits[-1]) > _ID_DIGITS:
         raise InputError(f"{where}: '{name}' has no frame number in it")
     return int(digits[-1])
 

@@ -117,6 +117,8 @@ def test_the_lens_is_read_and_the_mounting_is_asked_for(
         ("%YAML:1.0\n---\na:\n   b: {c: [1, {d: 2}]}\n", "unknown key 'a'"),
         (f"%YAML:1.0\n---\na: {'{a: ' * 3000}1{'}' * 3000}\n", "is not a FileStorage"),
         ("%YAML:1.0\n---\na: {data: 1}\n", "is not a FileStorage"),
+        ("%YAML:1.0\n---\na: !!opencv-matrix\n   data: null\n", "is not a FileStorage"),
+        ("%YAML:1.0\n---\n- 1\n", "is not a FileStorage"),
         ("<?xml", "is not a FileStorage of OpenCV that can be read"),
     ],
 )

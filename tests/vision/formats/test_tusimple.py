@@ -134,6 +134,10 @@ def test_lines_in_pixels_without_a_camera_are_refused(tmp_path: Path) -> None:
         ({"lanes": [["x"] * len(ROWS)]}, "line 2: lane 1 is not a list of numbers"),
         ({"h_samples": [float("nan")] * len(ROWS)}, "h_samples is not a list of numbers"),
         ({"raw_file": "clips/0313-1/1/20.jpg"}, "line 2: frame 1 is there twice"),
+        ({"raw_file": 5}, "line 2: has no raw_file (str), which TuSimple's"),
+        ({"raw_file": f"a/{'9' * 19}.jpg"}, "999' has no frame number in it"),
+        ({"lanes": None}, "line 2: has no lanes (list), which TuSimple's"),
+        ({"classes": 1}, "line 2: classes needs one class for each of"),
     ],
 )
 def test_a_bad_picture_is_refused_with_its_line(
@@ -145,7 +149,9 @@ def test_a_bad_picture_is_refused_with_its_line(
 
 def test_a_json_file_that_is_no_recording_is_not_asked_for_a_camera(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"events": [1]}')
-    with pytest.raises(InputError, match="line 1: has no raw_file, which TuSimple's format needs"):
+    with pytest.raises(
+        InputError, match=r"line 1: has no raw_file \(str\), which TuSimple's format needs"
+    ):
         read_tusimple(tmp_path / "a.json")
 
 
