@@ -76,7 +76,7 @@ class Found:
 
 
 def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Found]:
-    """Makes the function that finds the lines in a picture (H, W, 3), blue green red."""
+    """Make the function that finds the lines in a picture (H, W, 3), blue green red."""
     small = smaller(camera)
     view = view_for(small, parameters)
     find_splines = spline_finder(parameters)
@@ -108,7 +108,7 @@ def line_finder(camera: Camera, parameters: Parameters) -> Callable[[Image], Fou
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Starts a drive: the step takes its pictures in order and gives at most four lines.
+    """Start a drive: the step takes its pictures in order and gives at most four lines.
 
     Raises InputError if the camera does not see the region that the parameters ask for.
     """

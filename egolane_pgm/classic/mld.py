@@ -83,7 +83,7 @@ _CURVATURE = 0.01
 
 
 def start(camera: Camera, parameters: Parameters) -> Step:
-    """Starts a drive: the step takes its pictures in order and gives lines.
+    """Start a drive: the step takes its pictures in order and gives lines.
 
     Raises InputError if the camera sees too little of the road.
     """

@@ -120,7 +120,7 @@ def slow_noise(
 
 
 def simulate_road(world: World, seed: int) -> Road:
-    """Simulates a drive along `world`; the same seed gives the same drive.
+    """Simulate a drive along `world`; the same seed gives the same drive.
 
     Raises InputError if the lane changes do not fit into the frames.
     """

@@ -107,7 +107,7 @@ def layout(camera: Camera) -> Layout:
 
 
 def draw_frame(places: Layout, picture: Image, scene: Scene) -> Image:
-    """Draws one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
+    """Draw one frame, (H, W, 3), blue green red. picture: one of the camera's size."""
     canvas = np.full((places.size[1], places.size[0], 3), 255, dtype=np.uint8)
     width = places.camera.width
     height = places.camera.height
@@ -152,7 +152,7 @@ def _draw_lines(places: Layout, picture: Image, above: Image, lines: FrameLines)
 
 
 def _stroke(image: Image, u: FloatArray, v: FloatArray, colour: Colour, thickness: int) -> None:
-    """Draws the part of a curve that is in or near the image."""
+    """Draw the part of a curve that is in or near the image."""
     reach = 4.0 * max(image.shape)
     with np.errstate(invalid="ignore"):
         there = np.isfinite(u) & np.isfinite(v) & (np.abs(u) < reach) & (np.abs(v) < reach)

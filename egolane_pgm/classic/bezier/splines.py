@@ -79,7 +79,7 @@ class Splines:
 
 
 def spline_finder(parameters: Parameters) -> Callable[[FloatArray], Splines]:
-    """Makes the function that finds splines in ridges (R, C). Each call takes the same random
+    """Make the function that finds splines in ridges (R, C). Each call takes the same random
     numbers, drawn here, so that a picture's splines do not depend on the pictures before."""
     rng = np.random.default_rng(0)
     line_draw, spline_draw = (rng.random((_SAMPLES, _POINTS)) for _ in range(2))
@@ -124,8 +124,8 @@ def column_peaks(total: FloatArray, least: float) -> tuple[FloatArray, FloatArra
 
 
 def _grouped(lines: FloatArray) -> FloatArray:
-    """Makes one of the two nearest lines, by their mean weighted by score, until none are nearer
-    than `_GROUP` columns on the average of both ends."""
+    """Merge the two nearest lines into their mean, weighted by score, until none are nearer than
+    `_GROUP` columns on the average of both ends."""
     end = lines[:, :2].copy()
     score = lines[:, 2].copy()
     while len(score) > 1:

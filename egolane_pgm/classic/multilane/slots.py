@@ -222,7 +222,7 @@ def _predicted(
 
 
 def _without_lost(slots: Slots, road: Road) -> Slots:
-    """Frees the slots whose line was not seen for long, is too far away or overlaps another."""
+    """Free the slots whose line was not seen for long, is too far away or overlaps another."""
     place = places_of(road, slots.curve)
     lost = (slots.counter == 0) | ~(np.abs(place) <= FARTHEST_M)
     kept = [k for k in map(slots.at, sorted(PLACES)) if not lost[k]]
@@ -233,7 +233,7 @@ def _without_lost(slots: Slots, road: Road) -> Slots:
 
 
 def _turned(slots: Slots, road: Road, most: int) -> Slots:
-    """Turns the ring if a line has passed under the car, and frees slots outside all PLACES."""
+    """Turn the ring if a line has passed under the car, and free slots outside all PLACES."""
     offset = np.full(len(PLACES), np.nan)
     offset[slots.is_used] = shapes_of(road, slots.curve[slots.is_used])[:, 0]
     to_left = [k for k in PLACES if k > 0 and offset[slots.at(k)] < -ACROSS_M]
@@ -246,7 +246,7 @@ def _turned(slots: Slots, road: Road, most: int) -> Slots:
 
 
 def _filled(slots: Slots, road: Road, most: int) -> Slots:
-    """Fills free slots from the curves of the last frames."""
+    """Fill free slots from the curves of the last frames."""
     if len(slots.recent) < BOOTSTRAP:
         return slots
     found = np.concatenate(slots.recent)

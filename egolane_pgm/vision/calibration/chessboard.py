@@ -57,7 +57,7 @@ def find_board(image: Image, columns: int, rows: int) -> FloatArray | None:
 
 
 def calibrate_lens(paths: Iterable[Path], columns: int = 9, rows: int = 6) -> Lens:
-    """Finds the lens of the camera that took these pictures of a chessboard.
+    """Find the lens of the camera that took these pictures of a chessboard.
 
     - paths: the pictures. Damaged ones, ones of another size than most, and ones that do not show
       the whole board are left out and reported in `skipped`.

@@ -134,7 +134,7 @@ def from_level(camera: Camera, rays: FloatArray) -> tuple[FloatArray, FloatArray
 
 
 def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
-    """Fits a0, the s of each line and c with the horizon at b0. Returns them with the loss, which
+    """Fit a0, the s of each line and c with the horizon at b0. Return them with the loss, which
     grows linearly for outliers."""
     n_lines = len(lines)
     blocks = []
@@ -161,7 +161,7 @@ def _fit_at(lines: Sequence[FloatArray], b0: float) -> tuple[FloatArray, float]:
 
 
 def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
-    """Fits the lines of one frame through a common vanishing point.
+    """Fit the lines of one frame through a common vanishing point.
 
     - lines: the points (N, 2), a and b, of each line
     - about_b0: a rough horizon; points near it and above are left out
@@ -201,7 +201,7 @@ def view_from(
     each: FloatArray,
     fits: Sequence[FrameFit],
 ) -> RoadView:
-    """Finds the pitch, yaw and height of a camera from fitted lines of the road.
+    """Find the pitch, yaw and height of a camera from fitted lines of the road.
 
     - camera: gives the pinhole, distortion, roll and width of lanes; pitch, yaw and height are
       replaced
@@ -471,7 +471,7 @@ def meeting_of_stills(stills: Sequence[FloatArray]) -> tuple[FloatArray, FloatAr
 def fan(
     camera: Camera, grey: FloatArray, mask: BoolArray, point: FloatArray, bend: float = 0.0
 ) -> Fan:
-    """Resamples a picture along rays through a point, so that paint along the road stands upright.
+    """Resample a picture along rays through a point, so that paint along the road stands upright.
 
     - grey: (H, W) brightness, grey levels
     - mask: (H, W) pixels that may show road
@@ -595,7 +595,7 @@ class FoundLines:
 
 
 def find_in_stills(camera: Camera, paths: Sequence[Path]) -> FoundLines:
-    """Finds the lines in stills that one camera took of a road.
+    """Find the lines in stills that one camera took of a road.
 
     - paths: the stills; `camera.ignore` are the parts that never show road
 

@@ -245,7 +245,7 @@ def level_rays(camera: Camera, u: ArrayLike, v: ArrayLike) -> FloatArray:
 
 
 def with_vanishing_point(camera: Camera, u: float, v: float) -> Camera:
-    """Turns the camera, without changing its roll, so that lines along the direction of travel
+    """Turn the camera, without changing its roll, so that lines along the direction of travel
     meet at the pixel (u, v) of the undistorted picture."""
     # In the camera without roll the ahead direction is (-tan yaw / cos pitch, tan pitch).
     a, b = level_rays(camera, u, v)
@@ -292,14 +292,14 @@ def scaled(camera: Camera, width: int, height: int) -> Camera:
 
 
 def undistorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Takes pixels u, v of the picture to the picture without lens distortion."""
+    """Take pixels u, v of the picture to the picture without lens distortion."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = _undistort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
 
 
 def distorted(camera: Camera, u: ArrayLike, v: ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """Takes pixels u, v of the picture without lens distortion to the picture."""
+    """Take pixels u, v of the picture without lens distortion to the picture."""
     u, v = np.broadcast_arrays(np.asarray(u, dtype=np.float64), np.asarray(v, dtype=np.float64))
     a, b = _distort(camera, (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy)
     return camera.fx * a + camera.cx, camera.fy * b + camera.cy
@@ -386,7 +386,7 @@ def read_camera(path: str | Path, height_m: float | None = None) -> Camera:
 
 
 def write_camera(path: str | Path, camera: Camera, comment: str = "") -> None:
-    """Writes a camera as YAML below a comment on its calibration, and makes missing
+    """Write a camera as YAML below a comment on its calibration, and make missing
     folders. Raises InputError if the file cannot be written."""
     content = {name: getattr(camera, name) for name in _KEYS}
     content["distortion"] = list(camera.distortion)

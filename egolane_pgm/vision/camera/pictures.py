@@ -79,7 +79,7 @@ def is_pattern(path: str) -> bool:
 
 
 def open_source(path: str | Path, topic: str | None = None) -> Source:
-    """Finds the pictures at a path: a video, a picture, a folder of pictures, a glob or a bag.
+    """Find the pictures at a path: a video, a picture, a folder of pictures, a glob or a bag.
 
     - topic: of the pictures in a bag; by default the only one that has some
 
@@ -139,7 +139,7 @@ def read_pictures(
     right: Source | None = None,
     frames: tuple[int, int] | None = None,
 ) -> Iterator[Picture]:
-    """Reads the pictures in order, one at a time; see `images_of`.
+    """Read the pictures in order, one at a time; see `images_of`.
 
     - camera: the calibration, for the size that pictures must have
     - right: the pictures of the second camera of a stereo pair
@@ -270,7 +270,7 @@ def _decoded(value: Mapping[str, Any], where: str) -> Image:
 
 
 def open_video(path: Path) -> cv2.VideoCapture:
-    """Opens a video before its first picture. Raises InputError for another file."""
+    """Open a video before its first picture. Raises InputError for another file."""
     # Without this, FFmpeg prints its own lines about files that our one-line error explains.
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # FFmpeg takes the text before a colon for a protocol, unless the path is absolute.
@@ -358,7 +358,7 @@ def _frame_ids(files: list[Path]) -> list[int]:
 
 
 def read_image(path: Path) -> Image:
-    """Reads a picture file as (H, W, 3), blue green red, 8 bits each.
+    """Read a picture file as (H, W, 3), blue green red, 8 bits each.
 
     Raises InputError for a file that is missing, cut off or no picture.
     """

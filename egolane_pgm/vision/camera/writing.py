@@ -18,7 +18,7 @@ CODEC = "mp4v"
 
 
 def write_picture(file: Path, image: Image) -> None:
-    """Writes a picture, (H, W, 3), blue green red, in the format of its extension, whole or not at
+    """Write a picture, (H, W, 3), blue green red, in the format of its extension, whole or not at
     all; missing folders are made. Raises InputError where it cannot be written."""
     write_bytes(file, cv2.imencode(file.suffix, image)[1].tobytes())
 
@@ -70,7 +70,7 @@ def video_writer(
 
 @contextlib.contextmanager
 def silent() -> Iterator[None]:
-    """Silences OpenCV's own messages, for which we raise a one-line error."""
+    """Silence OpenCV's own messages, for which we raise a one-line error."""
     # The function's place differs between OpenCV's major versions.
     set_level: Any = getattr(cv2, "setLogLevel", None) or cv2.utils.logging.setLogLevel
     before = set_level(0)
