@@ -32,11 +32,11 @@ class Plane:
         )
 
     def metres(self, latitude: Any, longitude: Any) -> FloatArray:
-        """N places in degrees as metres east and north of the centre, (N, 2)."""
+        """Return N places in degrees as metres east and north of the centre, (N, 2)."""
         return np.stack(self._projection(np.asarray(longitude), np.asarray(latitude)), axis=-1)
 
     def degrees(self, metres: FloatArray) -> FloatArray:
-        """N places in metres as latitude and longitude, (N, 2), degrees."""
+        """Return N places in metres as latitude and longitude, (N, 2), degrees."""
         longitude, latitude = self._projection(metres[:, 0], metres[:, 1], inverse=True)
         return np.stack([latitude, longitude], axis=-1)
 

@@ -232,8 +232,9 @@ def join_ways(graph: LaneGraph) -> LaneGraph:
 
 
 def _chains(following: IntArray) -> tuple[IntArray, BoolArray]:
-    """All segments (S,), chain by chain, and marks of the first of each chain. Chains are in the
-    order of their first segments; rings come last.
+    """Return all segments (S,), chain by chain, and marks of the first of each chain.
+
+    Chains are in the order of their first segments; rings come last.
 
     - following (S,): the next segment of each, or -1.
     """

@@ -91,13 +91,13 @@ def join_seeds(markings: Markings, road: Road, exact_up_to: int) -> Markings:
 
 
 def candidate_links(markings: Markings, road: Road) -> Links:
-    """All pairs of seeds that might belong to one line, by the two gates."""
+    """Return all pairs of seeds that might belong to one line, by the two gates."""
     end = max(2, round(END * road.row_scale))
     return Links(*pairs(markings.row, markings.u, markings.starts, end, FARTHEST * road.scale))
 
 
 def certain(links: Links, scale: float) -> BoolArray:
-    """Which links, (K,), are beyond doubt: good, and the only good one of both seeds."""
+    """Mark the links, (K,), that are certain: good, and the only good one of both seeds."""
     good = np.exp(-((links.apart / (CERTAIN_PX * scale)) ** 2)).sum(axis=1) > CERTAIN
     n_above = np.bincount(links.above[good], minlength=links.above.max(initial=-1) + 1)
     n_below = np.bincount(links.below[good], minlength=links.below.max(initial=-1) + 1)
@@ -130,7 +130,7 @@ def power_sums(markings: Markings, scale: float) -> FloatArray:
 
 
 def infer(links: Links, probability: FloatArray, sums: FloatArray, exact_up_to: int) -> BoolArray:
-    """Which links, (K,), are on.
+    """Return the links, (K,), that are on.
 
     - probability: (K,) `unary`
     - sums: (S, 12) `power_sums`

@@ -93,7 +93,7 @@ def best_curve(
 
 
 def common_motion(before: FloatArray, now: FloatArray) -> FloatArray:
-    """How the road moved in the picture from one frame to the next, as the curve q + r t that is
+    """Return the motion of the road in the picture between two frames, as the curve q + r t that is
     added to each curve; from L curves, (L, 3), before and now.
 
     A homography of the road that takes each row of the picture to itself is u' = p u + q + r t, and

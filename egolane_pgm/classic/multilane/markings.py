@@ -51,7 +51,7 @@ class Markings:
         return (self.left + self.right) / 2
 
     def points(self, road: Road) -> tuple[FloatArray, FloatArray]:
-        """t and the column, (N,) each, of the markings, without lens distortion."""
+        """Return t and the column, (N,) each, of the markings, without lens distortion."""
         return flattened(road, self.row, self.u)
 
     @property

@@ -64,7 +64,7 @@ class Road:
 
     @property
     def pixels_per_m(self) -> FloatArray:
-        """What a metre across the road is at t = 0, and its change with t, (2,), pixels."""
+        """Length of a metre across the road at t = 0, and its change with t, (2,), pixels."""
         sides = np.array([[0.0], [self.camera.width]])
         rows = self.middle + np.array([-self.half / 2, self.half])
         y = image_to_road(self.camera, sides, rows, undistorted=True)[1]
@@ -105,14 +105,14 @@ def road_of(camera: Camera, reach_m: float, narrowest_m: float, widest_m: float)
 
 
 def flattened(road: Road, v: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """t and the column, (N,) each, of points in row v and column u, without lens distortion."""
+    """Return t and the column of points in row v and column u, (N,), without lens distortion."""
     if road.camera.is_distorted:
         u, v = undistorted(road.camera, u, v)
     return (v - road.middle) / road.half, u
 
 
 def is_ignored(road: Road, u: FloatArray, v: FloatArray) -> BoolArray:
-    """Which points, (N,), are in rectangles of the picture that never show road."""
+    """Mark the points, (N,), in rectangles of the picture that never show road."""
     inside: BoolArray = np.zeros(len(u), dtype=bool)
     for left, top, right, bottom in road.camera.ignore:
         inside |= (left <= u) & (u < right) & (top <= v) & (v < bottom)

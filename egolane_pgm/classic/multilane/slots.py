@@ -94,7 +94,7 @@ class Slots:
 
     @property
     def is_used(self) -> BoolArray:
-        """Which slots hold a line, (6,)."""
+        """Mark the slots that hold a line, (6,)."""
         used: BoolArray = np.isfinite(self.curve[:, 0])
         return used
 
@@ -160,7 +160,7 @@ def advance(
 
 
 def _near(road: Road, t: FloatArray, u: FloatArray, curve: FloatArray) -> BoolArray:
-    """Which points, (F,), are within two of the widest markings of a curve."""
+    """Mark the points, (F,), within two of the widest markings of a curve."""
     reach = 2 * np.interp(t, np.linspace(-1, 1, len(road.widest)), road.widest)
     near: BoolArray = np.abs(u - curves.value(curve, t)) <= reach
     return near

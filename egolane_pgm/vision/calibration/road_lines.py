@@ -186,7 +186,7 @@ def fit_frame(lines: Sequence[FloatArray], about_b0: float) -> FrameFit | None:
 
 
 def one_lane(gaps: FloatArray, weights: FloatArray) -> BoolArray:
-    """Which of the gaps (G,) are near the most common one, counted by their weights (G,)."""
+    """Mark the gaps (G,) near the most common one, counted by their weights (G,)."""
     if not gaps.size:
         return np.zeros(0, dtype=bool)
     away = np.abs(gaps / gaps[:, None] - 1)
@@ -256,7 +256,7 @@ def _offsets(turned: Camera, ahead: FloatArray, fit: FrameFit) -> FloatArray:
 
 
 def doubts_of(view: RoadView) -> str:
-    """What speaks against a view, in one line, or nothing: a height that cars and lorries do not
+    """Return the doubts about a view in one line, or nothing: a height that cars and lorries do not
     have, or gaps of twice a lane's width that outnumber the lanes, where half the height is usual;
     else a width that lanes do not have."""
     assert view.camera.lane_width_m is not None
@@ -508,7 +508,7 @@ def _rays(point: FloatArray, bend: float, side: FloatArray, below: FloatArray) -
 
 
 def is_paint(found: Fan) -> BoolArray:
-    """Which pixels of a fan, (R, S), are paint."""
+    """Mark the pixels of a fan, (R, S), that are paint."""
     n_seen = np.maximum(found.seen.sum(axis=1, keepdims=True), 1)
     scatter = found.paint.sum(axis=1, keepdims=True) / n_seen
     is_bright: BoolArray = found.paint > np.maximum(_CONTRAST, _SCATTERS * scatter)
@@ -557,8 +557,9 @@ def find_lines(
 
 
 def _streaks(found: Fan) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Upright streaks of paint in a fan, the most covered one first: `side` and `below`, (N,)
-    each, of the rows with paint."""
+    """Yield the upright streaks of paint in a fan, the most covered one first.
+
+    Each is `side` and `below` of the rows with paint, (N,)."""
     paint = is_paint(found)
     profile = _profile(found)
     smooth = np.convolve(profile, np.ones(3) / 3, mode="same")

@@ -24,7 +24,7 @@ def common_scores(
     side_m: float,
     bin_m: float,
 ) -> FloatArray:
-    """How sharply N pieces of marking gather at a few offsets, (H, K, Q), for lines
+    """Score how sharply N pieces of marking gather at a few offsets, (H, K, Q), for lines
     y = o (1 + q x) + h x + k x^2 / 2 with offset o and common heading h, curvature k and squeeze q.
 
     - x, y: (N,) place of each piece, metres ahead (more than 0) and to the right

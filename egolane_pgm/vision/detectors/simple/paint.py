@@ -112,7 +112,7 @@ def _rows_in_view(view: BirdsEye, line: FloatArray, aside: int) -> tuple[IntArra
 
 
 def _quantile(values: FloatArray, share: float) -> float:
-    """As np.quantile, but many times faster for such short arrays."""
+    """Return np.quantile, many times faster for such short arrays."""
     ordered = np.sort(values)
     at = share * (len(ordered) - 1)
     below = ordered[int(at)]
